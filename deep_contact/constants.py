@@ -1,0 +1,36 @@
+"""Constants of the contact model, as Box2D 2.3 has them, and of the thesis's scene. SI units."""
+
+LINEAR_SLOP = 0.005
+"""Penetration that position correction leaves alone, m. Contacts stay alive in a resting pile because of it."""
+
+WALL_SKIN = 0.01
+"""Walls are felt this far ahead of their surface, m (`b2_polygonRadius` of Box2D's edge shapes)."""
+
+BAUMGARTE = 0.2
+"""Share of the penetration beyond the slop that one sweep of position correction removes."""
+
+MAX_CORRECTION = 0.2
+"""Largest displacement of one row in one sweep of position correction, m."""
+
+POSITION_TOLERANCE = 3 * LINEAR_SLOP
+"""Position correction stops once no contact penetrates deeper, m."""
+
+RESTITUTION_THRESHOLD = 1.0
+"""Approach speed above which a contact bounces, m/s."""
+
+MAX_TRANSLATION = 2.0
+"""Largest displacement of a body in one step, m."""
+
+MAX_ROTATION = 0.5 * 3.141592653589793
+"""Largest rotation of a body in one step, rad."""
+
+GRAVITY = (0.0, -9.81)
+"""m/s²"""
+
+FRICTION = 0.5
+RESTITUTION = 0.0
+TIME_STEP = 0.01
+"""s"""
+
+THETA_TOLERANCE = 6e-5
+"""Convergence rate at which the thesis's data generator stopped the velocity sweeps, N·s."""

@@ -1,0 +1,249 @@
+"""The state of a simulation: `World` (what never moves), `Bodies`, `Contacts`, and the `State` that holds them.
+
+Conventions, said once, here:
+
+* SI units; an impulse λ is in N·s. Physics is float64.
+* The n circles are bodies 0 … n-1. The box is one static body; its walls are numbered n + 0 (bottom),
+  n + 1 (right), n + 2 (top) and n + 3 (left), so that two contacts of one circle in a corner differ.
+* A contact joins `body_a` < `body_b`. Its unit normal points from a to b, its tangent is (n_y, -n_x); relative
+  velocity is b minus a; a negative separation is penetration. The contact point lies in the middle of the overlap.
+  The impulse on b is λ_n n + λ_t t, on a the opposite.
+* Contacts are sorted by (body_a, body_b), each pair at most once. The solver sweeps in that order, so the order is
+  part of the result.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact import constants
+
+BOTTOM, RIGHT, TOP, LEFT = range(4)
+WALLS = ("bottom", "right", "top", "left")
+WALL_NORMALS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+"""Contact normals of the four walls, from circle to wall."""
+
+
+class Bodies(NamedTuple):
+    """n circles (solid discs).
+
+    | field    | meaning                         | shape  | unit  |
+    |----------|---------------------------------|--------|-------|
+    | position | centre                          | (n, 2) | m     |
+    | velocity | of the centre                   | (n, 2) | m/s   |
+    | angle    | orientation, counter-clockwise  | (n,)   | rad   |
+    | spin     | angular velocity ω              | (n,)   | rad/s |
+    | mass     |                                 | (n,)   | kg    |
+    | radius   |                                 | (n,)   | m     |
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    angle: np.ndarray
+    spin: np.ndarray
+    mass: np.ndarray
+    radius: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of circles. (`len` of a NamedTuple is its number of fields.)"""
+        return self.mass.shape[0]
+
+    @property
+    def inertia(self) -> np.ndarray:
+        """Moment of inertia of a solid disc, m r² / 2, shape (n,), kg·m²."""
+        return 0.5 * self.mass * self.radius**2
+
+
+class Contacts(NamedTuple):
+    """m contacts, sorted by (body_a, body_b).
+
+    | field           | meaning                                          | shape  | unit |
+    |-----------------|--------------------------------------------------|--------|------|
+    | body_a          | index of the first circle                        | (m,)   | –    |
+    | body_b          | index of the second circle, or n + wall          | (m,)   | –    |
+    | position        | contact point, in the middle of the overlap      | (m, 2) | m    |
+    | normal          | unit normal from a to b                          | (m, 2) | –    |
+    | separation      | gap along the normal, negative is penetration    | (m,)   | m    |
+    | normal_impulse  | λ_n, solved (or, unsolved, as the start)         | (m,)   | N·s  |
+    | tangent_impulse | λ_t, likewise                                    | (m,)   | N·s  |
+    | normal_start    | λ_n that the solver starts from                  | (m,)   | N·s  |
+    | tangent_start   | λ_t that the solver starts from                  | (m,)   | N·s  |
+    """
+
+    body_a: np.ndarray
+    body_b: np.ndarray
+    position: np.ndarray
+    normal: np.ndarray
+    separation: np.ndarray
+    normal_impulse: np.ndarray
+    tangent_impulse: np.ndarray
+    normal_start: np.ndarray
+    tangent_start: np.ndarray
+
+    @property
+    def count(self) -> int:
+        """Number of contacts."""
+        return self.body_a.shape[0]
+
+
+@dataclass(frozen=True, kw_only=True)
+class World:
+    """What never moves: the box, and the constants that hold for every contact.
+
+    box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e,
+    felt above `constants.RESTITUTION_THRESHOLD`.
+    """
+
+    box: tuple[float, float, float, float] = (0.0, 0.0, 30.0, 30.0)
+    gravity: tuple[float, float] = constants.GRAVITY
+    friction: float = constants.FRICTION
+    restitution: float = constants.RESTITUTION
+
+    def __post_init__(self):
+        box = tuple(float(v) for v in self.box)
+        gravity = tuple(float(v) for v in self.gravity)
+        if len(box) != 4 or not np.isfinite(box).all() or box[0] >= box[2] or box[1] >= box[3]:
+            raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
+        if len(gravity) != 2 or not np.isfinite(gravity).all():
+            raise ValueError(f"gravity: expected two finite numbers, got {self.gravity}")
+        if not (np.isfinite(self.friction) and self.friction >= 0):
+            raise ValueError(f"friction: expected a finite number >= 0, got {self.friction}")
+        if not 0 <= self.restitution <= 1:
+            raise ValueError(f"restitution: expected a number from 0 to 1, got {self.restitution}")
+        object.__setattr__(self, "box", box)
+        object.__setattr__(self, "gravity", gravity)
+        object.__setattr__(self, "friction", float(self.friction))
+        object.__setattr__(self, "restitution", float(self.restitution))
+
+
+@dataclass(frozen=True, kw_only=True)
+class State:
+    """A moment of a simulation: the bodies before a step, and the contacts found where they are.
+
+    A scene is a state at time 0. `contacts` is None until they have been looked for.
+    If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
+    carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
+    `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
+    """
+
+    name: str
+    world: World
+    bodies: Bodies
+    contacts: Contacts | None = None
+    time: float = 0.0
+    step: int = 0
+    dt: float = constants.TIME_STEP
+    solved: bool = False
+
+    def replace(self, **changes) -> State:
+        """A copy with some fields changed."""
+        return replace(self, **changes)
+
+
+def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None) -> Bodies:
+    """Circles from their centres; everything else is given per circle or once for all.
+
+    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
+    Raises ValueError naming the field, the body and the value.
+    """
+    position = np.array(position, dtype=np.float64, ndmin=2)
+    n = position.shape[0]
+    radius = np.broadcast_to(np.asarray(radius, dtype=np.float64), n)
+    if mass is None:
+        mass = np.asarray(density, dtype=np.float64) * np.pi * radius**2
+    return check_bodies(
+        Bodies(
+            position=position,
+            velocity=np.broadcast_to(np.asarray(velocity, dtype=np.float64), (n, 2)),
+            angle=np.broadcast_to(np.asarray(angle, dtype=np.float64), n),
+            spin=np.broadcast_to(np.asarray(spin, dtype=np.float64), n),
+            mass=np.broadcast_to(np.asarray(mass, dtype=np.float64), n),
+            radius=radius,
+        )
+    )
+
+
+def check_bodies(bodies: Bodies) -> Bodies:
+    """Own, contiguous float64 copies of all fields, validated.
+
+    Raises ValueError naming the field, the body and the value.
+    """
+    n = np.shape(bodies.mass)[0] if np.ndim(bodies.mass) == 1 else -1
+    columns = {"position": 2, "velocity": 2}
+    fields = {}
+    for name, value in bodies._asdict().items():
+        shape = (n, columns[name]) if name in columns else (n,)
+        fields[name] = _checked_array("bodies", name, value, shape)
+    for name in ("mass", "radius"):
+        _refuse_where(fields[name] <= 0, "bodies", name, fields[name], "a number > 0")
+    return Bodies(**fields)
+
+
+def check_contacts(contacts: Contacts, bodies: Bodies) -> Contacts:
+    """Own, contiguous copies of all fields in sweep order (by body_a, body_b), validated against the bodies.
+
+    Raises ValueError naming the field, the contact and the value.
+    """
+    m = np.shape(contacts.body_a)[0] if np.ndim(contacts.body_a) == 1 else -1
+    n = bodies.count
+    columns = {"position": 2, "normal": 2}
+    fields = {}
+    for name, value in contacts._asdict().items():
+        if name in ("body_a", "body_b"):
+            index = np.asarray(value)
+            if index.shape != (m,) or not (np.issubdtype(index.dtype, np.integer) or index.size == 0):
+                raise ValueError(f"contacts.{name}: expected integers of shape ({m},), got {index.dtype}, {index.shape}")
+            fields[name] = index.astype(np.int64)
+        else:
+            shape = (m, columns[name]) if name in columns else (m,)
+            fields[name] = _checked_array("contacts", name, value, shape)
+    a, b = fields["body_a"], fields["body_b"]
+    _refuse_where((a < 0) | (a >= n), "contacts", "body_a", a, f"a circle, 0 to {n - 1}")
+    _refuse_where((b <= a) | (b >= n + 4), "contacts", "body_b", b, f"a body after body_a, up to {n + 3} (walls)")
+    length = np.hypot(*fields["normal"].T)
+    _refuse_where(np.abs(length - 1) > 1e-4, "contacts", "normal", fields["normal"], "a unit vector")
+    # A touching pair may carry no tensile impulse; starts are not judged here, they are hints.
+    _refuse_where(fields["normal_impulse"] < 0, "contacts", "normal_impulse", fields["normal_impulse"], "a number >= 0")
+    order = np.lexsort((b, a))
+    key = a[order] * (n + 4) + b[order]
+    twice = np.flatnonzero(key[1:] == key[:-1])
+    if twice.size:
+        i = order[twice[0]]
+        raise ValueError(f"contacts: the pair (body_a {a[i]}, body_b {b[i]}) appears twice")
+    return Contacts(**{name: np.ascontiguousarray(value[order]) for name, value in fields.items()})
+
+
+def check_state(state: State) -> State:
+    """The state with all arrays validated and owned. Raises ValueError naming the field and the value."""
+    for name in ("time", "dt"):
+        value = getattr(state, name)
+        if not np.isfinite(value) or (name == "dt" and value <= 0):
+            raise ValueError(f"{name}: expected a finite number{' > 0' if name == 'dt' else ''}, got {value}")
+    if state.step < 0:
+        raise ValueError(f"step: expected an integer >= 0, got {state.step}")
+    bodies = check_bodies(state.bodies)
+    contacts = None if state.contacts is None else check_contacts(state.contacts, bodies)
+    return state.replace(bodies=bodies, contacts=contacts)
+
+
+def no_contacts() -> Contacts:
+    """Contacts of a state that has none."""
+    return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)
+
+
+def _checked_array(owner: str, name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    array = np.array(value, dtype=np.float64, order="C")
+    if array.shape != shape:
+        raise ValueError(f"{owner}.{name}: expected shape {shape}, got {array.shape}")
+    _refuse_where(~np.isfinite(array), owner, name, array, "a finite number")
+    return array
+
+
+def _refuse_where(bad: np.ndarray, owner: str, name: str, values: np.ndarray, expected: str) -> None:
+    if bad.any():
+        index = int(np.argwhere(bad)[0][0])
+        raise ValueError(f"{owner}.{name}[{index}]: expected {expected}, got {values[index]}")
