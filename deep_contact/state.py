@@ -124,7 +124,7 @@ class World:
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
-    A scene is a state at time 0. `contacts` is None until they have been looked for.
+    A scene is a state at time 0. `solver` (options of `physics.methods`, or None) is what the run uses. `contacts` is None until they have been looked for.
     If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
     carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
     `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
@@ -137,6 +137,7 @@ class State:
     time: float = 0.0
     step: int = 0
     dt: float = constants.TIME_STEP
+    solver: object = None
     solved: bool = False
 
     def replace(self, **changes) -> State:

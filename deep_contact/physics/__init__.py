@@ -1,0 +1,1 @@
+"""Chapter 2: scenes, collision, the contact solver and the engine."""

@@ -1,0 +1,243 @@
+"""Collision detection: which circles touch which, and which walls (broad phase, narrow phase, matching).
+
+Everything here is compiled and works on plain arrays; what a function fills is handed to it, so that a run of many
+steps allocates its memory once. Conventions: `deep_contact.state`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.constants import WALL_SKIN
+from deep_contact.state import Contacts
+
+_SMALLEST_DISTANCE = 1e-12
+"""Centres closer than this have no direction between them; the normal is then +x, as in Box2D."""
+
+
+class Cells(NamedTuple):
+    """Room for the broad phase over n circles.
+
+    | field  | meaning                                                                       | shape        |
+    |--------|-------------------------------------------------------------------------------|--------------|
+    | start  | circles `order[start[c]:start[c + 1]]` are in cell c = row * columns + column | (≤ 8n + 40,) |
+    | order  | circles by cell, in a cell by index                                           | (n,)         |
+    | cell   | cell of each circle                                                           | (n,)         |
+    | circle | x, y, radius in the order of `order`                                          | (n, 3)       |
+    """
+
+    start: np.ndarray
+    order: np.ndarray
+    cell: np.ndarray
+    circle: np.ndarray
+
+
+@njit(cache=True)
+def make_cells(n):
+    """Room for the broad phase over n circles."""
+    return Cells(np.empty(8 * n + 40, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)))
+
+
+@njit(cache=True)
+def make_contacts(capacity):
+    """Room for contacts; impulses and starts are zero."""
+    m = capacity
+    return Contacts(
+        np.empty(m, np.int64), np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2)), np.empty(m),
+        np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def first_contacts(room, m):
+    """The first m contacts of a room, as views."""
+    return Contacts(
+        room.body_a[:m], room.body_b[:m], room.position[:m], room.normal[:m], room.separation[:m],
+        room.normal_impulse[:m], room.tangent_impulse[:m], room.normal_start[:m], room.tangent_start[:m],
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def own_contacts(contacts):
+    """The contacts in memory of their own, no larger than they are."""
+    return Contacts(
+        contacts.body_a.copy(), contacts.body_b.copy(), contacts.position.copy(), contacts.normal.copy(),
+        contacts.separation.copy(), contacts.normal_impulse.copy(), contacts.tangent_impulse.copy(),
+        contacts.normal_start.copy(), contacts.tangent_start.copy(),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def sort_into_cells(position, radius, cells):
+    """Broad phase: counting sort of the circles into square cells at least one diameter wide. Fills `cells`.
+
+    position: (n, 2), m. radius: (n,), m. Returns (columns, rows) of the grid, which covers the centres.
+    Cells are wider where there would be more than four of them per circle.
+    """
+    n = position.shape[0]
+    x_min = x_max = position[0, 0]
+    y_min = y_max = position[0, 1]
+    largest = radius[0]
+    for i in range(n):
+        x_min = min(x_min, position[i, 0])
+        x_max = max(x_max, position[i, 0])
+        y_min = min(y_min, position[i, 1])
+        y_max = max(y_max, position[i, 1])
+        largest = max(largest, radius[i])
+    most = 4.0 * n + 16.0
+    width = max(2.0 * largest, math.sqrt((x_max - x_min) * (y_max - y_min) / most))
+    width = max(width, max(x_max - x_min, y_max - y_min) / (n + 4.0))
+    per_metre = 1.0 / width
+    columns = int((x_max - x_min) * per_metre) + 1
+    rows = int((y_max - y_min) * per_metre) + 1
+    start, cell = cells.start, cells.cell
+    start[: columns * rows + 1] = 0
+    for i in range(n):
+        column = int((position[i, 0] - x_min) * per_metre)
+        row = int((position[i, 1] - y_min) * per_metre)
+        cell[i] = row * columns + column
+        start[cell[i] + 1] += 1
+    for c in range(columns * rows):
+        start[c + 1] += start[c]
+    # Filled from the back, which leaves start[c + 1] where cell c begins; start is then read one further.
+    for i in range(n - 1, -1, -1):
+        start[cell[i] + 1] -= 1
+        k = start[cell[i] + 1]
+        cells.order[k] = i
+        cells.circle[k, 0] = position[i, 0]
+        cells.circle[k, 1] = position[i, 1]
+        cells.circle[k, 2] = radius[i]
+    for c in range(columns * rows):
+        start[c] = start[c + 1]
+    start[columns * rows] = n
+    return columns, rows
+
+
+@njit(cache=True, error_model="numpy")
+def write_pairs(position, radius, box, cells, body_a, body_b):
+    """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
+
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. body_b is a circle, or n + wall.
+    Returns the number of pairs, or -1 if they have no room.
+    """
+    n = position.shape[0]
+    if n == 0:
+        return 0
+    columns, rows = sort_into_cells(position, radius, cells)
+    circle, order = cells.circle, cells.order
+    m = 0
+    for a in range(n):
+        x, y, r = position[a, 0], position[a, 1], radius[a]
+        row = cells.cell[a] // columns
+        column = cells.cell[a] - row * columns
+        first = m
+        for neighbour_row in range(max(row - 1, 0), min(row + 2, rows)):
+            # The cells of a row lie side by side, so three of them are one run of circles.
+            start = cells.start[neighbour_row * columns + max(column - 1, 0)]
+            stop = cells.start[neighbour_row * columns + min(column + 1, columns - 1) + 1]
+            if m + (stop - start) + 4 > body_a.shape[0]:
+                return -1
+            for k in range(start, stop):
+                dx = circle[k, 0] - x
+                dy = circle[k, 1] - y
+                reach = circle[k, 2] + r
+                # Written always and kept if it touches: cheaper than a branch nobody can predict.
+                body_b[m] = order[k]
+                m += (dx * dx + dy * dy <= reach * reach) & (order[k] > a)
+        _sort_run(body_b, first, m)
+        reach = r + WALL_SKIN
+        for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
+            if gap <= reach:
+                body_b[m] = n + wall
+                m += 1
+        body_a[first:m] = a
+    return m
+
+
+@njit(cache=True, error_model="numpy")
+def _sort_run(values, start, stop):
+    """Insertion sort of values[start:stop], in place; a circle has few neighbours."""
+    for i in range(start + 1, stop):
+        value = values[i]
+        j = i
+        while j > start and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+
+
+@njit(cache=True, error_model="numpy")
+def find_contacts(position, radius, box, cells, room):
+    """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
+
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple.
+    cells, room: memory to use. Returns (contacts, room): views of the room, which is a larger one if it had to grow.
+    """
+    m = write_pairs(position, radius, box, cells, room.body_a, room.body_b)
+    while m < 0:
+        # Only a heap of overlapping circles has so many pairs.
+        room = make_contacts(2 * room.body_a.shape[0] + 64)
+        m = write_pairs(position, radius, box, cells, room.body_a, room.body_b)
+    contacts = first_contacts(room, m)
+    n = position.shape[0]
+    for i in range(m):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        n_x, n_y, separation = normal_and_separation(position, radius, box, a, b, n)
+        # The contact point lies in the middle of the overlap.
+        arm = radius[a] + 0.5 * separation
+        contacts.normal[i, 0] = n_x
+        contacts.normal[i, 1] = n_y
+        contacts.separation[i] = separation
+        contacts.position[i, 0] = position[a, 0] + arm * n_x
+        contacts.position[i, 1] = position[a, 1] + arm * n_y
+    return contacts, room
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def normal_and_separation(position, radius, box, a, b, n):
+    """Unit normal from circle a to b, a circle or a wall (b >= n), and the gap between them.
+
+    Returns (n_x, n_y, separation in m). Coinciding centres have the normal (1, 0).
+    """
+    if b < n:
+        dx = position[b, 0] - position[a, 0]
+        dy = position[b, 1] - position[a, 1]
+        distance = math.sqrt(dx * dx + dy * dy)
+        separation = distance - radius[a] - radius[b]
+        if distance < _SMALLEST_DISTANCE:
+            return 1.0, 0.0, separation
+        return dx / distance, dy / distance, separation
+    reach = radius[a] + WALL_SKIN
+    if b == n:
+        return 0.0, -1.0, position[a, 1] - box[1] - reach
+    if b == n + 1:
+        return 1.0, 0.0, box[2] - position[a, 0] - reach
+    if b == n + 2:
+        return 0.0, 1.0, box[3] - position[a, 1] - reach
+    return -1.0, 0.0, position[a, 0] - box[0] - reach
+
+
+@njit(cache=True)
+def carry_impulses(old, contacts):
+    """Built-in warm starting: give every contact, in place, the impulses its pair of bodies had a step before.
+
+    old: the contacts of the step before with their solved impulses. contacts: those of the next step; starts and
+    impulses are written, 0 where the pair is new. Both are sorted, so one walk along both finds all matches.
+    """
+    j = 0
+    last = old.body_a.shape[0]
+    for i in range(contacts.body_a.shape[0]):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        while j < last and (old.body_a[j] < a or (old.body_a[j] == a and old.body_b[j] < b)):
+            j += 1
+        p_n = p_t = 0.0
+        if j < last and old.body_a[j] == a and old.body_b[j] == b:
+            p_n, p_t = old.normal_impulse[j], old.tangent_impulse[j]
+        contacts.normal_start[i] = p_n
+        contacts.normal_impulse[i] = p_n
+        contacts.tangent_start[i] = p_t
+        contacts.tangent_impulse[i] = p_t

@@ -1,0 +1,58 @@
+"""How a solve went: θ by sweep, and why it stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+
+class ConvergenceRecord(NamedTuple):
+    """The course of one solve.
+
+    | field  | meaning                                                                              |
+    |--------|--------------------------------------------------------------------------------------|
+    | theta  | θ_k = max over rows of abs(λ_k − λ_{k−1}) after each sweep, (sweeps,), N·s (Alg 1)   |
+    | sweeps | how many were done                                                                   |
+    | status | "converged": the last θ is within the tolerance; "max_sweeps": it is not, or no      |
+    |        | tolerance was asked for; "no_contacts": there was nothing to solve                   |
+
+    θ is a stopping rule, not an error: slow convergence has small steps.
+    """
+
+    theta: np.ndarray
+    sweeps: int
+    status: str
+
+
+def convergence_record(theta: np.ndarray, solver, n_contacts: int) -> ConvergenceRecord:
+    """Record of a solve from the θ of its sweeps, the solver's options and the number of contacts."""
+    if n_contacts == 0:
+        status = "no_contacts"
+    elif solver.tolerance is not None and theta.size and theta[-1] <= solver.tolerance:
+        status = "converged"
+    else:
+        status = "max_sweeps"
+    return ConvergenceRecord(theta.copy(), int(theta.size), status)
+
+
+def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
+    """Average convergence rate of a simulation, Eq 2.30: the mean over its steps of θ after each sweep.
+
+    thetas: one array of θ a step. A step that stopped before `sweeps` keeps its last θ for the rest: leaving it out
+    of the mean, as the thesis's own code did, would average over the slow steps only.
+    Returns (sweeps,), N·s. Raises ValueError if there is no step, or one without sweeps.
+    """
+    total = np.zeros(sweeps)
+    count = 0
+    for theta in thetas:
+        if len(theta) == 0:
+            raise ValueError(f"thetas[{count}]: expected at least one sweep, got none")
+        done = min(len(theta), sweeps)
+        total[:done] += theta[:done]
+        total[done:] += theta[done - 1]
+        count += 1
+    if count == 0:
+        raise ValueError("thetas: expected at least one step, got none")
+    return total / count

@@ -1,0 +1,164 @@
+"""The engine: what a step does.
+
+`advance` is the algorithm; the conduct is that of Box2D 2.3 for circles, without sleeping and without continuous
+collision. `deep_contact.simulation` is its validated face.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.constants import MAX_ROTATION, MAX_TRANSLATION
+from deep_contact.physics.collision import (
+    carry_impulses,
+    find_contacts,
+    make_cells,
+    make_contacts,
+    own_contacts,
+)
+from deep_contact.physics.contact_solver import (
+    apply_impulses,
+    contact_rows,
+    correct_positions,
+    integrate_velocities,
+    make_rows,
+    relax,
+    store_impulses,
+)
+from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.state import Contacts, State
+
+
+@njit(cache=True, error_model="numpy")
+def advance(bodies, contacts, world, dt, limits, warm, steps, theta, log):
+    """Do `steps` steps: the bodies move in place. Returns the last solved contacts and those found after them.
+
+    bodies: `Bodies`. contacts: `Contacts` at their positions, with the impulses to start from.
+    world: (box, gravity, friction, restitution). dt: s. limits: (tolerance in N·s or -1, position sweeps).
+    warm: start the steps after the first from the impulses carried over; otherwise from zero.
+    theta: room for the θ of the sweeps of one step, which is also how many there may be.
+    log: (steps, 3), filled with the number of contacts, of sweeps, and the last θ of each step.
+    """
+    box, gravity, friction, restitution = world
+    tolerance, position_sweeps = limits
+    n = bodies.mass.shape[0]
+    cells = make_cells(n)
+    moving = np.empty((n + 4, 4))
+    room, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
+    rows_room = make_rows(4 * n + 64)
+    solved = contacts
+    for k in range(steps):
+        integrate_velocities(bodies, gravity, dt, moving)
+        rows, rows_room = contact_rows(bodies, contacts, moving, restitution, rows_room)
+        apply_impulses(rows, moving)
+        sweeps = relax(rows, friction, moving, tolerance, theta)
+        store_impulses(rows, contacts)
+        integrate_positions(bodies, moving, dt)
+        correct_positions(bodies, contacts, box, position_sweeps)
+
+        solved = contacts
+        contacts, spare = find_contacts(bodies.position, bodies.radius, box, cells, spare)
+        carry_impulses(solved, contacts)
+        if not warm:
+            contacts.normal_start[:] = 0.0
+            contacts.tangent_start[:] = 0.0
+        room, spare = spare, room
+
+        log[k, 0] = solved.body_a.shape[0]
+        log[k, 1] = sweeps
+        log[k, 2] = theta[sweeps - 1] if sweeps > 0 else np.inf
+    return own_contacts(solved), own_contacts(contacts)
+
+
+@njit(cache=True, error_model="numpy")
+def integrate_positions(bodies, moving, dt):
+    """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
+
+    A displacement is cut to `MAX_TRANSLATION`, a rotation to `MAX_ROTATION`, and the velocity with it, as in Box2D.
+    """
+    for i in range(bodies.mass.shape[0]):
+        v_x, v_y = moving[i, 0], moving[i, 1]
+        spin = moving[i, 2] / bodies.radius[i]
+        distance = dt * math.sqrt(v_x * v_x + v_y * v_y)
+        if distance > MAX_TRANSLATION:
+            v_x *= MAX_TRANSLATION / distance
+            v_y *= MAX_TRANSLATION / distance
+        if abs(dt * spin) > MAX_ROTATION:
+            spin *= MAX_ROTATION / abs(dt * spin)
+        bodies.velocity[i, 0] = v_x
+        bodies.velocity[i, 1] = v_y
+        bodies.spin[i] = spin
+        bodies.position[i, 0] += dt * v_x
+        bodies.position[i, 1] += dt * v_y
+        bodies.angle[i] += dt * spin
+
+
+@njit(cache=True, error_model="numpy")
+def solve_velocities(bodies, contacts, world, dt, tolerance, theta):
+    """The velocity part of a step alone; nothing is changed. Returns (impulses (m, 2), moving (n + 4, 4), sweeps)."""
+    _, gravity, friction, restitution = world
+    moving = np.empty((bodies.mass.shape[0] + 4, 4))
+    integrate_velocities(bodies, gravity, dt, moving)
+    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(contacts.body_a.shape[0]))
+    apply_impulses(rows, moving)
+    sweeps = relax(rows, friction, moving, tolerance, theta)
+    return rows.impulse, moving, sweeps
+
+
+class ContactSolution(NamedTuple):
+    """What a solve of the contact problem found.
+
+    | field              | meaning                                | shape  | unit  |
+    |--------------------|----------------------------------------|--------|-------|
+    | normal_impulses    | λ_n                                    | (m,)   | N·s   |
+    | tangent_impulses   | λ_t                                    | (m,)   | N·s   |
+    | velocities         | of the circles, after the solve        | (n, 2) | m/s   |
+    | angular_velocities | of the circles, after the solve        | (n,)   | rad/s |
+    | record             | `ConvergenceRecord` of the sweeps      |        |       |
+    """
+
+    normal_impulses: np.ndarray
+    tangent_impulses: np.ndarray
+    velocities: np.ndarray
+    angular_velocities: np.ndarray
+    record: ConvergenceRecord
+
+
+def world_arguments(state: State) -> tuple:
+    """The state's world as the compiled functions take it."""
+    world = state.world
+    return world.box, world.gravity, world.friction, world.restitution
+
+
+def tolerance_argument(solver) -> float:
+    """The tolerance as the compiled functions take it: a negative one is never met."""
+    return -1.0 if solver.tolerance is None else float(solver.tolerance)
+
+
+def contacts_of(state: State) -> Contacts:
+    """The contacts at the state's positions, with zero impulses, found afresh."""
+    bodies = state.bodies
+    room = make_contacts(4 * bodies.count + 64)
+    contacts, _ = find_contacts(bodies.position, bodies.radius, state.world.box, make_cells(bodies.count), room)
+    return own_contacts(contacts)
+
+
+def solve(state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray) -> ContactSolution:
+    """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is."""
+    contacts = state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start)
+    theta = np.empty(solver.sweeps)
+    impulse, moving, sweeps = solve_velocities(
+        state.bodies, contacts, world_arguments(state), state.dt, tolerance_argument(solver), theta
+    )
+    n = state.bodies.count
+    return ContactSolution(
+        normal_impulses=impulse[:, 0].copy(),
+        tangent_impulses=impulse[:, 1].copy(),
+        velocities=moving[:n, :2].copy(),
+        angular_velocities=moving[:n, 2] / state.bodies.radius,
+        record=convergence_record(theta[:sweeps], solver, contacts.count),
+    )

@@ -1,0 +1,179 @@
+"""Scenes: states at time 0. Every random one takes a seed or a `numpy.random.Generator`; same seed, same bits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from deep_contact import constants
+from deep_contact.constants import WALL_SKIN
+from deep_contact.state import State, World, make_bodies
+
+_TRIES = 20_000
+"""Draws in a row for one circle before the scene is taken to be full."""
+
+
+def circles_in_box(
+    n_bodies: int = 100,
+    *,
+    size: float | tuple[float, float] = 30.0,
+    radius: tuple[float, float] = (1.0, 1.0),
+    sigma_coef: float = 1.2,
+    density: float = 1.0,
+    friction: float = constants.FRICTION,
+    restitution: float = constants.RESTITUTION,
+    gravity: tuple[float, float] = constants.GRAVITY,
+    seed: int | np.random.Generator = 0,
+) -> State:
+    """The thesis's scene (section 3.4.1): circles at rest, drawn normally around the middle of a box, none overlapping.
+
+    size: side of the box, or (width, height), m. radius: smallest and largest, uniform between, m.
+    sigma_coef: the standard deviation of the centres is sigma_coef · √(size / 2) along each axis, m.
+    density: kg/m². Raises ValueError if the circles do not fit, saying how many did.
+    """
+    rng = np.random.default_rng(seed)
+    n = _checked_count("n_bodies", n_bodies)
+    extent = _checked_size(size)
+    low, high = _checked_radius(radius)
+    if not (np.isfinite(sigma_coef) and sigma_coef > 0):
+        raise ValueError(f"sigma_coef: expected a finite number > 0, got {sigma_coef}")
+    radii = np.full(n, low) if low == high else rng.uniform(low, high, n)
+    sigma = sigma_coef * np.sqrt(extent / 2)
+    centres = np.empty((n, 2))
+    for i in range(n):
+        margin = radii[i] + WALL_SKIN
+        for _ in range(_TRIES):
+            centre = rng.normal(extent / 2, sigma)
+            if (centre < margin).any() or (centre > extent - margin).any():
+                continue
+            offset = centres[:i] - centre
+            if (np.einsum("ij,ij->i", offset, offset) > (radii[:i] + radii[i]) ** 2).all():
+                centres[i] = centre
+                break
+        else:
+            raise ValueError(
+                f"n_bodies: expected circles that fit, got {n_bodies}; {i} fitted in a box of "
+                f"{extent[0]:g} x {extent[1]:g} m with sigma_coef {sigma_coef:g}"
+            )
+    world = World(box=(0, 0, *extent), gravity=gravity, friction=friction, restitution=restitution)
+    return State(name=f"circles_{n}", world=world, bodies=make_bodies(centres, radius=radii, density=density))
+
+
+def lattice_in_box(
+    n_bodies: int = 1000,
+    *,
+    columns: int | None = None,
+    radius: tuple[float, float] = (1.0, 1.0),
+    gap: float = 0.1,
+    density: float = 1.0,
+    friction: float = constants.FRICTION,
+    restitution: float = constants.RESTITUTION,
+    gravity: tuple[float, float] = constants.GRAVITY,
+    seed: int | np.random.Generator = 0,
+) -> State:
+    """Circles at rest on a jittered square lattice from the floor up, for scenes too large or dense for chance.
+
+    columns: circles in a row; by default as many as make the lattice square. radius: smallest and largest, m.
+    gap: between the largest neighbours, as a share of their diameter; each circle is moved by up to half of it.
+    The box is as wide as the lattice and as high, so that nothing overlaps at the start.
+    """
+    rng = np.random.default_rng(seed)
+    n = _checked_count("n_bodies", n_bodies)
+    columns = math.ceil(math.sqrt(n)) if columns is None else _checked_count("columns", columns)
+    low, high = _checked_radius(radius)
+    if not (np.isfinite(gap) and gap > 0):
+        raise ValueError(f"gap: expected a finite number > 0, got {gap}")
+    radii = np.full(n, low) if low == high else rng.uniform(low, high, n)
+    pitch = 2 * high * (1 + gap)
+    cell = np.stack([np.arange(n) % columns, np.arange(n) // columns], axis=1)
+    jitter = rng.uniform(-0.5, 0.5, (n, 2)) * (pitch - 2 * high)
+    centres = WALL_SKIN + (cell + 0.5) * pitch + jitter
+    box = (0, 0, 2 * WALL_SKIN + columns * pitch, 2 * WALL_SKIN + math.ceil(n / columns) * pitch)
+    world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
+    return State(name=f"lattice_{n}", world=world, bodies=make_bodies(centres, radius=radii, density=density))
+
+
+def column(
+    n_bodies: int = 10,
+    *,
+    radius: float = 1.0,
+    width: float = 30.0,
+    density: float = 1.0,
+    friction: float = constants.FRICTION,
+    restitution: float = constants.RESTITUTION,
+    gravity: tuple[float, float] = constants.GRAVITY,
+) -> State:
+    """Circles exactly above one another in the middle of the box, just touching. A silo has width 2 (radius + 0.01)."""
+    n = _checked_count("n_bodies", n_bodies)
+    _checked_radius((radius, radius))
+    if not (np.isfinite(width) and width >= 2 * radius):
+        raise ValueError(f"width: expected a finite number >= the diameter {2 * radius}, got {width}")
+    centres = np.stack([np.full(n, width / 2), WALL_SKIN + radius * (1 + 2 * np.arange(n))], axis=1)
+    box = (0, 0, width, 2 * radius * (n + 1))
+    world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
+    return State(name=f"column_{n}", world=world, bodies=make_bodies(centres, radius=radius, density=density))
+
+
+def two_bodies(
+    *,
+    speed: float = 2.0,
+    radius: tuple[float, float] = (1.0, 1.0),
+    density: float = 1.0,
+    offset: float = 0.0,
+    friction: float = constants.FRICTION,
+    restitution: float = constants.RESTITUTION,
+) -> State:
+    """Two circles that touch and run into each other without gravity, each at half the closing `speed`, m/s.
+
+    radius: of the first (left) and of the second, m. offset: height of the second over the first, m; 0 is head-on.
+    """
+    first, second = (float(r) for r in radius)
+    reach = first + second
+    if not abs(offset) < reach:
+        raise ValueError(f"offset: expected less than the sum of the radii {reach}, got {offset}")
+    centres = 15.0 + np.array([[0.0, 0.0], [math.sqrt(reach**2 - offset**2), offset]])
+    bodies = make_bodies(centres, radius=[first, second], velocity=[[speed / 2, 0], [-speed / 2, 0]], density=density)
+    world = World(gravity=(0, 0), friction=friction, restitution=restitution)
+    return State(name="two_bodies", world=world, bodies=bodies)
+
+
+def single_body(*, height: float = 0.0, radius: float = 1.0, density: float = 1.0, **world) -> State:
+    """One circle in the middle of the thesis's box, `height` m above the floor. `world`: fields of `World`."""
+    bodies = make_bodies([[15.0, WALL_SKIN + radius + height]], radius=radius, density=density)
+    return State(name="single_body", world=World(**world), bodies=bodies)
+
+
+def drifting_circles(
+    n_bodies: int = 100, *, speed: float = 2.0, seed: int | np.random.Generator = 0, **options
+) -> State:
+    """The thesis's scene without gravity: every circle starts with a normally drawn velocity.
+
+    speed: standard deviation of each velocity component, m/s. options: those of `circles_in_box`.
+    """
+    rng = np.random.default_rng(seed)
+    if not (np.isfinite(speed) and speed >= 0):
+        raise ValueError(f"speed: expected a finite number >= 0, got {speed}")
+    scene = circles_in_box(n_bodies, **({"gravity": (0.0, 0.0)} | options), seed=rng)
+    velocity = rng.normal(0.0, speed, (n_bodies, 2))
+    return scene.replace(name=f"drifting_{n_bodies}", bodies=scene.bodies._replace(velocity=velocity))
+
+
+def _checked_count(name: str, value) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+    return int(value)
+
+
+def _checked_size(size) -> np.ndarray:
+    extent = np.broadcast_to(np.asarray(size, dtype=np.float64), 2)
+    if not (np.isfinite(extent).all() and (extent > 0).all()):
+        raise ValueError(f"size: expected finite numbers > 0, got {size}")
+    return extent
+
+
+def _checked_radius(radius) -> tuple[float, float]:
+    low, high = (float(r) for r in radius)
+    if not (np.isfinite([low, high]).all() and 0 < low <= high):
+        raise ValueError(f"radius: expected finite 0 < smallest <= largest, got {radius}")
+    return low, high

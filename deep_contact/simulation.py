@@ -1,0 +1,153 @@
+"""The validated face of the engine: `solve_contacts`, `step`, `simulate`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.engine import (
+    ContactSolution,
+    advance,
+    contacts_of,
+    solve,
+    tolerance_argument,
+    world_arguments,
+)
+from deep_contact.physics.methods import METHODS, PGS
+from deep_contact.state import Bodies, State, check_state
+from deep_contact.warm_start import Builtin, NoStart, fitting_impulses, warm_start_of
+
+_CHUNK = 4e8
+"""Contacts times sweeps between two looks at the keyboard: about two seconds."""
+
+
+class Simulation(NamedTuple):
+    """A finished run.
+
+    | field    | meaning                                                                                   |
+    |----------|-------------------------------------------------------------------------------------------|
+    | state    | the `State` after the last step, ready to go on: its contacts have been found, not solved |
+    | contacts | number of contacts in each step, (steps,)                                                 |
+    | sweeps   | number of velocity sweeps in each step, (steps,)                                          |
+    | theta    | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
+    """
+
+    state: State
+    contacts: np.ndarray
+    sweeps: np.ndarray
+    theta: np.ndarray
+
+    @property
+    def status(self) -> np.ndarray:
+        """Why each step's sweeps ended, (steps,): see `ConvergenceRecord`."""
+        tolerance = tolerance_argument(self.state.solver)
+        return np.where(
+            self.contacts == 0, "no_contacts", np.where(self.theta <= tolerance, "converged", "max_sweeps")
+        )
+
+
+def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolution:
+    """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
+
+    solver: options such as `PGS(sweeps=…)`; by default the state's own. start: None, the name of a start, a callable
+    of `deep_contact.warm_start`, or two arrays (normal, tangent), (m,) each, N·s.
+    Raises ValueError on a state, solver or start that does not hold together.
+    """
+    state = ready(state)
+    solver = _checked_solver(solver, state)
+    return solve(state, solver, *_impulses(start, state, solver))
+
+
+def step(state: State, *, solver=None, warm_start="builtin") -> State:
+    """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
+
+    For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`.
+    """
+    return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
+
+
+def simulate(
+    state: State,
+    *,
+    steps: int = 600,
+    dt: float | None = None,
+    solver=None,
+    warm_start="builtin",
+    on_step: Callable[[State, ConvergenceRecord], None] | None = None,
+) -> Simulation:
+    """Run a scene, or go on from a state, for so many steps.
+
+    dt: time step, s; solver: options such as `PGS(sweeps=…)`; by default the state's own, or `PGS()`.
+    warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
+    on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
+    it solved and those it started from) and the `ConvergenceRecord` of its sweeps.
+    Raises ValueError on arguments that do not hold together; the run can be interrupted.
+    """
+    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
+        raise ValueError(f"steps: expected an integer >= 0, got {steps!r}")
+    if dt is not None:
+        state = state.replace(dt=dt)
+    state = ready(state)
+    solver = _checked_solver(solver, state)
+    start = warm_start_of(warm_start)
+    # Builtin and NoStart need nothing from Python between two steps.
+    by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
+    # A solved state is solved again, from where it started, so that a resumed run takes the same road.
+    state = state.replace(solver=solver)
+    log = np.empty((steps, 3))
+    theta = np.empty(solver.sweeps)
+    done = 0
+    while done < steps:
+        work = max(1, state.contacts.count) * (solver.sweeps + 20)
+        count = 1 if by_step else min(steps - done, max(1, int(_CHUNK / work)))
+        normal, tangent = _impulses(start, state, solver)
+        contacts = state.contacts._replace(
+            normal_start=normal,
+            tangent_start=tangent,
+            normal_impulse=np.empty_like(normal),
+            tangent_impulse=np.empty_like(tangent),
+        )
+        bodies = Bodies(*(field.copy() for field in state.bodies))
+        chunk = log[done : done + count]
+        solved, found = advance(
+            bodies,
+            contacts,
+            world_arguments(state),
+            state.dt,
+            (tolerance_argument(solver), solver.position_sweeps),
+            not isinstance(start, NoStart),
+            count,
+            theta,
+            chunk,
+        )
+        if on_step is not None:
+            record = convergence_record(theta[: int(chunk[0, 1])], solver, solved.count)
+            on_step(state.replace(contacts=solved, solved=True), record)
+        done += count
+        number = state.step + count
+        # From the number of steps, not by adding up, so that time does not depend on how a run was cut into pieces.
+        time = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
+        state = state.replace(bodies=bodies, contacts=found, time=time, step=number, solved=False)
+    return Simulation(state, log[:, 0].astype(np.int64), log[:, 1].astype(np.int64), log[:, 2].copy())
+
+
+def ready(state: State) -> State:
+    """The state validated, with its contacts. Raises ValueError naming the field and the value."""
+    state = check_state(state)
+    return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
+
+
+def _impulses(start, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    if not (start is None or isinstance(start, str) or callable(start)):
+        return fitting_impulses(start, state)
+    return fitting_impulses(warm_start_of(start)(state, solver), state)
+
+
+def _checked_solver(solver, state: State):
+    solver = solver if solver is not None else state.solver if state.solver is not None else PGS()
+    if type(solver) not in METHODS.values():
+        raise ValueError(f"solver: expected options such as {', '.join(METHODS)}(sweeps=…), got {solver!r}")
+    return solver

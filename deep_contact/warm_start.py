@@ -1,0 +1,131 @@
+"""Where the solver starts. Every start has one signature: `start(state, solver) -> (normal, tangent)`.
+
+state: a `State` with contacts. solver: the options it will be solved with. Returned: the impulses to start from, (m,)
+each, N·s. The engine knows a start by its name or takes any such callable; it raises where the result does not fit
+the contacts, and nothing falls back to zero.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from deep_contact.physics.engine import solve
+from deep_contact.state import State
+
+WarmStart = Callable[[State, object], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class NoStart:
+    """Zero everywhere (the thesis's Non-Model)."""
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        return np.zeros(state.contacts.count), np.zeros(state.contacts.count)
+
+
+@dataclass(frozen=True)
+class Builtin:
+    """What the same pair of bodies had solved the step before, 0 for a new pair (the thesis's Builtin-Model).
+
+    The engine carries these impulses along as it steps, so they are the start that the state holds.
+    """
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        return state.contacts.normal_start.copy(), state.contacts.tangent_start.copy()
+
+
+@dataclass(frozen=True)
+class Copy:
+    """The solution itself (the thesis's Copy-Model), rounded to `decimals` if given (a sibling thesis's probe)."""
+
+    decimals: int | None = None
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        normal, tangent = solved_impulses(state, solver)
+        if self.decimals is None:
+            return normal, tangent
+        return np.round(normal, self.decimals), np.round(tangent, self.decimals)
+
+
+@dataclass(frozen=True)
+class Random:
+    """Chance within the cone: λ_n uniform up to the largest solved one, λ_t uniform in ±μ λ_n.
+
+    Seeded by `seed` and the step's number, so that every step differs and every run is the same.
+    """
+
+    seed: int = 0
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        rng = np.random.default_rng((self.seed, state.step))
+        largest = solved_impulses(state, solver)[0].max(initial=0.0)
+        normal = rng.uniform(0.0, 1.0, state.contacts.count) * largest
+        return normal, rng.uniform(-1.0, 1.0, normal.size) * state.world.friction * normal
+
+
+@dataclass(frozen=True)
+class Bad:
+    """As wrong as a start in the cone gets: everywhere `factor` times the largest solved λ_n, and friction that pushes
+    the wrong way along the edge of the cone."""
+
+    factor: float = 10.0
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        normal, tangent = solved_impulses(state, solver)
+        wrong = np.full(normal.size, self.factor * normal.max(initial=0.0))
+        return wrong, -np.sign(tangent) * state.world.friction * wrong
+
+
+STARTS: dict[str, Callable[[], WarmStart]] = {
+    "none": NoStart,
+    "builtin": Builtin,
+    "copy": Copy,
+    "random": Random,
+    "bad": Bad,
+}
+"""Name -> what makes the start with its default options."""
+
+
+def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    """(λ_n, λ_t) of the state's solution, (m,) each, N·s.
+
+    Those that it holds if it has been solved; otherwise it is solved here, from Builtin, as in the copy of the
+    world that the thesis runs one step ahead (Algorithm 5).
+    """
+    contacts = state.contacts
+    if state.solved:
+        return contacts.normal_impulse.copy(), contacts.tangent_impulse.copy()
+    solution = solve(state, solver, contacts.normal_start, contacts.tangent_start)
+    return solution.normal_impulses, solution.tangent_impulses
+
+
+def warm_start_of(start) -> WarmStart:
+    """The start meant by None, a name, or a callable, which is returned as it is. Raises ValueError on others."""
+    if start is None:
+        return NoStart()
+    if isinstance(start, str):
+        if start not in STARTS:
+            raise ValueError(f"warm_start: expected one of {', '.join(STARTS)}, got {start!r}")
+        return STARTS[start]()
+    if callable(start):
+        return start
+    raise ValueError(f"warm_start: expected None, a name or a callable, got {start!r}")
+
+
+def fitting_impulses(start, state: State) -> tuple[np.ndarray, np.ndarray]:
+    """Two arrays of impulses as own float64 arrays, (m,) each. Raises ValueError if they do not fit the contacts."""
+    try:
+        normal, tangent = (np.array(values, dtype=np.float64, order="C") for values in start)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"start: expected two arrays of impulses (normal, tangent), got {start!r}") from error
+    m = state.contacts.count
+    for name, values in (("normal", normal), ("tangent", tangent)):
+        if values.shape != (m,):
+            raise ValueError(f"start: expected {name} impulses of shape ({m},), one a contact, got {values.shape}")
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise ValueError(f"start: expected finite {name} impulses, got {values[bad[0]]} at contact {bad[0]}")
+    return normal, tangent
