@@ -27,7 +27,7 @@ _HOME = {
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 _SUBPACKAGES = ("cnn", "experiments", "physics", "plotting", "sph", "warm_start")
 
-__all__ = [*_MODULE_OF, *_SUBPACKAGES, "__version__"]  # noqa: PLE0604
+__all__ = [*_MODULE_OF, *_SUBPACKAGES, "__version__"]
 
 
 def __getattr__(name: str):

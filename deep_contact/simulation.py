@@ -44,9 +44,7 @@ class Simulation(NamedTuple):
     def status(self) -> np.ndarray:
         """Why each step's sweeps ended, (steps,): see `ConvergenceRecord`."""
         tolerance = tolerance_argument(self.state.solver)
-        return np.where(
-            self.contacts == 0, "no_contacts", np.where(self.theta <= tolerance, "converged", "max_sweeps")
-        )
+        return np.where(self.contacts == 0, "no_contacts", np.where(self.theta <= tolerance, "converged", "max_sweeps"))
 
 
 def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolution:

@@ -124,8 +124,8 @@ class World:
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
-    A scene is a state at time 0. `solver` (options of `physics.methods`, or None) is what the run uses. `contacts` is None until they have been looked for.
-    If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
+    A scene is a state at time 0. `contacts` is None until they have been looked for. `solver` is what the run uses
+    (options of `physics.methods`, or None). If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
     carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
     `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
     """
@@ -197,7 +197,9 @@ def check_contacts(contacts: Contacts, bodies: Bodies) -> Contacts:
         if name in ("body_a", "body_b"):
             index = np.asarray(value)
             if index.shape != (m,) or not (np.issubdtype(index.dtype, np.integer) or index.size == 0):
-                raise ValueError(f"contacts.{name}: expected integers of shape ({m},), got {index.dtype}, {index.shape}")
+                raise ValueError(
+                    f"contacts.{name}: expected integers of shape ({m},), got {index.dtype}, {index.shape}"
+                )
             fields[name] = index.astype(np.int64)
         else:
             shape = (m, columns[name]) if name in columns else (m,)

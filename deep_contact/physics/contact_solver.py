@@ -10,7 +10,6 @@ place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) �
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
