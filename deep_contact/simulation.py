@@ -12,6 +12,7 @@ from deep_contact.physics.engine import (
     ContactSolution,
     advance,
     contacts_of,
+    is_sound,
     solve,
     tolerance_argument,
     world_arguments,
@@ -19,6 +20,10 @@ from deep_contact.physics.engine import (
 from deep_contact.physics.methods import METHODS, PGS
 from deep_contact.state import Bodies, State, check_state
 from deep_contact.warm_start import Builtin, NoStart, fitting_impulses, warm_start_of
+
+_FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
+_BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
+_CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 5
 
 _CHUNK = 4e8
 """Contacts times sweeps between two looks at the keyboard: about two seconds."""
@@ -134,8 +139,22 @@ def simulate(
 
 def ready(state: State) -> State:
     """The state validated, with its contacts. Raises ValueError naming the field and the value."""
-    state = check_state(state)
+    if not (_has_engine_arrays(state) and np.isfinite(state.time) and is_sound(state.bodies, state.contacts)):
+        state = check_state(state)
+    if not 0 < state.dt < np.inf:
+        raise ValueError(f"dt: expected a finite number > 0, got {state.dt}")
     return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
+
+
+def _has_engine_arrays(state: State) -> bool:
+    """Whether all arrays are of the kind that the compiled functions were compiled for."""
+    if state.contacts is None:
+        return False
+    for part, kinds in ((state.bodies, _BODIES_KIND), (state.contacts, _CONTACTS_KIND)):
+        for array, (dtype, ndim) in zip(part, kinds):
+            if not (type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray):
+                return False
+    return True
 
 
 def _impulses(start, state: State, solver) -> tuple[np.ndarray, np.ndarray]:

@@ -125,7 +125,8 @@ class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
     A scene is a state at time 0. `contacts` is None until they have been looked for. `solver` is what the run uses
-    (options of `physics.methods`, or None). If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
+    (options of `physics.methods`, or None).
+    If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
     carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
     `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
     """
@@ -176,7 +177,8 @@ def check_bodies(bodies: Bodies) -> Bodies:
     n = np.shape(bodies.mass)[0] if np.ndim(bodies.mass) == 1 else -1
     columns = {"position": 2, "velocity": 2}
     fields = {}
-    for name, value in bodies._asdict().items():
+    # The radius first: a mass made from it would take the blame.
+    for name, value in sorted(bodies._asdict().items(), key=lambda field: field[0] != "radius"):
         shape = (n, columns[name]) if name in columns else (n,)
         fields[name] = _checked_array("bodies", name, value, shape)
     for name in ("mass", "radius"):

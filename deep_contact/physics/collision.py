@@ -13,9 +13,9 @@ import numpy as np
 from numba import njit
 
 from deep_contact.constants import WALL_SKIN
-from deep_contact.state import Contacts
+from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
-_SMALLEST_DISTANCE = 1e-12
+SMALLEST_DISTANCE = 1e-12
 """Centres closer than this have no direction between them; the normal is then +x, as in Box2D."""
 
 
@@ -183,42 +183,49 @@ def find_contacts(position, radius, box, cells, room):
         room = make_contacts(2 * room.body_a.shape[0] + 64)
         m = write_pairs(position, radius, box, cells, room.body_a, room.body_b)
     contacts = first_contacts(room, m)
+    write_geometry(position, radius, box, contacts)
+    return contacts, room
+
+
+@njit(cache=True, error_model="numpy")
+def write_geometry(position, radius, box, contacts):
+    """Narrow phase's geometry: normal, separation and point of every contact, in place.
+
+    The point lies in the middle of the overlap. Coinciding centres have the normal (1, 0), as in Box2D.
+    """
     n = position.shape[0]
-    for i in range(m):
+    for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
-        n_x, n_y, separation = normal_and_separation(position, radius, box, a, b, n)
-        # The contact point lies in the middle of the overlap.
+        x, y = position[a, 0], position[a, 1]
+        if b < n:
+            n_x, n_y = position[b, 0] - x, position[b, 1] - y
+            distance = math.sqrt(n_x * n_x + n_y * n_y)
+            separation = distance - radius[a] - radius[b]
+            if distance < SMALLEST_DISTANCE:
+                n_x, n_y = 1.0, 0.0
+            else:
+                n_x, n_y = n_x / distance, n_y / distance
+        else:
+            separation = wall_gap(x, y, box, b - n) - radius[a] - WALL_SKIN
+            n_x, n_y = WALL_NORMALS[b - n, 0], WALL_NORMALS[b - n, 1]
         arm = radius[a] + 0.5 * separation
         contacts.normal[i, 0] = n_x
         contacts.normal[i, 1] = n_y
         contacts.separation[i] = separation
-        contacts.position[i, 0] = position[a, 0] + arm * n_x
-        contacts.position[i, 1] = position[a, 1] + arm * n_y
-    return contacts, room
+        contacts.position[i, 0] = x + arm * n_x
+        contacts.position[i, 1] = y + arm * n_y
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def normal_and_separation(position, radius, box, a, b, n):
-    """Unit normal from circle a to b, a circle or a wall (b >= n), and the gap between them.
-
-    Returns (n_x, n_y, separation in m). Coinciding centres have the normal (1, 0).
-    """
-    if b < n:
-        dx = position[b, 0] - position[a, 0]
-        dy = position[b, 1] - position[a, 1]
-        distance = math.sqrt(dx * dx + dy * dy)
-        separation = distance - radius[a] - radius[b]
-        if distance < _SMALLEST_DISTANCE:
-            return 1.0, 0.0, separation
-        return dx / distance, dy / distance, separation
-    reach = radius[a] + WALL_SKIN
-    if b == n:
-        return 0.0, -1.0, position[a, 1] - box[1] - reach
-    if b == n + 1:
-        return 1.0, 0.0, box[2] - position[a, 0] - reach
-    if b == n + 2:
-        return 0.0, 1.0, box[3] - position[a, 1] - reach
-    return -1.0, 0.0, position[a, 0] - box[0] - reach
+@njit(cache=True)
+def wall_gap(x, y, box, wall):
+    """Distance from a point to a wall, m."""
+    if wall == BOTTOM:
+        return y - box[1]
+    if wall == RIGHT:
+        return box[2] - x
+    if wall == TOP:
+        return box[3] - y
+    return x - box[0]
 
 
 @njit(cache=True)

@@ -10,6 +10,7 @@ place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) �
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -21,8 +22,10 @@ from deep_contact.constants import (
     MAX_CORRECTION,
     POSITION_TOLERANCE,
     RESTITUTION_THRESHOLD,
+    WALL_SKIN,
 )
-from deep_contact.physics.collision import normal_and_separation
+from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
+from deep_contact.state import WALL_NORMALS
 
 
 class Rows(NamedTuple):
@@ -193,22 +196,34 @@ def correct_positions(bodies, contacts, box, sweeps):
     a share of the penetration beyond the slop, by their inverse masses. For circles nothing turns.
     """
     n = bodies.mass.shape[0]
-    position, radius = bodies.position, bodies.radius
+    position, radius, mass = bodies.position, bodies.radius, bodies.mass
     for _ in range(sweeps):
         deepest = 0.0
         for i in range(contacts.body_a.shape[0]):
             a, b = contacts.body_a[i], contacts.body_b[i]
-            n_x, n_y, separation = normal_and_separation(position, radius, box, a, b, n)
+            x, y = position[a, 0], position[a, 1]
+            if b < n:
+                d_x, d_y = position[b, 0] - x, position[b, 1] - y
+                reach = radius[a] + radius[b]
+                least = reach - LINEAR_SLOP
+                if d_x * d_x + d_y * d_y >= least * least:
+                    continue  # Nothing to correct; found without a square root, and most contacts end here.
+                distance = math.sqrt(d_x * d_x + d_y * d_y)
+                separation = distance - reach
+                push = min(BAUMGARTE * (least - distance), MAX_CORRECTION) / (mass[a] + mass[b])
+                if distance < SMALLEST_DISTANCE:
+                    d_x, d_y = 1.0, 0.0
+                else:
+                    push /= distance
+                position[b, 0] += push * mass[a] * d_x
+                position[b, 1] += push * mass[a] * d_y
+                position[a, 0] = x - push * mass[b] * d_x
+                position[a, 1] = y - push * mass[b] * d_y
+            else:
+                separation = wall_gap(x, y, box, b - n) - radius[a] - WALL_SKIN
+                push = max(0.0, min(-BAUMGARTE * (separation + LINEAR_SLOP), MAX_CORRECTION))
+                position[a, 0] = x - push * WALL_NORMALS[b - n, 0]
+                position[a, 1] = y - push * WALL_NORMALS[b - n, 1]
             deepest = min(deepest, separation)
-            push = min(-BAUMGARTE * (separation + LINEAR_SLOP), MAX_CORRECTION)
-            if push > 0.0:
-                if b < n:
-                    # Shares by inverse mass: w_a / (w_a + w_b) = m_b / (m_a + m_b).
-                    share = bodies.mass[b] / (bodies.mass[a] + bodies.mass[b])
-                    position[b, 0] += (1.0 - share) * push * n_x
-                    position[b, 1] += (1.0 - share) * push * n_y
-                    push *= share
-                position[a, 0] -= push * n_x
-                position[a, 1] -= push * n_y
         if deepest >= -POSITION_TOLERANCE:
             break

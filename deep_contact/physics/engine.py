@@ -109,6 +109,46 @@ def solve_velocities(bodies, contacts, world, dt, tolerance, theta):
     return rows.impulse, moving, sweeps
 
 
+@njit(cache=True)
+def is_sound(bodies, contacts):
+    """Whether arrays of the right kind also hold what `state.check_state` asks for: the check without the message."""
+    n = bodies.mass.shape[0]
+    for values in (bodies.position, bodies.velocity):
+        if values.shape[0] != n or values.shape[1] != 2 or not np.isfinite(values).all():
+            return False
+    for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius):
+        if values.shape[0] != n or not np.isfinite(values).all():
+            return False
+    if not ((bodies.mass > 0).all() and (bodies.radius > 0).all()):
+        return False
+    m = contacts.body_a.shape[0]
+    for values in (contacts.position, contacts.normal):
+        if values.shape[0] != m or values.shape[1] != 2 or not np.isfinite(values).all():
+            return False
+    for values in (
+        contacts.separation,
+        contacts.normal_impulse,
+        contacts.tangent_impulse,
+        contacts.normal_start,
+        contacts.tangent_start,
+    ):
+        if values.shape[0] != m or not np.isfinite(values).all():
+            return False
+    if contacts.body_b.shape[0] != m:
+        return False
+    last = np.int64(-1)
+    for i in range(m):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
+        pair = a * (n + 4) + b
+        if a < 0 or b <= a or b >= n + 4 or a >= n or pair <= last or abs(n_x * n_x + n_y * n_y - 1) > 1e-4:
+            return False
+        if contacts.normal_impulse[i] < 0:
+            return False
+        last = pair
+    return True
+
+
 class ContactSolution(NamedTuple):
     """What a solve of the contact problem found.
 

@@ -1,0 +1,137 @@
+"""The contact problem as matrices, and Algorithm 1 of the thesis on them.
+
+The engine never builds these. They are the same problem in the form of the textbook, to hold the sweeps against.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+
+from deep_contact.constants import RESTITUTION_THRESHOLD
+from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.methods import PGS
+from deep_contact.state import State
+
+
+class ContactProblem(NamedTuple):
+    """Find λ with 0 ≤ λ_n ⟂ (A λ + b)_n ≥ 0, and |λ_t| ≤ μ λ_n against the slip (A λ + b)_t (Eq 2.27, 2.29).
+
+    | field         | meaning                                                                 | shape    | unit |
+    |---------------|-------------------------------------------------------------------------|----------|------|
+    | A             | J M⁻¹ Jᵀ, sparse (CSR)                                                  | (r, r)   | 1/kg |
+    | b             | J (v + Δt M⁻¹ F) minus the target velocities of bouncing contacts       | (r,)     | m/s  |
+    | jacobian      | J, sparse (CSR); relative velocities of the contacts are J v            | (r, 3n)  |      |
+    | inverse_mass  | diagonal of M⁻¹ for (v_x, v_y, ω) of every circle                       | (3n,)    |      |
+    | free_velocity | v + Δt M⁻¹ F, likewise                                                  | (3n,)    |      |
+
+    With friction r = 2 m and the rows of contact i are 2 i (normal) and 2 i + 1 (tangent); without, r = m.
+    The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; ours is an impulse.
+    """
+
+    A: sparse.csr_array
+    b: np.ndarray
+    jacobian: sparse.csr_array
+    inverse_mass: np.ndarray
+    free_velocity: np.ndarray
+
+    def velocities(self, impulse: np.ndarray) -> np.ndarray:
+        """(v_x, v_y, ω) of every circle after the impulses, v + M⁻¹ (Δt F + Jᵀ λ), (3n,)."""
+        return self.free_velocity + self.inverse_mass * (self.jacobian.T @ impulse)
+
+
+def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
+    """Assemble A and b of a state that has contacts. friction: with tangent rows, or normal rows only."""
+    bodies, contacts = state.bodies, state.contacts
+    if contacts is None:
+        raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
+    n, m = bodies.count, contacts.count
+    inverse_mass = np.repeat(1 / bodies.mass, 3)
+    inverse_mass[2::3] = 1 / bodies.inertia
+    free = np.column_stack([bodies.velocity + state.dt * np.array(state.world.gravity), bodies.spin]).ravel()
+
+    rows, columns, entries = [], [], []
+    tangent = np.column_stack([contacts.normal[:, 1], -contacts.normal[:, 0]])
+    contact = np.arange(m)
+    directions = (contacts.normal, tangent) if friction else (contacts.normal,)
+    for body, side in ((contacts.body_a, -1.0), (contacts.body_b, 1.0)):
+        moves = body < n
+        i, k = contact[moves], body[moves]
+        arm = contacts.position[i] - bodies.position[k]
+        if side > 0:
+            # The arm of b as the engine has it: positions are exact to rounding, separations define the overlap.
+            arm = -(bodies.radius[k] + 0.5 * contacts.separation[i])[:, None] * contacts.normal[i]
+        for kind, direction in enumerate(directions):
+            turn = arm[:, 0] * direction[i, 1] - arm[:, 1] * direction[i, 0]
+            for axis, value in enumerate((direction[i, 0], direction[i, 1], turn)):
+                rows.append(len(directions) * i + kind)
+                columns.append(3 * k + axis)
+                entries.append(side * value)
+    shape = (len(directions) * m, 3 * n)
+    index = (np.concatenate(rows), np.concatenate(columns))
+    jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=shape))
+    b = jacobian @ free
+    approach = b[:: len(directions)]
+    bouncing = approach < -RESTITUTION_THRESHOLD
+    b[:: len(directions)] += np.where(bouncing, state.world.restitution * approach, 0.0)
+    A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
+    A.sort_indices()
+    return ContactProblem(A, b, jacobian, inverse_mass, free)
+
+
+def projected_gauss_seidel(
+    A, b: np.ndarray, start: np.ndarray, *, sweeps: int = 3000, tolerance: float | None = None, friction=None
+) -> tuple[np.ndarray, ConvergenceRecord]:
+    """Algorithm 1: pgs(A, b, λ_init), the linear complementarity problem 0 ≤ λ ⟂ A λ + b ≥ 0. Returns (λ, record).
+
+    A: (r, r), sparse or dense, positive diagonal. b, start: (r,). friction: μ, if the rows are pairs (normal,
+    tangent) as `contact_problem` numbers them; each pair then relaxes its tangent row first, within ±μ λ_n.
+    Raises ValueError naming the argument.
+    """
+    A = sparse.csr_array(A)
+    b, impulse = np.asarray(b, dtype=np.float64), np.array(start, dtype=np.float64)
+    size = A.shape[0]
+    for name, value in (("b", b), ("start", impulse)):
+        if value.shape != (size,) or not np.isfinite(value).all():
+            raise ValueError(f"{name}: expected {size} finite numbers, as A has rows, got shape {value.shape}")
+    diagonal = A.diagonal()
+    if A.shape != (size, size) or not (diagonal > 0).all():
+        raise ValueError(f"A: expected a square matrix with a positive diagonal, got shape {A.shape}")
+    if friction is not None and size % 2:
+        raise ValueError(f"A: expected pairs of rows (normal, tangent) with friction, got {size} rows")
+    solver = PGS(sweeps=sweeps, tolerance=tolerance)
+    order = np.arange(size)
+    if friction is not None:
+        order = order.reshape(-1, 2)[:, ::-1].ravel()
+    theta = np.empty(sweeps)
+    limit = -1.0 if tolerance is None else tolerance
+    done = _relax_rows(
+        A.indptr, A.indices, A.data, diagonal, b, impulse, order, -1.0 if friction is None else friction, limit, theta
+    )
+    return impulse, convergence_record(theta[:done], solver, size)
+
+
+@njit(cache=True)
+def _relax_rows(indptr, indices, data, diagonal, b, impulse, order, friction, tolerance, theta):
+    """Sweeps over the rows in the given order; impulse and theta in place. Returns the number of sweeps."""
+    for k in range(theta.shape[0]):
+        largest_change = 0.0
+        for i in order:
+            residual = b[i]
+            for j in range(indptr[i], indptr[i + 1]):
+                residual += data[j] * impulse[indices[j]]
+            new = impulse[i] - residual / diagonal[i]
+            if friction >= 0.0 and i % 2 == 1:
+                largest = friction * impulse[i - 1]
+                new = max(-largest, min(new, largest))
+            else:
+                new = max(0.0, new)
+            largest_change = max(largest_change, abs(new - impulse[i]))
+            impulse[i] = new
+        theta[k] = largest_change
+        if largest_change <= tolerance:
+            return k + 1
+    return theta.shape[0]

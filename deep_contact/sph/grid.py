@@ -1,0 +1,501 @@
+"""The grid, and the transfer between particles and grid images: `splat`, `density` and `gather`.
+
+An image is a C-contiguous array of shape (n_y, n_x, channels), row 0 at y_min; channels are what the
+particles carry. A transfer is a splat followed by a gather with the same `normalization`:
+
+* "raw": node j holds Σ_k V_k W(|x_j - x_k|, h) S_k (Eq 3.6; Algorithms 2 and 3, where V = 1).
+* "particle": the weights of every particle are divided by their sum over the nodes (Appendix A), so that an
+  image's sum is the sum of the values. The thesis reads it back bilinearly (Algorithm 4), which returns
+  between a quarter and all of an isolated particle's value where h is the spacing.
+* "consistent": the image is that of "particle", and the gather divides by the gathered density D, the image
+  of ones. An isolated particle comes back exactly, and so does a field that is constant. D needs positions
+  only: a network that predicts an image need not predict D.
+
+Only the nodes within reach of a particle are touched, so the cost grows with the particles, not with the
+nodes. A node is within reach if r < h; W(h) is 0.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+
+from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile, stale_cache
+
+ROUNDING = 1e-9
+"""In spacings: a point so little beyond the last node is taken to lie on it, an extent so little more than a
+whole number of spacings is that number of spacings."""
+
+_MOST_NODES = 2**31 - 1
+_NORMALIZATIONS = {"raw": 0, "particle": 1, "consistent": 2}
+_METHODS = {"bilinear": 0, "sph": 1}
+_UNREACHED = {"error": 0, "zero": 1, "nearest": 2}
+_OUTSIDE = {"error": 0, "clamp": 1, "ignore": 2}
+_RAW, _PARTICLE, _CONSISTENT = _NORMALIZATIONS.values()
+_BILINEAR, _SPH = _METHODS.values()
+_ERROR, _ZERO, _NEAREST = _UNREACHED.values()
+_CLAMP, _IGNORE = _OUTSIDE["clamp"], _OUTSIDE["ignore"]
+_DONE, _BAD_POSITION, _BAD_VALUE, _BAD_VOLUME, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED, _NO_KERNEL = range(8)
+_NO_VOLUME = np.empty(0)
+_NO_DENSITY = np.empty((0, 0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Grid:
+    """A rectilinear grid of nodes. Node (row j, column i) lies at (x0 + i dx, y0 + j dy).
+
+    origin: (x0, y0), the first node, m. spacing: (dx, dy), or one number for both, > 0, m.
+    shape: (n_y, n_x), nodes, at least 2 each. Raises ValueError naming the field and the value.
+    """
+
+    origin: tuple[float, float]
+    spacing: tuple[float, float]
+    shape: tuple[int, int]
+    _geometry: tuple[float, float, float, float] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self):
+        origin = _pair("origin", self.origin)
+        spacing = _pair("spacing", (self.spacing,) * 2 if np.ndim(self.spacing) == 0 else self.spacing)
+        if not min(spacing) > 0:
+            raise ValueError(f"spacing: expected numbers > 0, got {self.spacing}")
+        try:
+            shape = tuple(int(n) for n in self.shape)
+            whole = len(shape) == 2 and shape == tuple(self.shape)
+        except (TypeError, ValueError, OverflowError):
+            whole = False
+        if not whole or min(shape) < 2 or max(shape) > _MOST_NODES:
+            raise ValueError(f"shape: expected (n_y, n_x), two integers >= 2, got {self.shape}")
+        for x, d, n in zip(origin, spacing, reversed(shape)):
+            if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
+                raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
+        object.__setattr__(self, "origin", origin)
+        object.__setattr__(self, "spacing", spacing)
+        object.__setattr__(self, "shape", shape)
+        object.__setattr__(self, "_geometry", origin + spacing)
+
+    @classmethod
+    def over_box(cls, box, spacing) -> Grid:
+        """The smallest grid from the lower left corner of a box that covers it.
+
+        box: (x_min, y_min, x_max, y_max), m. spacing: (dx, dy), or one number for both, m. Where the spacing
+        does not divide the extent, the last nodes lie beyond the box: 30 m at 0.5 m gives 61 nodes, up to
+        30 m; at 0.7 m it gives 44, up to 30.1 m. Raises ValueError naming the argument and the value.
+        """
+        try:
+            x_min, y_min, x_max, y_max = (float(v) for v in box)
+            good = math.isfinite(x_max - x_min + y_max - y_min) and x_min < x_max and y_min < y_max
+        except (TypeError, ValueError):
+            good = False
+        if not good:
+            raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max), not empty, got {box}")
+        dx, dy = _pair("spacing", (spacing,) * 2 if np.ndim(spacing) == 0 else spacing)
+        if not min(dx, dy) > 0:
+            raise ValueError(f"spacing: expected numbers > 0, got {spacing}")
+        cells = (y_max - y_min) / dy, (x_max - x_min) / dx
+        if max(cells) >= _MOST_NODES:
+            raise ValueError(f"spacing: expected at most {_MOST_NODES} nodes along an edge, got {spacing}")
+        shape = tuple(max(math.ceil(n - ROUNDING), 1) + 1 for n in cells)
+        return cls(origin=(x_min, y_min), spacing=(dx, dy), shape=shape)
+
+    @property
+    def nodes(self) -> tuple[np.ndarray, np.ndarray]:
+        """x of the columns, shape (n_x,), and y of the rows, shape (n_y,), m."""
+        (x, y), (dx, dy), (n_y, n_x) = self.origin, self.spacing, self.shape
+        return x + dx * np.arange(n_x), y + dy * np.arange(n_y)
+
+    @property
+    def box(self) -> tuple[float, float, float, float]:
+        """What the grid covers, (x_min, y_min, x_max, y_max), m."""
+        (x, y), (dx, dy), (n_y, n_x) = self.origin, self.spacing, self.shape
+        return x, y, x + dx * (n_x - 1), y + dy * (n_y - 1)
+
+
+# ---- Numba: weights of one particle on the nodes around it ----
+
+
+@njit(cache=True, error_model="numpy")
+def _place(x, first, spacing, count, outside):
+    """A coordinate, moved onto the grid if `outside` says so; and whether it is on the grid."""
+    u = (x - first) / spacing
+    if -ROUNDING <= u <= count - 1 + ROUNDING:
+        return x, True
+    if outside == _CLAMP:
+        return min(max(x, first), first + spacing * (count - 1)), True
+    return x, False
+
+
+@njit(cache=True, error_model="numpy")
+def _reach(x, first, spacing, count, h):
+    """Half-open range of the nodes along one axis that may be nearer than h."""
+    u, reach = (x - first) / spacing, h / spacing + ROUNDING
+    # Clipped as floats: h may be many more spacings than an integer holds.
+    return int(max(math.ceil(u - reach), 0.0)), int(min(math.floor(u + reach), count - 1.0)) + 1
+
+
+@njit(cache=True, error_model="numpy")
+def _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights):
+    """Fill `weights`, row by row, with h² W on the nodes around (x, y).
+
+    Returns the ranges of these nodes, i0, i1, j0, j1 (half open), and the sum of the weights.
+    """
+    x0, y0, dx, dy = geometry
+    i0, i1 = _reach(x, x0, dx, n_x, h)
+    j0, j1 = _reach(y, y0, dy, n_y, h)
+    total, n = 0.0, 0
+    for j in range(j0, j1):
+        q_y = (y - (y0 + dy * j)) / h
+        for i in range(i0, i1):
+            q_x = (x - (x0 + dx * i)) / h
+            w = profile(kernel, math.sqrt(q_x * q_x + q_y * q_y), 2)[0]
+            weights[n] = w
+            total += w
+            n += 1
+    return i0, i1, j0, j1, total
+
+
+@njit(cache=True, error_model="numpy")
+def _bilinear_weights(geometry, n_y, n_x, x, y, weights):
+    """Fill `weights` for the corners of the cell around (x, y), Eq 3.16; returns as `_kernel_weights`."""
+    x0, y0, dx, dy = geometry
+    u, v = (x - x0) / dx, (y - y0) / dy
+    i, j = int(min(max(u, 0.0), n_x - 2.0)), int(min(max(v, 0.0), n_y - 2.0))
+    s, t = min(max(u - i, 0.0), 1.0), min(max(v - j, 0.0), 1.0)
+    weights[0], weights[1] = (1.0 - s) * (1.0 - t), s * (1.0 - t)
+    weights[2], weights[3] = (1.0 - s) * t, s * t
+    return i, i + 2, j, j + 2, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest_weight(geometry, n_y, n_x, x, y, weights):
+    """Fill `weights` with 1 for the nearest node; returns as `_kernel_weights`."""
+    x0, y0, dx, dy = geometry
+    i = int(min(max(math.floor((x - x0) / dx + 0.5), 0.0), n_x - 1.0))
+    j = int(min(max(math.floor((y - y0) / dy + 0.5), 0.0), n_y - 1.0))
+    weights[0] = 1.0
+    return i, i + 1, j, j + 1, 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _most_nodes(geometry, n_y, n_x, h):
+    """An upper bound on the nodes within reach of one particle; at least the four corners of a cell."""
+    across = min(2.0 * (h / geometry[2] + ROUNDING) + 2.0, float(n_x))
+    along = min(2.0 * (h / geometry[3] + ROUNDING) + 2.0, float(n_y))
+    return max(int(across) * int(along), 4)
+
+
+@njit(cache=True)
+def _first_infinite(array):
+    """Row of the first entry of a 2-D array that is not finite, or -1."""
+    for k in range(array.shape[0]):
+        for c in range(array.shape[1]):
+            if not math.isfinite(array[k, c]):
+                return k
+    return -1
+
+
+# ---- Numba: the transfers ----
+# They return a code and the particle it is about; with any but _DONE the output is unfinished.
+
+
+@njit(cache=True, error_model="numpy")
+def _splat_core(geometry, position, values, volume, h, kernel, normalization, unreached, outside, image):
+    """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
+
+    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); volume (k,), or empty for 1;
+    image (n_y, n_x, c). The rest are numbers from the tables above. Checks that all is finite, before it
+    writes.
+    """
+    n_y, n_x, channels = image.shape
+    if not profile(kernel, 0.0, 2)[0] > 0.0:
+        return _NO_KERNEL, 0
+    bad = _first_infinite(position)
+    if bad >= 0:
+        return _BAD_POSITION, bad
+    bad = _first_infinite(values)
+    if bad >= 0:
+        return _BAD_VALUE, bad
+    bad = _first_infinite(volume.reshape(-1, 1))
+    if bad >= 0:
+        return _BAD_VOLUME, bad
+    weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
+    for k in range(position.shape[0]):
+        x, in_x = _place(position[k, 0], geometry[0], geometry[2], n_x, outside)
+        y, in_y = _place(position[k, 1], geometry[1], geometry[3], n_y, outside)
+        if not (in_x and in_y):
+            if outside == _IGNORE:
+                continue
+            return _IS_OUTSIDE, k
+        i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights)
+        factor = 1.0 / (h * h) if normalization == _RAW else 1.0 / total
+        if not total > 0.0:
+            if unreached == _ERROR:
+                return _IS_UNREACHED, k
+            if unreached == _ZERO:
+                continue
+            i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
+            # Raw weights are densities: times the area of a cell they sum to about 1, and so does this one.
+            factor = 1.0 / (geometry[2] * geometry[3]) if normalization == _RAW else 1.0
+        if volume.shape[0] > 0:
+            factor *= volume[k]
+        n = 0
+        for j in range(j0, j1):
+            for i in range(i0, i1):
+                w = weights[n] * factor
+                n += 1
+                for c in range(channels):
+                    image[j, i, c] += w * values[k, c]
+    return _DONE, 0
+
+
+@njit(cache=True, error_model="numpy")
+def _density_at(weights, density, i0, i1, j0, j1):
+    """Σ_j w_j D_j over a range of nodes."""
+    total, n = 0.0, 0
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            total += weights[n] * density[j, i]
+            n += 1
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _gather_core(geometry, image, density, position, h, kernel, method, unreached, outside, out):
+    """Fill `out`, in place, with Σ_j w_j G_j / Σ_j w_j D_j at every query.
+
+    With bilinear weights and D = 1 that is Algorithm 4. geometry: `Grid._geometry`. image (n_y, n_x, c);
+    density (n_y, n_x), or empty for 1; position (k, 2), m; out (k, c). The rest are numbers from the tables
+    above. Checks that the positions and what it gathers are finite.
+    """
+    n_y, n_x, channels = image.shape
+    if not profile(kernel, 0.0, 2)[0] > 0.0:
+        return _NO_KERNEL, 0
+    bad = _first_infinite(position)
+    if bad >= 0:
+        return _BAD_POSITION, bad
+    weights = np.empty(_most_nodes(geometry, n_y, n_x, h if method == _SPH else 0.0))
+    for k in range(position.shape[0]):
+        out[k] = 0.0
+        x, in_x = _place(position[k, 0], geometry[0], geometry[2], n_x, outside)
+        y, in_y = _place(position[k, 1], geometry[1], geometry[3], n_y, outside)
+        if not (in_x and in_y):
+            if outside == _IGNORE:
+                continue
+            return _IS_OUTSIDE, k
+        if method == _SPH:
+            i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights)
+        else:
+            i0, i1, j0, j1, total = _bilinear_weights(geometry, n_y, n_x, x, y, weights)
+        if density.shape[0] > 0:
+            total = _density_at(weights, density, i0, i1, j0, j1)
+        if not total > 0.0 and unreached == _NEAREST:
+            i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
+            if density.shape[0] > 0:
+                total = _density_at(weights, density, i0, i1, j0, j1)
+        if math.isnan(total):
+            return _BAD_RESULT, k
+        if not total > 0.0:
+            if unreached == _ZERO:
+                continue
+            return _IS_UNREACHED, k
+        n = 0
+        for j in range(j0, j1):
+            for i in range(i0, i1):
+                for c in range(channels):
+                    out[k, c] += weights[n] * image[j, i, c]
+                n += 1
+        for c in range(channels):
+            out[k, c] /= total
+            if not math.isfinite(out[k, c]):
+                return _BAD_RESULT, k
+    return _DONE, 0
+
+
+# ---- what users call ----
+
+
+def splat(
+    grid: Grid,
+    position,
+    values,
+    *,
+    h: float,
+    kernel: str = "poly6",
+    normalization: str = "raw",
+    volume=None,
+    unreached: str = "error",
+    outside: str = "error",
+) -> np.ndarray:
+    """Particles to image, float64, shape (n_y, n_x, c), or (n_y, n_x) for values of shape (k,).
+
+    position: (k, 2), m. values: (k, c) or (k,). h: support radius, m. kernel: one of `KERNELS`, dim = 2.
+    normalization: "raw", "particle" or "consistent" (the same image as "particle"); see the module.
+    volume: V_k of Eq 3.6, (k,), m²; only with "raw"; None is 1, as in Algorithms 2 and 3, and gives values
+    per m².
+    unreached: what becomes of a particle with no node within h. "error"; "zero", it adds nothing; "nearest",
+    it goes to the nearest node (with the weight 1, or V / (dx dy) if raw).
+    outside: what becomes of a particle outside the grid. "error"; "clamp", it acts from the nearest point of
+    the grid; "ignore", it adds nothing. Contacts with a wall lie beyond it by half their penetration: clamp
+    these.
+
+    Raises ValueError naming the argument, what was expected and the value.
+    """
+    number, h = kernel_number(kernel), check_support_radius(h)
+    normalization_code = _code("normalization", normalization, _NORMALIZATIONS)
+    unreached_code = _code("unreached", unreached, _UNREACHED)
+    outside_code = _code("outside", outside, _OUTSIDE)
+    position = _positions(position)
+    given = as_floats("values", values)
+    columns = given.reshape(-1, 1) if given.ndim == 1 else given
+    if columns.ndim != 2 or columns.shape[0] != position.shape[0]:
+        raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {given.shape}")
+    volumes = _NO_VOLUME if volume is None else as_floats("volume", volume)
+    if volume is not None:
+        if normalization_code != _RAW:
+            raise ValueError(f"volume: expected None, since it cancels in {normalization!r}, got an array")
+        if volumes.shape != position.shape[:1]:
+            raise ValueError(f"volume: expected shape ({position.shape[0]},), got {volumes.shape}")
+    image = np.zeros((*grid.shape, columns.shape[1]))
+    options = h, number, normalization_code, unreached_code, outside_code
+    code, k = _splat_core(grid._geometry, position, columns, volumes, *options, image)
+    if code != _DONE:
+        raise _error(code, k, grid, position, h, kernel, {"values": columns, "volume": volumes})
+    return image if given.ndim == 2 else image.reshape(grid.shape)
+
+
+def density(
+    grid: Grid, position, *, h: float, kernel: str = "poly6", unreached: str = "error", outside: str = "error"
+) -> np.ndarray:
+    """The density image D_j = Σ_k w_jk, shape (n_y, n_x): the splat of ones, by which to divide.
+
+    Needs positions only. Arguments and errors as for `splat`, with the same values as the splat of the image.
+    """
+    position = _positions(position)
+    return splat(
+        grid,
+        position,
+        np.ones(position.shape[0]),
+        h=h,
+        kernel=kernel,
+        normalization="consistent",
+        unreached=unreached,
+        outside=outside,
+    )
+
+
+_density = density  # `gather` has an argument of that name
+
+
+def gather(
+    grid: Grid,
+    image,
+    position,
+    *,
+    normalization: str = "raw",
+    density: np.ndarray | None = None,
+    method: str = "bilinear",
+    h: float | None = None,
+    kernel: str = "poly6",
+    unreached: str = "error",
+    outside: str = "error",
+) -> np.ndarray:
+    """Image to particles, float64, shape (k, c), or (k,) for an image of shape (n_y, n_x).
+
+    position: where to read, (k, 2), m. image: (n_y, n_x, c) or (n_y, n_x), of any origin, for instance a
+    network.
+    normalization: "raw" and "particle" read the image as it is; "consistent" divides by the gathered density.
+    density: D of `sph.density`, for "consistent". None says that `position` are the particles themselves;
+    then D is made from them, with h and kernel.
+    method: "bilinear" (Algorithm 4, with the matrix of Eq 3.16: Algorithm 4 has it transposed), or "sph", the
+    mean of the nodes within h, weighted by W; this is the adjoint of the splat with the normalization
+    "particle".
+    h, kernel: as for `splat`; h may be None where neither `method` nor `density` needs it.
+    unreached: a query with no node within h ("sph") or no density around it ("consistent"). "error"; "zero",
+    it reads 0; "nearest", it reads the nearest node, over that node's density (an error if it has none).
+    outside: a query outside the grid. "error"; "clamp", it reads the nearest point of the grid; "ignore", it
+    reads 0.
+
+    Raises ValueError naming the argument, what was expected and the value; also where what is read is not
+    finite.
+    """
+    consistent = _code("normalization", normalization, _NORMALIZATIONS) == _CONSISTENT
+    number, method_code = kernel_number(kernel), _code("method", method, _METHODS)
+    unreached_code = _code("unreached", unreached, _UNREACHED)
+    outside_code = _code("outside", outside, _OUTSIDE)
+    if h is not None:
+        h = check_support_radius(h)
+    elif method_code == _SPH or (consistent and density is None):
+        raise ValueError("h: expected the support radius, for method 'sph' or to make the density, got None")
+    position = _positions(position)
+    given = as_floats("image", image)
+    if given.ndim not in (2, 3) or given.shape[:2] != grid.shape:
+        raise ValueError(f"image: expected shape {(*grid.shape, 'channels')}, got {given.shape}")
+    layers = given if given.ndim == 3 else given.reshape(*grid.shape, 1)
+    if not consistent:
+        if density is not None:
+            raise ValueError(f"density: only for the normalization 'consistent', not {normalization!r}")
+        divisor = _NO_DENSITY
+    elif density is None:
+        divisor = _density(grid, position, h=h, kernel=kernel, unreached=unreached, outside=outside)
+    else:
+        divisor = as_floats("density", density)
+        if divisor.shape != grid.shape:
+            raise ValueError(f"density: expected shape {grid.shape}, got {divisor.shape}")
+    out = np.empty((position.shape[0], layers.shape[2]))
+    options = h or 0.0, number, method_code, unreached_code, outside_code
+    code, k = _gather_core(grid._geometry, layers, divisor, position, *options, out)
+    if code != _DONE:
+        raise _error(code, k, grid, position, h, kernel, {})
+    return out if given.ndim == 3 else out.reshape(-1)
+
+
+def _pair(name, given):
+    try:
+        pair = tuple(float(v) for v in given)
+    except (TypeError, ValueError):
+        pair = ()
+    if len(pair) != 2 or not (math.isfinite(pair[0]) and math.isfinite(pair[1])):
+        raise ValueError(f"{name}: expected two finite numbers, got {given}")
+    return pair
+
+
+def _positions(given):
+    position = as_floats("position", given)
+    if position.size == 0 and position.ndim == 1:
+        position = position.reshape(0, 2)
+    if position.ndim != 2 or position.shape[1] != 2:
+        raise ValueError(f"position: expected shape (k, 2), got {position.shape}")
+    return position
+
+
+def _code(name, given, table):
+    try:
+        return table[given]
+    except (KeyError, TypeError):
+        raise ValueError(f"{name}: expected one of {', '.join(table)}, got {given!r}") from None
+
+
+def _error(code, k, grid, position, h, kernel, arrays):
+    """The exception for what a core returned."""
+    at = f"({position[k, 0]}, {position[k, 1]})" if position.shape[0] else ""
+    if code == _NO_KERNEL:
+        return stale_cache(kernel)
+    if code == _BAD_POSITION:
+        return ValueError(f"position[{k}]: expected finite numbers, got {at}")
+    if code == _BAD_VALUE:
+        return ValueError(f"values[{k}]: expected finite numbers, got {arrays['values'][k]}")
+    if code == _BAD_VOLUME:
+        return ValueError(f"volume[{k}]: expected a finite number, got {arrays['volume'][k]}")
+    if code == _BAD_RESULT:
+        return ValueError(f"image, density: expected finite numbers around position[{k}] = {at}")
+    if code == _IS_OUTSIDE:
+        return ValueError(
+            f"position[{k}]: expected a point of the grid {grid.box}, got {at}; "
+            "outside='clamp' or 'ignore' allow for it"
+        )
+    return ValueError(
+        f"position[{k}]: expected a node, or density, within reach, got {at} at h = {h}, "
+        f"spacing {grid.spacing}; unreached='zero' or 'nearest' allow for it"
+    )

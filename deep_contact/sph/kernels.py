@@ -1,0 +1,272 @@
+"""Smoothing kernels: value W(r, h), radial derivative, gradient and Laplacian, on the plane and in space.
+
+A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1,
+normalised to a unit integral; everything else (h, the gradient's direction, the Laplacian, r = 0, the edge)
+is done once for all. **To add one**, write that function and enter it in `_PROFILES`. Then delete the
+`__pycache__` folders: Numba's cache looks at the file of the function that is called, not at those below it.
+
+
+What holds for every kernel:
+
+* The support is open: W, W' and the Laplacian are 0 for r >= h. All but the Gaussian go to 0 continuously,
+  with both derivatives.
+* At r = 0 the gradient is the zero vector: for the spiky kernel, whose slope there depends on the direction,
+  that is the mean over all directions. The Laplacian is its limit: dim·W''(0) where W'(0) = 0, and -inf for
+  the spiky kernel.
+* For other h, W(r, h) = W(r/h, 1) / h^dim.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+GAUSSIAN_DECAY = 9.0
+"""The Gaussian is exp(-9 q²): the support radius h is 3 √2 standard deviations, σ = 0.2357 h."""
+
+_GAUSSIAN_2D = GAUSSIAN_DECAY / (math.pi * (1.0 - math.exp(-GAUSSIAN_DECAY)))
+_GAUSSIAN_3D = 1.0 / (
+    math.pi
+    * (
+        math.sqrt(math.pi) * math.erf(math.sqrt(GAUSSIAN_DECAY)) / GAUSSIAN_DECAY**1.5
+        - 2.0 * math.exp(-GAUSSIAN_DECAY) / GAUSSIAN_DECAY
+    )
+)
+_SMALLEST_H, _LARGEST_H = 1e-50, 1e50
+
+
+@njit(cache=True, error_model="numpy")
+def poly6(q, dim):
+    """W, W', W'' of c (1 - q²)³: Müller, Charypar and Gross 2003; Eq 3.8 (dim = 3), Appendix A (dim = 2)."""
+    c = 4.0 / math.pi if dim == 2 else 315.0 / (64.0 * math.pi)
+    s = (1.0 - q) * (1.0 + q)
+    return c * s**3, -6.0 * c * q * s**2, 6.0 * c * s * (5.0 * q**2 - 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def spiky(q, dim):
+    """W, W', W'' of c (1 - q)³: Desbrun and Gascuel 1996; thesis Eq 3.11 (dim = 3)."""
+    c = 10.0 / math.pi if dim == 2 else 15.0 / math.pi
+    p = 1.0 - q
+    return c * p**3, -3.0 * c * p**2, 6.0 * c * p
+
+
+@njit(cache=True, error_model="numpy")
+def cubic_spline(q, dim):
+    """W, W', W'' of Schoenberg's M4 spline with knots at h/2 and h: Monaghan and Lattanzio 1985."""
+    c = 40.0 / (7.0 * math.pi) if dim == 2 else 8.0 / math.pi
+    if q < 0.5:
+        return c * (1.0 - 6.0 * q**2 * (1.0 - q)), c * q * (18.0 * q - 12.0), c * (36.0 * q - 12.0)
+    p = 1.0 - q
+    return 2.0 * c * p**3, -6.0 * c * p**2, 12.0 * c * p
+
+
+@njit(cache=True, error_model="numpy")
+def wendland_c2(q, dim):
+    """W, W', W'' of c (1 - q)⁴ (1 + 4q): Wendland 1995, ψ₃,₁; positive definite up to dim = 3."""
+    c = 7.0 / math.pi if dim == 2 else 21.0 / (2.0 * math.pi)
+    p = 1.0 - q
+    return c * p**4 * (1.0 + 4.0 * q), -20.0 * c * q * p**3, 20.0 * c * p**2 * (4.0 * q - 1.0)
+
+
+@njit(cache=True, error_model="numpy")
+def gaussian(q, dim):
+    """W, W', W'' of c exp(-9 q²), cut at h and normalised on what is left.
+
+    At r = h it drops to 0 from exp(-9) = 1.2e-4 of its peak; the derivatives are those of the smooth part.
+    """
+    c = _GAUSSIAN_2D if dim == 2 else _GAUSSIAN_3D
+    a = 2.0 * GAUSSIAN_DECAY
+    w = c * math.exp(-GAUSSIAN_DECAY * q**2)
+    return w, -a * q * w, a * (a * q**2 - 1.0) * w
+
+
+_PROFILES = (poly6, spiky, cubic_spline, wendland_c2, gaussian)
+
+KERNELS = tuple(profile.__name__ for profile in _PROFILES)
+"""Names of the kernels; the place of a name is the kernel's number in Numba code."""
+
+
+def _choose(profiles, number=0):
+    """A Numba function of (kernel, q, dim) that calls the profile of that number; of an unknown one, nan.
+
+    A chain of comparisons, since a Numba function passed as an argument would be compiled anew in every
+    process. Not cached itself: it is compiled into its callers, which are.
+    """
+    if not profiles:
+        return njit(lambda kernel, q, dim: (math.nan, math.nan, math.nan))
+    first, rest = profiles[0], _choose(profiles[1:], number + 1)
+
+    @njit(error_model="numpy")
+    def choose(kernel, q, dim):
+        if kernel == number:
+            return first(q, dim)
+        return rest(kernel, q, dim)
+
+    return choose
+
+
+_profile = _choose(_PROFILES)
+
+
+@njit(cache=True, error_model="numpy")
+def profile(kernel, q, dim):
+    """(W, W', W'') of the kernel with number `kernel` at q = r/h >= 0 for h = 1; zeros from q = 1 on."""
+    if q >= 1.0:
+        return 0.0, 0.0, 0.0
+    return _profile(kernel, q, dim)
+
+
+@njit(cache=True, error_model="numpy")
+def weight(kernel, r, h, dim):
+    """W(r, h), m^-dim."""
+    return profile(kernel, r / h, dim)[0] / h**dim
+
+
+@njit(cache=True, error_model="numpy")
+def slope(kernel, r, h, dim):
+    """dW/dr, m^-(dim + 1). At r = 0 the one-sided slope (not 0 for the spiky kernel)."""
+    return profile(kernel, r / h, dim)[1] / h ** (dim + 1)
+
+
+@njit(cache=True, error_model="numpy")
+def laplace(kernel, r, h, dim):
+    """∇²W = W'' + (dim - 1)/r W', m^-(dim + 2), with its limit at r = 0."""
+    q = r / h
+    _, first, second = profile(kernel, q, dim)
+    if q > 0.0:
+        return (second + (dim - 1) * first / q) / h ** (dim + 2)
+    if first == 0.0:
+        return dim * second / h ** (dim + 2)
+    return math.copysign(math.inf, first)
+
+
+@njit(cache=True, error_model="numpy")
+def _evaluate(order, kernel, r, h, dim, out):
+    """Fill `out` with W (order 0), dW/dr (1) or ∇²W (2) at the distances r.
+
+    Returns the index of the first distance that is negative or not finite, or -1.
+    """
+    for k in range(r.shape[0]):
+        if not (0.0 <= r[k] < math.inf):
+            return k
+        if order == 0:
+            out[k] = weight(kernel, r[k], h, dim)
+        elif order == 1:
+            out[k] = slope(kernel, r[k], h, dim)
+        else:
+            out[k] = laplace(kernel, r[k], h, dim)
+    return -1
+
+
+def value(kernel: str, r, h: float, dim: int = 2):
+    """W(r, h), float64 in the shape of r, m^-dim.
+
+    kernel: one of `KERNELS`. r: distances >= 0, any shape, m. h: support radius, m. dim: 2 or 3.
+    Raises ValueError for an unknown kernel, h or dim, and for a distance that is negative or not finite.
+    """
+    return _radial(0, kernel, r, h, dim)
+
+
+def derivative(kernel: str, r, h: float, dim: int = 2):
+    """dW/dr, float64 in the shape of r, m^-(dim + 1). Arguments and errors as for `value`."""
+    return _radial(1, kernel, r, h, dim)
+
+
+def gradient(kernel: str, displacement, h: float, dim: int = 2) -> np.ndarray:
+    """∇W with respect to x, shape (…, dim), m^-(dim + 1). Errors as for `value`.
+
+    displacement: x - x_k, from the particle to where W is wanted, shape (…, dim), m. (Eq 3.9, 3.12)
+    """
+    dim = check_dim(dim)
+    displacement = as_floats("displacement", displacement)
+    if displacement.ndim == 0 or displacement.shape[-1] != dim:
+        raise ValueError(f"displacement: expected shape (..., {dim}), got {displacement.shape}")
+    if not np.isfinite(displacement).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(displacement))[0])
+        raise ValueError(f"displacement{list(where)}: expected a finite number, got {displacement[where]}")
+    # The largest component is taken out first: squares of the rest can neither overflow nor vanish.
+    scale = np.abs(displacement).max(axis=-1, keepdims=True)
+    direction = displacement / np.where(scale > 0, scale, 1.0)
+    length = np.sqrt((direction**2).sum(axis=-1, keepdims=True))
+    # A distance beyond the largest float lies outside every support.
+    distance = np.minimum(scale, np.finfo(np.float64).max / 2.0) * length
+    direction /= np.where(length > 0, length, 1.0)
+    return _radial(1, kernel, distance, h, dim) * direction + 0.0  # and no -0.0 at the centre
+
+
+def laplacian(kernel: str, r, h: float, dim: int = 2):
+    """∇²W = W'' + (dim - 1)/r W', float64 in the shape of r, m^-(dim + 2).
+
+    Arguments and errors as for `value`. (The thesis's Eq 3.10 has the wrong factor, Eq 3.13 is W'' alone.)
+    """
+    return _radial(2, kernel, r, h, dim)
+
+
+def _radial(order, kernel, r, h, dim):
+    number, h, dim = kernel_number(kernel), check_support_radius(h), check_dim(dim)
+    r = as_floats("r", r)
+    out = np.empty_like(r)
+    bad = _evaluate(order, number, r.reshape(-1), h, dim, out.reshape(-1))
+    if bad >= 0:
+        where = [int(i) for i in np.unravel_index(bad, r.shape)]
+        raise ValueError(f"r{where or ''}: expected a finite distance >= 0, got {r.reshape(-1)[bad]}")
+    if np.isnan(out).any():
+        raise stale_cache(kernel)
+    return out if out.ndim else float(out)
+
+
+_NUMBERS = {name: number for number, name in enumerate(KERNELS)}
+
+
+def kernel_number(kernel: str) -> int:
+    """The number by which Numba code knows a kernel. Raises ValueError for an unknown name."""
+    try:
+        return _NUMBERS[kernel]
+    except (KeyError, TypeError):
+        raise ValueError(f"kernel: expected one of {', '.join(KERNELS)}, got {kernel!r}") from None
+
+
+def check_support_radius(h) -> float:
+    """h as a float. Raises ValueError unless it is a number > 0 for which W and its Laplacian are finite."""
+    try:
+        number = math.nan if isinstance(h, str) else float(h)
+    except (TypeError, ValueError):
+        number = math.nan
+    if not _SMALLEST_H <= number <= _LARGEST_H:
+        raise ValueError(f"h: expected a finite number > 0 (from {_SMALLEST_H} to {_LARGEST_H}), got {h!r}")
+    return number
+
+
+def check_dim(dim) -> int:
+    """dim as an int. Raises ValueError unless it is 2 or 3."""
+    if isinstance(dim, (int, np.integer)) and dim in (2, 3):
+        return int(dim)
+    raise ValueError(f"dim: expected 2 or 3, got {dim!r}")
+
+
+def as_floats(name: str, array) -> np.ndarray:
+    """A C-contiguous float64 array, the same object if it is one already.
+
+    A read-only one is copied: Numba would take it for another type, and compile anew.
+    Raises ValueError unless it holds real numbers.
+    """
+    if type(array) is np.ndarray and array.dtype == np.float64 and array.flags.carray:
+        return array
+    try:
+        given = np.asarray(array)
+    except ValueError as error:
+        raise ValueError(f"{name}: expected an array of real numbers, got {error}") from None
+    if given.dtype.kind not in "fiub":
+        raise ValueError(f"{name}: expected an array of real numbers, got dtype {given.dtype}")
+    floats = np.asarray(given, dtype=np.float64, order="C")
+    return floats if floats.flags.carray else floats.copy()
+
+
+def stale_cache(kernel: str) -> RuntimeError:
+    """The error for compiled code that is older than the table of kernels."""
+    return RuntimeError(
+        f"kernel {kernel!r}: the cached machine code is older than the kernel; delete the __pycache__ folders"
+    )

@@ -1,0 +1,59 @@
+"""python scripts/figure_3_1_grid.py: the grid over a scene: its nodes, its cells and their size d."""
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import figures, plotting, sph
+from deep_contact.figures import Figure
+
+
+def compute(options, seed, jobs, progress):
+    """The thesis's scene and the nodes of a grid over its box."""
+    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+    grid = sph.Grid.over_box(scene.world.box, options["d"])
+    x, y = grid.nodes
+    return {"scene": plotting.state_data(scene), "d": options["d"], "x": x, "y": y}
+
+
+def table(data):
+    """Rows: the size of the grid."""
+    n_x, n_y = len(data["x"]), len(data["y"])
+    return [["d (m)", "nodes", "cells"], [data["d"], f"{n_x} x {n_y}", f"{n_x - 1} x {n_y - 1}"]]
+
+
+def draw(data, options):
+    """Left: the whole scene. Right: one circle with the nodes, a cell and its sides."""
+    from matplotlib.patches import Rectangle
+
+    figure, (whole, near) = plotting.subplots(1, 2, size=(8.6, 4.4))
+    scene, d = plotting.state_of(data["scene"]), data["d"]
+    x, y = np.array(data["x"]), np.array(data["y"])
+    middle = np.mean(np.reshape(data["scene"]["box"], (2, 2)), axis=0)
+    centre = scene.bodies.position[np.hypot(*(scene.bodies.position - middle).T).argmin()]
+    window = [*(centre - 4 * d - 0.5), *(centre + 4 * d + 0.5)]
+    for ax, nodes in ((whole, 0), (near, 4.0)):
+        circles = plotting.draw_state(ax, scene, colour_by=None)
+        circles.set_alpha(0.6)
+        plotting.draw_grid(ax, x, y, node_size=nodes)
+    whole.set_title(f"{len(x)} × {len(y)} nodes")
+    near.set_title("nodes, and a cell")
+    plotting.zoom_into(near, window, outline_in=whole)
+    a, b = x[np.searchsorted(x, window[0]) + 1], y[np.searchsorted(y, window[1]) + 1]
+    near.add_patch(Rectangle((a, b), d, d, facecolor=plotting.YELLOW, edgecolor=plotting.BLACK, zorder=3))
+    text = {"fontsize": 9, "zorder": 4, "bbox": {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none"}}
+    near.text(a + d / 2, b - 0.12 * d, "d$_x$ = d", ha="center", va="top", **text)
+    near.text(a - 0.12 * d, b + d / 2, "d$_y$ = d", ha="right", va="center", rotation=90, **text)
+    return figure
+
+
+FIGURE = Figure(
+    id="3.1",
+    title="The grid over a scene",
+    options={"n_bodies": 100, "size": 30.0, "d": 0.5},
+    compute=compute,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,85 @@
+"""python scripts/figure_3_2_sph.py: SPH at one point: its support radius and the weights of its neighbours."""
+
+import numpy as np
+
+from deep_contact import figures, plotting, sph
+from deep_contact.figures import Figure
+
+
+def compute(options, seed, jobs, progress):
+    """Particles at random around a point, their distances and weights W(r, h)."""
+    rng = np.random.default_rng(seed)
+    half = options["size"] / 2
+    position = rng.uniform(-half, half, (options["particles"], 2))
+    distance = np.hypot(*position.T)
+    r = np.linspace(0.0, half, options["points"])
+    return {
+        "h": options["h"],
+        "position": position,
+        "distance": distance,
+        "weight": sph.value(options["kernel"], distance, options["h"]),
+        "curve": {"r": r, "weight": sph.value(options["kernel"], r, options["h"])},
+    }
+
+
+def table(data):
+    """Rows: how many particles count, and for how much."""
+    weight = np.array(data["weight"])
+    total = float(weight.sum())
+    return [
+        ["particles", "within h", "sum of weights (1/m²)", "largest share"],
+        [weight.size, int((weight > 0).sum()), total, float(weight.max()) / total if total else None],
+    ]
+
+
+def draw(data, options):
+    """Left: the particles around the point. Right: their weights over their distances."""
+    from matplotlib.patches import Circle
+
+    figure, (ax, curve) = plotting.subplots(1, 2, size=(8.4, 3.9), width_ratios=(1, 1.1))
+    position, distance, weight = (np.array(data[name]) for name in ("position", "distance", "weight"))
+    near, h, half = weight > 0, data["h"], options["size"] / 2
+    inside = {
+        "c": weight[near],
+        "s": 36,
+        "edgecolor": "#333333",
+        "linewidth": 0.5,
+        "zorder": 3,
+        "vmin": 0,
+        "vmax": max(data["curve"]["weight"]),
+    }
+    outside = {"color": "#AAAAAA", "s": 22, "zorder": 2}
+
+    plotting.scene_axes(ax, (-half, -half, half, half), walls=False)
+    ax.add_patch(Circle((0, 0), h, facecolor="#EAF4FB", edgecolor=plotting.BLUE, linewidth=1.2))
+    for (x, y), share in zip(position[near], weight[near] / weight.max(initial=1e-300)):
+        ax.plot([0, x], [0, y], color=plotting.BLUE, linewidth=0.3 + 2.7 * share, zorder=1.5)
+    ax.scatter(*position[~near].T, **outside)
+    ax.scatter(*position[near].T, **inside)
+    ax.plot(0, 0, "P", color=plotting.VERMILION, markersize=9, markeredgecolor="white", zorder=4)
+    box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none"}
+    place = {"textcoords": "offset points", "ha": "center", "va": "top", "bbox": box, "zorder": 5}
+    ax.annotate(f"h = {h:g} m", (0, -h), (0, -4), fontsize=8, color=plotting.BLUE, **place)
+
+    line = data["curve"]
+    curve.plot(line["r"], line["weight"], color=plotting.BLACK, label=f"{options['kernel']}, 2-D", zorder=1.5)
+    curve.scatter(distance[near], weight[near], label="particles within h", **inside)
+    curve.scatter(distance[~near], weight[~near], label="particles outside: no weight", **outside)
+    curve.axvline(h, color=plotting.BLUE, linewidth=1.0, linestyle="--")
+    plotting.label_axes(curve, "distance r", "weight W(r, h)", x_unit="m", y_unit="m$^{-2}$")
+    curve.legend()
+    return figure
+
+
+FIGURE = Figure(
+    id="3.2",
+    title="A point, its support radius and the weights of its neighbours",
+    options={"h": 1.0, "kernel": "poly6", "particles": 60, "size": 3.4, "points": 171},
+    compute=compute,
+    draw=draw,
+    table=table,
+    seed=3,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

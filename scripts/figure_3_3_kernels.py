@@ -1,0 +1,97 @@
+"""python scripts/figure_3_3_kernels.py: the smoothing kernels W(r), with the thesis's constants and in 2-D."""
+
+import numpy as np
+from scipy.integrate import quad
+
+from deep_contact import figures, plotting, sph
+from deep_contact.figures import Claim, Figure
+
+SHELLS = {"the plane": lambda r: 2 * np.pi * r, "space": lambda r: 4 * np.pi * r**2}
+DIMENSIONS = {"3": "in space, the constants of Eq 3.8 and 3.11", "2": "on the plane, as the simulation is"}
+
+
+def compute(options, seed, jobs, progress):
+    """W at distances up to 1.1 h, and its integrals over space and over the plane by quadrature."""
+    h, r = options["h"], np.linspace(0.0, 1.1 * options["h"], options["points"])
+    curves = {
+        kernel: {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS} for kernel in options["kernels"]
+    }
+    integrals = {
+        kernel: {
+            f"{dim}-D constant over {place}": integral(kernel, h, int(dim), shell)
+            for dim in DIMENSIONS
+            for place, shell in SHELLS.items()
+        }
+        for kernel in options["kernels"]
+    }
+    return {"h": h, "r": r, "curves": curves, "integrals": integrals}
+
+
+def integral(kernel, h, dim, shell):
+    """∫ W(r) dV from 0 to h, with shells of the given size at the distance r."""
+    return quad(lambda r: shell(r) * sph.value(kernel, r, h, dim=dim), 0, h)[0]
+
+
+def claims(data):
+    """Eq 3.2: the integral of a kernel is one. The thesis uses the constants of space on the plane."""
+    right = {
+        f"{kernel}, {name}": value
+        for kernel, found in data["integrals"].items()
+        for name, value in found.items()
+        if name in ("2-D constant over the plane", "3-D constant over space")
+    }
+    thesis = {kernel: found["3-D constant over the plane"] for kernel, found in data["integrals"].items()}
+    least = {kernel: min(min(w) for w in found.values()) for kernel, found in data["curves"].items()}
+    own = "each kernel integrates to one in the dimension of its constant"
+    plane = "the kernels of Eq 3.8 and 3.11 integrate to one on the plane of the simulation"
+    return [
+        Claim(own, "L431", all_one(right), right),
+        Claim(plane, "L431, L472, L491", all_one(thesis), thesis),
+        Claim("no kernel is negative anywhere", "L443", min(least.values()) >= 0, least),
+    ]
+
+
+def all_one(integrals):
+    """Whether all are one, to a tolerance well above the error of the quadrature."""
+    return all(abs(value - 1) < 1e-6 for value in integrals.values())
+
+
+def table(data):
+    """Rows: the height of each kernel, and its integrals."""
+    names = list(next(iter(data["integrals"].values())))
+    rows = [["kernel", "W(0), 3-D", "W(0), 2-D", *names]]
+    for kernel, found in data["integrals"].items():
+        heights = [data["curves"][kernel][dim][0] for dim in DIMENSIONS]
+        rows.append([kernel, *heights, *(found[name] for name in names)])
+    return rows
+
+
+def draw(data, options):
+    """One panel for each dimension."""
+    figure, panels = plotting.subplots(1, 2, size=(8.4, 3.6), sharey=True)
+    styles = plotting.styles_of(data["curves"])
+    for ax, (dim, text) in zip(panels, DIMENSIONS.items()):
+        for kernel, curves in data["curves"].items():
+            ax.plot(data["r"], curves[dim], **styles[kernel])
+        unit = f"m$^{{-{dim}}}$"
+        plotting.label_axes(ax, "distance r", "W(r)", x_unit="m", y_unit=unit, title=f"{dim}-D: {text}")
+        ax.axvline(data["h"], color=plotting.BLACK, linewidth=0.8)
+        place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": "right"}
+        ax.annotate(f"h = {data['h']:g} m", (data["h"], 0.55), (-4, 0), fontsize=8, **place)
+        ax.yaxis.set_tick_params(labelleft=True)
+        ax.legend(loc="upper right", bbox_to_anchor=(0.88, 1.0))
+    return figure
+
+
+FIGURE = Figure(
+    id="3.3",
+    title="Smoothing kernels",
+    options={"h": 1.0, "points": 221, "kernels": ["poly6", "spiky"]},
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,89 @@
+"""python scripts/figure_3_4_kernel_gradients.py: the kernels' gradients along a line through the centre."""
+
+import numpy as np
+
+from deep_contact import figures, plotting, sph
+from deep_contact.figures import Claim, Figure
+
+DIMENSIONS = {"3": "in space, the constants of Eq 3.9 and 3.12", "2": "on the plane"}
+CENTRE = 1e-9
+"""How near to the centre its gradient is taken, in support radii."""
+
+
+def compute(options, seed, jobs, progress):
+    """dW/dx on the x axis, the largest size of the gradient, and its size at the centre."""
+    h = options["h"]
+    x = np.linspace(-1.1 * h, 1.1 * h, 2 * options["points"])  # even: the centre itself has no direction
+    curves, sizes = {}, {}
+    for kernel in options["kernels"]:
+        curves[kernel] = {dim: along_x(kernel, x, h, dim) for dim in DIMENSIONS}
+        sizes[kernel] = {
+            dim: {
+                "at the centre": float(abs(along_x(kernel, np.array([CENTRE * h]), h, dim)[0])),
+                "largest": float(np.abs(along_x(kernel, np.linspace(CENTRE * h, h, 2001), h, dim)).max()),
+            }
+            for dim in DIMENSIONS
+        }
+    return {"h": h, "x": x, "curves": curves, "sizes": sizes}
+
+
+def along_x(kernel, x, h, dim):
+    """dW/dx at (x, 0) or (x, 0, 0)."""
+    displacement = np.zeros((x.size, int(dim)))
+    displacement[:, 0] = x
+    return sph.gradient(kernel, displacement, h, dim=int(dim))[:, 0]
+
+
+def claims(data):
+    """L484: poly6's gradient approaches zero to the centre; the spiky kernel is proposed to solve this."""
+    share = {
+        kernel: {f"{dim}-D, centre / largest": size["at the centre"] / size["largest"] for dim, size in found.items()}
+        for kernel, found in data["sizes"].items()
+    }
+    found = []
+    if "poly6" in share:
+        vanishes = max(share["poly6"].values()) < 1e-6
+        found.append(Claim("poly6's gradient vanishes at the centre", "L484", vanishes, share["poly6"]))
+    if "spiky" in share:
+        largest = min(share["spiky"].values()) > 1 - 1e-6
+        text = "spiky's gradient does not vanish at the centre: it is largest there"
+        found.append(Claim(text, "L484", largest, share["spiky"]))
+    return found
+
+
+def table(data):
+    """Rows: sizes of the gradients."""
+    rows = [["kernel", "dimension", "|∇W| at the centre", "largest |∇W|"]]
+    for kernel, size in data["sizes"].items():
+        rows += [[kernel, dim, found["at the centre"], found["largest"]] for dim, found in size.items()]
+    return rows
+
+
+def draw(data, options):
+    """One panel for each dimension; the jump of the spiky kernel's gradient is left open."""
+    figure, panels = plotting.subplots(1, 2, size=(8.4, 3.6), sharey=True)
+    styles = plotting.styles_of(data["curves"])
+    half = len(data["x"]) // 2
+    for ax, (dim, text) in zip(panels, DIMENSIONS.items()):
+        for kernel, curves in data["curves"].items():
+            ax.plot(data["x"][:half], curves[dim][:half], **styles[kernel])
+            ax.plot(data["x"][half:], curves[dim][half:], **{**styles[kernel], "label": None})
+        unit = f"m$^{{-{int(dim) + 1}}}$"
+        plotting.label_axes(ax, "x", "∂W/∂x", x_unit="m", y_unit=unit, title=f"{dim}-D: {text}")
+        ax.yaxis.set_tick_params(labelleft=True)
+        ax.legend()
+    return figure
+
+
+FIGURE = Figure(
+    id="3.4",
+    title="Gradients of the smoothing kernels",
+    options={"h": 1.0, "points": 220, "kernels": ["poly6", "spiky"]},
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,109 @@
+"""python scripts/figure_3_5_bilinear.py: bilinear interpolation between four nodes, worked through."""
+
+import numpy as np
+
+from deep_contact import figures, plotting, sph
+from deep_contact.figures import Claim, Figure
+
+
+def compute(options, seed, jobs, progress):
+    """The value at the query by `sph.gather`, by two 1-D interpolations, by Eq 3.16 and by Algorithm 4."""
+    (x_1, x_2), (y_1, y_2), (x, y) = options["x"], options["y"], options["query"]
+    image = np.array(options["values"]).reshape(2, 2)  # row: y, column: x
+    grid = sph.Grid(origin=(x_1, y_1), spacing=(x_2 - x_1, y_2 - y_1), shape=(2, 2))
+    along_x = [float(np.interp(x, (x_1, x_2), row)) for row in image]  # Eq 3.14a, b
+    # Eq 3.16 has f(Q11), f(Q12) in its first row: x down, y across, the transpose of an image.
+    left, right = np.array([x_2 - x, x - x_1]), np.array([y_2 - y, y - y_1])
+    area = (x_2 - x_1) * (y_2 - y_1)
+    shades = np.linspace(0.0, 1.0, options["points"])
+    mesh = np.stack(np.meshgrid(x_1 + shades * (x_2 - x_1), y_1 + shades * (y_2 - y_1)), axis=-1)
+    surface = sph.gather(grid, image, mesh.reshape(-1, 2)).reshape(mesh.shape[:2])
+    return {
+        "x": [x_1, x_2],
+        "y": [y_1, y_2],
+        "query": [x, y],
+        "nodes": image,
+        "along x": along_x,
+        "values": {
+            "gather": float(sph.gather(grid, image, np.array([[x, y]]))[0]),
+            "two 1-D interpolations": float(np.interp(y, (y_1, y_2), along_x)),
+            "Eq 3.16": float(left @ image.T @ right / area),
+            "Algorithm 4": float(left @ image @ right / area),
+        },
+        "surface": surface,
+    }
+
+
+def claims(data):
+    """Eq 3.16 is right; Algorithm 4, which is to compute it, has its matrix transposed."""
+    values = data["values"]
+    exact = values["two 1-D interpolations"]
+    size = np.abs(data["nodes"]).max()
+
+    def claim(text, line, *names):
+        # Rounding is a few times 1e-16 of the nodes' values.
+        holds = all(abs(values[name] - exact) < 1e-12 * size for name in names)
+        return Claim(text, line, holds, {name: values[name] for name in (*names, "two 1-D interpolations")})
+
+    equal = "Eq 3.16's matrix form equals two 1-D interpolations, and so does our gather"
+    return [
+        claim(equal, "L604-613", "Eq 3.16", "gather"),
+        claim("Algorithm 4's matrix gives the same as Eq 3.16", "L629", "Algorithm 4"),
+    ]
+
+
+def table(data):
+    """Rows: the value at the query, each way."""
+    return [["value at the query, by", "f(x, y)"], *([name, value] for name, value in data["values"].items())]
+
+
+def draw(data, options):
+    """The cell in the colours of its interpolated values; the way of Eq 3.14 and 3.15 over it."""
+    figure, ax = plotting.subplots(size=(5.6, 4.6))
+    (x_1, x_2), (y_1, y_2), (x, y) = data["x"], data["y"], data["query"]
+    ax.grid(False)
+    ax.set_aspect("equal")
+    n = len(data["surface"])
+    mesh = np.linspace(x_1, x_2, n), np.linspace(y_1, y_2, n)
+    shades = ax.pcolormesh(*mesh, data["surface"], shading="gouraud")
+    figure.colorbar(shades, ax=ax, label="interpolated f", shrink=0.85)
+    ax.plot([x_1, x_2], [y_1, y_1], [x_1, x_2], [y_2, y_2], color=plotting.BLACK, linewidth=1)
+    ax.plot([x, x], [y_1, y_2], color=plotting.BLACK, linewidth=1, linestyle="--")
+    corners = [(x_1, y_1, "Q$_{11}$"), (x_2, y_1, "Q$_{21}$"), (x_1, y_2, "Q$_{12}$"), (x_2, y_2, "Q$_{22}$")]
+    for (a, b, name), value in zip(corners, np.ravel(data["nodes"])):
+        mark(ax, a, b, plotting.VERMILION, f"{name}: f = {value:g}", b == y_1, "center")
+    for b, name, value in zip((y_1, y_2), ("f(x, y$_1$)", "f(x, y$_2$)"), data["along x"]):
+        mark(ax, x, b, plotting.BLUE, f"{name} = {value:.4g}", b == y_1, "center")
+    mark(ax, x, y, plotting.GREEN, f"f(x, y) = {data['values']['gather']:.4g}", True, "left")
+    ax.set_xlim(x_1 - 0.14 * (x_2 - x_1), x_2 + 0.14 * (x_2 - x_1))
+    ax.set_ylim(y_1 - 0.14 * (y_2 - y_1), y_2 + 0.14 * (y_2 - y_1))
+    plotting.label_axes(ax, "x", "y", x_unit="m", y_unit="m")
+    return figure
+
+
+def mark(ax, x, y, colour, text, below, side):
+    """A dot with its value beside it."""
+    ax.plot(x, y, "o", markersize=9, color=colour, markeredgecolor="white", zorder=3, clip_on=False)
+    offset = (9 if side == "left" else 0, -17 if below else 10)
+    box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none", "alpha": 0.8}
+    ax.annotate(text, (x, y), offset, textcoords="offset points", ha=side, fontsize=8.5, bbox=box)
+
+
+FIGURE = Figure(
+    id="3.5",
+    title="Bilinear interpolation between four nodes",
+    options={
+        "x": [1.0, 1.5],
+        "y": [2.0, 2.5],
+        "values": [2.0, 5.0, 3.5, 12.0],  # f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition
+        "query": [1.2, 2.35],
+        "points": 41,
+    },
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,121 @@
+"""python scripts/figure_5_3_grid_and_kernels.py: grid nodes and the kernels' circles over a scene."""
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import figures, plotting, sph
+from deep_contact.figures import Claim, Figure
+
+SMALLEST = 0.5**0.5
+"""The thesis's lower bound for h / d, L1102."""
+
+
+def compute(options, seed, jobs, progress):
+    """The pile after some steps, and how many nodes each contact reaches for several h / d and several d."""
+    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+    state = dc.simulate(scene, steps=options["steps"]).state
+    if not state.contacts.count:
+        raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
+    box, d = state.world.box, options["d"]
+    contacts = state.contacts.position
+    ratios = sorted({*options["h_over_d"], SMALLEST, 1.0})
+    reached = {f"{ratio:.4g}": nodes_reached(box, contacts, d, ratio * d) for ratio in ratios}
+    shared = {f"{size:.4g}": contacts_in_one_cell(box, contacts, size) for size in sorted({*options["cells"], 1.0, d})}
+    x, y = sph.Grid.over_box(box, d).nodes
+    return {
+        "scene": plotting.state_data(state),
+        "d": d,
+        "h": options["h"],
+        "x": x,
+        "y": y,
+        "nodes reached, by h / d": reached,
+        "contacts in one cell, by d": shared,
+    }
+
+
+def nodes_reached(box, contacts, d, h):
+    """How many nodes each contact has weight on."""
+    grid = sph.Grid.over_box(box, d)
+    options = {"h": h, "unreached": "zero", "outside": "clamp"}
+    return [int((sph.splat(grid, point[None], np.ones(1), **options) > 0).sum()) for point in contacts]
+
+
+def contacts_in_one_cell(box, contacts, d):
+    """The largest number of contact points in one cell, and how many cells hold more than one."""
+    cells = np.floor((contacts - box[:2]) / d).astype(int)
+    _, count = np.unique(cells, axis=0, return_counts=True)
+    return {"most": int(count.max(initial=0)), "cells with several": int((count > 1).sum())}
+
+
+def claims(data):
+    """The rules by which the thesis chooses d and h."""
+    reached = {float(ratio): np.array(nodes) for ratio, nodes in data["nodes reached, by h / d"].items()}
+    missed = {f"share that misses, h = {r:g} d": float((nodes == 0).mean()) for r, nodes in reached.items()}
+    bound = min(reached, key=lambda ratio: abs(ratio - SMALLEST))
+    lost = {name: share for name, share in missed.items() if name.endswith(f"= {bound:g} d")}
+    cells = data["contacts in one cell, by d"]
+    fine = {f"cells with several, d = {d} m": found["cells with several"] for d, found in cells.items()}
+    coarse = any(found["cells with several"] for d, found in cells.items() if float(d) <= 1)
+    most = {"most nodes reached, h = d": int(reached[1.0].max())}
+    return [
+        Claim("with d <= r = 1 m no two contact points lie in one cell", "L1090-1092", not coarse, fine),
+        Claim("with h <= d a contact reaches four nodes at most", "L1094-1097", max(most.values()) <= 4, most),
+        Claim("with h >= 0.71 d every contact reaches a node", "L1099-1102", not any(lost.values()), missed),
+    ]
+
+
+def table(data):
+    """Rows: what each support radius reaches."""
+    rows = [["h / d", "contacts", "reach no node", "nodes, mean", "nodes, most"]]
+    for ratio, nodes in data["nodes reached, by h / d"].items():
+        rows.append([ratio, len(nodes), int(np.sum(np.equal(nodes, 0))), float(np.mean(nodes)), max(nodes)])
+    return rows
+
+
+def draw(data, options):
+    """Left: the pile with its contacts' kernels. Right: a part of it with the nodes."""
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Circle
+
+    figure, (whole, near) = plotting.subplots(1, 2, size=(8.6, 4.4))
+    state, h = plotting.state_of(data["scene"]), data["h"]
+    x, y = np.array(data["x"]), np.array(data["y"])
+    points = state.contacts.position
+    centre = points[np.hypot(*(points - np.median(points, axis=0)).T).argmin()]
+    window = [*(centre - 2.5), *(centre + 2.5)]
+    for ax, nodes in ((whole, 1.0), (near, 4.0)):
+        plotting.draw_state(ax, state, colour_by=None, contacts=False).set_alpha(0.5)
+        plotting.draw_grid(ax, x, y, lines=ax is near, node_size=nodes)
+        kernels = PatchCollection([Circle(point, h) for point in points], zorder=2.5)
+        kernels.set(facecolor="none", edgecolor=plotting.BLUE, linewidth=0.8 if ax is whole else 1.4)
+        ax.add_collection(kernels)
+    near.plot(*points.T, "x", color=plotting.BLACK, markersize=5, zorder=3, label="contact points")
+    near.plot([], [], "o", color=plotting.VERMILION, markersize=4, label="grid nodes")
+    near.plot([], [], "o", color=plotting.BLUE, markerfacecolor="none", markersize=9, label="support radius h")
+    near.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=3, columnspacing=1.0)
+    whole.set_title(f"{len(points)} contacts, {len(x)} × {len(y)} nodes")
+    near.set_title(f"d = {data['d']:g} m, h = {h:g} m")
+    plotting.zoom_into(near, window, outline_in=whole)
+    return figure
+
+
+FIGURE = Figure(
+    id="5.3",
+    title="Grid nodes and kernels over a scene",
+    options={
+        "n_bodies": 100,
+        "size": 30.0,
+        "steps": 200,
+        "d": 0.5,
+        "h": 0.5,
+        "h_over_d": [0.4, 0.71, 1.0, 2.0],
+        "cells": [0.25, 0.5, 0.7, 1.0],
+    },
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

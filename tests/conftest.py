@@ -1,0 +1,43 @@
+"""Scenes and states that many tests share."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+
+
+@pytest.fixture(scope="session")
+def falling_states():
+    """Every 20th solved state of the thesis's scene, from the first contacts through the impact to the settled pile."""
+    return solved_states(dc.circles_in_box(60, seed=3), steps=400, every=20)
+
+
+@pytest.fixture(scope="session")
+def frictionless_states():
+    """The same without friction."""
+    return solved_states(dc.circles_in_box(60, friction=0.0, seed=4), steps=400, every=40)
+
+
+def solved_states(scene, *, steps, every=1, solver=None, **options):
+    """Solved states of a run, one in `every`, those without contacts left out."""
+    states = []
+
+    def keep(state, record):
+        if state.step % every == 0 and state.contacts.count:
+            states.append(state)
+
+    dc.simulate(scene, steps=steps, solver=solver or dc.PGS(sweeps=500), on_step=keep, **options)
+    return states
+
+
+def momentum(bodies):
+    """Total linear momentum, (2,), kg·m/s."""
+    return bodies.mass @ bodies.velocity
+
+
+def kinetic_energy(bodies):
+    """Total kinetic energy, J."""
+    linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
+    return 0.5 * (linear + bodies.inertia @ bodies.spin**2)

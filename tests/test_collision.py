@@ -1,0 +1,98 @@
+"""Broad and narrow phase against brute force over all pairs."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import deep_contact as dc
+from deep_contact.constants import WALL_SKIN
+from deep_contact.physics.collision import carry_impulses, make_contacts
+from deep_contact.physics.engine import contacts_of
+from deep_contact.state import World, make_bodies
+
+
+def state_of(position, radius, box=(0, 0, 30, 30)):
+    return dc.State(name="test", world=World(box=box), bodies=make_bodies(position, radius=radius))
+
+
+def brute_force_pairs(state):
+    position, radius, n = state.bodies.position, state.bodies.radius, state.bodies.count
+    x_min, y_min, x_max, y_max = state.world.box
+    pairs = []
+    for a in range(n):
+        for b in range(a + 1, n):
+            if ((position[b] - position[a]) ** 2).sum() <= (radius[a] + radius[b]) ** 2:
+                pairs.append((a, b))
+        gaps = (position[a, 1] - y_min, x_max - position[a, 0], y_max - position[a, 1], position[a, 0] - x_min)
+        pairs += [(a, n + wall) for wall, gap in enumerate(gaps) if gap <= radius[a] + WALL_SKIN]
+    return pairs
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    n=st.integers(1, 60),
+    spread=st.sampled_from([0.5, 3.0, 12.0]),
+    ratio=st.sampled_from([1.0, 3.0, 100.0]),
+)
+def test_pairs_equal_brute_force(seed, n, spread, ratio):
+    rng = np.random.default_rng(seed)
+    state = state_of(rng.normal(15, spread, (n, 2)), np.exp(rng.uniform(np.log(1 / ratio), 0, n)))
+    contacts = contacts_of(state)
+    assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
+
+
+def test_room_grows_when_everything_overlaps():
+    n = 80  # 3160 pairs, where the room is made for 4 n
+    contacts = contacts_of(state_of(np.full((n, 2), 15.0) + np.arange(n)[:, None] * 1e-3, 1.0))
+    assert contacts.count == n * (n - 1) // 2
+
+
+def test_far_outlier_does_not_cost_a_cell_a_metre():
+    state = state_of([[0.0, 0.0], [1.5, 0.0], [1e9, 1e9]], 1.0, box=(-10, -10, 2e9, 2e9))
+    contacts = contacts_of(state)
+    assert list(zip(contacts.body_a, contacts.body_b)) == [(0, 1)]
+
+
+def test_geometry_of_a_pair():
+    contacts = contacts_of(state_of([[10.0, 10.0], [11.2, 11.6]], [1.0, 1.1]))
+    # Centres 2 apart along (0.6, 0.8), radii 1 and 1.1: overlap 0.1, whose middle is 0.95 from the first centre.
+    np.testing.assert_allclose(contacts.normal, [[0.6, 0.8]], atol=1e-14)
+    np.testing.assert_allclose(contacts.separation, [-0.1], atol=1e-14)
+    np.testing.assert_allclose(contacts.position, [[10 + 0.95 * 0.6, 10 + 0.95 * 0.8]], atol=1e-14)
+
+
+def test_walls_in_a_corner_are_two_contacts():
+    contacts = contacts_of(state_of([[0.995, 1.0]], 1.0))
+    assert list(contacts.body_b) == [1, 4]  # n + bottom, n + left
+    np.testing.assert_allclose(contacts.normal, [[0, -1], [-1, 0]])
+    np.testing.assert_allclose(contacts.separation, [-WALL_SKIN, -0.005 - WALL_SKIN], atol=1e-15)
+
+
+def test_coinciding_centres_have_a_normal():
+    contacts = contacts_of(state_of([[5.0, 5.0], [5.0, 5.0]], 1.0))
+    np.testing.assert_array_equal(contacts.normal, [[1.0, 0.0]])
+
+
+def test_impulses_are_carried_by_pair():
+    def some(pairs):
+        contacts = make_contacts(len(pairs))
+        contacts.body_a[:], contacts.body_b[:] = np.array(pairs).T
+        return contacts
+
+    old, new = some([(0, 1), (0, 7), (2, 3), (4, 5)]), some([(0, 2), (0, 7), (1, 3), (2, 3), (6, 8)])
+    old.normal_impulse[:] = [1, 2, 3, 4]
+    old.tangent_impulse[:] = [-1, -2, -3, -4]
+    carry_impulses(old, new)
+    np.testing.assert_array_equal(new.normal_start, [0, 2, 0, 3, 0])
+    np.testing.assert_array_equal(new.tangent_start, [0, -2, 0, -3, 0])
+
+
+@pytest.mark.parametrize("field", ["position", "radius"])
+def test_bodies_refuse_nan(field):
+    arguments = {"position": [[1.0, 1.0], [4.0, 4.0]], "radius": [1.0, 1.0]}
+    arguments[field] = np.array(arguments[field])
+    arguments[field][1] = np.nan
+    with pytest.raises(ValueError, match=rf"bodies\.{field}\[1\]: expected a finite number, got .*nan"):
+        make_bodies(arguments["position"], radius=arguments["radius"])

@@ -1,0 +1,172 @@
+"""The contact solver against analytic solutions, invariants, non-negative least squares, and Algorithm 1 on A and b."""
+
+import numpy as np
+import pytest
+from conftest import kinetic_energy, momentum, solved_states
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import optimize
+
+import deep_contact as dc
+from deep_contact.physics.convergence import mean_theta
+from deep_contact.physics.lcp import contact_problem, projected_gauss_seidel
+from deep_contact.physics.scenes import single_body
+
+EXACT = dc.PGS(sweeps=20_000, tolerance=1e-13)
+
+
+def test_resting_circle_carries_its_weight():
+    state = dc.simulate(single_body(), steps=50, solver=EXACT).state
+    solution = dc.solve_contacts(state, solver=EXACT)
+    np.testing.assert_allclose(solution.normal_impulses, np.pi * 9.81 * 0.01, rtol=1e-12)
+    np.testing.assert_allclose(solution.velocities, 0, atol=1e-12)
+
+
+def test_column_carries_k_weights_at_level_k():
+    n = 10
+    state = dc.simulate(dc.column(n), steps=5, solver=EXACT).state
+    solution = dc.solve_contacts(state, solver=EXACT)
+    weight = np.pi * 9.81 * 0.01
+    # Contacts by (a, b): 0-1, 0-floor, 1-2, ... so level k (k circles above) is contact (n - k - 1, n - k).
+    below = {a: p for a, b, p in zip(state.contacts.body_a, state.contacts.body_b, solution.normal_impulses) if b < n}
+    np.testing.assert_allclose([below[n - 1 - k] for k in range(1, n)], weight * np.arange(1, n), rtol=1e-9)
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_head_on_pair_ends_as_newton_says(restitution):
+    scene = dc.two_bodies(speed=4.0, radius=(1.0, 0.5), restitution=restitution)
+    m_a, m_b = scene.bodies.mass
+    v_a, v_b = 2.0, -2.0
+    impulse = (1 + restitution) * (v_a - v_b) / (1 / m_a + 1 / m_b)
+    solution = dc.solve_contacts(scene, solver=EXACT, start=None)
+    np.testing.assert_allclose(solution.normal_impulses, impulse, rtol=1e-12)
+    np.testing.assert_allclose(solution.velocities, [[v_a - impulse / m_a, 0], [v_b + impulse / m_b, 0]], atol=1e-12)
+    np.testing.assert_allclose(solution.angular_velocities, 0, atol=1e-14)
+
+
+def test_slow_approach_does_not_bounce():
+    solution = dc.solve_contacts(dc.two_bodies(speed=0.9, restitution=1.0), solver=EXACT)
+    np.testing.assert_allclose(solution.velocities, 0, atol=1e-12)
+
+
+def test_sliding_circle_is_braked_by_coulomb():
+    # One step of sliding on the floor: λ_n = m g Δt, λ_t = μ λ_n against the motion; it spins up by λ_t r / I.
+    scene = single_body(friction=0.3)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.array([[5.0, 0.0]])))
+    solution = dc.solve_contacts(scene, solver=EXACT)
+    m, dt, g = np.pi, 0.01, 9.81
+    np.testing.assert_allclose(solution.velocities[0, 0], 5 - 0.3 * g * dt, rtol=1e-12)
+    np.testing.assert_allclose(solution.angular_velocities[0], -0.3 * m * g * dt * 1.0 / (0.5 * m), rtol=1e-12)
+
+
+def test_frictionless_velocities_equal_nnls(frictionless_states):
+    # Without friction: min over λ >= 0 of ½ |B λ + M^½ v|², B = M^-½ Jᵀ.
+    for state in frictionless_states:
+        problem = contact_problem(state, friction=False)
+        root = np.sqrt(problem.inverse_mass)
+        B = root[:, None] * problem.jacobian.T.toarray()
+        expected, _ = optimize.nnls(B, -problem.free_velocity / root, maxiter=100_000)
+        velocity = problem.velocities(expected).reshape(-1, 3)
+        solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=200_000, tolerance=1e-14), start="copy")
+        np.testing.assert_allclose(solution.velocities, velocity[:, :2], atol=1e-9)
+        np.testing.assert_allclose(solution.angular_velocities, velocity[:, 2], atol=1e-9)
+
+
+def test_sweeps_equal_algorithm_1_on_matrices(falling_states):
+    # The same 30 sweeps, once through velocities, once through A: equal to rounding, θ included.
+    for state in falling_states[::4]:
+        problem = contact_problem(state)
+        start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
+        expected, record = projected_gauss_seidel(
+            problem.A, problem.b, start, sweeps=30, friction=state.world.friction
+        )
+        solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=30, tolerance=None))
+        scale = np.abs(expected).max()
+        np.testing.assert_allclose(solution.normal_impulses, expected[::2], atol=1e-11 * scale)
+        np.testing.assert_allclose(solution.tangent_impulses, expected[1::2], atol=1e-11 * scale)
+        np.testing.assert_allclose(solution.record.theta, record.theta, atol=1e-11 * scale)
+
+
+def test_algorithm_1_solves_a_linear_complementarity_problem():
+    A, b = np.array([[2.0, 1.0], [1.0, 2.0]]), np.array([-1.0, 1.0])
+    impulse, record = projected_gauss_seidel(A, b, np.zeros(2), tolerance=1e-15)
+    # By hand: λ_2 = 0 since A_21 λ_1 + b_2 = 1.5 > 0, then 2 λ_1 = 1.
+    np.testing.assert_allclose(impulse, [0.5, 0.0], atol=1e-14)
+    assert record.status == "converged"
+
+
+def test_solution_is_complementary_and_in_the_cone(falling_states):
+    solver = dc.PGS(sweeps=100_000, tolerance=1e-12)
+    for state in falling_states[::3]:
+        solution = dc.solve_contacts(state, solver=solver, start="copy")
+        problem = contact_problem(state)
+        impulse = np.column_stack([solution.normal_impulses, solution.tangent_impulses])
+        after = (problem.A @ impulse.ravel() + problem.b).reshape(-1, 2)
+        scale = impulse.max()
+        assert (impulse[:, 0] >= 0).all()
+        assert (np.abs(impulse[:, 1]) <= state.world.friction * impulse[:, 0] * (1 + 1e-9) + 1e-9).all()
+        assert after[:, 0].min() > -1e-8  # no approach is left
+        assert np.abs(impulse[:, 0] * after[:, 0]).max() < 1e-8 * scale  # what separates carries nothing
+        # A contact that slips is at the edge of the cone, and friction is against the slip.
+        slips = np.abs(after[:, 1]) > 1e-6
+        edge = state.world.friction * impulse[slips, 0]
+        np.testing.assert_allclose(impulse[slips, 1], -np.sign(after[slips, 1]) * edge, atol=1e-8 * scale)
+
+
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), friction=st.sampled_from([0.0, 0.3, 1.0]), restitution=st.sampled_from([0, 0.5]))
+def test_collisions_keep_momentum_and_make_no_energy(seed, friction, restitution):
+    scene = dc.drifting_circles(
+        25, size=14.0, radius=(0.4, 1.2), speed=3.0, friction=friction, restitution=restitution, seed=seed
+    )
+    solver = dc.PGS(sweeps=5000, tolerance=1e-12)
+    for state in solved_states(scene, steps=25, solver=solver):
+        if (state.contacts.body_b >= state.bodies.count).any():
+            continue  # walls take momentum up
+        solution = dc.solve_contacts(state, solver=solver)
+        after = state.bodies._replace(velocity=solution.velocities, spin=solution.angular_velocities)
+        before = state.bodies
+        np.testing.assert_allclose(momentum(after), momentum(before), atol=1e-10)
+        angular = [
+            b.inertia @ b.spin + b.mass @ (b.position[:, 0] * b.velocity[:, 1] - b.position[:, 1] * b.velocity[:, 0])
+            for b in (before, after)
+        ]
+        np.testing.assert_allclose(angular[1], angular[0], atol=1e-9)
+        assert kinetic_energy(after) <= kinetic_energy(before) * (1 + 1e-10)
+
+
+def test_record_stops_for_a_reason(falling_states):
+    state = falling_states[-1]
+    assert dc.solve_contacts(state, solver=dc.PGS(sweeps=3, tolerance=None)).record.status == "max_sweeps"
+    record = dc.solve_contacts(state, solver=dc.PGS(sweeps=5000, tolerance=1e-4)).record
+    assert record.status == "converged"
+    assert record.theta[-1] <= 1e-4 < record.theta[:-1].min()
+    assert record.sweeps == record.theta.size
+    assert dc.solve_contacts(single_body(height=1.0)).record.status == "no_contacts"
+
+
+def test_zero_sweeps_apply_the_start_only(falling_states):
+    state = falling_states[3]
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start="copy")
+    np.testing.assert_array_equal(solution.normal_impulses, state.contacts.normal_impulse)
+    problem = contact_problem(state)
+    impulse = np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
+    np.testing.assert_allclose(solution.velocities, problem.velocities(impulse).reshape(-1, 3)[:, :2], atol=1e-11)
+
+
+def test_mean_theta_repeats_a_finished_step():
+    # Eq 2.30 over two steps, the first of which stopped after one sweep at θ = 1 (not left out: survivor bias).
+    np.testing.assert_array_equal(mean_theta([np.array([1.0]), np.array([5.0, 3.0, 1.0])], 3), [3.0, 2.0, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
+        ({"sweeps": 2.5}, "sweeps: expected an integer >= 0, got 2.5"),
+        ({"tolerance": float("nan")}, "tolerance: expected None or a finite number >= 0, got nan"),
+    ],
+)
+def test_solver_refuses_bad_options(options, message):
+    with pytest.raises(ValueError, match=message):
+        dc.PGS(**options)

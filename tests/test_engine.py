@@ -1,0 +1,156 @@
+"""Steps and runs: free fall, rest, position correction, determinism, resuming."""
+
+import numpy as np
+import pytest
+from conftest import kinetic_energy
+
+import deep_contact as dc
+from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION, WALL_SKIN
+from deep_contact.physics.scenes import single_body
+from deep_contact.state import State, World, make_bodies
+
+
+def assert_same_bits(first: State, second: State):
+    assert (first.time, first.step, first.dt, first.world) == (second.time, second.step, second.dt, second.world)
+    for one, other in ((first.bodies, second.bodies), (first.contacts, second.contacts)):
+        for name in one._fields:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+
+
+def test_free_fall_is_symplectic_euler():
+    k, dt, g = 40, 0.01, 9.81
+    state = dc.simulate(single_body(height=20.0), steps=k, dt=dt).state
+    np.testing.assert_allclose(state.bodies.velocity, [[0, -k * dt * g]], rtol=1e-13)
+    np.testing.assert_allclose(state.bodies.position[0, 1], WALL_SKIN + 21 - g * dt**2 * k * (k + 1) / 2, rtol=1e-13)
+    assert (state.step, state.time) == (k, k * dt)
+
+
+def test_without_gravity_nothing_moves_by_itself():
+    scene = dc.circles_in_box(20, gravity=(0, 0), seed=1)
+    np.testing.assert_array_equal(dc.simulate(scene, steps=10).state.bodies.position, scene.bodies.position)
+
+
+def test_rolling_circle_keeps_rolling():
+    # v = -ω r on the floor (normal down, tangent (-1, 0)): no slip, no friction, no braking.
+    scene = single_body()
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.array([[2.0, 0.0]]), spin=np.array([-2.0])))
+    state = dc.simulate(scene, steps=100, solver=dc.PGS(tolerance=1e-12)).state
+    np.testing.assert_allclose(state.bodies.velocity[0, 0], 2.0, rtol=1e-2)
+    np.testing.assert_allclose(state.bodies.position[0, 0], 17.0, rtol=1e-3)
+
+
+def test_position_correction_leaves_three_slops_and_adds_no_velocity():
+    world = World(gravity=(0, 0))
+    state = State(name="overlap", world=world, bodies=make_bodies([[10.0, 10.0], [11.5, 10.0]], radius=1.0))
+    state = dc.simulate(state, steps=20).state
+    gap = state.bodies.position[1, 0] - state.bodies.position[0, 0] - 2.0
+    assert -3 * LINEAR_SLOP <= gap <= -LINEAR_SLOP / 2
+    np.testing.assert_array_equal(state.bodies.velocity, 0)
+    np.testing.assert_allclose(state.bodies.position.mean(axis=0), [10.75, 10.0], atol=1e-14)
+
+
+def test_unequal_masses_are_pushed_apart_by_inverse_mass():
+    bodies = make_bodies([[10.0, 10.0], [11.9, 10.0]], radius=1.0, mass=[1.0, 3.0])
+    state = State(name="overlap", world=World(gravity=(0, 0)), bodies=bodies)
+    moved = dc.step(state).bodies.position - bodies.position
+    np.testing.assert_allclose(moved[0, 0], -3 * moved[1, 0], rtol=1e-9)
+
+
+def test_a_body_moves_at_most_two_metres_a_step():
+    scene = single_body(height=10.0)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.array([[-1e5, 0.0]]), spin=np.array([1e5])))
+    bodies = dc.step(scene).bodies
+    np.testing.assert_allclose(np.hypot(*(bodies.position - scene.bodies.position)[0]), MAX_TRANSLATION)
+    np.testing.assert_allclose(bodies.angle[0], MAX_ROTATION)
+
+
+def test_falling_pile_gains_no_energy():
+    # Position correction lifts bodies by less than the slop it works off; everything else only loses.
+    energy = []
+
+    def watch(state, record):
+        height = state.bodies.position[:, 1]
+        energy.append(kinetic_energy(state.bodies) + 9.81 * state.bodies.mass @ height)
+
+    scene = dc.circles_in_box(40, seed=2)
+    dc.simulate(scene, steps=300, on_step=watch)
+    lift = 9.81 * scene.bodies.mass.sum() * 0.2 * LINEAR_SLOP * 10
+    assert np.diff(energy).max() <= lift
+
+
+def test_pile_comes_to_rest_in_the_box():
+    scene = dc.circles_in_box(50, seed=5)
+    bodies = dc.simulate(scene, steps=1000).state.bodies
+    # A single circle may go on rolling: there is no rolling friction.
+    assert kinetic_energy(bodies) < 1e-4 * 9.81 * bodies.mass @ bodies.position[:, 1]
+    assert np.median(np.hypot(*bodies.velocity.T)) < 1e-3
+    assert (bodies.position > 1 - 0.02).all()
+    assert (bodies.position < 29.02).all()
+
+
+def test_same_seed_same_bits():
+    first, second = (dc.simulate(dc.circles_in_box(seed=7), steps=150).state for _ in range(2))
+    assert_same_bits(first, second)
+
+
+def test_step_by_step_equals_in_one_go():
+    scene = dc.circles_in_box(40, seed=8)
+    state = scene
+    for _ in range(120):
+        state = dc.step(state)
+    assert_same_bits(state, dc.simulate(scene, steps=120).state)
+
+
+@pytest.mark.parametrize("warm_start", [None, "builtin", "copy"])
+def test_watching_changes_nothing(warm_start):
+    scene = dc.circles_in_box(40, seed=9)
+    options = {"steps": 150, "warm_start": warm_start, "solver": dc.PGS(sweeps=100)}
+    assert_same_bits(
+        dc.simulate(scene, on_step=lambda state, record: None, **options).state, dc.simulate(scene, **options).state
+    )
+
+
+@pytest.mark.parametrize("warm_start", [None, "builtin"])
+@pytest.mark.parametrize("solved", [True, False])
+def test_resumed_from_xml_as_if_never_stopped(tmp_path, solved, warm_start):
+    scene = dc.circles_in_box(50, radius=(0.5, 1.5), restitution=0.3, seed=10)
+    options = {"warm_start": warm_start, "solver": dc.PGS(sweeps=40, tolerance=1e-3, position_sweeps=4), "dt": 0.008}
+    through = dc.simulate(scene, steps=200, **options).state
+    kept = {}
+    stopped = dc.simulate(scene, steps=101, on_step=lambda s, r: kept.update({s.step: s}), **options).state
+    dc.write_state(tmp_path / "stop.xml", kept[100] if solved else stopped)
+    state = dc.read_state(tmp_path / "stop.xml")
+    resumed = dc.simulate(state, steps=200 - state.step, warm_start=warm_start).state
+    assert_same_bits(resumed, through)
+
+
+def test_simulate_records_every_step():
+    run = dc.simulate(dc.circles_in_box(30, seed=11), steps=80, solver=dc.PGS(sweeps=20))
+    assert run.contacts.shape == run.sweeps.shape == run.theta.shape == run.status.shape == (80,)
+    assert set(run.status) <= {"converged", "max_sweeps", "no_contacts"}
+    assert run.sweeps.max() <= 20
+    assert (run.theta[run.status == "converged"] <= run.state.solver.tolerance).all()
+
+
+def test_steps_leave_their_input_alone():
+    state = dc.simulate(dc.circles_in_box(40, seed=12), steps=100).state
+    before = [field.copy() for part in (state.bodies, state.contacts) for field in part]
+    dc.simulate(state, steps=3, warm_start="none")
+    dc.solve_contacts(state, start="copy")
+    after = [field for part in (state.bodies, state.contacts) for field in part]
+    for one, other in zip(before, after):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"steps": -1}, "steps: expected an integer >= 0, got -1"),
+        ({"dt": 0.0}, "dt: expected a finite number > 0, got 0.0"),
+        ({"solver": 10}, "solver: expected options such as PGS"),
+        ({"warm_start": "magic"}, "warm_start: expected one of none, builtin, copy.*got 'magic'"),
+    ],
+)
+def test_simulate_refuses_bad_arguments(options, message):
+    with pytest.raises(ValueError, match=message):
+        dc.simulate(single_body(), **options)

@@ -1,0 +1,463 @@
+"""Particle–grid–particle transfer against brute force, the k-d tree and its invariants (thesis chapter 3)."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.interpolate import RegularGridInterpolator
+
+from deep_contact import sph
+from deep_contact.sph.neighbours import splat_by_tree
+
+THESIS = sph.Grid.over_box((0, 0, 30, 30), 0.5)
+SMALL = sph.Grid(origin=(-1.0, 2.0), spacing=(0.5, 0.3), shape=(8, 6))
+kernels = pytest.mark.parametrize("kernel", sph.KERNELS)
+
+
+def random_particles(grid, count, channels=2, seed=0):
+    """Positions anywhere on the grid, and values."""
+    rng = np.random.default_rng(seed)
+    x_min, y_min, x_max, y_max = grid.box
+    position = np.stack([rng.uniform(x_min, x_max, count), rng.uniform(y_min, y_max, count)], axis=1)
+    return position, rng.normal(size=(count, channels))
+
+
+def brute_force(grid, position, values, h, kernel, normalization="raw", volume=None):
+    """Eq 3.6 over all pairs of a node and a particle."""
+    x, y = grid.nodes
+    distance = np.hypot(x[None, :, None] - position[:, 0], y[:, None, None] - position[:, 1])
+    w = sph.value(kernel, distance, h)
+    if normalization == "particle":
+        w = w / w.sum(axis=(0, 1))
+    return w * (1 if volume is None else volume) @ values
+
+
+# ---- the grid ----
+
+
+def test_thesis_grid_has_61_by_61_nodes():
+    """30/0.5 + 1."""
+    assert THESIS.shape == (61, 61)
+    assert THESIS.box == (0, 0, 30, 30)
+    assert THESIS.nodes[0][1] == 0.5
+
+
+@pytest.mark.parametrize(("spacing", "count"), [(0.7, 44), (0.1, 301), (7, 6), (40, 2), (30 / 7, 8), (0.75, 41)])
+def test_grid_covers_the_box_with_as_few_nodes_as_can(spacing, count):
+    grid = sph.Grid.over_box((0, 0, 30, 30), spacing)
+    assert grid.shape == (count, count)
+    # 1e-9 of a spacing of rounding is allowed, as documented.
+    assert grid.box[2] >= 30 - 1e-9 * spacing
+    assert count == 2 or grid.nodes[0][-2] < 30
+
+
+def test_spacing_and_extent_may_differ_by_axis():
+    grid = sph.Grid.over_box((-1, 2, 5, 4), (0.5, 0.25))
+    assert grid.shape == (9, 13)
+    x, y = grid.nodes
+    assert (x[0], x[-1], y[0], y[-1]) == (-1, 5, 2, 4)
+
+
+def test_grid_is_frozen_and_comparable():
+    assert sph.Grid(origin=(0, 0), spacing=0.5, shape=(61, 61)) == THESIS
+    with pytest.raises(AttributeError):
+        THESIS.spacing = (1, 1)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"origin": (0, math.nan)}, "origin: expected two finite numbers.*nan"),
+        ({"origin": (0, 0, 0)}, "origin"),
+        ({"spacing": (0.5, 0)}, r"spacing: expected numbers > 0, got \(0.5, 0\)"),
+        ({"spacing": -1}, "spacing.*-1"),
+        ({"spacing": math.inf}, "spacing.*inf"),
+        ({"origin": (1e20, 0)}, "spacing: expected nodes that differ"),
+        ({"shape": (1, 5)}, r"shape: expected \(n_y, n_x\).*\(1, 5\)"),
+        ({"shape": (5.5, 5)}, "shape"),
+        ({"shape": 5}, "shape"),
+    ],
+)
+def test_grid_refuses(change, message):
+    with pytest.raises(ValueError, match=message):
+        sph.Grid(**({"origin": (0, 0), "spacing": 0.5, "shape": (4, 4)} | change))
+
+
+@pytest.mark.parametrize(
+    ("box", "spacing", "message"),
+    [
+        ((0, 0, 0, 1), 0.5, "box"),
+        ((0, 0, 1), 0.5, "box"),
+        ((0, 0, math.inf, 1), 0.5, "box.*inf"),
+        ((0, 0, 1, 1), 0, "spacing.*0"),
+        ((0, 0, 1, 1), 1e-12, "spacing: expected at most"),
+    ],
+)
+def test_over_box_refuses(box, spacing, message):
+    with pytest.raises(ValueError, match=message):
+        sph.Grid.over_box(box, spacing)
+
+
+# ---- splat ----
+
+
+@kernels
+@pytest.mark.parametrize("h", [0.4, 0.5, 1.7, 50.0])
+@pytest.mark.parametrize("normalization", ["raw", "particle"])
+def test_splat_is_the_sum_over_all_pairs(kernel, h, normalization):
+    """Eq 3.6 and Appendix A, on a grid with d_x ≠ d_y; h beyond the whole grid too."""
+    position, values = random_particles(SMALL, 40)
+    image = sph.splat(SMALL, position, values, h=h, kernel=kernel, normalization=normalization)
+    expected = brute_force(SMALL, position, values, h, kernel, normalization)
+    np.testing.assert_allclose(image, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+@kernels
+@pytest.mark.parametrize("normalization", ["raw", "particle"])
+@pytest.mark.parametrize("one_query", [False, True])
+def test_splat_is_that_of_the_tree(kernel, normalization, one_query):
+    """Algorithms 2 and 3 as the thesis ran them, on its grid."""
+    position, values = random_particles(THESIS, 170)
+    options = {"h": 0.5, "kernel": kernel, "normalization": normalization}
+    witness = splat_by_tree(THESIS, position, values, one_query=one_query, **options)
+    image = sph.splat(THESIS, position, values, **options)
+    np.testing.assert_allclose(image, witness, rtol=0, atol=1e-12 * np.abs(witness).max())
+
+
+def test_volume_weighs_the_particles():
+    """V_k = m_k/ρ_k of Eq 3.6."""
+    position, values = random_particles(SMALL, 20)
+    volume = np.linspace(0.5, 2, 20)
+    image = sph.splat(SMALL, position, values, h=0.6, volume=volume)
+    np.testing.assert_allclose(image, brute_force(SMALL, position, values, 0.6, "poly6", volume=volume), rtol=1e-12)
+
+
+def test_raw_splat_integrates_to_the_values():
+    """Eq 3.2: far from the edge, Σ_j W dx dy is nearly 1 where h is many spacings."""
+    image = sph.splat(THESIS, [[15.1, 14.8]], [[2.0]], h=5.0)
+    # Poly6 is smooth at the edge: the lattice sum is off by a high power of d/h = 0.1.
+    assert image.sum() * 0.25 == pytest.approx(2.0, rel=1e-4)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1, 1.5), st.floats(2, 4.1), st.floats(-1e3, 1e3)), min_size=1, max_size=30),
+    st.floats(0.35, 3),
+    st.sampled_from(sph.KERNELS),
+)
+@settings(deadline=None)
+def test_sum_is_conserved(particles, h, kernel):
+    """Appendix A's weights sum to one: so much value in the image as in the particles."""
+    particles = np.array(particles)
+    image = sph.splat(SMALL, particles[:, :2], particles[:, 2], h=h, kernel=kernel, normalization="particle")
+    assert image.sum() == pytest.approx(particles[:, 2].sum(), abs=1e-12 * np.abs(particles[:, 2]).sum())
+
+
+def test_density_is_the_splat_of_ones():
+    position, _ = random_particles(SMALL, 30)
+    ones = sph.splat(SMALL, position, np.ones(30), h=0.5, kernel="spiky", normalization="consistent")
+    np.testing.assert_array_equal(sph.density(SMALL, position, h=0.5, kernel="spiky"), ones)
+    assert ones.sum() == pytest.approx(30, rel=1e-13)
+
+
+def test_consistent_splat_is_the_particle_splat():
+    position, values = random_particles(SMALL, 30)
+    images = [sph.splat(SMALL, position, values, h=0.5, normalization=n) for n in ("particle", "consistent")]
+    np.testing.assert_array_equal(*images)
+
+
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (0, 5), (7, 0), (7, 5), (3, 2), (0, 2), (4, 5)])
+def test_particle_on_a_node_with_h_below_the_spacing_stays_there(row, column):
+    """Corners, edges and the inside; row 0 at y_min."""
+    x, y = SMALL.nodes
+    image = sph.splat(SMALL, [[x[column], y[row]]], [7.0], h=0.29, normalization="particle")
+    expected = np.zeros(SMALL.shape)
+    expected[row, column] = 7.0
+    np.testing.assert_array_equal(image, expected)
+
+
+def test_node_at_exactly_h_is_not_reached():
+    """W(h) = 0; spacing and h are 0.5, exact in binary."""
+    image = sph.splat(THESIS, [[10.0, 10.0]], [1.0], h=0.5, kernel="gaussian", normalization="particle")
+    assert np.count_nonzero(image) == 1
+
+
+def test_particle_on_an_edge_between_nodes_is_shared_by_both():
+    image = sph.splat(THESIS, [[10.25, 10.0]], [1.0], h=0.5, normalization="particle")
+    np.testing.assert_allclose(image[20, 20:22], 0.5, rtol=1e-14)
+    assert np.count_nonzero(image) == 2
+
+
+def test_far_away_origin_and_tiny_spacing():
+    """h from 1e-6 to 1e6 and d alike: the particle's weights depend on ratios only."""
+    unit = sph.splat(sph.Grid(origin=(0, 0), spacing=1, shape=(5, 5)), [[1.3, 2.4]], [1.0], h=1.5)
+    for d in (1e-6, 1e6):
+        grid = sph.Grid(origin=(0, 0), spacing=d, shape=(5, 5))
+        image = sph.splat(grid, [[1.3 * d, 2.4 * d]], [1.0], h=1.5 * d)
+        np.testing.assert_allclose(image * d**2, unit, rtol=1e-12)
+
+
+def test_integers_float32_strides_and_read_only_arrays_are_taken():
+    position, values = random_particles(SMALL, 10)
+    expected = sph.splat(SMALL, position, values, h=0.5)
+    frozen = values.copy()
+    frozen.flags.writeable = False
+    np.testing.assert_array_equal(sph.splat(SMALL, np.asfortranarray(position), frozen, h=0.5), expected)
+    single = sph.splat(SMALL, position.astype(np.float32), values, h=np.float32(0.5))
+    np.testing.assert_allclose(single, expected, atol=1e-4)
+    whole = sph.splat(SMALL, position, np.ones(10, int), h=0.5)
+    np.testing.assert_array_equal(whole, sph.splat(SMALL, position, np.ones(10), h=0.5))
+
+
+def test_images_are_contiguous_and_shaped_by_the_values():
+    position, values = random_particles(SMALL, 10, channels=3)
+    image = sph.splat(SMALL, position, values, h=0.5)
+    assert image.shape == (8, 6, 3)
+    assert image.flags.c_contiguous
+    assert sph.splat(SMALL, position, values[:, 0], h=0.5).shape == (8, 6)
+
+
+def test_no_particles_give_an_empty_image_and_nothing_to_read():
+    image = sph.splat(SMALL, [], np.zeros((0, 2)), h=0.5)
+    np.testing.assert_array_equal(image, np.zeros((8, 6, 2)))
+    assert sph.gather(SMALL, image, [], normalization="consistent", h=0.5).shape == (0, 2)
+
+
+# ---- gather ----
+
+
+def test_bilinear_is_equation_3_16_on_an_asymmetric_field():
+    """Erratum: Algorithm 4 has the matrix of node values transposed; one cell, four different corners."""
+    grid = sph.Grid(origin=(0, 0), spacing=1, shape=(2, 2))
+    q11, q21, q12, q22 = 1.0, 10.0, 100.0, 1000.0
+    image = np.array([[q11, q21], [q12, q22]])  # row: y, column: x
+    x, y = 0.25, 0.125
+    right = (q11 * (1 - x) + q21 * x) * (1 - y) + (q12 * (1 - x) + q22 * x) * y  # Eq 3.14, 3.15
+    transposed = (q11 * (1 - x) + q12 * x) * (1 - y) + (q21 * (1 - x) + q22 * x) * y
+    assert sph.gather(grid, image, [[x, y]])[0] == right
+    assert abs(right - transposed) > 1
+
+
+def test_bilinear_is_that_of_scipy():
+    position, _ = random_particles(SMALL, 200)
+    image = np.random.default_rng(1).normal(size=(8, 6, 3))
+    x, y = SMALL.nodes
+    witness = RegularGridInterpolator((y, x), image)(position[:, ::-1])
+    np.testing.assert_allclose(sph.gather(SMALL, image, position), witness, atol=1e-13)
+
+
+def test_bilinear_reads_the_nodes_themselves():
+    """All nodes, the last row and column too."""
+    image = np.random.default_rng(2).normal(size=SMALL.shape)
+    x, y = np.meshgrid(*SMALL.nodes)
+    read = sph.gather(SMALL, image, np.stack([x.ravel(), y.ravel()], axis=1))
+    np.testing.assert_allclose(read, image.ravel(), atol=1e-13)
+
+
+@pytest.mark.parametrize("method", ["bilinear", "sph"])
+def test_constant_image_reads_the_constant(method):
+    position, _ = random_particles(SMALL, 100)
+    read = sph.gather(SMALL, np.full(SMALL.shape, 3.7), position, method=method, h=0.6)
+    np.testing.assert_allclose(read, 3.7, rtol=1e-14)
+
+
+@kernels
+@pytest.mark.parametrize("h", [0.5, 1.3])
+def test_sph_gather_is_the_adjoint_of_the_particle_splat(kernel, h):
+    """⟨splat v, G⟩ = ⟨v, gather G⟩: both use the weights of a particle over their sum."""
+    position, values = random_particles(SMALL, 50)
+    image = np.random.default_rng(3).normal(size=(8, 6, 2))
+    left = (sph.splat(SMALL, position, values, h=h, kernel=kernel, normalization="particle") * image).sum()
+    right = (values * sph.gather(SMALL, image, position, method="sph", h=h, kernel=kernel)).sum()
+    assert left == pytest.approx(right, rel=1e-11)
+
+
+@given(
+    st.lists(st.tuples(st.floats(-1, 1.5), st.floats(2, 4.1)), min_size=1, max_size=40),
+    st.floats(0.35, 3),
+    st.sampled_from(sph.KERNELS),
+    st.sampled_from(["bilinear", "sph"]),
+)
+@settings(deadline=None)
+def test_consistent_transfer_reproduces_constants(position, h, kernel, method):
+    """However the particles overlap: Σ w c D / Σ w D = c."""
+    position, options = np.array(position), {"h": h, "kernel": kernel, "normalization": "consistent"}
+    image = sph.splat(SMALL, position, np.full(len(position), -2.5), **options)
+    read = sph.gather(SMALL, image, position, method=method, **options)
+    np.testing.assert_allclose(read, -2.5, rtol=1e-12)
+
+
+@kernels
+@pytest.mark.parametrize("method", ["bilinear", "sph"])
+def test_isolated_particles_come_back_exactly_with_the_consistent_transfer(kernel, method):
+    """Wherever they lie in their cell; the particles are further apart than they reach."""
+    rng = np.random.default_rng(4)
+    x, y = np.meshgrid(np.arange(2, 29, 3), np.arange(2, 29, 3))
+    position = np.stack([x.ravel(), y.ravel()], axis=1) + rng.uniform(0, 0.5, (81, 2))
+    values, options = rng.normal(size=(81, 2)), {"h": 0.5, "kernel": kernel, "normalization": "consistent"}
+    read = sph.gather(THESIS, sph.splat(THESIS, position, values, **options), position, method=method, **options)
+    np.testing.assert_allclose(read, values, rtol=1e-14)
+
+
+@pytest.mark.parametrize(("offset", "share"), [((0.25, 0.25), 0.25), ((0.0, 0.0), 1.0), ((0.25, 0.0), 0.5)])
+def test_thesis_transfer_loses_most_of_an_isolated_contact(offset, share):
+    """h = d, read bilinearly: λ Σ b_j w_j is λ/4 at a cell's centre, λ on a node, λ/2 halfway along an edge."""
+    position = 10.0 + np.array([offset])
+    image = sph.splat(THESIS, position, [8.0], h=0.5, normalization="particle")
+    assert sph.gather(THESIS, image, position, normalization="particle")[0] == pytest.approx(8 * share, rel=1e-14)
+
+
+def test_density_may_be_made_before_or_by_the_gather():
+    position, _ = random_particles(SMALL, 30)
+    image = np.random.default_rng(5).normal(size=(8, 6, 2)).astype(np.float32)  # any image, as from a network
+    options = {"normalization": "consistent", "unreached": "zero"}
+    before = sph.density(SMALL, position, h=0.5, kernel="spiky")
+    read = sph.gather(SMALL, image, position, density=before, **options)
+    np.testing.assert_array_equal(read, sph.gather(SMALL, image, position, h=0.5, kernel="spiky", **options))
+    ratio = sph.gather(SMALL, image, position) / sph.gather(SMALL, before, position)[:, None]
+    np.testing.assert_allclose(read, ratio, rtol=1e-13)
+
+
+# ---- particles out of reach, particles outside ----
+
+CENTRE = [[10.25, 10.25], [10.0, 10.0]]  # the first lies 0.354 from its four nearest nodes
+
+
+def test_unreached_particle_is_an_error_that_names_it():
+    """Figure 5.4a's h = 0.4 d: a contact that reaches no node must not be lost in silence."""
+    with pytest.raises(ValueError, match=r"position\[0\]: expected a node.*10.25.*h = 0.2.*unreached='zero'"):
+        sph.splat(THESIS, CENTRE, [1.0, 2.0], h=0.2)
+
+
+def test_unreached_particle_adds_nothing_if_asked():
+    image = sph.splat(THESIS, CENTRE, [1.0, 2.0], h=0.2, normalization="particle", unreached="zero")
+    assert image.sum() == 2.0
+
+
+@pytest.mark.parametrize(("normalization", "weight"), [("particle", 1.0), ("raw", 1 / 0.25)])
+def test_unreached_particle_goes_to_the_nearest_node_if_asked(normalization, weight):
+    position = [[10.3, 10.7 + 1e-9]]
+    image = sph.splat(THESIS, position, [3.0], h=0.1, normalization=normalization, unreached="nearest")
+    assert image[21, 21] == 3.0 * weight
+    assert np.count_nonzero(image) == 1
+
+
+def test_unreached_query_without_density_is_an_error_or_zero():
+    position = [[20.0, 20.0]]
+    density = sph.density(THESIS, [[10.0, 10.0]], h=0.5)
+    options = {"normalization": "consistent", "density": density}
+    for unreached in ("error", "nearest"):
+        with pytest.raises(ValueError, match=r"position\[0\]: expected a node, or density"):
+            sph.gather(THESIS, density, position, unreached=unreached, **options)
+    assert sph.gather(THESIS, density, position, unreached="zero", **options)[0] == 0.0
+
+
+def test_unreached_sph_query_reads_the_nearest_node_if_asked():
+    image = np.arange(61.0 * 61).reshape(61, 61)
+    read = sph.gather(THESIS, image, [[10.3, 10.7]], method="sph", h=0.1, unreached="nearest")
+    assert read[0] == image[21, 21]
+
+
+def test_nearest_makes_the_consistent_transfer_exact_for_any_h():
+    options = {"h": 0.2, "normalization": "consistent", "unreached": "nearest"}
+    image = sph.splat(THESIS, CENTRE[:1], [5.0], **options)
+    assert sph.gather(THESIS, image, CENTRE[:1], **options)[0] == pytest.approx(5.0, rel=1e-15)
+
+
+@pytest.mark.parametrize("outlier", [[-0.001, 5], [30.001, 5], [5, -0.001], [5, 30.001], [1e300, -1e300]])
+def test_particle_outside_is_an_error_that_names_it(outlier):
+    with pytest.raises(ValueError, match=r"position\[1\]: expected a point of the grid .*outside='clamp'"):
+        sph.splat(THESIS, [[1.0, 1.0], outlier], [1.0, 1.0], h=0.5)
+    with pytest.raises(ValueError, match=r"position\[1\]: expected a point of the grid"):
+        sph.gather(THESIS, np.zeros((61, 61)), [[1.0, 1.0], outlier])
+
+
+@pytest.mark.parametrize(
+    ("outlier", "moved"), [([-3, 5.2], [0, 5.2]), ([31, 5.2], [30, 5.2]), ([5.2, -1], [5.2, 0]), ([40, 40], [30, 30])]
+)
+def test_clamped_particle_acts_from_the_nearest_point_of_the_grid(outlier, moved):
+    image = sph.splat(THESIS, [outlier], [1.0], h=0.7, outside="clamp")
+    np.testing.assert_array_equal(image, sph.splat(THESIS, [moved], [1.0], h=0.7))
+    field = np.random.default_rng(6).normal(size=(61, 61))
+    np.testing.assert_array_equal(
+        sph.gather(THESIS, field, [outlier], outside="clamp"), sph.gather(THESIS, field, [moved])
+    )
+
+
+def test_ignored_particle_adds_nothing_and_reads_zero():
+    position = [[-0.1, 5.0], [5.0, 5.0]]
+    image = sph.splat(THESIS, position, [1.0, 2.0], h=0.5, normalization="particle", outside="ignore")
+    assert image.sum() == 2.0
+    np.testing.assert_array_equal(sph.gather(THESIS, image, position, outside="ignore"), [0.0, 2.0])
+
+
+def test_rounding_beyond_the_last_node_is_not_outside():
+    """0.1·3 > 0.3: a point computed otherwise than the node may lie an ulp beyond."""
+    grid = sph.Grid.over_box((0, 0, 0.3, 0.3), 0.1)
+    image = sph.splat(grid, [[np.nextafter(0.1 * 3, 1), -1e-17]], [1.0], h=0.1, normalization="particle")
+    assert image[0, 3] == pytest.approx(1.0, rel=1e-12)
+
+
+# ---- errors ----
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": [[1.0, 1.0], [math.nan, 1.0]]}, r"position\[1\]: expected finite numbers, got \(nan, 1.0\)"),
+        ({"position": [[1.0, 1.0], [math.inf, 1.0]]}, r"position\[1\].*inf"),
+        ({"position": [1.0, 1.0]}, r"position: expected shape \(k, 2\)"),
+        ({"position": [["a", "b"]] * 2}, "position: expected an array of real numbers"),
+        ({"values": [1.0, math.nan]}, r"values\[1\].*nan"),
+        ({"values": [1.0]}, r"values: expected shape \(2, channels\), got \(1,\)"),
+        ({"volume": [1.0, math.inf]}, r"volume\[1\].*inf"),
+        ({"volume": [1.0]}, r"volume: expected shape \(2,\), got \(1,\)"),
+        ({"volume": [1.0, 1.0], "normalization": "particle"}, "volume: expected None.*'particle'"),
+        ({"h": 0.0}, "h: expected a finite number > 0"),
+        ({"h": -1}, "h: .*-1"),
+        ({"h": math.nan}, "h: .*nan"),
+        ({"kernel": "cubic"}, "kernel: expected one of .*'cubic'"),
+        ({"normalization": "none"}, "normalization: expected one of raw, particle, consistent, got 'none'"),
+        ({"unreached": None}, "unreached: expected one of error, zero, nearest, got None"),
+        ({"outside": "wrap"}, "outside: expected one of error, clamp, ignore, got 'wrap'"),
+    ],
+)
+def test_splat_refuses(change, message):
+    arguments = {"position": [[1.0, 1.0], [2.0, 2.0]], "values": [1.0, 2.0], "h": 0.5} | change
+    with pytest.raises(ValueError, match=message):
+        sph.splat(THESIS, **arguments)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"position": [[1.0, math.nan]]}, r"position\[0\]: expected finite"),
+        ({"image": np.zeros((61, 60))}, r"image: expected shape \(61, 61, 'channels'\), got \(61, 60\)"),
+        ({"image": np.full((61, 61), np.nan)}, r"image, density: expected finite numbers around position\[0\]"),
+        ({"normalization": "consistent"}, "h: expected the support radius.*None"),
+        ({"normalization": "consistent", "density": np.zeros((3, 3))}, r"density: expected shape \(61, 61\)"),
+        ({"normalization": "consistent", "density": np.full((61, 61), np.nan)}, "expected finite numbers"),
+        ({"density": np.ones((61, 61))}, "density: only for the normalization 'consistent', not 'raw'"),
+        ({"method": "sph"}, "h: expected the support radius"),
+        ({"method": "cubic"}, "method: expected one of bilinear, sph, got 'cubic'"),
+        ({"h": -1.0}, "h: .*-1.0"),
+        ({"outside": "wrap"}, "outside: .*'wrap'"),
+    ],
+)
+def test_gather_refuses(change, message):
+    with pytest.raises(ValueError, match=message):
+        sph.gather(THESIS, **({"image": np.zeros((61, 61)), "position": [[1.0, 1.0]]} | change))
+
+
+def test_tree_refuses_what_it_cannot_do():
+    with pytest.raises(ValueError, match="normalization: expected one of raw, particle, got 'consistent'"):
+        splat_by_tree(SMALL, [[0.0, 3.0]], [[1.0]], h=0.5, normalization="consistent")
+
+
+def test_importing_the_transfer_does_not_import_the_tree():
+    """scipy's top level comes with Numba; its k-d tree is for the witness alone."""
+    code = "import sys, deep_contact.sph, deep_contact.sph.neighbours; sys.exit('scipy.spatial' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,46 @@
+"""What is imported for which job: cost follows what is there."""
+
+import subprocess
+import sys
+
+import pytest
+
+import deep_contact as dc
+
+LIGHT = ("deep_contact.physics", "deep_contact.sph", "deep_contact.state", "deep_contact.state_xml")
+
+
+def modules_after(code):
+    out = subprocess.run(
+        [sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules)"], capture_output=True, text=True, check=True
+    )
+    return set(out.stdout.split())
+
+
+def test_import_alone_loads_nothing_heavy():
+    assert not modules_after("import deep_contact") & {"numba", "numpy", "scipy", "tensorflow", "keras", "matplotlib"}
+
+
+def test_a_simulation_loads_no_network_and_no_plotting():
+    loaded = modules_after("import deep_contact as dc; dc.simulate(dc.column(2), steps=1)")
+    assert not loaded & {"tensorflow", "keras", "matplotlib", "h5py"}
+
+
+@pytest.mark.parametrize("module", LIGHT)
+def test_physics_and_transfer_never_reach_up(module):
+    loaded = modules_after(
+        f"import importlib, pkgutil\nm = importlib.import_module('{module}')\n"
+        "for s in pkgutil.iter_modules(getattr(m, '__path__', [])): importlib.import_module(m.__name__ + '.' + s.name)"
+    )
+    assert not loaded & {"tensorflow", "keras", "matplotlib", "deep_contact.cnn", "deep_contact.plotting"}
+
+
+def test_every_public_name_is_there():
+    for name in dc.__all__:
+        if name not in ("cnn", "experiments", "plotting"):
+            assert getattr(dc, name) is not None
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'magic'"):
+        dc.magic  # noqa: B018

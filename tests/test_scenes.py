@@ -1,0 +1,79 @@
+"""Scenes: what they promise, and what they refuse."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+
+
+def overlap(bodies):
+    """Deepest overlap of any two circles, m."""
+    offset = bodies.position[:, None] - bodies.position[None]
+    gap = np.hypot(*np.moveaxis(offset, -1, 0)) - bodies.radius[:, None] - bodies.radius[None]
+    return -gap[np.triu_indices(bodies.count, 1)].min()
+
+
+@pytest.mark.parametrize("radius", [(1.0, 1.0), (0.5, 1.5)])
+def test_thesis_scene_fits_its_box_without_overlap(radius):
+    scene = dc.circles_in_box(80, radius=radius, seed=1)
+    bodies = scene.bodies
+    assert overlap(bodies) < 0
+    assert (bodies.position > bodies.radius[:, None]).all()
+    assert (bodies.position < 30 - bodies.radius[:, None]).all()
+    np.testing.assert_allclose(bodies.mass, np.pi * bodies.radius**2)
+    assert scene.world == dc.World()
+
+
+def test_centres_scatter_as_the_thesis_says():
+    # Few circles that hardly exclude each other: standard deviation 1.2 √15 = 4.65 about the middle.
+    centres = np.concatenate([dc.circles_in_box(20, radius=(0.05, 0.05), seed=s).bodies.position for s in range(60)])
+    np.testing.assert_allclose(centres.mean(axis=0), 15, atol=0.4)
+    np.testing.assert_allclose(centres.std(axis=0), 1.2 * np.sqrt(15), rtol=0.06)
+
+
+def test_seed_and_generator_are_the_same():
+    one = dc.circles_in_box(30, seed=4).bodies.position
+    np.testing.assert_array_equal(one, dc.circles_in_box(30, seed=np.random.default_rng(4)).bodies.position)
+    assert not np.array_equal(one, dc.circles_in_box(30, seed=5).bodies.position)
+
+
+def test_a_scene_that_cannot_be_packed_says_how_many_fitted():
+    with pytest.raises(ValueError, match=r"got 50; \d+ fitted in a box of 5 x 5 m"):
+        dc.circles_in_box(50, size=5.0, seed=1)
+
+
+def test_lattice_holds_many_without_overlap():
+    scene = dc.lattice_in_box(500, radius=(0.5, 1.0), seed=1)
+    assert scene.bodies.count == 500
+    assert overlap(scene.bodies) < 0
+
+
+def test_column_touches_and_stands():
+    scene = dc.column(20)
+    assert abs(overlap(scene.bodies)) < 1e-12
+    bodies = dc.simulate(scene, steps=100, solver=dc.PGS(sweeps=2000)).state.bodies
+    np.testing.assert_allclose(bodies.position[:, 0], 15.0, atol=1e-9)
+
+
+def test_drifting_circles_meet_without_gravity():
+    run = dc.simulate(dc.drifting_circles(60, speed=3.0, seed=1), steps=200)
+    assert run.state.world.gravity == (0.0, 0.0)
+    assert run.contacts.max() > 5
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: dc.circles_in_box(0), "n_bodies: expected an integer >= 1, got 0"),
+        (lambda: dc.circles_in_box(5, radius=(2, 1)), "radius: expected finite 0 < smallest <= largest"),
+        (lambda: dc.circles_in_box(5, size=-3), "size: expected finite numbers > 0, got -3"),
+        (lambda: dc.circles_in_box(5, friction=-0.1), "friction: expected a finite number >= 0, got -0.1"),
+        (lambda: dc.circles_in_box(5, restitution=1.5), "restitution: expected a number from 0 to 1, got 1.5"),
+        (lambda: dc.circles_in_box(5, gravity=(0, float("nan"))), "gravity: expected two finite numbers"),
+        (lambda: dc.column(3, width=1.0), "width: expected a finite number >= the diameter"),
+        (lambda: dc.two_bodies(offset=3.0), "offset: expected less than the sum of the radii"),
+    ],
+)
+def test_scenes_refuse_bad_arguments(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

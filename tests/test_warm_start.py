@@ -1,0 +1,101 @@
+"""Starts: what they hold, and that none is accepted that does not fit."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.warm_start import STARTS, Bad, Copy, Random
+
+
+def mean_sweeps(states, start):
+    solver = dc.PGS(sweeps=3000, tolerance=6e-5)
+    return np.mean([dc.solve_contacts(state, solver=solver, start=start).record.sweeps for state in states])
+
+
+def test_better_starts_need_fewer_sweeps(falling_states):
+    sweeps = {name: mean_sweeps(falling_states, name) for name in ("none", "builtin", "copy")}
+    assert sweeps["copy"] < 0.5 * sweeps["builtin"] < 0.5 * sweeps["none"]
+
+
+def test_copy_holds_the_solution_and_rounds_it(falling_states):
+    state = falling_states[5]
+    normal, _ = Copy()(state, dc.PGS())
+    np.testing.assert_array_equal(normal, state.contacts.normal_impulse)
+    rounded, _ = Copy(decimals=1)(state, dc.PGS())
+    np.testing.assert_array_equal(rounded, np.round(normal, 1))
+    assert not np.array_equal(rounded, normal)
+
+
+def test_copy_solves_a_state_that_is_not_solved(falling_states):
+    solver = dc.PGS(sweeps=200, tolerance=None)
+    solved = falling_states[5]
+    unsolved = solved.replace(
+        solved=False,
+        contacts=solved.contacts._replace(
+            normal_impulse=solved.contacts.normal_start, tangent_impulse=solved.contacts.tangent_start
+        ),
+    )
+    expected = dc.solve_contacts(solved, solver=solver, start="builtin")
+    np.testing.assert_array_equal(Copy()(unsolved, solver)[0], expected.normal_impulses)
+
+
+@pytest.mark.parametrize("start", [Random(seed=1), Bad()])
+def test_probes_lie_in_the_cone(falling_states, start):
+    state = falling_states[5]
+    normal, tangent = start(state, dc.PGS())
+    assert (normal >= 0).all()
+    assert (np.abs(tangent) <= state.world.friction * normal + 1e-12).all()
+
+
+def test_random_differs_by_step_and_seed_only(falling_states):
+    one, other = falling_states[5:7]
+    np.testing.assert_array_equal(Random(seed=1)(one, dc.PGS())[0], Random(seed=1)(one, dc.PGS())[0])
+    assert Random(seed=1)(one, dc.PGS())[0][0] != Random(seed=2)(one, dc.PGS())[0][0]
+    assert Random(seed=1)(one, dc.PGS())[0][0] != Random(seed=1)(other.replace(contacts=one.contacts), dc.PGS())[0][0]
+
+
+def test_all_starts_reach_the_same_velocities_without_friction(frictionless_states):
+    # λ need not be unique, velocities are: the problem is a convex one. (With Coulomb friction even they need not be.)
+    state = frictionless_states[-1]
+    solver = dc.PGS(sweeps=200_000, tolerance=1e-13)
+    expected = dc.solve_contacts(state, solver=solver, start="copy").velocities
+    for start in ("none", "random", "bad"):
+        np.testing.assert_allclose(dc.solve_contacts(state, solver=solver, start=start).velocities, expected, atol=1e-9)
+
+
+def test_own_arrays_are_a_start(falling_states):
+    state = falling_states[5]
+    normal, tangent = state.contacts.normal_impulse, state.contacts.tangent_impulse
+    by_name = dc.solve_contacts(state, solver=dc.PGS(sweeps=5), start="copy")
+    by_hand = dc.solve_contacts(state, solver=dc.PGS(sweeps=5), start=(normal, tangent))
+    np.testing.assert_array_equal(by_name.normal_impulses, by_hand.normal_impulses)
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (([1.0], [0.0]), "one a contact, got"),
+        ("magic", "expected one of"),
+        (3.0, "expected two arrays"),
+    ],
+)
+def test_a_start_that_does_not_fit_raises(falling_states, start, message):
+    with pytest.raises(ValueError, match=message):
+        dc.solve_contacts(falling_states[5], start=start)
+
+
+def test_a_start_with_nan_raises(falling_states):
+    state = falling_states[5]
+    bad = np.zeros(state.contacts.count)
+    bad[2] = np.nan
+    with pytest.raises(ValueError, match="finite tangent impulses, got nan at contact 2"):
+        dc.solve_contacts(state, start=(np.zeros_like(bad), bad))
+
+
+def test_a_start_of_the_wrong_size_raises_in_a_run():
+    with pytest.raises(ValueError, match="one a contact"):
+        dc.simulate(dc.column(3), steps=2, warm_start=lambda state, solver: (np.zeros(1), np.zeros(1)))
+
+
+def test_names_are_documented_starts():
+    assert {"none", "builtin", "copy", "random", "bad"} <= set(STARTS)
