@@ -197,10 +197,11 @@ def test_an_option_that_would_not_come_back_is_refused(monkeypatch, option):
 
 
 def test_same_state_same_bytes(tmp_path):
-    """Also compressed, although gzip files may hold a time and a name."""
+    """Also compressed, although gzip files may hold a time (bytes 4 to 7 of RFC 1952) and a name."""
     for name in ("a.xml.gz", "b.xml.gz"):
         write_state(tmp_path / name, example())
     assert (tmp_path / "a.xml.gz").read_bytes() == (tmp_path / "b.xml.gz").read_bytes()
+    assert (tmp_path / "a.xml.gz").read_bytes()[4:8] == bytes(4)
 
 
 def test_the_text_has_the_elements_of_the_listing():
