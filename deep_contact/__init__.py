@@ -25,7 +25,7 @@ _HOME = {
     "deep_contact.state_xml": ("read_state", "write_state"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
-_SUBPACKAGES = ("cnn", "experiments", "physics", "plotting", "sph", "warm_start")
+_SUBPACKAGES = ("cnn", "experiments", "figures", "peers", "physics", "plotting", "results", "sph", "warm_start")
 
 __all__ = [*_MODULE_OF, *_SUBPACKAGES, "__version__"]
 

@@ -308,13 +308,15 @@ def convergence_plot(
     ax,
     curves: Mapping[str, np.ndarray],
     *,
+    sweeps: Sequence[int] | None = None,
     bands: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
     threshold: float | None = None,
     floor: float | None = None,
 ) -> float:
     """Convergence rate θ after each sweep, both axes logarithmic.
 
-    curves: name -> θ, N·s, first entry after sweep 1; starts have their own style. bands: name -> (low, high)
+    curves: name -> θ, N·s; starts have their own style. sweeps: after which each θ was taken, by default every one
+    from the first. bands: name -> (low, high)
     around a curve of the same name. threshold: drawn as a horizontal line, N·s.
 
     A logarithmic axis has no place for θ = 0: anything below `floor` is drawn there, and a note in the
@@ -332,12 +334,12 @@ def convergence_plot(
     styles = styles_of(curves)
     clipped = False
     for name, theta in curves.items():
-        sweeps = np.arange(1, theta.size + 1)
+        x = np.arange(1, theta.size + 1) if sweeps is None else np.asarray(sweeps)
         clipped |= bool((theta < floor).any())
-        ax.plot(sweeps, np.maximum(theta, floor), **styles[name])
+        ax.plot(x, np.maximum(theta, floor), **styles[name])
         if bands and name in bands:
             low, high = (np.maximum(edge, floor) for edge in bands[name])
-            ax.fill_between(sweeps, low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
+            ax.fill_between(x, low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
     if threshold is not None:
         ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1)
         # At the left, which curves that fall leave free.

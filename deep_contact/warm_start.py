@@ -79,12 +79,68 @@ class Bad:
         return wrong, -np.sign(tangent) * state.world.friction * wrong
 
 
+@dataclass(frozen=True, kw_only=True)
+class Sph:
+    """The solution after a round trip through a grid image (the thesis's SPH-Model, Algorithm 5).
+
+    spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: "thesis" spreads each impulse
+    by weights that sum to one (Appendix A) and reads it back bilinearly (Algorithm 4), which returns only a part of
+    it, and nothing of a contact that reaches no node; "consistent" divides what is read back by what a field of ones
+    returns. Raises ValueError on an unknown transfer; the rest is checked by `deep_contact.sph`.
+    """
+
+    spacing: float = 0.5
+    support: float | None = None
+    kernel: str = "poly6"
+    transfer: str = "consistent"
+
+    def __post_init__(self):
+        if self.transfer not in ("thesis", "consistent"):
+            raise ValueError(f"transfer: expected 'thesis' or 'consistent', got {self.transfer!r}")
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        return self.round_trip(state, np.column_stack(solved_impulses(state, solver)))
+
+    def round_trip(
+        self, state: State, impulses: np.ndarray, *, method: str = "bilinear"
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """(λ_n, λ_t) after splat and gather, (m,) each, of the given impulses, (m, 2), N·s.
+
+        method: how the thesis's transfer reads back, see `sph.gather`.
+        """
+        from deep_contact import sph
+
+        grid = sph.Grid.over_box(state.world.box, self.spacing)
+        h = self.spacing if self.support is None else self.support
+        points = state.contacts.position
+        # A contact with a wall lies half its penetration outside the box. Where no node is within h, the thesis's
+        # transfer loses the contact; the consistent one gives it to the nearest node.
+        options = {
+            "h": h,
+            "kernel": self.kernel,
+            "outside": "clamp",
+            "unreached": "zero" if self.transfer == "thesis" else "nearest",
+        }
+        image = sph.splat(grid, points, impulses, normalization="particle", **options)
+        if self.transfer == "thesis":
+            back = sph.gather(
+                grid, image, points, method=method, h=h, kernel=self.kernel, outside="clamp", unreached="zero"
+            )
+        else:
+            density = sph.density(grid, points, **options)
+            back = sph.gather(
+                grid, image, points, normalization="consistent", density=density, outside="clamp", unreached="zero"
+            )
+        return back[:, 0].copy(), back[:, 1].copy()
+
+
 STARTS: dict[str, Callable[[], WarmStart]] = {
     "none": NoStart,
     "builtin": Builtin,
     "copy": Copy,
     "random": Random,
     "bad": Bad,
+    "sph": Sph,
 }
 """Name -> what makes the start with its default options."""
 

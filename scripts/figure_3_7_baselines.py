@@ -1,0 +1,47 @@
+"""python scripts/figure_3_7_baselines.py: mean θ by sweep from None, Builtin and Copy."""
+
+from deep_contact import experiments, figures
+from deep_contact.figures import Claim, Figure
+
+STARTS = {"none": "none", "builtin": "builtin", "copy": "copy"}
+
+
+def compute(options, seed, jobs, progress):
+    """The three starts on the thesis's falling pile."""
+    return experiments.compare_starts(STARTS, seed=seed, jobs=jobs, progress=progress, **options)
+
+
+def claims(data):
+    """The conclusions under Figure 3.7."""
+    sweeps = {name: experiments.mean_sweeps(data, name, "independent") for name in STARTS}
+    like = 0.8 < sweeps["builtin"] / sweeps["none"] < 1.25
+    return [
+        Claim(
+            "Copy needs nearly no iteration: one or two sweeps for most states",
+            "L654",
+            data["independent"]["copy"]["sweeps"]["median"] <= 2,
+            {name: found["sweeps"]["median"] for name, found in data["independent"].items()},
+        ),
+        Claim(
+            "Builtin performs like None: mean sweeps within a quarter of each other",
+            "L669",
+            bool(like),
+            {"builtin / none": sweeps["builtin"] / sweeps["none"]},
+        ),
+        experiments.faster(data, "copy", "builtin", text="Builtin is far slower than Copy", thesis="L669"),
+    ]
+
+
+FIGURE = Figure(
+    id="3.7",
+    title="Convergence from None, Builtin and Copy",
+    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 5},
+    quick={"scenes": 1, "steps": 300},
+    compute=compute,
+    claims=claims,
+    table=experiments.table_of_starts,
+    draw=lambda data, options: experiments.draw_comparison(data),
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

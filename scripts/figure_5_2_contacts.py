@@ -1,0 +1,94 @@
+"""python scripts/figure_5_2_contacts.py: contacts by step, and the time of the contact solution by contacts."""
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import experiments, figures, plotting
+from deep_contact.figures import Claim, Figure
+
+
+def compute(options, seed, jobs, progress):
+    """Count the contacts of every step of a run, and time the solution of some steps with a fixed number of sweeps."""
+    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+    states = experiments.solved_states(scene, steps=options["steps"], contacts_only=False)
+    timed = [state for state in states[:: options["every"]] if state.contacts.count]
+    times = [experiments.contact_time(s, sweeps=options["sweeps"]) for s in progress(timed, text="timing")]
+    return {
+        "step": [state.step for state in states],
+        "contacts": [state.contacts.count for state in states],
+        "timed contacts": [state.contacts.count for state in timed],
+        "time (ms)": np.array(times) * 1e3,
+    }
+
+
+def fit(data):
+    """Straight line through the times: (slope in µs a contact, intercept in µs, correlation)."""
+    contacts, time = np.array(data["timed contacts"]), np.array(data["time (ms)"]) * 1e3
+    slope, intercept = np.polyfit(contacts, time, 1)
+    return float(slope), float(intercept), float(np.corrcoef(contacts, time)[0, 1])
+
+
+def claims(data):
+    """The thesis shows both; that they grow together is what it is read for."""
+    contacts = np.array(data["contacts"])
+    settled = contacts[-contacts.size // 6 :]
+    slope, intercept, correlation = fit(data)
+    return [
+        Claim(
+            "the number of contacts grows as the pile falls together, and then stays",
+            "L1054",
+            bool(contacts[: contacts.size // 6].mean() < 0.5 * settled.mean() and settled.std() < 0.1 * settled.mean()),
+            {
+                "first sixth": contacts[: contacts.size // 6].mean(),
+                "last sixth": settled.mean(),
+                "its std": settled.std(),
+            },
+        ),
+        Claim(
+            "the time of the contact solution grows with the number of contacts",
+            "L1054",
+            correlation > 0.9,
+            {"correlation": correlation, "µs a contact": slope, "intercept (µs)": intercept},
+        ),
+    ]
+
+
+def table(data):
+    """Rows: the fit."""
+    slope, intercept, correlation = fit(data)
+    return [
+        ["steps", "most contacts", "solutions timed", "µs a contact", "intercept (µs)", "correlation"],
+        [len(data["step"]), max(data["contacts"]), len(data["timed contacts"]), slope, intercept, correlation],
+    ]
+
+
+def draw(data, options):
+    """Panels a and b."""
+    figure, (left, right) = plotting.subplots(1, 2, size=(9.0, 3.6))
+    left.plot(data["step"], data["contacts"], color=plotting.BLUE)
+    plotting.label_axes(left, "step", "contacts", title="a) contacts in each step")
+    right.plot(data["timed contacts"], data["time (ms)"], ".", color=plotting.BLUE, markersize=4)
+    slope, intercept, _ = fit(data)
+    x = np.array([0, max(data["timed contacts"])])
+    label = f"{slope:.3g} µs a contact"
+    right.plot(x, (slope * x + intercept) / 1e3, color=plotting.VERMILION, linewidth=1.0, label=label)
+    right.set_ylim(bottom=0)
+    right.legend()
+    title = f"b) contact solution, {options['sweeps']} sweeps"
+    plotting.label_axes(right, "contacts", "time", y_unit="ms", title=title)
+    return figure
+
+
+FIGURE = Figure(
+    id="5.2",
+    title="Contacts, and the time their solution takes",
+    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every": 2},
+    quick={"sweeps": 1000, "every": 5},
+    compute=compute,
+    claims=claims,
+    table=table,
+    draw=draw,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

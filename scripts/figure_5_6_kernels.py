@@ -1,0 +1,36 @@
+"""python scripts/figure_5_6_kernels.py: poly6 at d = h = 0.5 against spiky at d = h = 0.25."""
+
+from deep_contact import experiments, figures
+from deep_contact.figures import Figure
+
+POLY6, SPIKY = "poly6, d = h = 0.5", "spiky, d = h = 0.25"
+
+
+def compute(options, seed, jobs, progress):
+    """The best settings of Figures 5.4 and 5.5 against each other, with more sweeps."""
+    transfer = options.pop("transfer")
+    starts = {
+        POLY6: {"kernel": "poly6", "spacing": 0.5, "transfer": transfer},
+        SPIKY: {"kernel": "spiky", "spacing": 0.25, "transfer": transfer},
+    }
+    return experiments.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **options)
+
+
+def claims(data):
+    """The thesis chooses poly6."""
+    return [experiments.faster(data, POLY6, SPIKY, text="poly6 performs better", thesis="L1129")]
+
+
+FIGURE = Figure(
+    id="5.6",
+    title="Convergence with poly6 and spiky",
+    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 5000, "scenes": 5, "transfer": "thesis"},
+    quick={"scenes": 1, "steps": 300},
+    compute=compute,
+    claims=claims,
+    table=experiments.table_of_starts,
+    draw=lambda data, options: experiments.draw_comparison(data),
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

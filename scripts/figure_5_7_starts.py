@@ -1,0 +1,56 @@
+"""python scripts/figure_5_7_starts.py: None, Builtin, SPH at d = h = 0.5 and Copy."""
+
+from deep_contact import experiments, figures
+from deep_contact.figures import Figure
+
+STARTS = {
+    "none": "none",
+    "builtin": "builtin",
+    "sph": {"spacing": 0.5, "transfer": "thesis"},
+    "copy": "copy",
+}
+
+
+def compute(options, seed, jobs, progress):
+    """The four starts on the thesis's falling pile."""
+    return experiments.compare_starts(STARTS, seed=seed, jobs=jobs, progress=progress, **options)
+
+
+def claims(data):
+    """SPH is said to converge much faster than all others; Copy is the bound it cannot pass (L673)."""
+    return [
+        experiments.near(
+            data,
+            "sph",
+            "none",
+            ratio=0.5,
+            text="SPH gets convergence much faster than None",
+            thesis="L1131",
+            mode="independent",
+        ),
+        experiments.near(
+            data,
+            "sph",
+            "builtin",
+            ratio=0.5,
+            text="SPH gets convergence much faster than Builtin",
+            thesis="L1131",
+            mode="independent",
+        ),
+        experiments.faster(data, "copy", "sph", text="Copy stays faster than SPH", thesis="L673"),
+    ]
+
+
+FIGURE = Figure(
+    id="5.7",
+    title="Convergence with None, Builtin, SPH and Copy",
+    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 5},
+    quick={"scenes": 1, "steps": 300},
+    compute=compute,
+    claims=claims,
+    table=experiments.table_of_starts,
+    draw=lambda data, options: experiments.draw_comparison(data),
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

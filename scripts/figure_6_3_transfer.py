@@ -1,0 +1,160 @@
+"""python scripts/figure_6_3_transfer.py: what the way through the grid loses, by kernel, d, h and radii."""
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import experiments, figures, plotting
+from deep_contact.figures import Claim, Figure
+from deep_contact.warm_start import Sph
+
+SIBLING = {
+    "d = 0.125, h = 0.25": 0.0,
+    "d = 0.125, h = 0.5": 0.0191,
+    "d = 0.25, h = 0.125": 0.0480,
+    "d = 0.25, h = 0.25": 0.0,
+    "d = 0.25, h = 0.5": 0.0195,
+    "d = 0.5, h = 0.125": 0.2349,
+    "d = 0.5, h = 0.25": 0.0589,
+    "d = 0.5, h = 0.5": 0.0237,
+    "d = 0.125, h = 0.125": 0.0,
+}
+"""Mean loss of a contact impulse, N·s, in L. Engedal's thesis of 2018 (p. 39), for his own method and piles."""
+
+WAYS = {
+    "thesis": ("thesis", "bilinear"),
+    "SPH gather": ("thesis", "sph"),
+    "consistent": ("consistent", "bilinear"),
+}
+
+
+def compute(options, seed, jobs, progress):
+    """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii."""
+    isolated = experiments.isolated_contacts(options["isolated"], seed=seed)
+    piles = {name: pile(options, radius, seed) for name, radius in RADII.items()}
+    rows = []
+    for kernel in progress(options["kernels"], text="kernels"):
+        for d in options["spacings"]:
+            for h in options["supports"]:
+                losses = {"kernel": kernel, "d": d, "h": h}
+                for name, (transfer, method) in WAYS.items():
+                    start = Sph(spacing=d, support=h, kernel=kernel, transfer=transfer)
+                    for what, states in (("isolated", isolated), ("pile", piles["equal"])):
+                        loss = experiments.transfer_loss(states, start, method=method)
+                        losses[f"{what}, {name}"] = loss["relative error"]
+                rows.append(losses)
+    by_spacing = {
+        radii: {
+            transfer: [
+                experiments.transfer_loss(states, Sph(spacing=d, transfer=transfer))["relative error"]
+                for d in options["charted"]
+            ]
+            for transfer in ("thesis", "consistent")
+        }
+        for radii, states in piles.items()
+    }
+    return {"rows": rows, "charted": options["charted"], "by spacing": by_spacing, "sibling": SIBLING}
+
+
+RADII = {"equal": (1.0, 1.0), "mixed": (0.5, 2.0)}
+
+
+def pile(options, radius, seed):
+    """Solved states of a falling and settling pile: the thesis's, and one of radii mixed from 0.5 to 2."""
+    count = options["n_bodies"] if radius == RADII["equal"] else options["n_bodies"] // 2
+    scene = dc.circles_in_box(count, radius=radius, seed=seed)
+    return experiments.solved_states(scene, steps=600, every=options["every"])
+
+
+def claims(data):
+    """That the loss is the transfer's, not SPH's (against L1341), and how exact ours is."""
+    rows = {(row["kernel"], row["d"], row["h"]): row for row in data["rows"]}
+    chosen = rows[("poly6", 0.5, 0.5)]
+    isolated = max(row["isolated, consistent"] for row in data["rows"])
+    equal, mixed = (data["by spacing"][name]["consistent"] for name in ("equal", "mixed"))
+    at = data["charted"].index(0.5)
+    return [
+        Claim(
+            "SPH itself limits how close the start can come to the solution",
+            "L1341",
+            chosen["pile, consistent"] > 0.1 * chosen["pile, thesis"],
+            {name: chosen[f"pile, {name}"] for name in WAYS},
+        ),
+        Claim(
+            "the consistent transfer returns an isolated contact exactly", None, isolated < 1e-12, {"worst": isolated}
+        ),
+        Claim(
+            "at d = h = 0.5 the consistent transfer changes the impulses of a pile of equal circles by under 1e-3",
+            None,
+            equal[at] < 1e-3,
+            {"relative error": equal[at]},
+        ),
+        Claim(
+            "for radii from 0.5 to 2 the consistent transfer's error grows with d",
+            None,
+            bool(np.all(np.diff(mixed) >= 0)),
+            {f"d = {d:g}": error for d, error in zip(data["charted"], mixed)},
+        ),
+    ]
+
+
+def table(data):
+    """Rows: relative errors for poly6; the results file has the other kernels."""
+    names = [name for name in data["rows"][0] if ", " in name]
+    rows = [["kernel", "d (m)", "h (m)", *names, "sibling (N·s)"]]
+    for row in data["rows"]:
+        sibling = data["sibling"].get(f"d = {row['d']:g}, h = {row['h']:g}") if row["kernel"] == "poly6" else None
+        rows.append([row["kernel"], row["d"], row["h"], *(row[name] for name in names), sibling])
+    return rows
+
+
+def draw(data, options):
+    """Left: relative error by h / d in a pile, for each way and spacing. Right: by d = h for equal and mixed radii."""
+    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.0))
+    looks = {"thesis": plotting.SKY, "SPH gather": plotting.ORANGE, "consistent": plotting.BLUE}
+    lines = dict(zip(options["spacings"], (":", "--", "-")))
+    floor = 1e-6
+    for name, colour in looks.items():
+        for d, line in lines.items():
+            found = [row for row in data["rows"] if row["kernel"] == "poly6" and row["d"] == d]
+            error = np.maximum([row[f"pile, {name}"] for row in found], floor)
+            left.plot([row["h"] for row in found], error, line, color=colour, marker="o", label=f"{name}, d = {d:g} m")
+    plotting.label_axes(left, "h", "relative error of λ", x_unit="m", title="a) pile of equal circles, poly6")
+    for radii, marker in (("equal", "o"), ("mixed", "s")):
+        for transfer, error in data["by spacing"][radii].items():
+            line = "-" if radii == "equal" else "--"
+            label = f"{transfer}, {radii} radii"
+            right.plot(
+                data["charted"], np.maximum(error, floor), line, color=looks[transfer], marker=marker, label=label
+            )
+    plotting.label_axes(right, "d = h", "relative error of λ", x_unit="m", title="b) radii 1, and 0.5 to 2 mixed")
+    for ax in (left, right):
+        ax.set_xscale("log", base=2)
+        ax.set_yscale("log")
+        ax.set_ylim(floor / 2, 2)
+        ax.legend(fontsize=7)
+        ax.xaxis.set_major_formatter("{x:g}")
+    left.text(0.01, 0.01, "errors below 1e-6 are drawn there", transform=left.transAxes, fontsize=7, va="bottom")
+    return figure
+
+
+FIGURE = Figure(
+    id="6.3",
+    title="Loss of the way through the grid",
+    options={
+        "n_bodies": 100,
+        "every": 5,
+        "isolated": 1000,
+        "kernels": ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"],
+        "spacings": [0.125, 0.25, 0.5],
+        "supports": [0.125, 0.25, 0.5],
+        "charted": [0.125, 0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0],
+    },
+    quick={"every": 40, "isolated": 100},
+    compute=compute,
+    claims=claims,
+    table=table,
+    draw=draw,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))
