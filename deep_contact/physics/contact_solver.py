@@ -144,17 +144,16 @@ def sweep(rows, friction, moving):
         arm_a, arm_b, target = data[i, 4], data[i, 5], data[i, 6]
         old_n, old_t = impulse[i, 0], impulse[i, 1]
 
-        # λ − k (v_b − v_a)·n, and likewise along t = (n_y, −n_x); what a contributes comes last since it is the one
-        # that the contact before has just changed.
+        # The change −k (v_b − v_a)·n, and likewise along t = (n_y, −n_x), cut to what keeps λ admissible. What a
+        # contributes comes last, and λ is added outside of the chain of operations that the next contact waits for.
         x_n, y_n, x_t, y_t = k_n * n_x, k_n * n_y, k_t * n_y, k_t * n_x
-        free_n = old_n + k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
-        free_t = old_t - k_t * arm_b * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
+        free_n = k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
+        free_t = -(k_t * arm_b) * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
         largest = friction * old_n
-        new_t = max(-largest, min(free_t, largest))
-        new_n = max(free_n, 0.0)
-        impulse[i, 0] = new_n
-        impulse[i, 1] = new_t
-        p_n, p_t = new_n - old_n, new_t - old_t
+        p_t = max(-largest - old_t, min(free_t, largest - old_t))
+        p_n = max(free_n, -old_n)
+        impulse[i, 0] = old_n + p_n
+        impulse[i, 1] = old_t + p_t
         theta = max(theta, max(abs(p_n), abs(p_t)))
 
         a_x = a_x - w_a * n_x * p_n - w_a * n_y * p_t
