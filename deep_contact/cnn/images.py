@@ -1,0 +1,479 @@
+"""States as images for a network, and a network's image back as impulses: `input_image`, `label_image`, `read_back`.
+
+An image is what `deep_contact.sph` makes of particles: (n_y, n_x, channels), row 0 at y_min, float32. `ImageSpec` says
+everything about it, travels with the model as JSON, and is all that the two sides have to agree on. Bodies and contacts
+are splatted with the same kernel and support radius; a channel of contacts is 0 where there are none.
+
+The channels, by name (`CHANNELS`); those of contacts are what the solver knows before its first sweep:
+
+| name                      | of      | meaning                                                            | unit  |
+|---------------------------|---------|--------------------------------------------------------------------|-------|
+| mass                      | bodies  | m                                                                  | kg    |
+| velocity_x, velocity_y    | bodies  | v, before gravity                                                  | m/s   |
+| spin                      | bodies  | ω                                                                  | rad/s |
+| normal_x, normal_y        | contacts| n, whose sign depends on the numbers of the bodies                 | –     |
+| normal_xx, normal_xy      | contacts| n_x² − n_y², 2 n_x n_y, which do not                               | –     |
+| contact_density           | contacts| 1: the density D of the consistent transfer                        | –     |
+| approach                  | contacts| v_n after Δt of gravity, less what restitution asks for (row of b) | m/s   |
+| slip                      | contacts| v_t of the surfaces after Δt of gravity (row of b)                 | m/s   |
+| effective_mass            | contacts| 1 / (J M⁻¹ Jᵀ) of the normal row                                   | kg    |
+| builtin_normal, builtin_tangent | contacts | impulses carried over from the step before                  | N·s   |
+
+Symmetries (`augment`): a state may be turned by quarter turns and mirrored, and its solution goes along. v and n turn
+as vectors, (n_x² − n_y², 2 n_x n_y) by twice the angle; ω, slip and λ_t change their sign in a mirror. The sign of n
+does not matter to λ: n, t and the relative velocity flip together.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.contact_solver import contact_rows, integrate_velocities, make_rows
+from deep_contact.physics.engine import world_arguments
+from deep_contact.sph import KERNELS, Grid, gather, splat
+from deep_contact.sph.grid import ROUNDING
+from deep_contact.state import Contacts, State, World, check_contacts
+
+# A mapped particle always counts: where h < d / √2 some are within h of no node, and an impulse that no node holds
+# would be a start of zero that nobody asked for. A contact with a wall, or a body pushed out of the box, lies beyond
+# the grid by a part of its penetration, and acts from its edge.
+_REACH = {"unreached": "nearest", "outside": "clamp"}
+
+
+# ---- what the solver knows of a state ----
+
+
+@njit(cache=True, error_model="numpy")
+def _row_values(bodies, contacts, world, dt):
+    """(m, 3): right-hand side of the normal row (v_n − target) and of the friction row, m/s; normal mass, kg."""
+    _, gravity, _, restitution = world
+    m = contacts.body_a.shape[0]
+    moving = np.empty((bodies.mass.shape[0] + 4, 4))
+    integrate_velocities(bodies, gravity, dt, moving)
+    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(m))
+    values = np.empty((m, 3))
+    for i in range(m):
+        a, b = rows.body[i, 0], rows.body[i, 1]
+        n_x, n_y, arm_a, arm_b = rows.data[i, 0], rows.data[i, 1], rows.data[i, 4], rows.data[i, 5]
+        v_x, v_y = moving[b, 0] - moving[a, 0], moving[b, 1] - moving[a, 1]
+        values[i, 0] = n_x * v_x + n_y * v_y - rows.data[i, 6]
+        values[i, 1] = n_y * v_x - n_x * v_y + arm_a * moving[a, 2] + arm_b * moving[b, 2]
+        values[i, 2] = rows.data[i, 2]
+    return values
+
+
+class _View:
+    """A state, with what several channels need of it computed once."""
+
+    def __init__(self, state: State):
+        if state.contacts is None:
+            raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
+        self.state = state
+        self.bodies = state.bodies
+        self.contacts = state.contacts
+
+    @cached_property
+    def rows(self) -> np.ndarray:
+        state = self.state
+        return _row_values(state.bodies, state.contacts, world_arguments(state), state.dt)
+
+    @cached_property
+    def scale(self) -> float:
+        c, (rhs, mass) = self.contacts, np.split(self.rows, [2], axis=1)
+        carried = np.stack([c.normal_start, c.tangent_start], axis=1) / mass
+        s = math.sqrt(np.mean(rhs * rhs) + np.mean(carried * carried)) if rhs.size else 0.0
+        # A subnormal scale would turn zeros into infinities.
+        return s if s > 1e-150 else 1.0
+
+
+class Channel(NamedTuple):
+    """One line of `CHANNELS`.
+
+    | field   | meaning                                                                                |
+    |---------|----------------------------------------------------------------------------------------|
+    | of      | "bodies" or "contacts": what is splatted                                               |
+    | value   | function of a view of the state -> (k,) values                                         |
+    | degree  | 1 if it scales with the velocities, else 0                                             |
+    | kind    | how it turns: "scalar", "pseudo" (flips in a mirror), "x", "y" (parts of a vector),    |
+    |         | "xx", "xy" (parts of a symmetric tensor without trace)                                 |
+    | partner | the other part of the vector, or None                                                  |
+    """
+
+    of: str
+    value: Callable
+    degree: int
+    kind: str
+    partner: str | None = None
+
+
+CHANNELS: dict[str, Channel] = {
+    "mass": Channel("bodies", lambda v: v.bodies.mass, 0, "scalar"),
+    "velocity_x": Channel("bodies", lambda v: v.bodies.velocity[:, 0], 1, "x", "velocity_y"),
+    "velocity_y": Channel("bodies", lambda v: v.bodies.velocity[:, 1], 1, "y", "velocity_x"),
+    "spin": Channel("bodies", lambda v: v.bodies.spin, 1, "pseudo"),
+    "normal_x": Channel("contacts", lambda v: v.contacts.normal[:, 0], 0, "x", "normal_y"),
+    "normal_y": Channel("contacts", lambda v: v.contacts.normal[:, 1], 0, "y", "normal_x"),
+    "normal_xx": Channel("contacts", lambda v: v.contacts.normal[:, 0] ** 2 - v.contacts.normal[:, 1] ** 2, 0, "xx"),
+    "normal_xy": Channel("contacts", lambda v: 2 * v.contacts.normal[:, 0] * v.contacts.normal[:, 1], 0, "xy"),
+    "contact_density": Channel("contacts", lambda v: np.ones(v.contacts.count), 0, "scalar"),
+    "approach": Channel("contacts", lambda v: v.rows[:, 0], 1, "scalar"),
+    "slip": Channel("contacts", lambda v: v.rows[:, 1], 1, "pseudo"),
+    "effective_mass": Channel("contacts", lambda v: v.rows[:, 2], 0, "scalar"),
+    "builtin_normal": Channel("contacts", lambda v: v.contacts.normal_start, 1, "scalar"),
+    "builtin_tangent": Channel("contacts", lambda v: v.contacts.tangent_start, 1, "pseudo"),
+}
+"""Name of an input channel -> what it is. See the module's table."""
+
+TARGETS: dict[str, Channel] = {
+    "normal_impulse": Channel("contacts", lambda v: v.contacts.normal_impulse, 1, "scalar"),
+    "tangent_impulse": Channel("contacts", lambda v: v.contacts.tangent_impulse, 1, "pseudo"),
+}
+"""Name of an output channel -> what it is."""
+
+THESIS_CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
+"""The five inputs of the thesis's network, in its order."""
+
+SOLVER_CHANNELS = (
+    "contact_density",
+    "normal_xx",
+    "normal_xy",
+    "approach",
+    "slip",
+    "effective_mass",
+    "builtin_normal",
+    "builtin_tangent",
+)
+"""What the solver knows of its contacts, free of the arbitrary sign of n."""
+
+TRANSFERS = ("thesis", "consistent")
+NORMALIZATIONS = ("particle", "raw")
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageSpec:
+    """What an image is made of. The defaults are the thesis's.
+
+    spacing: d of the grid, m. support: radius h of the kernel, m. kernel: one of `sph.KERNELS`.
+    normalization: of the inputs: "particle" (the weights of a particle sum to one, Appendix A) or "raw" (Eq 3.6).
+    transfer: of the impulses: "thesis" (particle-normalised splat, bilinear gather) or "consistent" (the same image,
+    but the gather divides by the gathered density: see `sph.grid`).
+    channels: names of `CHANNELS`. targets: names of `TARGETS`.
+    scales, target_scales: what each is divided by on the way in; a target is multiplied by it on the way out.
+    scale_free: divide velocities and impulses by the state's own scale (`state_scale`), and multiply what is read back.
+    Raises ValueError naming the field and the value.
+    """
+
+    spacing: float = 0.5
+    support: float = 0.5
+    kernel: str = "poly6"
+    normalization: str = "particle"
+    transfer: str = "thesis"
+    channels: tuple[str, ...] = THESIS_CHANNELS
+    targets: tuple[str, ...] = ("normal_impulse", "tangent_impulse")
+    scales: tuple[float, ...] | None = None
+    target_scales: tuple[float, ...] | None = None
+    scale_free: bool = False
+
+    def __post_init__(self):
+        for name in ("spacing", "support"):
+            object.__setattr__(self, name, _positive(name, getattr(self, name)))
+        for name, known in (("kernel", KERNELS), ("normalization", NORMALIZATIONS), ("transfer", TRANSFERS)):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
+        for name, table in (("channels", CHANNELS), ("targets", TARGETS)):
+            object.__setattr__(self, name, _names(name, getattr(self, name), table))
+        for name, of in (("scales", self.channels), ("target_scales", self.targets)):
+            given = getattr(self, name)
+            scales = (1.0,) * len(of) if given is None else given
+            if isinstance(scales, str) or not np.iterable(scales):
+                raise ValueError(f"{name}: expected {len(of)} numbers, got {given!r}")
+            scales = tuple(_positive(f"{name}[{i}]", s) for i, s in enumerate(scales))
+            if len(scales) != len(of):
+                raise ValueError(f"{name}: expected {len(of)} numbers, one a channel, got {len(scales)}")
+            object.__setattr__(self, name, scales)
+        if not isinstance(self.scale_free, (bool, np.bool_)):
+            raise ValueError(f"scale_free: expected True or False, got {self.scale_free!r}")
+        object.__setattr__(self, "scale_free", bool(self.scale_free))
+
+    def grid(self, world: World) -> Grid:
+        """The grid over a world's box."""
+        return _grid(world.box, self.spacing)
+
+    def shape(self, world: World) -> tuple[int, int]:
+        """(n_y, n_x) of the images of this world's states."""
+        return self.grid(world).shape
+
+    def replace(self, **changes) -> ImageSpec:
+        """A copy with some fields changed."""
+        return replace(self, **changes)
+
+    def to_dict(self) -> dict:
+        """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+
+    @classmethod
+    def from_dict(cls, values: dict) -> ImageSpec:
+        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields."""
+        names = {field.name for field in fields(cls)}
+        if not isinstance(values, dict) or set(values) != names:
+            got = sorted(values) if isinstance(values, dict) else values
+            raise ValueError(f"image spec: expected the fields {', '.join(sorted(names))}, got {got!r}")
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+
+
+def _positive(name: str, given) -> float:
+    try:
+        value = float(given)
+    except (TypeError, ValueError):
+        value = math.nan
+    if isinstance(given, (bool, str)) or not (math.isfinite(value) and value > 0):
+        raise ValueError(f"{name}: expected a finite number > 0, got {given!r}")
+    return value
+
+
+def _names(name: str, given, table) -> tuple[str, ...]:
+    names = (given,) if isinstance(given, str) or not np.iterable(given) else tuple(given)
+    for i, item in enumerate(names):
+        if not isinstance(item, str) or item not in table:
+            raise ValueError(f"{name}[{i}]: expected one of {', '.join(table)}, got {item!r}")
+    if not names or len(set(names)) != len(names):
+        raise ValueError(f"{name}: expected one or more different names, got {given!r}")
+    return names
+
+
+@lru_cache(maxsize=64)
+def _grid(box, spacing) -> Grid:
+    return Grid.over_box(box, spacing)
+
+
+# ---- images ----
+
+
+def state_scale(state: State) -> float:
+    """The velocity s by which a scale-free image divides, m/s; the solver knows it before it starts.
+
+    s² is the mean over all rows of the square of their right-hand sides (approach and slip velocity after Δt of
+    gravity), plus that of the impulses carried over from the step before, each over the effective mass of its normal
+    row. 1 where there is no contact, or nothing moves. Scaling all velocities, gravity and the carried impulses by
+    c > 0 scales s, and the solution λ, by c (but for the threshold of restitution).
+
+    With the right-hand sides alone, a resting pile would have labels a hundred times larger than an impact: over 30
+    simulations of the data set, the logarithm of ‖λ‖ / s spreads by 1.25 (standard deviation) without the carried
+    impulses and by 0.62 with them.
+    """
+    return _View(state).scale
+
+
+def input_image(state: State, spec: ImageSpec) -> np.ndarray:
+    """The network's input, float32, (n_y, n_x, channels).
+
+    Raises ValueError where the state has no contacts yet, or holds what is not finite.
+    """
+    return _image(_View(state), spec, spec.channels, CHANNELS, spec.scales, spec.normalization)
+
+
+def label_image(state: State, spec: ImageSpec) -> np.ndarray:
+    """The image of the impulses that a solved state holds, float32, (n_y, n_x, targets), in the network's units.
+
+    Raises ValueError where the state has not been solved.
+    """
+    return _label(_View(state), spec)
+
+
+def image_pair(state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndarray, float]:
+    """`input_image`, `label_image` and the scale s that both were divided by (1 if the spec is not scale-free)."""
+    view = _View(state)
+    image = _image(view, spec, spec.channels, CHANNELS, spec.scales, spec.normalization)
+    return image, _label(view, spec), view.scale if spec.scale_free else 1.0
+
+
+def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
+    """Impulses at the contacts from a network's image: one array (m,) a target, N·s; by default (normal, tangent).
+
+    image: (n_y, n_x, targets), in the network's units. Nothing is projected on the friction cone here.
+    Raises ValueError where the image does not fit the spec, or is not finite around a contact.
+    """
+    view = _View(state)
+    given = np.asarray(image, dtype=np.float64)
+    expected = (*spec.shape(state.world), len(spec.targets))
+    if given.shape != expected:
+        raise ValueError(f"image: expected shape {expected}, got {given.shape}")
+    options = {"normalization": "particle", **_REACH}
+    if spec.transfer == "consistent":
+        options |= {"normalization": "consistent", "h": spec.support, "kernel": spec.kernel}
+    values = gather(spec.grid(state.world), given, view.contacts.position, **options)
+    values *= np.asarray(spec.target_scales) * (view.scale if spec.scale_free else 1.0)
+    return tuple(np.ascontiguousarray(column) for column in values.T)
+
+
+def _label(view: _View, spec: ImageSpec) -> np.ndarray:
+    if not view.state.solved:
+        raise ValueError("state.solved: expected a state that holds its solution, got False")
+    # "consistent" differs in the gather alone: its image is that of "particle".
+    return _image(view, spec, spec.targets, TARGETS, spec.target_scales, "particle")
+
+
+def _image(view: _View, spec: ImageSpec, names, table, scales, normalization) -> np.ndarray:
+    grid = spec.grid(view.state.world)
+    image = np.empty((*grid.shape, len(names)), np.float32)
+    for of, particles in (("bodies", view.bodies), ("contacts", view.contacts)):
+        chosen = [i for i, name in enumerate(names) if table[name].of == of]
+        if not chosen:
+            continue
+        values = np.empty((particles.position.shape[0], len(chosen)))
+        for column, i in enumerate(chosen):
+            channel = table[names[i]]
+            divisor = scales[i] * (view.scale if spec.scale_free and channel.degree else 1.0)
+            values[:, column] = channel.value(view)
+            values[:, column] /= divisor
+        layers = splat(
+            grid,
+            particles.position,
+            values,
+            h=spec.support,
+            kernel=spec.kernel,
+            normalization=normalization,
+            **_REACH,
+        )
+        if len(chosen) == len(names):
+            return layers.astype(np.float32)
+        image[:, :, chosen] = layers
+    return image
+
+
+# ---- symmetries: k = 0 … 7; k ≥ 4 mirrors x first, then k mod 4 quarter turns counter-clockwise ----
+
+SYMMETRIES = tuple(range(8))
+
+
+def symmetries(spec: ImageSpec, world: World) -> tuple[int, ...]:
+    """Which of the eight symmetries `augment` can apply to this spec's images exactly.
+
+    A quarter turn needs a square box and both parts of every vector among the channels: the thesis's normal_x alone
+    leaves the two mirrors and the half turn. None but 0 where the spacing does not divide the box, as the nodes then
+    do not lie symmetrically.
+    """
+    x_min, y_min, x_max, y_max = world.box
+    cells = np.array([x_max - x_min, y_max - y_min]) / spec.spacing
+    if (np.abs(cells - np.round(cells)) > ROUNDING).any():
+        return (0,)
+    partners = [CHANNELS[name].partner for name in spec.channels]
+    square = abs(cells[0] - cells[1]) <= ROUNDING
+    turns = square and all(partner is None or partner in spec.channels for partner in partners)
+    return tuple(k for k in SYMMETRIES if turns or k % 2 == 0)
+
+
+def augment(inputs, labels, spec: ImageSpec, k: int) -> tuple[np.ndarray, np.ndarray]:
+    """Input and label image, (…, n_y, n_x, channels), of the state that symmetry k makes of theirs.
+
+    Equal to the images of `transform_state(state, k)` up to rounding, for k among `symmetries(spec, world)`.
+    Raises ValueError on another k where the channels show it.
+    """
+    return (
+        _turn(inputs, _signed(spec.channels, CHANNELS, spec.scales, _symmetry(k)), k),
+        _turn(labels, _signed(spec.targets, TARGETS, spec.target_scales, _symmetry(k)), k),
+    )
+
+
+def transform_state(state: State, k: int) -> State:
+    """The state turned and mirrored with its box and its gravity, by symmetry k (0 … 7).
+
+    k ≥ 4 mirrors x, then k mod 4 quarter turns counter-clockwise follow. The box keeps its lower left corner.
+    """
+    mirrored, turns = _symmetry(k)
+    x_min, y_min, x_max, y_max = state.world.box
+    width, height = x_max - x_min, y_max - y_min
+    m = _matrix(k)
+
+    def moved(points):
+        # As distances from the walls, which stay exact where x_max - x is.
+        x, y = points[:, 0] - x_min, points[:, 1] - y_min
+        x = width - x if mirrored else x
+        for turn in range(turns):
+            x, y = (height, width)[turn % 2] - y, x
+        return np.stack([x + x_min, y + y_min], axis=1)
+
+    sign = -1.0 if mirrored else 1.0
+    box = (x_min, y_min, x_min + height, y_min + width) if turns % 2 else state.world.box
+    bodies = state.bodies._replace(
+        position=moved(state.bodies.position),
+        velocity=state.bodies.velocity @ m.T,
+        angle=sign * state.bodies.angle + turns * (math.pi / 2),
+        spin=sign * state.bodies.spin,
+    )
+    gravity = tuple(m @ np.array(state.world.gravity))
+    world = replace(state.world, box=box, gravity=gravity)
+    if state.contacts is None:
+        return state.replace(world=world, bodies=bodies)
+    contacts, n = state.contacts, state.bodies.count
+    # Walls are numbered counter-clockwise from the bottom; the mirror swaps right and left.
+    wall = ((-1 if mirrored else 1) * (contacts.body_b - n) + turns) % 4
+    found = Contacts(
+        body_a=contacts.body_a,
+        body_b=np.where(contacts.body_b < n, contacts.body_b, n + wall),
+        position=moved(contacts.position),
+        normal=contacts.normal @ m.T,
+        separation=contacts.separation,
+        normal_impulse=contacts.normal_impulse,
+        tangent_impulse=sign * contacts.tangent_impulse,
+        normal_start=contacts.normal_start,
+        tangent_start=sign * contacts.tangent_start,
+    )
+    return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies))
+
+
+def _symmetry(k) -> tuple[bool, int]:
+    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 0 <= k < 8:
+        raise ValueError(f"k: expected a symmetry, 0 to 7, got {k!r}")
+    return bool(k >= 4), int(k % 4)
+
+
+def _matrix(k: int) -> np.ndarray:
+    mirrored, turns = _symmetry(k)
+    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
+    return np.linalg.matrix_power(turn, turns) @ np.diag([-1.0 if mirrored else 1.0, 1.0])
+
+
+def _signed(names, table, scales, symmetry) -> tuple[list[int], np.ndarray]:
+    """Which channel each new one is, and the factor between them."""
+    mirrored, turns = symmetry
+    m = _matrix(turns + 4 * mirrored)
+    source, factor = [], []
+    for i, name in enumerate(names):
+        channel = table[name]
+        j, sign = i, 1.0
+        if channel.kind in ("x", "y"):
+            row = "xy".index(channel.kind)
+            sign = m[row, row]
+            if turns % 2:
+                if channel.partner not in names:
+                    raise ValueError(f"k: expected no quarter turn, since {name} is there without {channel.partner}")
+                j, sign = names.index(channel.partner), m[row, 1 - row]
+        elif channel.kind in ("xx", "xy"):
+            sign = (-1.0 if turns % 2 else 1.0) * (-1.0 if mirrored and channel.kind == "xy" else 1.0)
+        elif channel.kind == "pseudo" and mirrored:
+            sign = -1.0
+        source.append(j)
+        factor.append(sign * scales[j] / scales[i])
+    return source, np.array(factor, dtype=np.float32)
+
+
+def _turn(image, signed, k: int) -> np.ndarray:
+    source, factor = signed
+    mirrored, turns = _symmetry(k)
+    image = np.asarray(image)
+    if turns % 2 and image.shape[-3] != image.shape[-2]:
+        raise ValueError(f"k: expected no quarter turn of images that are not square, {image.shape[-3:-1]}, got {k}")
+    if mirrored:
+        image = image[..., :, ::-1, :]
+    # Rows count upwards here and downwards in rot90, whose turns are therefore the other way round.
+    image = np.rot90(image, -turns, axes=(-3, -2))
+    return np.ascontiguousarray(image[..., source] * factor)
