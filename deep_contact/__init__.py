@@ -21,6 +21,7 @@ _HOME = {
         "two_bodies",
     ),
     "deep_contact.physics.methods": ("PGS",),
+    "deep_contact.cnn.inference": ("load_model",),
     "deep_contact.simulation": ("simulate", "solve_contacts", "step"),
     "deep_contact.state_xml": ("read_state", "write_state"),
 }

@@ -134,6 +134,12 @@ class Sph:
         return back[:, 0].copy(), back[:, 1].copy()
 
 
+def _cnn() -> WarmStart:
+    from deep_contact.cnn.inference import Cnn  # TensorFlow, for those who predict
+
+    return Cnn()
+
+
 STARTS: dict[str, Callable[[], WarmStart]] = {
     "none": NoStart,
     "builtin": Builtin,
@@ -141,6 +147,7 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
     "random": Random,
     "bad": Bad,
     "sph": Sph,
+    "cnn": _cnn,
 }
 """Name -> what makes the start with its default options."""
 

@@ -1,0 +1,195 @@
+"""The networks: the thesis's own, exactly, and one that is fit to ship. `build(name, ...)` makes either.
+
+Both take images (batch, n_y, n_x, channels) and are made of stock Keras layers only, so that a file of theirs holds
+no code and opens with plain `keras.models.load_model(path, compile=False)`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import keras
+import numpy as np
+from keras import layers
+
+THESIS_SHAPE = (61, 61)
+"""Nodes of the thesis's images: 30 m / 0.5 m + 1."""
+
+THESIS_CHANNELS = 5
+THESIS_OUTPUTS = 2
+"""λ_n, λ_t."""
+
+_THESIS_STACKS = (
+    (32, (3, 3)),
+    (64, (3, 3, 2)),
+    (128, (2, 2, 2)),
+    (256, (2, 2, 2)),
+    (512, (2, 2, 2)),
+)
+"""Filters, and the sides of the kernels (Appendix B; Table 5.2 has 3 × 3 for all)."""
+
+_NORMALIZED = (64, 256)
+"""Stacks whose pooling is followed by batch normalisation (Table 5.1)."""
+
+COMPACT_COARSENING = 4
+"""The compact network works on every fourth node: it gives back as many nodes as it gets if n = 1 (mod 4)."""
+
+
+def build(name: str, **options) -> keras.Model:
+    """The network of that name, untrained: "thesis" or "compact", with the options of the function below.
+
+    Raises ValueError on another name, TypeError on options that the network does not have.
+    """
+    if name not in ARCHITECTURES:
+        raise ValueError(f"architecture: expected one of {', '.join(ARCHITECTURES)}, got {name!r}")
+    return ARCHITECTURES[name](**options)
+
+
+def thesis(
+    *,
+    shape: Sequence[int] = THESIS_SHAPE,
+    channels: int = THESIS_CHANNELS,
+    outputs: int = THESIS_OUTPUTS,
+    dropout: float = 0.1,
+    weight_decay: float = 5e-4,
+) -> keras.Model:
+    """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · outputs).
+
+    With the defaults: 64,498,866 trainable parameters (L1201). A fully connected last layer holds 61 million of them
+    and ties the network to images of one size. Its ReLU can give no negative impulse, so that half of all friction
+    is out of its reach; this is how the thesis has it.
+
+    dropout: after every stack (Table 5.1). weight_decay: of the L2 regulariser; the thesis does not print its value.
+    Raises ValueError naming the option and the value.
+    """
+    n_y, n_x = _shape(shape)
+    _counts(channels=channels, outputs=outputs)
+    if not 0 <= dropout < 1:
+        raise ValueError(f"dropout: expected a number from 0 to below 1, got {dropout!r}")
+    if not weight_decay >= 0:
+        raise ValueError(f"weight_decay: expected a number >= 0, got {weight_decay!r}")
+    stack = [keras.Input((n_y, n_x, channels), name="bodies")]
+    for number, (filters, kernels) in enumerate(_THESIS_STACKS, 1):
+        for turn, side in enumerate(kernels, 1):
+            stack.append(
+                layers.Conv2D(
+                    filters,
+                    side,
+                    padding="same",
+                    activation="relu",
+                    kernel_initializer="he_normal",
+                    kernel_regularizer=keras.regularizers.L2(weight_decay),
+                    name=f"convolution_{number}_{turn}",
+                )
+            )
+        stack.append(layers.Dropout(dropout, name=f"dropout_{number}"))
+        if number < len(_THESIS_STACKS):
+            stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{number}"))
+            if filters in _NORMALIZED:
+                stack.append(layers.BatchNormalization(name=f"normalization_{number}"))
+    stack.append(layers.Flatten(name="flatten"))
+    stack.append(layers.Dense(n_y * n_x * outputs, activation="relu", name="impulses"))
+    return keras.Sequential(stack, name="thesis")
+
+
+def compact(
+    *,
+    channels: int,
+    outputs: int = 2,
+    stem: int = 24,
+    width: int = 64,
+    decoder: int = 32,
+    dilations: Sequence[int] = (1, 2, 4, 1, 2, 4),
+    density: int | None = None,
+    starts: Sequence[int] | None = None,
+) -> keras.Model:
+    """Ours: fully convolutional, signed, (b, n_y, n_x, channels) -> (b, n_y, n_x, outputs) where n = 1 (mod 4).
+
+    An hourglass of three resolutions. Two convolutions with stride 2 lead to every fourth node (2 m where d = 0.5),
+    where residual convolutions of growing dilation see the whole of the thesis's box: with the defaults 61 nodes to
+    every side. Two transposed ones lead back, past the features kept from half the resolution. All
+    strided layers are padded such that their outputs lie on the nodes 0, 2, 4, … and 0, 4, 8, …: mirrored input,
+    mirrored geometry. Other sizes are padded with zeros at the top and right (`inference.padded_shape`).
+
+    stem, width, decoder: features at half resolution, at a quarter, and at half on the way back. dilations: one
+    residual convolution each. The last layer starts from zero, so an untrained network predicts nothing.
+
+    density: the input channel with the density of contacts. The output is then a field times this density, as the
+    image of the impulses is: the field is smooth, and the network need not say again where the contacts are.
+    starts: the input channels with Builtin's start, one an output. A share of them, decided node by node by a gate
+    between 0 and 1, is added to the output: in a resting pile the solution is there already.
+    Both pick their channels by a 1 × 1 convolution that starts as the choice named and is trained with the rest.
+    Raises ValueError naming the option and the value.
+    """
+    dilations = tuple(dilations)
+    _counts(channels=channels, outputs=outputs, stem=stem, width=width, decoder=decoder)
+    _counts(**{f"dilations[{i}]": dilation for i, dilation in enumerate(dilations)})
+    same = {"padding": "same", "activation": "relu", "kernel_initializer": "he_normal"}
+    image = keras.Input((None, None, channels), name="state")
+    half = _halved(image, stem, "half")
+    x = _halved(half, width, "quarter")
+    for i, dilation in enumerate(dilations, 1):
+        change = layers.Conv2D(width, 3, dilation_rate=dilation, name=f"far_{i}", **same)(x)
+        x = layers.Add(name=f"sum_{i}")([x, change])
+    x = _doubled(x, stem, "back_to_half", activation="relu", kernel_initializer="he_normal")
+    x = layers.Concatenate(name="beside_half")([x, half])
+    near = layers.Conv2D(decoder, 3, name="near", **same)(x)
+    x = _doubled(near, outputs, "field", kernel_initializer="zeros")
+    chosen = {}
+    if density is not None:
+        chosen["density"] = [density] * outputs
+        x = layers.Multiply(name="impulses")([x, _choice(image, outputs, "density")])
+    if starts is not None:
+        chosen["start"] = list(starts)
+        gate = _doubled(near, outputs, "gate", activation="sigmoid", kernel_initializer="zeros")
+        kept = layers.Multiply(name="kept")([gate, _choice(image, outputs, "start")])
+        x = layers.Add(name="start_and_impulses")([x, kept])
+    model = keras.Model(image, x, name="compact")
+    for name, picked in chosen.items():
+        if len(picked) != outputs or not all(isinstance(i, int) and 0 <= i < channels for i in picked):
+            raise ValueError(f"{name}: expected {outputs} of the channels 0 to {channels - 1}, got {picked}")
+        kernel = np.zeros((1, 1, channels, outputs), np.float32)
+        kernel[0, 0, picked, range(outputs)] = 1.0
+        model.get_layer(name).set_weights([kernel])
+    return model
+
+
+ARCHITECTURES: dict[str, Callable[..., keras.Model]] = {"thesis": thesis, "compact": compact}
+"""Name -> what builds the network."""
+
+
+def coarsening(name: str) -> int:
+    """k such that the network of that name takes images of n = 1 (mod k) nodes along each edge; 1 is any."""
+    return COMPACT_COARSENING if name == "compact" else 1
+
+
+def _halved(x, filters, name):
+    x = layers.ZeroPadding2D(1, name=f"{name}_padding")(x)
+    options = {"strides": 2, "activation": "relu", "kernel_initializer": "he_normal"}
+    return layers.Conv2D(filters, 3, name=name, **options)(x)
+
+
+def _doubled(x, filters, name, **options):
+    x = layers.Conv2DTranspose(filters, 3, strides=2, name=name, **options)(x)
+    return layers.Cropping2D(1, name=f"{name}_crop")(x)
+
+
+def _choice(image, outputs, name):
+    return layers.Conv2D(outputs, 1, use_bias=False, name=name)(image)
+
+
+def _shape(shape):
+    try:
+        n_y, n_x = (int(n) for n in shape)
+        whole = (n_y, n_x) == tuple(shape) and min(n_y, n_x) > 0
+    except (TypeError, ValueError):
+        whole = False
+    if not whole:
+        raise ValueError(f"shape: expected (n_y, n_x), two integers >= 1, got {shape!r}")
+    return n_y, n_x
+
+
+def _counts(**numbers):
+    for name, value in numbers.items():
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")

@@ -1,0 +1,160 @@
+"""A trained network at work: `load_model`, `LearnedModel.predict`, and the start that it gives the solver, `Cnn`.
+
+TensorFlow is imported here and when it is first needed. A network is compiled once for each size of image; there is
+no retracing, and the overhead of `keras.Model.predict` is not paid.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from deep_contact.cnn.images import ImageSpec, input_image, read_back
+from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_model
+from deep_contact.state import State
+
+_SAME_BOX = 1e-6
+"""A box may differ by so much from the one a network of fixed size was made for, relative."""
+
+
+def limit_threads(count: int) -> None:
+    """Let TensorFlow use so many threads, for all networks of this process. Before the first one is used.
+
+    Raises RuntimeError where TensorFlow is already at work with another number.
+    """
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise ValueError(f"threads: expected an integer >= 1, got {count!r}")
+    import tensorflow as tf
+
+    threading = tf.config.threading
+    if threading.get_intra_op_parallelism_threads() == count and threading.get_inter_op_parallelism_threads() == 1:
+        return
+    threading.set_intra_op_parallelism_threads(count)
+    threading.set_inter_op_parallelism_threads(1)
+
+
+def load_model(path=None) -> LearnedModel:
+    """The model of a file; by default the one that is shipped, models/model.h5. No code in the file is run.
+
+    Raises FileNotFoundError where there is none, `ModelFileError` (a ValueError) where it is damaged, foreign or
+    changed, naming the field.
+    """
+    path = default_model_path() if path is None else Path(path)
+    model, spec, metadata = read_model(path)
+    return LearnedModel(
+        keras=model,
+        spec=spec,
+        card=metadata["card"],
+        coarsening=metadata["coarsening"],
+        box=None if metadata["box"] is None else tuple(metadata["box"]),
+        path=path,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedModel:
+    """A network and what is needed to use it: state in, impulses at its contacts out.
+
+    keras: the `keras.Model`. spec: what its images are made of. card: where it comes from, what it is worth.
+    coarsening: it takes n = 1 (mod coarsening) nodes along an edge. box: (width, height) that a network of fixed size
+    was made for, m, or None. path: the file it was read from, or None.
+    """
+
+    keras: object
+    spec: ImageSpec
+    card: dict = field(default_factory=dict)
+    coarsening: int = 1
+    box: tuple[float, float] | None = None
+    path: Path | None = None
+    _compiled: dict = field(default_factory=dict, init=False, repr=False, compare=False)
+
+    def predict(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """(λ_n, λ_t) at the state's contacts as the network has them, (m,) each, N·s: not projected.
+
+        Raises ModelFileError where the network does not fit the scene, ValueError where the state has no contacts
+        found yet.
+        """
+        return read_back(self.predict_image(state), state, self.spec)
+
+    def predict_image(self, state: State) -> np.ndarray:
+        """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units."""
+        self.check_scene(state)
+        return self.run(input_image(state, self.spec))
+
+    def run(self, image: np.ndarray) -> np.ndarray:
+        """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32."""
+        n_y, n_x = image.shape[:2]
+        rows, columns = padded_shape((n_y, n_x), self.coarsening)
+        if (rows, columns) != (n_y, n_x):
+            image = np.pad(image, ((0, rows - n_y), (0, columns - n_x), (0, 0)))
+        key = rows, columns
+        if key not in self._compiled:
+            self._compiled[key] = compiled(self.keras, (rows, columns, image.shape[2]))
+        out = self._compiled[key](image[None])
+        return out.reshape(rows, columns, -1)[:n_y, :n_x]
+
+    def check_scene(self, state: State) -> None:
+        """Raise ModelFileError naming the field unless the network can work on this scene."""
+        spec, size = self.spec, self.keras.input_shape[1:3]
+        if len(spec.targets) != 2:
+            raise ModelFileError(f"targets: expected a network for normal and tangent impulses, got {spec.targets}")
+        if None in size:
+            return
+        x_min, y_min, x_max, y_max = state.world.box
+        extent = x_max - x_min, y_max - y_min
+        if self.box is not None and not np.allclose(extent, self.box, rtol=_SAME_BOX, atol=0.0):
+            raise ModelFileError(
+                f"box: expected a scene of {self.box[0]} m × {self.box[1]} m, for which the network "
+                f"was trained, got {extent[0]} m × {extent[1]} m"
+            )
+        shape = spec.shape(state.world)
+        if shape != size:
+            raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
+
+
+def padded_shape(shape: tuple[int, int], coarsening: int) -> tuple[int, int]:
+    """The next size up with n = 1 (mod coarsening) along both edges."""
+    return tuple(n + (1 - n) % coarsening for n in shape)
+
+
+def compiled(model, shape: tuple[int, int, int]) -> Callable[[np.ndarray], np.ndarray]:
+    """The network for one image of this shape as a function of a NumPy array (1, n_y, n_x, c), float32."""
+    import keras
+
+    if keras.backend.backend() != "tensorflow":
+        return lambda image: keras.ops.convert_to_numpy(model(image, training=False))
+    import tensorflow as tf
+
+    signature = [tf.TensorSpec((1, *shape), tf.float32)]
+    # The concrete function skips the look-up by signature, a tenth of the time of a small network.
+    function = tf.function(lambda image: model(image, training=False), input_signature=signature)
+    concrete = function.get_concrete_function()
+    return lambda image: concrete(tf.constant(image)).numpy()
+
+
+@dataclass(frozen=True)
+class Cnn:
+    """What a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
+
+    model: a `LearnedModel`, the path of a model file, or None for the one that is shipped.
+    """
+
+    model: LearnedModel | str | Path | None = None
+
+    def __post_init__(self):
+        if not isinstance(self.model, LearnedModel):
+            object.__setattr__(self, "model", load_model(self.model))
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        if state.contacts is not None and state.contacts.count == 0:
+            return np.zeros(0), np.zeros(0)
+        return projected(*self.model.predict(state), state.world.friction)
+
+
+def projected(normal: np.ndarray, tangent: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
+    """Impulses (m,) with the normal ones cut at 0 and the tangent ones at the friction cone, as a sweep would."""
+    normal = np.maximum(normal, 0.0)
+    return normal, np.clip(tangent, -friction * normal, friction * normal)

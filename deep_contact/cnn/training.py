@@ -1,0 +1,615 @@
+"""Training: data by simulation, an epoch at a time, from wherever the last run was stopped.
+
+A run is a folder:
+
+| file        | holds                                                                                             |
+|-------------|---------------------------------------------------------------------------------------------------|
+| last.npz    | after every epoch: weights, optimizer, random state, history and settings; a run goes on from it   |
+| best.h5     | the model file of the epoch with the lowest validation loss so far                                |
+| history.csv | a line an epoch                                                                                   |
+| model.h5    | at the end: the best one with its card                                                            |
+
+Each file is replaced as a whole, and what an epoch does depends on nothing but last.npz, the settings and the data:
+a run that is killed at any moment and started again gives the history of one that was not, to the last bit on the same
+machine. At most the epoch at hand is lost.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+import json
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+import keras
+import numpy as np
+from keras import ops
+
+from deep_contact.cnn import architectures, losses, schedules
+from deep_contact.cnn.dataset import PHASES, ImageBatches, Split, Store, fit_scales, split_by_simulation
+from deep_contact.cnn.evaluation import held_out_errors
+from deep_contact.cnn.images import SOLVER_CHANNELS, THESIS_CHANNELS, ImageSpec, augment
+from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model, padded_shape, projected
+from deep_contact.cnn.losses import CONTACT_LOSSES, ContactBatch
+from deep_contact.cnn.model_file import save_model
+from deep_contact.results import package_versions, processor, replacing
+from deep_contact.warm_start import Builtin, NoStart
+
+CHANNEL_SETS = {
+    "thesis": THESIS_CHANNELS,
+    "solver": SOLVER_CHANNELS,
+    "bodies and solver": ("mass", "velocity_x", "velocity_y", "spin", *SOLVER_CHANNELS),
+}
+"""Name -> input channels."""
+
+LOSSES = ("appendix b", *CONTACT_LOSSES)
+OPTIMIZERS = ("sgd", "adam")
+
+COLUMNS = (
+    "epoch",
+    "rate",
+    "loss",
+    "validation_loss",
+    "validation_velocity_error",
+    "validation_impulse_error",
+    "seconds",
+)
+"""Of history.csv. Errors: mean over states of the relative error before any sweep, projected."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingConfig:
+    """Settings of a run. The defaults are those of the compact network; `thesis_config` has Table 5.2.
+
+    architecture, options: of `architectures.build`; channels and outputs follow from the spec.
+    channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`.
+    measure_scales: divide each channel by its root mean square on the training side; if not, by 1.
+    loss: "appendix b" (masked, on images), or one of `CONTACT_LOSSES` ("velocity" …).
+    optimizer: "adam" or "sgd". momentum: of SGD. clip: largest norm of a gradient, or None.
+    schedule, rate: of `schedules.schedule`. epochs, batch_size, seed. patience: stop after so many epochs without a
+    lower validation loss, or None. states_per_epoch: as many by chance, or None for all. validation_states: about.
+    simulations: only the first so many, or None. fractions: train, validation, test. phases: train on these only.
+    augment: turn and mirror the training states.
+    Raises ValueError naming the field and the value.
+    """
+
+    architecture: str = "compact"
+    options: dict = field(default_factory=dict)
+    channels: str = "bodies and solver"
+    spacing: float = 0.5
+    support: float = 0.5
+    kernel: str = "poly6"
+    transfer: str = "consistent"
+    scale_free: bool = True
+    measure_scales: bool = True
+    loss: str = "velocity"
+    optimizer: str = "adam"
+    momentum: float = 0.0
+    clip: float | None = 1.0
+    schedule: str = "cosine"
+    rate: float = 1e-3
+    epochs: int = 30
+    batch_size: int = 32
+    patience: int | None = None
+    states_per_epoch: int | None = None
+    validation_states: int = 1000
+    simulations: int | None = None
+    fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)
+    phases: tuple[str, ...] = PHASES
+    augment: bool = True
+    seed: int = 0
+
+    def __post_init__(self):
+        for name, known in (
+            ("architecture", architectures.ARCHITECTURES),
+            ("channels", CHANNEL_SETS),
+            ("loss", LOSSES),
+            ("optimizer", OPTIMIZERS),
+            ("schedule", schedules.SCHEDULES),
+        ):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
+        for name in ("epochs", "batch_size", "validation_states"):
+            _check_count(name, getattr(self, name))
+        for name in ("patience", "states_per_epoch", "simulations"):
+            if getattr(self, name) is not None:
+                _check_count(name, getattr(self, name))
+        for name in ("rate", "clip"):
+            value = getattr(self, name)
+            if not (value is None and name == "clip") and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
+        if not 0 <= self.momentum < 1:
+            raise ValueError(f"momentum: expected a number from 0 to below 1, got {self.momentum!r}")
+        strange = [name for name in self.phases if name not in PHASES]
+        if strange or not self.phases:
+            raise ValueError(f"phases: expected among {', '.join(PHASES)}, got {self.phases!r}")
+        object.__setattr__(self, "fractions", tuple(float(f) for f in self.fractions))
+        object.__setattr__(self, "phases", tuple(self.phases))
+
+    def spec(self) -> ImageSpec:
+        """The images of this run, scales not measured yet."""
+        return ImageSpec(
+            spacing=self.spacing,
+            support=self.support,
+            kernel=self.kernel,
+            transfer=self.transfer,
+            channels=CHANNEL_SETS[self.channels],
+            scale_free=self.scale_free,
+        )
+
+
+def thesis_config(**changes) -> TrainingConfig:
+    """The thesis's settings: Table 5.2, Algorithm 6, Appendix B's loss; images d = h = 0.5 of bodies, not scaled."""
+    settings = {
+        "architecture": "thesis",
+        "channels": "thesis",
+        "transfer": "thesis",
+        "scale_free": False,
+        "measure_scales": False,
+        "loss": "appendix b",
+        "optimizer": "sgd",
+        "clip": None,
+        "schedule": "algorithm 6",
+        "rate": 5e-3,
+        "epochs": 1000,
+        "batch_size": 200,
+        # Table 5.2: a fifth for validation. What is reported needs a side of its own.
+        "fractions": (0.7, 0.2, 0.1),
+        "augment": False,
+    }
+    return TrainingConfig(**(settings | changes))
+
+
+class Training(NamedTuple):
+    """A finished run: history (a dict an epoch, keys `COLUMNS`), best epoch, model.h5's path and what it holds."""
+
+    history: list[dict]
+    best_epoch: int
+    path: Path
+    model: LearnedModel
+
+
+def set_up(seed: int, threads: int | None = None) -> None:
+    """Make what follows repeatable: seeds, deterministic kernels, number of threads. Before anything is built."""
+    if keras.backend.backend() == "tensorflow":
+        import tensorflow as tf
+
+        if threads is not None:
+            limit_threads(threads)
+        tf.config.experimental.enable_op_determinism()
+    keras.utils.set_random_seed(seed)
+
+
+def train(
+    config: TrainingConfig,
+    data,
+    out,
+    *,
+    threads: int | None = None,
+    command: str = "",
+    held_out: int = 300,
+    tensorboard=None,
+    log: Callable[[str], None] | None = None,
+    on_batch: Callable[[int, int], None] | None = None,
+) -> Training:
+    """Train until the epochs are done or patience is lost, from the run in `out` if there is one.
+
+    data: a `Store` or its folder. out: folder of the run. threads: of TensorFlow (`limit_threads`), or None for as it
+    is. command: what to write into the card. held_out: number of test states for the card.
+    tensorboard: folder for event files. log: gets a line an epoch; by default the progress goes to stderr.
+    on_batch: called with (epoch, batch) before each batch.
+    Raises ValueError where the run in `out` was started with other settings or data (`patience` may differ, and
+    `epochs` unless the schedule is "cosine").
+    """
+    store = data if isinstance(data, Store) else Store(data)
+    out = Path(out)
+    out.mkdir(parents=True, exist_ok=True)
+    set_up(config.seed, threads)
+    sims = store.simulations[: config.simulations]
+    split = split_by_simulation(sims, fractions=config.fractions, seed=config.seed)
+    settings = json.loads(json.dumps({**asdict(config), "data": data_hash(store, sims)}))
+    saved = _read_checkpoint(out / "last.npz", settings)
+    spec = saved.spec if saved is not None else config.spec()
+    if saved is None and config.measure_scales:
+        spec = fit_scales(store, split.train, spec, seed=config.seed)
+    run = _Run(config, store, split, spec)
+    history = run.restore(saved) if saved is not None else []
+    writer = _Tensorboard(tensorboard) if tensorboard else None
+    progress = _Progress(config.epochs, log)
+
+    def card(**more):
+        known = {"command": command, "config": settings, "split": split._asdict(), "history": history}
+        return run.card() | known | {"seconds": round(sum(line["seconds"] for line in history), 1)} | more
+
+    best = min((line["validation_loss"] for line in history), default=math.inf)
+    while len(history) < config.epochs and not _out_of_patience(history, config.patience):
+        epoch, start = len(history), time.perf_counter()
+        rate = schedules.schedule(config.schedule, epochs=config.epochs, rate=config.rate)(epoch)
+        loss = run.epoch(epoch, rate, progress, on_batch)
+        line = {"epoch": epoch, "rate": rate, "loss": loss, **run.validate()}
+        line["seconds"] = round(time.perf_counter() - start, 2)
+        if not math.isfinite(loss):
+            raise FloatingPointError(f"loss: expected a finite number, got {loss} in epoch {epoch}; try a lower rate")
+        history.append(line)
+        # The best one first: killed between the two, the epoch is done again and gives the same.
+        if line["validation_loss"] < best:
+            best = line["validation_loss"]
+            run.save(out / "best.h5", card())
+        run.write_checkpoint(out / "last.npz", settings, history)
+        _write_history(out / "history.csv", history)
+        progress.line(line)
+        if writer:
+            writer.write(line)
+    best_epoch = min(range(len(history)), key=lambda k: history[k]["validation_loss"])
+    model = load_model(out / "best.h5")
+    tested = held_out_states(store, split, held_out)
+    starts = {"none": NoStart(), "builtin": Builtin(), "cnn": Cnn(model)}
+    errors = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
+    more = {"best_epoch": best_epoch, "held_out": errors}
+    save_model(out / "model.h5", model.keras, spec, card(**more), coarsening=model.coarsening, box=run.box)
+    return Training(history, best_epoch, out / "model.h5", load_model(out / "model.h5"))
+
+
+def held_out_states(store: Store, split: Split, count: int) -> np.ndarray:
+    """About `count` states (k, 2) of the test side, evenly taken."""
+    states = store.states(split.test)
+    return states[:: max(1, len(states) // max(count, 1))]
+
+
+def compact_options(spec: ImageSpec) -> dict:
+    """Options of `architectures.compact` that follow from the spec: which channels it may lean on."""
+    place = spec.channels.index
+    options = {}
+    if "contact_density" in spec.channels:
+        options["density"] = place("contact_density")
+    starts = ["builtin_" + name.removesuffix("_impulse") for name in spec.targets]
+    if all(name in spec.channels for name in starts):
+        options["starts"] = [place(name) for name in starts]
+    return options
+
+
+def data_hash(store: Store, sims) -> str:
+    """`Store.data_hash` of some simulations, from the digests that the files bear (each is checked as it is read)."""
+    sha = hashlib.sha256()
+    for sim in sims:
+        sha.update(f"{sim} {store.info(sim).digest}\n".encode())
+    return sha.hexdigest()
+
+
+class _Run:
+    """Network, optimizer and batches of a run."""
+
+    def __init__(self, config: TrainingConfig, store: Store, split: Split, spec: ImageSpec):
+        self.config, self.store, self.split, self.spec = config, store, split, spec
+        wanted = None if set(config.phases) == set(PHASES) else config.phases
+        self.batches = ImageBatches(
+            store,
+            split.train,
+            spec,
+            batch_size=config.batch_size,
+            seed=config.seed,
+            augment=config.augment,
+            drop_last=True,
+            states=store.states(split.train, phases=wanted),
+        )
+        if config.states_per_epoch is not None:
+            self.per_epoch = max(1, min(config.states_per_epoch // config.batch_size, len(self.batches)))
+        else:
+            self.per_epoch = len(self.batches)
+        if self.per_epoch == 0:
+            raise ValueError(
+                f"batch_size: expected at most the {len(self.batches.states)} states to train on, "
+                f"got {config.batch_size}"
+            )
+        chosen = store.states(split.validation)
+        chosen = chosen[:: max(1, len(chosen) // config.validation_states)]
+        self.validation = ImageBatches(
+            store, split.validation, spec, batch_size=config.batch_size, shuffle=False, states=chosen
+        )
+        self.shape = self.batches.shape
+        options = dict(config.options)
+        if config.architecture == "thesis":
+            options["shape"] = self.shape
+            self.box = store.info(split.train[0]).header["world"].box
+        else:
+            self.box = None
+            options = compact_options(spec) | options
+        self.coarsening = architectures.coarsening(config.architecture)
+        self.model = architectures.build(
+            config.architecture, channels=len(spec.channels), outputs=len(spec.targets), **options
+        )
+        if config.optimizer == "sgd":
+            self.optimizer = keras.optimizers.SGD(config.rate, momentum=config.momentum, global_clipnorm=config.clip)
+        else:
+            self.optimizer = keras.optimizers.Adam(config.rate, global_clipnorm=config.clip)
+        self.optimizer.build(self.model.trainable_variables)
+        self.contact_loss = CONTACT_LOSSES.get(config.loss)
+        self._step, self._predict = _compiled_steps(self)
+        self._goes: dict[int, np.ndarray] = {}
+
+    # ---- an epoch ----
+
+    def epoch(self, epoch: int, rate: float, progress, on_batch) -> float:
+        """Train on one epoch's batches. Returns the mean loss."""
+        self.optimizer.learning_rate = rate
+        states, symmetry = self.batches.order(epoch)
+        total = 0.0
+        for k in range(self.per_epoch):
+            if on_batch is not None:
+                on_batch(epoch, k)
+            chosen = slice(k * self.config.batch_size, (k + 1) * self.config.batch_size)
+            batch = self.batches.batch(states[chosen], symmetry[chosen])
+            # A number at once: an epoch's losses must not depend on how they are added up later.
+            total += float(self._step(*self.arrays(batch)))
+            progress.batch(epoch, k + 1, self.per_epoch, self.config.batch_size, total / (k + 1))
+        return total / self.per_epoch
+
+    def validate(self) -> dict[str, float]:
+        """Loss and errors on the validation states: see `COLUMNS`."""
+        totals, count = np.zeros(3), 0
+        for batch in self.validation.epoch(0):
+            inputs, labels, contacts = self.arrays(batch)
+            images, loss = self._predict(inputs, labels, contacts)
+            contacts = contacts if contacts is not None else self.contacts(batch)
+            normal, tangent = ops.convert_to_numpy(losses.read_at_contacts(images, contacts)).T
+            impulses = ops.convert_to_tensor(np.stack(projected(normal, tangent, contacts.friction), axis=1))
+            errors = [f(impulses, contacts) for f in (losses.velocity_errors, losses.impulse_errors)]
+            velocity, impulse = (float(np.mean(np.sqrt(ops.convert_to_numpy(squares)))) for squares in errors)
+            size = len(batch.inputs)
+            totals += size * np.array([float(loss), velocity, impulse])
+            count += size
+        loss, velocity, impulse = (totals / max(count, 1)).tolist()
+        return {
+            "validation_loss": loss,
+            "validation_velocity_error": velocity,
+            "validation_impulse_error": impulse,
+        }
+
+    def arrays(self, batch) -> tuple:
+        """(inputs padded to the network's size, labels, contacts or None) of an image batch."""
+        n_y, n_x = self.shape
+        rows, columns = padded_shape(self.shape, self.coarsening)
+        inputs = batch.inputs
+        if (rows, columns) != self.shape:
+            inputs = np.pad(inputs, ((0, 0), (0, rows - n_y), (0, columns - n_x), (0, 0)))
+        return inputs, batch.labels, self.contacts(batch) if self.contact_loss else None
+
+    def contacts(self, batch) -> ContactBatch:
+        """The contacts of an image batch."""
+        parts = [losses.state_contacts(self.store.state(*state), self.spec) for state in batch.states.tolist()]
+        turns = [(self._where(int(k)) if k else None, k >= 4) for k in batch.symmetry]
+        return losses.contact_batch(parts, self.shape[0] * self.shape[1], self.spec, turns)
+
+    def _where(self, k: int) -> np.ndarray:
+        """Where each node of an image goes under symmetry k."""
+        if k not in self._goes:
+            count = self.shape[0] * self.shape[1]
+            # Nodes up to 2²⁴ are exact in float32.
+            number = np.arange(count, dtype=np.float32).reshape(*self.shape, 1)
+            plain = self.spec.replace(targets=("normal_impulse",), target_scales=None)
+            _, turned = augment(np.zeros((*self.shape, len(self.spec.channels)), np.float32), number, plain, k)
+            goes = np.empty(count, np.int64)
+            goes[turned.reshape(-1).astype(np.int64)] = np.arange(count)
+            self._goes[k] = goes
+        return self._goes[k]
+
+    # ---- what is written ----
+
+    def save(self, path, card: dict) -> None:
+        save_model(path, self.model, self.spec, card, coarsening=self.coarsening, box=self.box)
+
+    def card(self) -> dict:
+        config = self.config
+        return {
+            "architecture": config.architecture,
+            "options": dict(config.options),
+            "parameters": int(self.model.count_params()),
+            "trainable_parameters": int(sum(np.prod(v.shape) for v in self.model.trainable_variables)),
+            "data_hash": data_hash(self.store, self.store.simulations[: config.simulations]),
+            "training_states": len(self.batches.states),
+            "seed": config.seed,
+            "versions": {**package_versions(), "python": sys.version.split()[0], "backend": keras.backend.backend()},
+            "cpu": processor(),
+        }
+
+    def write_checkpoint(self, path: Path, settings: dict, history: list[dict]) -> None:
+        arrays = {f"model_{i:04d}": ops.convert_to_numpy(v) for i, v in enumerate(self.model.variables)}
+        arrays |= {f"optimizer_{i:04d}": ops.convert_to_numpy(v) for i, v in enumerate(self.optimizer.variables)}
+        text = json.dumps({"settings": settings, "history": history, "spec": self.spec.to_dict()})
+        with replacing(path) as temporary:
+            # Uncompressed: weights do not shrink.
+            with open(temporary, "wb") as file:
+                np.savez(file, state=np.frombuffer(text.encode(), np.uint8), **arrays)
+
+    def restore(self, saved: _Checkpoint) -> list[dict]:
+        for prefix, variables in (("model", self.model.variables), ("optimizer", self.optimizer.variables)):
+            for i, variable in enumerate(variables):
+                variable.assign(saved.arrays[f"{prefix}_{i:04d}"])
+        return saved.history
+
+
+class _Checkpoint(NamedTuple):
+    arrays: dict[str, np.ndarray]
+    history: list[dict]
+    spec: ImageSpec
+
+
+def _read_checkpoint(path: Path, settings: dict) -> _Checkpoint | None:
+    if not path.exists():
+        return None
+    with np.load(path, allow_pickle=False) as file:
+        arrays = {name: file[name] for name in file.files}
+    state = json.loads(arrays.pop("state").tobytes())
+    # How long to go on may be thought over, but where the rates depend on it.
+    free = {"patience"} if settings["schedule"] == "cosine" else {"patience", "epochs"}
+    for name, value in settings.items():
+        if name not in free and state["settings"].get(name) != value:
+            raise ValueError(
+                f"{name}: expected {state['settings'].get(name)!r}, with which the run in {path.parent} was started, "
+                f"got {value!r}; take another folder, or delete it"
+            )
+    return _Checkpoint(arrays, state["history"], ImageSpec.from_dict(state["spec"]))
+
+
+def _compiled_steps(run: _Run):
+    """(step, predict): arrays -> loss, having trained on them; arrays -> (images, loss)."""
+    model, optimizer = run.model, run.optimizer
+    n_y, n_x = run.shape
+    rows, columns = padded_shape(run.shape, run.coarsening)
+    targets = len(run.spec.targets)
+
+    def forward(inputs, training):
+        images = ops.reshape(model(inputs, training=training), (-1, rows, columns, targets))
+        return images[:, :n_y, :n_x]
+
+    def loss_of(images, labels, contacts):
+        if contacts is not None:
+            return run.contact_loss(losses.read_at_contacts(images, contacts), contacts)
+        flat = (-1, n_y * n_x * targets)
+        return ops.mean(losses.masked_squared_error(ops.reshape(labels, flat), ops.reshape(images, flat)))
+
+    def penalized(images, labels, contacts):
+        loss = loss_of(images, labels, contacts)
+        return loss + sum(model.losses) if model.losses else loss
+
+    backend = keras.backend.backend()
+    if backend == "tensorflow":
+        return _tensorflow_steps(run, forward, loss_of, penalized)
+    if backend != "torch":
+        raise RuntimeError(f"KERAS_BACKEND: expected tensorflow or torch for training, got {backend}")
+    import torch
+
+    def tensors(arrays):
+        inputs, labels, contacts = arrays
+        contacts = None if contacts is None else ContactBatch(*map(ops.convert_to_tensor, contacts))
+        return ops.convert_to_tensor(inputs), ops.convert_to_tensor(labels), contacts
+
+    def step(*arrays):
+        inputs, labels, contacts = tensors(arrays)
+        model.zero_grad()
+        loss = penalized(forward(inputs, True), labels, contacts)
+        loss.backward()
+        variables = model.trainable_variables
+        with torch.no_grad():
+            optimizer.apply([v.value.grad for v in variables], variables)
+        return loss.detach()
+
+    def predict(*arrays):
+        inputs, labels, contacts = tensors(arrays)
+        with torch.no_grad():
+            images = forward(inputs, False)
+            return images, loss_of(images, labels, contacts)
+
+    return step, predict
+
+
+def _tensorflow_steps(run, forward, loss_of, penalized):
+    import tensorflow as tf
+
+    model, optimizer = run.model, run.optimizer
+    rows, columns = padded_shape(run.shape, run.coarsening)
+    images = tf.TensorSpec((None, rows, columns, len(run.spec.channels)), tf.float32)
+    labels = tf.TensorSpec((None, *run.shape, len(run.spec.targets)), tf.float32)
+    contacts = None
+    if run.contact_loss:
+        # One signature for all batches, whatever their number of contacts: traced once.
+        types = {name: tf.int32 if name in losses.INTEGER_FIELDS else tf.float32 for name in ContactBatch._fields}
+        shapes = {name: (None,) if width is None else (None, width) for name, width in losses.FIELD_WIDTHS.items()}
+        contacts = ContactBatch(*(tf.TensorSpec(shapes[name], types[name]) for name in ContactBatch._fields))
+    signature = [images, labels, contacts] if contacts is not None else [images, labels]
+
+    @tf.function(input_signature=signature)
+    def step(inputs, labels, contacts=None):
+        with tf.GradientTape() as tape:
+            loss = penalized(forward(inputs, True), labels, contacts)
+        optimizer.apply(tape.gradient(loss, model.trainable_variables), model.trainable_variables)
+        return loss
+
+    @tf.function(input_signature=signature)
+    def predict(inputs, labels, contacts=None):
+        images = forward(inputs, False)
+        return images, loss_of(images, labels, contacts)
+
+    def called(function):
+        return lambda inputs, labels, contacts: function(*(x for x in (inputs, labels, contacts) if x is not None))
+
+    return called(step), called(predict)
+
+
+def _out_of_patience(history: list[dict], patience: int | None) -> bool:
+    if patience is None or not history:
+        return False
+    best = min(range(len(history)), key=lambda k: history[k]["validation_loss"])
+    return len(history) - 1 - best >= patience
+
+
+def _write_history(path: Path, history: list[dict]) -> None:
+    text = io.StringIO()
+    writer = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(history)
+    with replacing(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+
+
+class _Tensorboard:
+    """Event files for TensorBoard: a scalar for each column of the history."""
+
+    def __init__(self, folder):
+        import tensorflow as tf
+
+        self.tf, self.writer = tf, tf.summary.create_file_writer(str(folder))
+        # What `tf.summary.scalar` writes, which itself wants the tensorboard package to be installed.
+        self.metadata = tf.compat.v1.SummaryMetadata(plugin_data={"plugin_name": "scalars"}, data_class=1)
+
+    def write(self, line: dict) -> None:
+        with self.writer.as_default():
+            for name in COLUMNS[1:]:
+                value = self.tf.constant(line[name], self.tf.float32)
+                self.tf.summary.write(name, value, step=line["epoch"], metadata=self.metadata)
+        self.writer.flush()
+
+
+class _Progress:
+    """A live line on a terminal, a line an epoch elsewhere."""
+
+    def __init__(self, epochs: int, log):
+        self.epochs, self.log = epochs, log
+        self.live = log is None and sys.stderr.isatty()
+        self.start, self.seen, self.last = time.perf_counter(), 0, 0.0
+
+    def batch(self, epoch, done, batches, size, loss):
+        self.seen += size
+        now = time.perf_counter()
+        if not self.live or (now - self.last < 0.5 and done < batches):
+            return
+        self.last = now
+        speed = self.seen / (now - self.start)
+        left = ((self.epochs - epoch) * batches - done) * size / speed
+        text = f"epoch {epoch + 1}/{self.epochs}  batch {done}/{batches}  loss {loss:.4g}  {speed:.0f} states/s"
+        sys.stderr.write(f"\r{text}  at most {left / 60:.1f} min left \x1b[K")
+        sys.stderr.flush()
+
+    def line(self, line):
+        text = (
+            f"epoch {line['epoch'] + 1}/{self.epochs}  rate {line['rate']:.2g}  loss {line['loss']:.4g}  "
+            f"validation {line['validation_loss']:.4g}  velocity error {line['validation_velocity_error']:.4g}  "
+            f"impulse error {line['validation_impulse_error']:.4g}  {line['seconds']:.1f} s"
+        )
+        if self.log is not None:
+            self.log(text)
+        else:
+            sys.stderr.write(f"\r{text}\x1b[K\n" if self.live else f"{text}\n")
+            sys.stderr.flush()
+
+
+def _check_count(name: str, value) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")

@@ -1,0 +1,135 @@
+"""python scripts/factor_thesis_network.py runs/thesis/model.h5: make the thesis's network small enough to be tracked.
+
+258 MB, of which the last layer has 244. Its matrix W (8192 × 7442) is replaced by a product of rank r, the largest that
+keeps the file below --bytes; all other weights stay as they are. The product is a truncated singular value
+decomposition, not of W itself, most of which is still the noise it started from, but of what W makes of the features of
+training states: with Y = X W = U S Vᵀ, W V_r V_rᵀ is the matrix of rank r that changes the outputs for X least
+(Eckart, Young). The loss of accuracy is measured on test states and goes into the card.
+
+The full network is rebuilt by the command in its card: python scripts/train.py --architecture thesis …
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from pathlib import Path
+
+import numpy as np
+
+
+def largest_rank(model, limit: int) -> int:
+    """The largest r such that the factored network is at most `limit` bytes in float32, with room for its card."""
+    inputs, outputs = model.layers[-1].kernel.shape
+    others = model.count_params() - inputs * outputs
+    return min(int((limit - 200_000 - 4 * others) // (4 * (inputs + outputs))), inputs, outputs)
+
+
+def right_vectors(features: np.ndarray, kernel: np.ndarray, rank: int) -> np.ndarray:
+    """V_r, (outputs, rank): the leading right singular vectors of features @ kernel."""
+    made = features @ kernel
+    if len(made) < rank:
+        raise ValueError(f"states: expected at least {rank}, the rank, got {len(made)}")
+    # Through the smaller Gram matrix, in float64: Y Yᵀ = U S² Uᵀ, and V = Yᵀ U / S.
+    values, left = np.linalg.eigh((made @ made.T).astype(np.float64))
+    order = np.argsort(values)[::-1][:rank]
+    vectors = made.T @ (left[:, order] / np.sqrt(np.maximum(values[order], 1e-30)))
+    # Where S is nearly 0 the columns are not quite orthogonal any more.
+    return np.linalg.qr(vectors)[0]
+
+
+def factored(model, vectors: np.ndarray):
+    """The network with its last layer replaced by two: W V_r, and V_rᵀ with the old bias and ReLU."""
+    import keras
+    from keras import layers
+
+    kernel, bias = model.layers[-1].get_weights()
+    small = keras.Sequential(
+        [
+            keras.Input(model.input_shape[1:], name="bodies"),
+            *(type(layer).from_config(layer.get_config()) for layer in model.layers[:-1]),
+            layers.Dense(vectors.shape[1], use_bias=False, name="impulses_factor"),
+            layers.Dense(kernel.shape[1], activation="relu", name="impulses"),
+        ],
+        name="thesis_factored",
+    )
+    for new, old in zip(small.layers, model.layers[:-1]):
+        new.set_weights(old.get_weights())
+    small.layers[-2].set_weights([kernel @ vectors])
+    small.layers[-1].set_weights([np.ascontiguousarray(vectors.T), bias])
+    return small
+
+
+def measured(model, batches, spec) -> dict[str, float]:
+    """Appendix B's loss, its absolute twin, and the share of the squared labels that is left as error."""
+    squares = absolutes = left = size = count = 0.0
+    for batch in batches.epoch(0):
+        made = model.predict_on_batch(batch.inputs).reshape(batch.labels.shape)
+        off = np.where(batch.labels != 0, made - batch.labels, 0.0)
+        squares += np.sum(np.mean(off**2, axis=(1, 2, 3)))
+        absolutes += np.sum(np.mean(np.abs(off), axis=(1, 2, 3)))
+        left += np.sum(off.astype(np.float64) ** 2)
+        size += np.sum(batch.labels.astype(np.float64) ** 2)
+        count += len(batch.inputs)
+    return {
+        "masked_squared_error": float(squares / count),
+        "masked_absolute_error": float(absolutes / count),
+        "relative_error": float(np.sqrt(left / size)),
+    }
+
+
+def main() -> int:
+    """Factor, measure, save."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("model", type=Path)
+    parser.add_argument("--data", default="data/generated")
+    parser.add_argument("--out", type=Path, default=Path("models/thesis_factored.h5"))
+    parser.add_argument("--bytes", type=int, default=25_000_000, help="largest size of the file")
+    parser.add_argument("--rank", type=int, default=None, help="instead of the largest that fits")
+    parser.add_argument("--states", type=int, default=2000, help="training states for the decomposition")
+    parser.add_argument("--held-out", type=int, default=300, help="test states to measure on")
+    parser.add_argument("--threads", type=int, default=1)
+    given = parser.parse_args()
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    import keras
+
+    from deep_contact.cnn.dataset import ImageBatches, Store
+    from deep_contact.cnn.evaluation import held_out_errors
+    from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads
+    from deep_contact.cnn.model_file import read_model, save_model
+    from deep_contact.warm_start import Builtin, NoStart
+
+    limit_threads(given.threads)
+    model, spec, metadata = read_model(given.model)
+    store, split = Store(given.data), metadata["card"]["split"]
+    chosen = store.states(split["train"])
+    chosen = chosen[:: max(1, len(chosen) // given.states)]
+    batches = ImageBatches(store, split["train"], spec, states=chosen, shuffle=False)
+    before = keras.Sequential([keras.Input(model.input_shape[1:]), *model.layers[:-1]])
+    features = np.concatenate([before.predict_on_batch(batch.inputs) for batch in batches.epoch(0)])
+    rank = given.rank or largest_rank(model, given.bytes)
+    small = factored(model, right_vectors(features, model.layers[-1].get_weights()[0], rank))
+
+    tested = store.states(split["test"])
+    tested = tested[:: max(1, len(tested) // given.held_out)]
+    test = ImageBatches(store, split["test"], spec, states=tested, shuffle=False)
+    errors = {name: measured(network, test, spec) for name, network in (("full", model), ("factored", small))}
+    box = tuple(metadata["box"])
+    starts = {"none": NoStart(), "builtin": Builtin()}
+    for name, network in (("full", model), ("cnn", small)):
+        starts[name] = Cnn(LearnedModel(keras=network, spec=spec, box=box))
+    held_out = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
+    card = metadata["card"] | {
+        "factored": {"rank": rank, "training_states": len(chosen), "errors": errors, "of": "the last Dense layer"},
+        "held_out": held_out,
+        "parameters": int(small.count_params()),
+    }
+    save_model(given.out, small, spec, card, box=(0.0, 0.0, *box))
+    print(f"{given.out}: rank {rank}, {given.out.stat().st_size / 1e6:.1f} MB")
+    for name, found in errors.items():
+        print(f"  {name:9s}", "  ".join(f"{key} {value:.6g}" for key, value in found.items()))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,160 @@
+"""python scripts/predict.py STATE.xml… [--model models/model.h5] [--out predictions]: what a network makes of states.
+
+For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, as the solver would start from them
+(projected on the friction cone), from Builtin, and solved where the file has the solution; <out>/<name>.npy with the
+predicted image of impulses; <out>/<name>.png with both as pictures. The errors of the prediction are printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+import os
+from pathlib import Path
+
+import numpy as np
+
+COLUMNS = (
+    "body_a",
+    "body_b",
+    "x",
+    "y",
+    "n_x",
+    "n_y",
+    "predicted_n",
+    "predicted_t",
+    "start_n",
+    "start_t",
+    "builtin_n",
+    "builtin_t",
+    "solved_n",
+    "solved_t",
+)
+
+
+def contact_table(state, predicted, start) -> list[list]:
+    """A row for each contact, as `COLUMNS`; the last two are empty where the state is not solved."""
+    contacts = state.contacts
+    columns = [contacts.body_a, contacts.body_b, *contacts.position.T, *contacts.normal.T, *predicted, *start]
+    columns += [contacts.normal_start, contacts.tangent_start]
+    columns += [contacts.normal_impulse, contacts.tangent_impulse] if state.solved else [[""] * contacts.count] * 2
+    return [list(row) for row in zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in columns))]
+
+
+def picture(state, model, image, start):
+    """The state with its solution, or with the predicted start if there is none, and the images of the impulses."""
+    from deep_contact import plotting
+    from deep_contact.cnn.images import label_image
+
+    rows = [("predicted", image)]
+    if state.solved:
+        rows.append(("solved", label_image(state, model.spec)))
+    figure, axes = plotting.subplots(len(rows), 3, size=(12.6, 3.9 * len(rows)))
+    axes = np.asarray(axes).reshape(len(rows), 3)
+    drawn = state.contacts._replace(normal_impulse=start[0], tangent_impulse=start[1])
+    shown = {"predicted": state.replace(contacts=drawn), "solved": state}
+    largest = max(float(s.contacts.normal_impulse.max(initial=0.0)) for s in (shown[name] for name, _ in rows))
+    grid = model.spec.grid(state.world)
+    (x, y), (d_x, d_y), (n_y, n_x) = grid.origin, grid.spacing, grid.shape
+    extent = (x - d_x / 2, x + d_x * (n_x - 0.5), y - d_y / 2, y + d_y * (n_y - 0.5))
+    limits = [max(float(np.abs(pixels[..., c]).max()) for _, pixels in rows) or 1.0 for c in range(2)]
+    for (name, pixels), (left, middle, right) in zip(rows, axes):
+        plotting.draw_state(left, shown[name], largest_impulse=largest)
+        left.set_title(f"{name}: impulses at the contacts")
+        for channel, (ax, what) in enumerate(((middle, "normal"), (right, "tangent"))):
+            low, colours = (0.0, plotting.COLOUR_MAP) if channel == 0 else (-limits[1], "RdBu_r")
+            shades = ax.imshow(
+                pixels[..., channel], origin="lower", extent=extent, vmin=low, vmax=limits[channel], cmap=colours
+            )
+            ax.grid(False)
+            plotting.label_axes(ax, "x", "y", x_unit="m", y_unit="m", title=f"{name}: image of the {what} impulses")
+            figure.colorbar(shades, ax=ax, shrink=0.8, label="network units")
+    return figure
+
+
+def relative(found, solved) -> float:
+    """‖found − solved‖ / ‖solved‖ over both rows of all contacts."""
+    size = np.linalg.norm(solved)
+    return float(np.linalg.norm(np.subtract(found, solved)) / size) if size else float("nan")
+
+
+def report(state, model, predicted, start) -> list[str]:
+    """Lines on a state: how far off the prediction is, and Builtin."""
+    from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
+
+    contacts = state.contacts
+    lines = [f"{state.name}, step {state.step}: {state.bodies.count} circles, {contacts.count} contacts"]
+    lines.append(f"  predicted λ_n from {predicted[0].min():.4g} to {predicted[0].max():.4g} N·s")
+    if state.solved:
+        solved = np.stack([contacts.normal_impulse, contacts.tangent_impulse])
+        builtin = contacts.normal_start, contacts.tangent_start
+        lines.append(f"  relative error of λ: as predicted {relative(predicted, solved):.4f}, ")
+        lines[-1] += f"projected {relative(start, solved):.4f}, Builtin {relative(builtin, solved):.4f}"
+        lines.append(f"  relative velocity error after {', '.join(map(str, SWEEPS))} sweeps")
+        for name, impulses in (("cnn", start), ("builtin", builtin)):
+            lines.append(f"    {name:8s}" + "".join(f"{e:9.4f}" for e in velocity_errors(state, impulses)))
+    return lines
+
+
+def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
+    """Predict one state file, write what comes of it, and return the lines to print."""
+    import deep_contact as dc
+    from deep_contact import plotting
+    from deep_contact.cnn.images import read_back
+    from deep_contact.cnn.inference import projected
+    from deep_contact.results import replacing
+
+    state = dc.read_state(path)
+    if state.contacts is None:
+        state = dc.simulate(state, steps=0).state
+    if state.contacts.count == 0:
+        return [f"{path}: no contacts, nothing to predict"]
+    image = model.predict_image(state)
+    predicted = read_back(image, state, model.spec)
+    start = projected(*predicted, state.world.friction)
+    name = path.name.removesuffix(".gz").removesuffix(".xml")
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(COLUMNS)
+    writer.writerows(contact_table(state, predicted, start))
+    with replacing(out / f"{name}.csv") as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+    with replacing(out / f"{name}.npy") as temporary:
+        np.save(temporary, image, allow_pickle=False)
+    if pictures:
+        with plotting.style():
+            plotting.save(picture(state, model, image, start), out / f"{name}.png")
+    return [*report(state, model, predicted, start), f"  {out / name}.csv, .npy{', .png' if pictures else ''}"]
+
+
+def main(argv=None) -> int:
+    """Predict every file; a bad one is reported, and the others go on."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("states", nargs="+", type=Path, metavar="STATE.xml")
+    parser.add_argument("--model", type=Path, default=None, help="model file; by default the one that is shipped")
+    parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder for what is written")
+    parser.add_argument("--threads", type=int, default=1, help="of TensorFlow")
+    parser.add_argument("--no-pictures", action="store_true", help="numbers only")
+    given = parser.parse_args(argv)
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+    from deep_contact.cnn.inference import limit_threads, load_model
+
+    try:
+        limit_threads(given.threads)
+        model = load_model(given.model)
+    except (OSError, ValueError) as error:
+        parser.exit(2, f"predict.py: {error}\n")
+    given.out.mkdir(parents=True, exist_ok=True)
+    bad = 0
+    for path in given.states:
+        try:
+            print("\n".join(predict_file(path, model, given.out, not given.no_pictures)))
+        except (OSError, ValueError) as error:
+            bad += 1
+            print(f"predict.py: {error}")
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
