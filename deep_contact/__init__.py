@@ -20,8 +20,9 @@ _HOME = {
         "single_body",
         "two_bodies",
     ),
-    "deep_contact.physics.methods": ("PGS",),
+    "deep_contact.physics.methods": ("APGD", "NNCG", "PGS", "PSOR", "SoftSteps", "SymmetricPGS"),
     "deep_contact.cnn.inference": ("load_model",),
+    "deep_contact.recommendation": ("recommend",),
     "deep_contact.simulation": ("simulate", "solve_contacts", "step"),
     "deep_contact.state_xml": ("read_state", "write_state"),
 }

@@ -10,15 +10,24 @@ import numpy as np
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
     ContactSolution,
-    advance,
+    advance_of,
     contacts_of,
     is_sound,
+    moving_room,
     solve,
-    tolerance_argument,
     world_arguments,
 )
-from deep_contact.physics.methods import METHODS, PGS
-from deep_contact.state import Bodies, State, check_state
+from deep_contact.physics.methods import PGS, check_solver, tolerance_argument
+from deep_contact.state import (
+    LARGEST_SINGLE_START,
+    LARGEST_START,
+    LIMITS,
+    SINGLE_LIMITS,
+    Bodies,
+    State,
+    check_limits,
+    check_state,
+)
 from deep_contact.warm_start import Builtin, NoStart, fitting_impulses, warm_start_of
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
@@ -49,7 +58,11 @@ class Simulation(NamedTuple):
     def status(self) -> np.ndarray:
         """Why each step's sweeps ended, (steps,): see `ConvergenceRecord`."""
         tolerance = tolerance_argument(self.state.solver)
-        return np.where(self.contacts == 0, "no_contacts", np.where(self.theta <= tolerance, "converged", "max_sweeps"))
+        return np.select(
+            [self.contacts == 0, self.theta <= tolerance, (self.sweeps > 0) & ~np.isfinite(self.theta)],
+            ["no_contacts", "converged", "diverged"],
+            "max_sweeps",
+        )
 
 
 def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolution:
@@ -79,21 +92,27 @@ def simulate(
     dt: float | None = None,
     solver=None,
     warm_start="builtin",
+    accuracy: str | None = None,
     on_step: Callable[[State, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
     """Run a scene, or go on from a state, for so many steps.
 
     dt: time step, s; solver: options such as `PGS(sweeps=…)`; by default the state's own, or `PGS()`.
     warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
+    accuracy: "fast", "balanced" or "accurate", in place of solver and start: those that `recommendation.preset` has
+    measured to be the fastest that keep the velocity error of a step within 1e-1, 1e-2 or 1e-3.
     on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
     it solved and those it started from) and the `ConvergenceRecord` of its sweeps.
-    Raises ValueError on arguments that do not hold together; the run can be interrupted.
+    Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
+    all numbers; the run can be interrupted.
     """
     if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
         raise ValueError(f"steps: expected an integer >= 0, got {steps!r}")
     if dt is not None:
         state = state.replace(dt=dt)
     state = ready(state)
+    if accuracy is not None:
+        solver, warm_start = _preset(state, accuracy, solver)
     solver = _checked_solver(solver, state)
     start = warm_start_of(warm_start)
     # Builtin and NoStart need nothing from Python between two steps.
@@ -102,6 +121,8 @@ def simulate(
     state = state.replace(solver=solver)
     log = np.empty((steps, 3))
     theta = np.empty(solver.sweeps)
+    moving = moving_room(state.bodies.count, solver)
+    advance, method = advance_of(solver)
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
@@ -120,12 +141,15 @@ def simulate(
             contacts,
             world_arguments(state),
             state.dt,
-            (tolerance_argument(solver), solver.position_sweeps),
+            *method,
             not isinstance(start, NoStart),
             count,
+            moving,
             theta,
             chunk,
         )
+        if not np.isfinite(bodies.position.sum()):
+            _raise_diverged(bodies, state.step + count)
         if on_step is not None:
             record = convergence_record(theta[: int(chunk[0, 1])], solver, solved.count)
             on_step(state.replace(contacts=solved, solved=True), record)
@@ -137,13 +161,34 @@ def simulate(
     return Simulation(state, log[:, 0].astype(np.int64), log[:, 1].astype(np.int64), log[:, 2].copy())
 
 
+def _raise_diverged(bodies: Bodies, step: int) -> None:
+    circle = int(np.flatnonzero(~np.isfinite(bodies.position).all(axis=1))[0])
+    raise FloatingPointError(
+        f"up to step {step}: circle {circle} (mass {bodies.mass[circle]:g} kg, radius {bodies.radius[circle]:g} m) has "
+        "come to a position that is not finite: the solver diverged; try PGS, precision='double', a smaller dt"
+    )
+
+
 def ready(state: State) -> State:
-    """The state validated, with its contacts. Raises ValueError naming the field and the value."""
+    """The state validated, with its contacts.
+
+    Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
+    """
     if not (_has_engine_arrays(state) and np.isfinite(state.time) and is_sound(state.bodies, state.contacts)):
-        state = check_state(state)
+        state = check_limits(check_state(state))
     if not 0 < state.dt < np.inf:
         raise ValueError(f"dt: expected a finite number > 0, got {state.dt}")
+    if not _has_settings_within_limits(state):
+        check_limits(state)
     return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
+
+
+def _has_settings_within_limits(state: State) -> bool:
+    """Whether the world and Δt are; the arrays are looked at by `is_sound`."""
+    world = state.world
+    found = {"dt": (state.dt,), "world.box": world.box, "world.gravity": world.gravity}
+    found["world.friction"] = (world.friction,)
+    return all(LIMITS[name][0] <= min(values) and max(values) <= LIMITS[name][1] for name, values in found.items())
 
 
 def _has_engine_arrays(state: State) -> bool:
@@ -158,13 +203,35 @@ def _has_engine_arrays(state: State) -> bool:
 
 
 def _impulses(start, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-    if not (start is None or isinstance(start, str) or callable(start)):
-        return fitting_impulses(start, state)
-    return fitting_impulses(warm_start_of(start)(state, solver), state)
+    if start is None or isinstance(start, str) or callable(start):
+        start = warm_start_of(start)
+        impulses = fitting_impulses(start(state, solver), state)
+        if isinstance(start, Builtin):
+            return impulses  # the state's own, which `ready` has looked at
+    else:
+        impulses = fitting_impulses(start, state)
+    largest = LARGEST_SINGLE_START if solver.precision == "single" else LARGEST_START
+    for name, values in zip(("normal", "tangent"), impulses):
+        bad = np.flatnonzero(np.abs(values) > largest)
+        if bad.size:
+            raise ValueError(
+                f"start: expected {name} impulses of at most {largest:g} N·s, got {values[bad[0]]} at contact {bad[0]}"
+            )
+    return impulses
 
 
 def _checked_solver(solver, state: State):
     solver = solver if solver is not None else state.solver if state.solver is not None else PGS()
-    if type(solver) not in METHODS.values():
-        raise ValueError(f"solver: expected options such as {', '.join(METHODS)}(sweeps=…), got {solver!r}")
+    check_solver(solver)
+    if solver.precision == "single":
+        check_limits(state, SINGLE_LIMITS)
     return solver
+
+
+def _preset(state: State, accuracy: str, solver) -> tuple:
+    from deep_contact.recommendation import preset
+
+    if solver is not None:
+        raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
+    advice = preset(state, accuracy)
+    return advice.solver, advice.warm_start

@@ -57,7 +57,7 @@ def _row_values(bodies, contacts, world, dt):
     m = contacts.body_a.shape[0]
     moving = np.empty((bodies.mass.shape[0] + 4, 4))
     integrate_velocities(bodies, gravity, dt, moving)
-    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(m))
+    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(m, moving.dtype))
     values = np.empty((m, 3))
     for i in range(m):
         a, b = rows.body[i, 0], rows.body[i, 1]

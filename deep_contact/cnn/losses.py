@@ -296,7 +296,7 @@ def _contact_values(bodies, contacts, world, dt):
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     moving = np.empty((n + 4, 4))
     integrate_velocities(bodies, gravity, dt, moving)
-    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(m))
+    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(m, moving.dtype))
     values, body = np.empty((m, 6)), np.empty((m, 2), np.int64)
     change = np.zeros((n + 4, 3))
     energies = np.zeros(3)

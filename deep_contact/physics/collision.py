@@ -125,7 +125,8 @@ def write_pairs(position, radius, box, cells, body_a, body_b):
     Returns the number of pairs, or -1 if they have no room.
     """
     n = position.shape[0]
-    if n == 0:
+    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
+    if n == 0 or not math.isfinite(position.sum()):
         return 0
     columns, rows = sort_into_cells(position, radius, cells)
     circle, order = cells.circle, cells.order
@@ -248,3 +249,17 @@ def carry_impulses(old, contacts):
         contacts.normal_impulse[i] = p_n
         contacts.tangent_start[i] = p_t
         contacts.tangent_impulse[i] = p_t
+
+
+@njit(cache=True)
+def next_contacts(bodies, box, cells, solved, warm, room):
+    """Contacts of the step after the one that `solved` those given, found where the bodies are now.
+
+    warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, room): `find_contacts`.
+    """
+    contacts, room = find_contacts(bodies.position, bodies.radius, box, cells, room)
+    carry_impulses(solved, contacts)
+    if not warm:
+        contacts.normal_start[:] = 0.0
+        contacts.tangent_start[:] = 0.0
+    return contacts, room

@@ -1,4 +1,4 @@
-"""The contact problem of one step: its rows, Projected Gauss-Seidel sweeps, and the same problem as matrices.
+"""The contact problem of one step: its rows, a sweep of Projected Gauss-Seidel over them, position correction.
 
 For circles the arms from the centres to the contact point are parallel to the normal. A normal impulse therefore
 turns nothing, an arm is one number instead of a vector, and the two rows of a contact do not see each other
@@ -43,14 +43,14 @@ class Rows(NamedTuple):
     impulse: np.ndarray
 
 
-_CONTRACT = {"contract"}
+CONTRACT = {"contract"}
 """Let a * b + c be one fused operation: a fifth faster, nothing else is relaxed."""
 
 
 @njit(cache=True)
-def make_rows(capacity):
-    """Room for the rows of so many contacts."""
-    return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 7)), np.empty((capacity, 2)))
+def make_rows(capacity, dtype):
+    """Room for the rows of so many contacts, with numbers of the given kind: that of the moving velocities."""
+    return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 7), dtype), np.empty((capacity, 2), dtype))
 
 
 @njit(cache=True, error_model="numpy")
@@ -78,7 +78,7 @@ def contact_rows(bodies, contacts, moving, restitution, room):
     n = bodies.mass.shape[0]
     m = contacts.body_a.shape[0]
     if m > room.body.shape[0]:
-        room = make_rows(m)
+        room = make_rows(m, room.data.dtype)
     rows = Rows(room.body[:m], room.data[:m], room.impulse[:m])
     for i in range(m):
         a, b = contacts.body_a[i], contacts.body_b[i]
@@ -104,6 +104,7 @@ def contact_rows(bodies, contacts, moving, restitution, room):
 @njit(cache=True)
 def apply_impulses(rows, moving):
     """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
+    two = moving.dtype.type(2.0)
     for i in range(rows.body.shape[0]):
         a, b = rows.body[i, 0], rows.body[i, 1]
         n_x, n_y = rows.data[i, 0], rows.data[i, 1]
@@ -113,13 +114,13 @@ def apply_impulses(rows, moving):
         w_a, w_b = moving[a, 3], moving[b, 3]
         moving[a, 0] -= w_a * p_x
         moving[a, 1] -= w_a * p_y
-        moving[a, 2] += 2.0 * w_a * rows.data[i, 4] * p_t
+        moving[a, 2] += two * w_a * rows.data[i, 4] * p_t
         moving[b, 0] += w_b * p_x
         moving[b, 1] += w_b * p_y
-        moving[b, 2] += 2.0 * w_b * rows.data[i, 5] * p_t
+        moving[b, 2] += two * w_b * rows.data[i, 5] * p_t
 
 
-@njit(cache=True, fastmath=_CONTRACT)
+@njit(cache=True, fastmath=CONTRACT)
 def sweep(rows, friction, moving):
     """One sweep of Projected Gauss-Seidel over all contacts, in place. Returns θ.
 
@@ -127,8 +128,9 @@ def sweep(rows, friction, moving):
     at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows).
     θ = max over all rows of |λ_k − λ_{k−1}|, N·s (Algorithm 1, two-sided).
     """
-    theta = 0.0
     body, data, impulse = rows.body, rows.data, rows.impulse
+    # In the precision of the velocities: a float64 among float32 would make all of them float64.
+    two, mu, theta = moving.dtype.type(2.0), moving.dtype.type(friction), moving.dtype.type(0.0)
     # Contacts are sorted by body a, so its velocity stays in registers until the next a: it saves the trip through
     # memory that successive contacts of one body would wait for.
     in_hand = np.uint32(0)
@@ -149,7 +151,7 @@ def sweep(rows, friction, moving):
         x_n, y_n, x_t, y_t = k_n * n_x, k_n * n_y, k_t * n_y, k_t * n_x
         free_n = k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
         free_t = -(k_t * arm_b) * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
-        largest = friction * old_n
+        largest = mu * old_n
         p_t = max(-largest - old_t, min(free_t, largest - old_t))
         p_n = max(free_n, -old_n)
         impulse[i, 0] = old_n + p_n
@@ -158,25 +160,12 @@ def sweep(rows, friction, moving):
 
         a_x = a_x - w_a * n_x * p_n - w_a * n_y * p_t
         a_y = a_y - w_a * n_y * p_n + w_a * n_x * p_t
-        a_s = a_s + 2.0 * w_a * arm_a * p_t
+        a_s = a_s + two * w_a * arm_a * p_t
         moving[b, 0] = b_x + w_b * n_x * p_n + w_b * n_y * p_t
         moving[b, 1] = b_y + w_b * n_y * p_n - w_b * n_x * p_t
-        moving[b, 2] = b_s + 2.0 * w_b * arm_b * p_t
+        moving[b, 2] = b_s + two * w_b * arm_b * p_t
     moving[in_hand, 0], moving[in_hand, 1], moving[in_hand, 2] = a_x, a_y, a_s
     return theta
-
-
-@njit(cache=True)
-def relax(rows, friction, moving, tolerance, theta):
-    """Sweep until θ <= tolerance, or as often as `theta` has room for; the θ of each sweep is written there.
-
-    Returns the number of sweeps. A negative tolerance sweeps to the end.
-    """
-    for k in range(theta.shape[0]):
-        theta[k] = sweep(rows, friction, moving)
-        if theta[k] <= tolerance:
-            return k + 1
-    return theta.shape[0]
 
 
 @njit(cache=True)

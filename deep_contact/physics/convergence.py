@@ -16,9 +16,10 @@ class ConvergenceRecord(NamedTuple):
     | theta  | θ_k = max over rows of abs(λ_k − λ_{k−1}) after each sweep, (sweeps,), N·s (Alg 1)   |
     | sweeps | how many were done                                                                   |
     | status | "converged": the last θ is within the tolerance; "max_sweeps": it is not, or no      |
-    |        | tolerance was asked for; "no_contacts": there was nothing to solve                   |
+    |        | tolerance was asked for; "diverged": it is not finite, and sweeping ended there;     |
+    |        | "no_contacts": there was nothing to solve                                            |
 
-    θ is a stopping rule, not an error: slow convergence has small steps.
+    θ is a stopping rule, not an error: slow convergence has small steps. For errors see `deep_contact.physics.errors`.
     """
 
     theta: np.ndarray
@@ -32,6 +33,8 @@ def convergence_record(theta: np.ndarray, solver, n_contacts: int) -> Convergenc
         status = "no_contacts"
     elif solver.tolerance is not None and theta.size and theta[-1] <= solver.tolerance:
         status = "converged"
+    elif theta.size and not np.isfinite(theta[-1]):
+        status = "diverged"
     else:
         status = "max_sweeps"
     return ConvergenceRecord(theta.copy(), int(theta.size), status)

@@ -14,10 +14,10 @@ from numba import njit
 
 from deep_contact.constants import MAX_ROTATION, MAX_TRANSLATION
 from deep_contact.physics.collision import (
-    carry_impulses,
     find_contacts,
     make_cells,
     make_contacts,
+    next_contacts,
     own_contacts,
 )
 from deep_contact.physics.contact_solver import (
@@ -26,46 +26,47 @@ from deep_contact.physics.contact_solver import (
     correct_positions,
     integrate_velocities,
     make_rows,
-    relax,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.state import Contacts, State
+from deep_contact.physics.methods import PRECISIONS, SoftSteps
+from deep_contact.physics.relaxation import relax, settings_of
+from deep_contact.state import LIMITS, Bodies, Contacts, State
+
+_POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
+    LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
+)
+_SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
 
 
 @njit(cache=True, error_model="numpy")
-def advance(bodies, contacts, world, dt, limits, warm, steps, theta, log):
+def advance(bodies, contacts, world, dt, settings, position_sweeps, warm, steps, moving, theta, log):
     """Do `steps` steps: the bodies move in place. Returns the last solved contacts and those found after them.
 
     bodies: `Bodies`. contacts: `Contacts` at their positions, with the impulses to start from.
-    world: (box, gravity, friction, restitution). dt: s. limits: (tolerance in N·s or -1, position sweeps).
+    world: (box, gravity, friction, restitution). dt: s. settings: of `relaxation`; their type is the method.
     warm: start the steps after the first from the impulses carried over; otherwise from zero.
+    moving: room for the velocities in the sweeps, (n + 4, 4), in their precision.
     theta: room for the θ of the sweeps of one step, which is also how many there may be.
     log: (steps, 3), filled with the number of contacts, of sweeps, and the last θ of each step.
     """
     box, gravity, friction, restitution = world
-    tolerance, position_sweeps = limits
     n = bodies.mass.shape[0]
     cells = make_cells(n)
-    moving = np.empty((n + 4, 4))
     room, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
-    rows_room = make_rows(4 * n + 64)
+    rows_room = make_rows(4 * n + 64, moving.dtype)
     solved = contacts
     for k in range(steps):
         integrate_velocities(bodies, gravity, dt, moving)
         rows, rows_room = contact_rows(bodies, contacts, moving, restitution, rows_room)
         apply_impulses(rows, moving)
-        sweeps = relax(rows, friction, moving, tolerance, theta)
+        sweeps = relax(settings, rows, friction, moving, theta)
         store_impulses(rows, contacts)
         integrate_positions(bodies, moving, dt)
         correct_positions(bodies, contacts, box, position_sweeps)
 
         solved = contacts
-        contacts, spare = find_contacts(bodies.position, bodies.radius, box, cells, spare)
-        carry_impulses(solved, contacts)
-        if not warm:
-            contacts.normal_start[:] = 0.0
-            contacts.tangent_start[:] = 0.0
+        contacts, spare = next_contacts(bodies, box, cells, solved, warm, spare)
         room, spare = spare, room
 
         log[k, 0] = solved.body_a.shape[0]
@@ -98,41 +99,41 @@ def integrate_positions(bodies, moving, dt):
 
 
 @njit(cache=True, error_model="numpy")
-def solve_velocities(bodies, contacts, world, dt, tolerance, theta):
-    """The velocity part of a step alone; nothing is changed. Returns (impulses (m, 2), moving (n + 4, 4), sweeps)."""
+def solve_velocities(bodies, contacts, world, dt, settings, moving, theta):
+    """The velocity part of a step alone; fills moving and theta. Returns (impulses (m, 2), number of sweeps)."""
     _, gravity, friction, restitution = world
-    moving = np.empty((bodies.mass.shape[0] + 4, 4))
     integrate_velocities(bodies, gravity, dt, moving)
-    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(contacts.body_a.shape[0]))
+    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(contacts.body_a.shape[0], moving.dtype))
     apply_impulses(rows, moving)
-    sweeps = relax(rows, friction, moving, tolerance, theta)
-    return rows.impulse, moving, sweeps
+    sweeps = relax(settings, rows, friction, moving, theta)
+    return rows.impulse, sweeps
 
 
 @njit(cache=True)
 def is_sound(bodies, contacts):
-    """Whether arrays of the right kind also hold what `state.check_state` asks for: the check without the message."""
+    """Whether arrays of the right kind also hold what `check_state` and `check_limits` ask for: without the message."""
     n = bodies.mass.shape[0]
-    for values in (bodies.position, bodies.velocity):
-        if values.shape[0] != n or values.shape[1] != 2 or not np.isfinite(values).all():
+    for values, limits in ((bodies.position, _POSITION), (bodies.velocity, _VELOCITY)):
+        if values.shape[0] != n or values.shape[1] != 2 or not _within(values, limits):
             return False
-    for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius):
-        if values.shape[0] != n or not np.isfinite(values).all():
+    for values, limits in ((bodies.spin, _SPIN), (bodies.mass, _MASS), (bodies.radius, _RADIUS)):
+        if values.shape[0] != n or not _within(values, limits):
             return False
-    if not ((bodies.mass > 0).all() and (bodies.radius > 0).all()):
+    if bodies.angle.shape[0] != n or not np.isfinite(bodies.angle).all():
         return False
     m = contacts.body_a.shape[0]
     for values in (contacts.position, contacts.normal):
         if values.shape[0] != m or values.shape[1] != 2 or not np.isfinite(values).all():
             return False
+    if contacts.separation.shape[0] != m or not _within(contacts.separation, _SEPARATION):
+        return False
     for values in (
-        contacts.separation,
         contacts.normal_impulse,
         contacts.tangent_impulse,
         contacts.normal_start,
         contacts.tangent_start,
     ):
-        if values.shape[0] != m or not np.isfinite(values).all():
+        if values.shape[0] != m or not _within(values, _IMPULSE):
             return False
     if contacts.body_b.shape[0] != m:
         return False
@@ -147,6 +148,16 @@ def is_sound(bodies, contacts):
             return False
         last = pair
     return True
+
+
+@njit(cache=True)
+def _within(values, limits):
+    """Whether all values lie within the limits; NaN does not."""
+    low, high = limits
+    inside = True
+    for value in values.flat:
+        inside &= low <= value <= high
+    return inside
 
 
 class ContactSolution(NamedTuple):
@@ -174,9 +185,18 @@ def world_arguments(state: State) -> tuple:
     return world.box, world.gravity, world.friction, world.restitution
 
 
-def tolerance_argument(solver) -> float:
-    """The tolerance as the compiled functions take it: a negative one is never met."""
-    return -1.0 if solver.tolerance is None else float(solver.tolerance)
+def advance_of(solver):
+    """The compiled function that does the steps of a method, and what it takes as (settings, position sweeps)."""
+    if isinstance(solver, SoftSteps):
+        from deep_contact.physics.soft_steps import advance_softly, soft_settings
+
+        return advance_softly, (soft_settings(solver), 0)
+    return advance, (settings_of(solver), solver.position_sweeps)
+
+
+def moving_room(n_bodies: int, solver) -> np.ndarray:
+    """Room for the velocities in the sweeps, (n + 4, 4), in the solver's precision."""
+    return np.empty((n_bodies + 4, 4), PRECISIONS[solver.precision])
 
 
 def contacts_of(state: State) -> Contacts:
@@ -188,17 +208,31 @@ def contacts_of(state: State) -> Contacts:
 
 
 def solve(state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray) -> ContactSolution:
-    """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is."""
+    """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is.
+
+    `SoftSteps` has no problem of its own to solve: its solution is what its step does to copies of the bodies.
+    """
     contacts = state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start)
+    bodies, n = state.bodies, state.bodies.count
     theta = np.empty(solver.sweeps)
-    impulse, moving, sweeps = solve_velocities(
-        state.bodies, contacts, world_arguments(state), state.dt, tolerance_argument(solver), theta
-    )
-    n = state.bodies.count
+    moving = moving_room(n, solver)
+    if isinstance(solver, SoftSteps):
+        room = Contacts(*(field.copy() for field in contacts))
+        bodies = Bodies(*(field.copy() for field in bodies))
+        step, method = advance_of(solver)
+        log = np.empty((1, 3))
+        solved, _ = step(bodies, room, world_arguments(state), state.dt, *method, True, 1, moving, theta, log)
+        impulse, sweeps = np.column_stack([solved.normal_impulse, solved.tangent_impulse]), int(log[0, 1])
+        velocity, spin = bodies.velocity, bodies.spin
+    else:
+        impulse, sweeps = solve_velocities(
+            bodies, contacts, world_arguments(state), state.dt, settings_of(solver), moving, theta
+        )
+        velocity, spin = moving[:n, :2].astype(np.float64), moving[:n, 2] / bodies.radius
     return ContactSolution(
-        normal_impulses=impulse[:, 0].copy(),
-        tangent_impulses=impulse[:, 1].copy(),
-        velocities=moving[:n, :2].copy(),
-        angular_velocities=moving[:n, 2] / state.bodies.radius,
+        normal_impulses=impulse[:, 0].astype(np.float64),
+        tangent_impulses=impulse[:, 1].astype(np.float64),
+        velocities=velocity,
+        angular_velocities=spin,
         record=convergence_record(theta[:sweeps], solver, contacts.count),
     )

@@ -1,0 +1,278 @@
+"""How wrong a solution is, and how wrong a run: every error defined once, with its unit and source.
+
+θ is a stopping rule, not an error: it is the size of the last step, and a method that creeps takes small steps far
+from the solution. Below, a solution is held against the contact problem itself (`residual`, `approach`: what is left
+unsolved) and against a solution solved far past need (`velocity_error`). Impulses are not compared: with friction a
+pile has many that give the same velocities.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact.constants import RESTITUTION_THRESHOLD
+from deep_contact.physics.engine import ContactSolution, contacts_of, solve
+from deep_contact.physics.methods import NNCG, PGS, PSOR
+from deep_contact.state import Bodies, State
+
+
+class SolutionErrors(NamedTuple):
+    """Errors of one solution of one state's contact problem.
+
+    | field    | meaning                                                         | unit |
+    |----------|-----------------------------------------------------------------|------|
+    | velocity | `velocity_error` against the reference                          | –    |
+    | residual | `residual`: the worst violated row, either way                  | m/s  |
+    | approach | `approach`: the worst approach speed left                       | m/s  |
+    """
+
+    velocity: float
+    residual: float
+    approach: float
+
+
+class Reference(NamedTuple):
+    """A solution far past need, and how far it can be trusted.
+
+    | field       | meaning                                                                              | unit |
+    |-------------|--------------------------------------------------------------------------------------|------|
+    | solution    | `ContactSolution`                                                                    |      |
+    | solver      | options of the method that found it                                                  |      |
+    | residual    | its `residual`                                                                       | m/s  |
+    | uncertainty | `velocity_error` of the solution found from zero impulses; None if not asked for     | –    |
+    """
+
+    solution: ContactSolution
+    solver: object
+    residual: float
+    uncertainty: float | None
+
+
+class RunErrors(NamedTuple):
+    """Errors of a run of a pile at rest, from its first state to its last.
+
+    | field             | meaning                                                                          | unit |
+    |-------------------|----------------------------------------------------------------------------------|------|
+    | penetration       | deepest penetration of any contact in any state                                  | m    |
+    | mean_penetration  | mean over the states of the deepest penetration                                  | m    |
+    | speed             | root mean square speed over circles and states: it should be 0                   | m/s  |
+    | energy_drift      | change of kinetic and potential energy per mass                                  | J/kg |
+    | height_drift      | change of the height of the centre of mass: sinking is negative                  | m    |
+    """
+
+    penetration: float
+    mean_penetration: float
+    speed: float
+    energy_drift: float
+    height_drift: float
+
+
+def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
+    """v⁻ = v + Δt g and ω before contacts: velocities (n, 2), m/s, and angular velocities (n,), rad/s (Eq 2.27)."""
+    return state.bodies.velocity + state.dt * np.array(state.world.gravity), state.bodies.spin
+
+
+def energy_norm(bodies: Bodies, velocity: np.ndarray, spin: np.ndarray) -> float:
+    """‖(v, ω)‖_M = √(Σ m |v|² + I ω²), √J: √2 times the root of the kinetic energy.
+
+    It is the norm in which the frictionless contact problem is a projection (Moreau 1966), so the one its error
+    is naturally measured in. velocity: (n, 2), m/s. spin: (n,), rad/s.
+    """
+    return float(np.sqrt(bodies.mass @ (velocity**2).sum(axis=1) + bodies.inertia @ spin**2))
+
+
+def velocity_error(state: State, solution: ContactSolution, reference: ContactSolution) -> float:
+    """‖v − v*‖_M / ‖v* − v⁻‖_M, relative: the share of what contacts do to the velocities that is still wrong.
+
+    1 is the error of doing nothing. v*: of the reference; v⁻: `free_velocity`. Where contacts do nothing at all, it is
+    0 if v = v* and infinite if not.
+    """
+    free, spin = free_velocity(state)
+    error = energy_norm(
+        state.bodies,
+        solution.velocities - reference.velocities,
+        solution.angular_velocities - reference.angular_velocities,
+    )
+    change = energy_norm(state.bodies, reference.velocities - free, reference.angular_velocities - spin)
+    if change == 0.0:
+        return 0.0 if error == 0.0 else np.inf
+    return error / change
+
+
+def nearest_velocity_error(state: State, solution: ContactSolution, references: Sequence[ContactSolution]) -> float:
+    """`velocity_error` against the nearest of several references.
+
+    With friction a large pile has many solutions, and each method comes to its own: on settling piles of 1,000 circles
+    they lie 1e-2 apart. What is to be known of a solution is how far it is from one, not from a certain one.
+    Raises ValueError without references.
+    """
+    if not references:
+        raise ValueError("references: expected at least one, got none")
+    return min(velocity_error(state, solution, reference) for reference in references)
+
+
+def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Relative velocities of the contacts, J v: along the normals and along the tangents, (m,) each, m/s."""
+    bodies, contacts = state.bodies, state.contacts
+    n = bodies.count
+    v = np.vstack([velocity, np.zeros((4, 2))])
+    w = np.concatenate([spin, np.zeros(4)])
+    radius = np.concatenate([bodies.radius, np.zeros(4)])
+    a, b = contacts.body_a, contacts.body_b
+    apart = v[b] - v[a]
+    normal = contacts.normal
+    tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
+    arm_a = radius[a] + 0.5 * contacts.separation
+    arm_b = np.where(b < n, radius[b] + 0.5 * contacts.separation, 0.0)
+    along_tangent = np.einsum("ij,ij->i", apart, tangent) + arm_a * w[a] + arm_b * w[b]
+    return np.einsum("ij,ij->i", apart, normal), along_tangent
+
+
+def targets(state: State) -> np.ndarray:
+    """Normal velocities that the contacts are to part with, (m,), m/s: −e v_n⁻ where they meet fast, otherwise 0."""
+    meeting = row_velocities(state, *free_velocity(state))[0]
+    return np.where(meeting < -RESTITUTION_THRESHOLD, -state.world.restitution * meeting, 0.0)
+
+
+def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
+    """1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
+    bodies, contacts = state.bodies, state.contacts
+    n = bodies.count
+    zeros = np.zeros(4)
+    w, i = np.concatenate([1 / bodies.mass, zeros]), np.concatenate([1 / bodies.inertia, zeros])
+    radius = np.concatenate([bodies.radius, zeros])
+    a, b = contacts.body_a, contacts.body_b
+    arm_a = radius[a] + 0.5 * contacts.separation
+    arm_b = np.where(b < n, radius[b] + 0.5 * contacts.separation, 0.0)
+    return 1 / (w[a] + w[b]), 1 / (w[a] + w[b] + arm_a**2 * i[a] + arm_b**2 * i[b])
+
+
+def residual(state: State, solution: ContactSolution) -> float:
+    """Complementarity residual, m/s: the largest |λ − Π(λ − k u)| / k over all rows (the natural map).
+
+    u: the row's velocity less its target; k: its effective mass; Π puts λ_n above 0 and λ_t within ±μ λ_n. For a
+    normal row that is |min(λ_n / k, u_n)|: an approach that is left, or a pull apart that is still pushed. 0 in
+    every row is Eq 2.27 with Coulomb's law, Eq 2.29. (Cottle, Pang and Stone 1992, section 1.4; Erleben 2013.)
+    """
+    if state.contacts.count == 0:
+        return 0.0
+    normal, tangent = row_velocities(state, solution.velocities, solution.angular_velocities)
+    k_n, k_t = effective_masses(state)
+    p_n, p_t = solution.normal_impulses, solution.tangent_impulses
+    largest = state.world.friction * np.maximum(p_n, 0.0)
+    wrong_n = (p_n - np.maximum(p_n - k_n * (normal - targets(state)), 0.0)) / k_n
+    wrong_t = (p_t - np.clip(p_t - k_t * tangent, -largest, largest)) / k_t
+    return float(max(np.abs(wrong_n).max(), np.abs(wrong_t).max()))
+
+
+def approach(state: State, solution: ContactSolution) -> float:
+    """Worst approach speed left after the solve, m/s: how fast some contact still closes. 0 if none does."""
+    normal = row_velocities(state, solution.velocities, solution.angular_velocities)[0]
+    return float(max(0.0, -normal.min(initial=0.0)))
+
+
+def penetration(state: State) -> float:
+    """Deepest penetration at the state's positions, m, felt surfaces of the walls included (`WALL_SKIN`)."""
+    return float(max(0.0, -contacts_of(state).separation.min(initial=0.0)))
+
+
+def solution_errors(state: State, solution: ContactSolution, reference: ContactSolution) -> SolutionErrors:
+    """All errors of one solution of a state that has contacts."""
+    return SolutionErrors(
+        velocity_error(state, solution, reference), residual(state, solution), approach(state, solution)
+    )
+
+
+def reference_solution(
+    state: State, *, tolerance: float = 1e-10, sweeps: int = 200_000, uncertainty: bool = False
+) -> Reference:
+    """A solution of the state's contact problem, solved far past need: θ <= tolerance, N·s.
+
+    It starts from the impulses that the state holds as its start, by NNCG, and where that does not converge by PSOR
+    and by PGS; if none does, the one of least residual is returned, so look at `residual`.
+    Without friction its velocities are the only ones. With friction neither impulses nor velocities need be unique
+    (Coulomb's law is no minimum principle; a wedge may hold or let go): uncertainty=True solves a second time from
+    zero impulses, and says how far apart the velocities end. On 91 transient states of the thesis's scenes, most
+    residuals were about 1e-10 m/s, and the uncertainty was below 3e-9 in half of them, above 4e-4 in a quarter and
+    above 2e-2 in a tenth. Where it is large, an error below it means nothing.
+    Raises ValueError if the contacts have not been found.
+    """
+    if state.contacts is None:
+        raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
+    zero = np.zeros(state.contacts.count)
+    held = (state.contacts.normal_start, state.contacts.tangent_start)
+    solution, solver, wrong = _solved_past_need(state, held, tolerance, sweeps)
+    spread = None
+    if uncertainty:
+        other, _, _ = _solved_past_need(state, (zero, zero), tolerance, sweeps)
+        spread = velocity_error(state, other, solution)
+    return Reference(solution, solver, wrong, spread)
+
+
+def _solved_past_need(state: State, start, tolerance: float, sweeps: int):
+    found = []
+    for method in (NNCG, PSOR, PGS):
+        solver = method(tolerance=tolerance, sweeps=sweeps)
+        solution = solve(state, solver, *start)
+        found.append((solution, solver, residual(state, solution)))
+        if solution.record.status != "max_sweeps":
+            break
+    return min(found, key=lambda item: item[2])
+
+
+def run_errors(states: Sequence[State]) -> RunErrors:
+    """Errors of a run of a pile at rest, from its states in the order of time (two at least).
+
+    Energies include the potential one in the world's gravity. Raises ValueError if there are less than two states.
+    """
+    if len(states) < 2:
+        raise ValueError(f"states: expected at least two, got {len(states)}")
+    deepest = [penetration(state) for state in states]
+    speeds = [np.mean((state.bodies.velocity**2).sum(axis=1)) for state in states]
+    energy = [_energy(state) / state.bodies.mass.sum() for state in (states[0], states[-1])]
+    height = [state.bodies.mass @ state.bodies.position[:, 1] / state.bodies.mass.sum() for state in states]
+    return RunErrors(
+        max(deepest),
+        float(np.mean(deepest)),
+        float(np.sqrt(np.mean(speeds))),
+        float(energy[1] - energy[0]),
+        float(height[-1] - height[0]),
+    )
+
+
+def _energy(state: State) -> float:
+    bodies = state.bodies
+    moving = 0.5 * energy_norm(bodies, bodies.velocity, bodies.spin) ** 2
+    return moving - float(bodies.mass @ (bodies.position @ np.array(state.world.gravity)))
+
+
+def distances(states: Sequence[State], reference: Sequence[State]) -> np.ndarray:
+    """Root mean square distance of the circles' centres between two runs, state by state, m, (states,).
+
+    A pile is chaotic: small errors grow exponentially, so distances mean something only up to `time_together`.
+    Raises ValueError if the runs differ in length, times or number of circles.
+    """
+    if len(states) != len(reference):
+        raise ValueError(f"states: expected {len(reference)}, as the reference has, got {len(states)}")
+    found = np.empty(len(states))
+    for k, (state, other) in enumerate(zip(states, reference)):
+        if state.bodies.count != other.bodies.count or not np.isclose(state.time, other.time, atol=1e-9):
+            raise ValueError(
+                f"states[{k}]: expected {other.bodies.count} circles at {other.time} s, as in the reference, "
+                f"got {state.bodies.count} at {state.time} s"
+            )
+        offset = state.bodies.position - other.bodies.position
+        found[k] = np.sqrt(np.mean((offset**2).sum(axis=1)))
+    return found
+
+
+def time_together(states: Sequence[State], reference: Sequence[State], *, share: float = 0.01) -> float:
+    """Time until a run is further from the reference than `share` of the mean radius (`distances`), s.
+
+    The time of the last state if it never is.
+    """
+    far = np.flatnonzero(distances(states, reference) > share * reference[0].bodies.radius.mean())
+    return float(states[far[0] if far.size else -1].time)

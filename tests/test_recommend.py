@@ -1,0 +1,134 @@
+"""Recommendations: what they choose from a study, what they say, and the presets of `simulate`."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact import recommendation as advice
+from deep_contact import tradeoff
+
+
+def row(setting, kind, error, us, *, n_bodies=100, sweeps=10, tolerance=None):
+    return {
+        "n_bodies": n_bodies, "kind": kind, "states": 4, "left_out": 0, "setting": setting, "start": "builtin",
+        "budget": {"sweeps": sweeps, "tolerance": tolerance}, "velocity": {"p50": error / 2, "p95": error},
+        "sweeps": sweeps, "us": us,
+    }  # fmt: skip
+
+
+def table(*rows):
+    settings = {"PGS": {"method": "PGS"}, "over": {"method": "PSOR", "omega": 1.5, "start": "none"}}
+    return {"data": {"rows": list(rows), "settings": settings}, "provenance": {"cpu": "a processor"}}
+
+
+TABLE = table(
+    row("PGS", "falling", 0.05, 10.0), row("PGS", "resting", 0.001, 10.0),
+    row("PGS", "falling", 0.004, 90.0, sweeps=500), row("PGS", "resting", 0.0001, 90.0, sweeps=500),
+    row("over", "falling", 0.008, 20.0, tolerance=1e-3), row("over", "resting", 0.009, 20.0, tolerance=1e-3),
+    row("over", "falling", 0.008, 1.0, sweeps=3),
+)  # fmt: skip
+
+
+def test_the_fastest_within_the_error_of_every_kind_is_chosen():
+    scene = dc.circles_in_box(50)
+    found = advice.recommend(scene, velocity_error=0.01, table=TABLE)
+    # Not the one of 1 μs, which was measured on one kind only; and the tolerance in weights of this scene.
+    np.testing.assert_allclose(found.solver.tolerance, 1e-3 * np.pi * 9.81 * 0.01, rtol=1e-12)
+    assert (type(found.solver), found.solver.omega, found.warm_start, found.us) == (dc.PSOR, 1.5, "none", 20.0)
+    assert (found.measured, found.reached) == (0.009, True)
+    assert advice.recommend(scene, velocity_error=0.1, table=TABLE).solver == dc.PGS(sweeps=10, tolerance=None)
+    assert advice.recommend(scene, velocity_error=0.005, table=TABLE).solver == dc.PGS(sweeps=500, tolerance=None)
+
+
+def test_out_of_reach_is_said():
+    found = advice.recommend(dc.column(3), velocity_error=1e-6, table=TABLE)
+    assert not found.reached
+    assert found.measured == 0.004
+    assert "does not reach 1e-06" in str(found)
+
+
+def test_the_nearest_size_counts_by_ratio():
+    rows = [row("PGS", "falling", 0.01, us, n_bodies=n) for n, us in ((100, 1.0), (1000, 10.0))]
+    for n, expected in ((30, 100), (300, 100), (330, 1000), (5000, 1000)):
+        assert advice.recommend(dc.lattice_in_box(n), velocity_error=0.1, table=table(*rows)).n_bodies == expected
+
+
+def test_a_recommendation_tells_its_cost_and_what_it_was_measured_on():
+    text = str(advice.recommend(dc.column(3), velocity_error=0.01, table=TABLE))
+    for part in ("PSOR(tolerance=", "from none", "20 μs a step of 100 circles", "measured on 8 states", "a processor"):
+        assert part in text.replace("sweeps=10, ", "")
+
+
+@pytest.mark.parametrize("name", advice.ACCURACIES)
+def test_presets_read_the_study_in_the_package(name):
+    scene = dc.circles_in_box(40, seed=1)
+    assert advice.preset(scene, name) == advice.recommend(scene, velocity_error=advice.ACCURACIES[name])
+
+
+def test_recommend_stays_a_function_after_the_module_is_loaded():
+    assert dc.recommend is advice.recommend
+    assert "velocity error" in str(dc.recommend(dc.circles_in_box(30), velocity_error=0.1))
+
+
+def test_a_preset_is_the_run_with_its_solver_and_start(monkeypatch):
+    monkeypatch.setattr(advice, "installed_study", lambda: TABLE)
+    scene = dc.circles_in_box(40, seed=1)
+    run = dc.simulate(scene, steps=60, accuracy="fast")
+    by_hand = dc.simulate(scene, steps=60, solver=dc.PGS(sweeps=10, tolerance=None))
+    assert run.state.solver == by_hand.state.solver
+    np.testing.assert_array_equal(run.state.bodies.position, by_hand.state.bodies.position)
+
+
+def test_more_accuracy_costs_no_less_time():
+    us = [advice.preset(dc.circles_in_box(100), name).us for name in ("fast", "balanced", "accurate")]
+    assert us == sorted(us)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda s: advice.recommend(s, velocity_error=0), r"velocity_error: expected a number above 0, up to 1, got 0"),
+        (lambda s: dc.simulate(s, accuracy="best"), "accuracy: expected one of fast, balanced, accurate, got 'best'"),
+        (lambda s: dc.simulate(s, accuracy="fast", solver=dc.PGS()), "accuracy: expected no solver beside it"),
+    ],
+)
+def test_bad_wishes_are_refused(call, message):
+    with pytest.raises(ValueError, match=message):
+        call(dc.column(2))
+
+
+def test_pareto_front_has_what_nothing_beats():
+    points = [(1.0, 5.0), (2.0, 6.0), (2.0, 3.0), (4.0, 3.0), (5.0, 1.0)]
+    assert tradeoff.pareto(points) == [0, 2, 4]
+
+
+def test_installed_rows_keep_all_kinds_of_a_budget_on_a_front():
+    rows = [row("PGS", "falling", 0.1, 1.0), row("PGS", "resting", 0.1, 5.0), row("over", "resting", 0.01, 1.0)]
+    slow = [row("over", kind, 0.2, 9.0, sweeps=99) for kind in ("falling", "resting")]
+    assert tradeoff.installed(rows + slow) == rows
+
+
+def test_condensed_rows_cost_overhead_and_sweeps():
+    # 20 contacts, 10 sweeps, 5 ns and 7 μs of overhead: 8 μs.
+    item = {
+        "sweeps": 10,
+        "tolerance": None,
+        "velocity": [0.1, 0.3],
+        "residual": [1, 1],
+        "approach": [1, 1],
+        "done": [10, 10],
+    }
+    settings = {name: {"sweeps": [item], "tolerance": []} for name in tradeoff.SETTINGS}
+    pile = {"kind": "falling", "n_bodies": 9, "contacts": 20.0, "states": 2, "left_out": 1, "settings": settings}
+    cost = {"n_bodies": 9, "overhead_us": 7.0, "sweep_ns": dict.fromkeys(tradeoff.SETTINGS, 5.0)}
+    found = tradeoff.condensed([pile], [cost])[0]
+    assert (found["us"], found["velocity"], found["sweeps"]) == (8.0, {"p50": 0.3, "p95": 0.3}, 10.0)
+
+
+def test_small_study_of_a_pile(monkeypatch):
+    monkeypatch.setattr(tradeoff, "SETTINGS", {name: tradeoff.SETTINGS[name] for name in ("PGS", "NNCG")})
+    found = tradeoff.solution_errors("falling", 40, 1, states=1, sweeps=[2, 200], tolerances=[1e-3], past_need=5000)
+    assert found["states"] + found["left_out"] == 1
+    few, many = found["settings"]["PGS"]["sweeps"]
+    assert np.median(many["velocity"]) < 0.2 * np.median(few["velocity"])
+    assert found["settings"]["NNCG"]["tolerance"][0]["done"][0] < 200
