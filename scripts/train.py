@@ -1,8 +1,9 @@
-"""python scripts/train.py [--architecture compact|thesis] [--out runs/compact] …: train a network on generated states.
+"""python scripts/train.py [--architecture compact|thesis|"far field"] [--out FOLDER] …: train a network.
 
     python scripts/generate_data.py                          # the data, once
     python scripts/train.py --out runs/compact               # ours
     python scripts/train.py --architecture thesis --out runs/thesis --epochs 10
+    python scripts/train.py --architecture "far field"       # the far-field network, through the solver
 
 Started again with the same flags, a run goes on where it was stopped. At the end <out>/model.h5 is a model file with
 its card, and <out>/history.png the learning curve; --model copies both to where they are wanted.
@@ -41,6 +42,8 @@ def arguments(config_class) -> argparse.ArgumentParser:
             settings.add_argument(flag, nargs="*", type=option, metavar="NAME=NUMBER", help="of the network")
         elif field.name == "phases":
             settings.add_argument(flag, nargs="+", help=f"train on these alone; compact: {' '.join(shown)}")
+        elif field.name == "sweeps":
+            settings.add_argument(flag, nargs="+", type=int, help=f"whose errors the far-field network learns: {shown}")
         elif field.name == "fractions":
             settings.add_argument(flag, nargs=3, type=float, help=f"train, validation, test; compact: {shown}")
         elif kind is bool:
@@ -85,14 +88,15 @@ def learning_curve(history, path) -> None:
 def main() -> int:
     """Train, and print the errors on the test states."""
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    from deep_contact.cnn.training import TrainingConfig, thesis_config, train
+    from deep_contact.cnn.training import TrainingConfig, far_field_config, thesis_config, train
 
     given = vars(arguments(TrainingConfig).parse_args())
     names = ("data", "out", "model", "threads", "held_out", "tensorboard")
     data, out, model, threads, held_out, tensorboard = (given.pop(name) for name in names)
     given["options"] = dict(given.get("options") or [])
-    config = thesis_config(**given) if given.get("architecture") == "thesis" else TrainingConfig(**given)
-    out = Path(out or f"runs/{config.architecture}")
+    configs = {"thesis": thesis_config, "far field": far_field_config}
+    config = configs.get(given.get("architecture"), TrainingConfig)(**given)
+    out = Path(out or f"runs/{config.architecture.replace(' ', '_')}")
     done = train(
         config,
         data,

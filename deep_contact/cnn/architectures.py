@@ -36,7 +36,7 @@ COMPACT_COARSENING = 4
 
 
 def build(name: str, **options) -> keras.Model:
-    """The network of that name, untrained: "thesis" or "compact", with the options of the function below.
+    """The network of that name, untrained: "thesis", "compact" or "far field", with the options of the function below.
 
     Raises ValueError on another name, TypeError on options that the network does not have.
     """
@@ -154,13 +154,49 @@ def compact(
     return model
 
 
-ARCHITECTURES: dict[str, Callable[..., keras.Model]] = {"thesis": thesis, "compact": compact}
+def far_field(*, channels: int, outputs: int, width: int = 24) -> keras.Model:
+    """The far-field network (`cnn.far_field`): (b, n_y, n_x, channels) -> every second node, where n = 1 (mod 8).
+
+    A U-Net of residual blocks on every second, fourth and eighth node of the input, of `width`, 2 `width` and
+    2 `width` features. The last layer starts from zero, so that an untrained network leaves Builtin as it is.
+    Raises ValueError naming the option and the value.
+    """
+    _counts(channels=channels, outputs=outputs, width=width)
+
+    def block(x, features, name):
+        change = x
+        for turn in (1, 2):
+            change = layers.ReLU(name=f"{name}_relu_{turn}")(change)
+            same = {"padding": "same", "kernel_initializer": "he_normal"}
+            change = layers.Conv2D(features, 3, name=f"{name}_{turn}", **same)(change)
+        return layers.Add(name=name)([x, change])
+
+    def down(x, features, name):
+        x = layers.ZeroPadding2D(1, name=f"{name}_padding")(x)
+        return layers.Conv2D(features, 3, strides=2, kernel_initializer="he_normal", name=name)(x)
+
+    image = keras.Input((None, None, channels), name="state")
+    second = block(down(image, width, "to_second"), width, "second")
+    fourth = block(down(second, 2 * width, "to_fourth"), 2 * width, "fourth")
+    eighth = block(block(down(fourth, 2 * width, "to_eighth"), 2 * width, "eighth"), 2 * width, "far")
+    x = layers.Add(name="join_fourth")([fourth, _doubled(eighth, 2 * width, "back_to_fourth")])
+    x = block(x, 2 * width, "fourth_back")
+    x = layers.Add(name="join_second")([second, _doubled(x, width, "back_to_second")])
+    x = layers.ReLU(name="last_relu")(block(x, width, "second_back"))
+    return keras.Model(
+        image, layers.Conv2D(outputs, 1, kernel_initializer="zeros", name="coefficients")(x), name="far_field"
+    )
+
+
+ARCHITECTURES: dict[str, Callable[..., keras.Model]] = {"thesis": thesis, "compact": compact, "far field": far_field}
 """Name -> what builds the network."""
+
+_COARSENING = {"compact": COMPACT_COARSENING, "far field": 8}
 
 
 def coarsening(name: str) -> int:
     """k such that the network of that name takes images of n = 1 (mod k) nodes along each edge; 1 is any."""
-    return COMPACT_COARSENING if name == "compact" else 1
+    return _COARSENING.get(name, 1)
 
 
 def _halved(x, filters, name):

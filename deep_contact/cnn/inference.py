@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from deep_contact.cnn.far_field import Description, FarFieldSpec, corrected, describe, read_coefficients
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_model
 from deep_contact.state import State
@@ -44,7 +45,8 @@ def load_model(path=None) -> LearnedModel:
     """
     path = default_model_path() if path is None else Path(path)
     model, spec, metadata = read_model(path)
-    return LearnedModel(
+    kind = FarFieldModel if isinstance(spec, FarFieldSpec) else LearnedModel
+    return kind(
         keras=model,
         spec=spec,
         card=metadata["card"],
@@ -113,6 +115,38 @@ class LearnedModel:
         shape = spec.shape(state.world)
         if shape != size:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
+
+
+class FarFieldModel(LearnedModel):
+    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds."""
+
+    def predict(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+        """(λ_n, λ_t) at the state's contacts, (m,) each, N·s: not projected."""
+        return self.correct(state, describe(state, self.spec))
+
+    def correct(self, state: State, description: Description) -> tuple[np.ndarray, np.ndarray]:
+        """The same from a description that has been made already."""
+        image = self.run(description.image)
+        impulses = corrected(description, read_coefficients(image, description, self.spec, state.world))
+        return np.ascontiguousarray(impulses[:, 0]), np.ascontiguousarray(impulses[:, 1])
+
+    def predict_image(self, state: State) -> np.ndarray:
+        """The predicted image of coefficients, float32, (rows, columns, 12): a node every `spacing · coarsening` m."""
+        return self.run(describe(state, self.spec).image)
+
+    def run(self, image: np.ndarray) -> np.ndarray:
+        """The network alone: image (n_y, n_x, channels) to coefficients (rows, columns, 12), float32."""
+        n_y, n_x = image.shape[:2]
+        rows, columns = padded_shape((n_y, n_x), self.coarsening)
+        if (rows, columns) != (n_y, n_x):
+            image = np.pad(image, ((0, rows - n_y), (0, columns - n_x), (0, 0)))
+        key = rows, columns
+        if key not in self._compiled:
+            self._compiled[key] = compiled(self.keras, (rows, columns, image.shape[2]))
+        return self._compiled[key](image[None])[0]
+
+    def check_scene(self, state: State) -> None:
+        """Any scene will do."""
 
 
 def padded_shape(shape: tuple[int, int], coarsening: int) -> tuple[int, int]:

@@ -6,7 +6,8 @@ one more dataset, `deep_contact`, a JSON object:
 | field        | meaning                                                                                      |
 |--------------|----------------------------------------------------------------------------------------------|
 | format       | 1                                                                                            |
-| spec         | `ImageSpec.to_dict()`: channels, targets, grid, kernel, transfer, normalisation, statistics  |
+| spec         | `ImageSpec.to_dict()`: channels, targets, grid, kernel, transfer, normalisation, statistics, |
+|              | or `FarFieldSpec.to_dict()`                                                                  |
 | coarsening   | k: the network takes n = 1 (mod k) nodes along an edge                                       |
 | box          | (width, height) that a network of one fixed size was made for, m; null if any fits           |
 | card         | where it comes from and what it is worth: data, seed, command, versions, errors              |
@@ -30,6 +31,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
 
 FORMAT = 1
@@ -61,7 +63,7 @@ class ModelFileError(ValueError):
     """A model file is not what it should be, or does not fit the scene; the message names the field."""
 
 
-def save_model(path, model, spec: ImageSpec, card: dict, *, coarsening: int = 1, box=None) -> Path:
+def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coarsening: int = 1, box=None) -> Path:
     """Write a network and its metadata, at once or not at all. Returns the path.
 
     card: anything that JSON holds. coarsening: `architectures.coarsening(name)`. box: the world's box that a network
@@ -116,7 +118,8 @@ def read_model(path):
     path = Path(path)
     metadata = read_metadata(path)
     try:
-        spec = ImageSpec.from_dict(metadata["spec"])
+        kind = metadata["spec"].get("kind") if isinstance(metadata["spec"], dict) else None
+        spec = (FarFieldSpec if kind == "far field" else ImageSpec).from_dict(metadata["spec"])
     except ValueError as error:
         raise ModelFileError(f"{path}: spec: {error}") from error
     import keras
@@ -236,7 +239,7 @@ def _check_parts(value, path, where) -> None:
             _check_parts(item, path, where)
 
 
-def _check_fit(model, spec: ImageSpec, metadata: dict, path) -> None:
+def _check_fit(model, spec: ImageSpec | FarFieldSpec, metadata: dict, path) -> None:
     """Raise ModelFileError unless the network takes the spec's images and gives its targets."""
     inputs, outputs = model.input_shape, model.output_shape
     if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != len(spec.channels):

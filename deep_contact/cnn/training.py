@@ -35,10 +35,12 @@ from keras import ops
 from deep_contact.cnn import architectures, losses, schedules
 from deep_contact.cnn.dataset import PHASES, ImageBatches, Split, Store, fit_scales, split_by_simulation
 from deep_contact.cnn.evaluation import held_out_errors
+from deep_contact.cnn.far_field import FarFieldSpec, corrected, describe, nodes_of
 from deep_contact.cnn.images import SOLVER_CHANNELS, THESIS_CHANNELS, ImageSpec, augment
 from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model, padded_shape, projected
 from deep_contact.cnn.losses import CONTACT_LOSSES, ContactBatch
 from deep_contact.cnn.model_file import save_model
+from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
 from deep_contact.results import package_versions, processor, replacing
 from deep_contact.warm_start import Builtin, NoStart
 
@@ -49,7 +51,8 @@ CHANNEL_SETS = {
 }
 """Name -> input channels."""
 
-LOSSES = ("appendix b", *CONTACT_LOSSES)
+THROUGH_SOLVER = "through solver"
+LOSSES = ("appendix b", *CONTACT_LOSSES, THROUGH_SOLVER)
 OPTIMIZERS = ("sgd", "adam")
 
 COLUMNS = (
@@ -61,7 +64,11 @@ COLUMNS = (
     "validation_impulse_error",
     "seconds",
 )
-"""Of history.csv. Errors: mean over states of the relative error before any sweep, projected."""
+"""Of history.csv. Errors: mean over states of the relative error before any sweep, projected. Through the solver
+the last of them is the velocity error after the last number of sweeps, and the loss is over Builtin's."""
+
+_LEARN_FROM, _JUDGE_BY = 0.02, 0.05
+"""Least error of Builtin's start, relative, of a state that the far-field network learns from, or is judged by."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,6 +76,7 @@ class TrainingConfig:
     """Settings of a run. The defaults are those of the compact network; `thesis_config` has Table 5.2.
 
     architecture, options: of `architectures.build`; channels and outputs follow from the spec.
+    The far-field network has images of its own, and is trained "through solver" on the errors after `sweeps` sweeps.
     channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`.
     measure_scales: divide each channel by its root mean square on the training side; if not, by 1.
     loss: "appendix b" (masked, on images), or one of `CONTACT_LOSSES` ("velocity" …).
@@ -104,6 +112,7 @@ class TrainingConfig:
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)
     phases: tuple[str, ...] = PHASES
     augment: bool = True
+    sweeps: tuple[int, ...] = (3, 10, 30)
     seed: int = 0
 
     def __post_init__(self):
@@ -130,6 +139,12 @@ class TrainingConfig:
         strange = [name for name in self.phases if name not in PHASES]
         if strange or not self.phases:
             raise ValueError(f"phases: expected among {', '.join(PHASES)}, got {self.phases!r}")
+        if (self.architecture == "far field") != (self.loss == THROUGH_SOLVER):
+            raise ValueError(f"loss: expected {THROUGH_SOLVER!r} for the far-field network alone, got {self.loss!r}")
+        sweeps = tuple(self.sweeps)
+        if not sweeps or list(sweeps) != sorted(set(sweeps)) or sweeps[0] < 0:
+            raise ValueError(f"sweeps: expected increasing integers >= 0, got {self.sweeps!r}")
+        object.__setattr__(self, "sweeps", sweeps)
         object.__setattr__(self, "fractions", tuple(float(f) for f in self.fractions))
         object.__setattr__(self, "phases", tuple(self.phases))
 
@@ -165,6 +180,11 @@ def thesis_config(**changes) -> TrainingConfig:
         "augment": False,
     }
     return TrainingConfig(**(settings | changes))
+
+
+def far_field_config(**changes) -> TrainingConfig:
+    """The settings of the far-field network, trained through the solver."""
+    return TrainingConfig(**({"architecture": "far field", "loss": THROUGH_SOLVER, "rate": 1.5e-3} | changes))
 
 
 class Training(NamedTuple):
@@ -216,10 +236,13 @@ def train(
     split = split_by_simulation(sims, fractions=config.fractions, seed=config.seed)
     settings = json.loads(json.dumps({**asdict(config), "data": data_hash(store, sims)}))
     saved = _read_checkpoint(out / "last.npz", settings)
-    spec = saved.spec if saved is not None else config.spec()
-    if saved is None and config.measure_scales:
-        spec = fit_scales(store, split.train, spec, seed=config.seed)
-    run = _Run(config, store, split, spec)
+    if config.architecture == "far field":
+        run = _FarFieldRun(config, store, split, FarFieldSpec())
+    else:
+        spec = saved.spec if saved is not None else config.spec()
+        if saved is None and config.measure_scales:
+            spec = fit_scales(store, split.train, spec, seed=config.seed)
+        run = _ImageRun(config, store, split, spec)
     history = run.restore(saved) if saved is not None else []
     writer = _Tensorboard(tensorboard) if tensorboard else None
     progress = _Progress(config.epochs, log)
@@ -253,7 +276,7 @@ def train(
     starts = {"none": NoStart(), "builtin": Builtin(), "cnn": Cnn(model)}
     errors = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
     more = {"best_epoch": best_epoch, "held_out": errors}
-    save_model(out / "model.h5", model.keras, spec, card(**more), coarsening=model.coarsening, box=run.box)
+    save_model(out / "model.h5", model.keras, run.spec, card(**more), coarsening=model.coarsening, box=run.box)
     return Training(history, best_epoch, out / "model.h5", load_model(out / "model.h5"))
 
 
@@ -284,7 +307,72 @@ def data_hash(store: Store, sims) -> str:
 
 
 class _Run:
-    """Network, optimizer and batches of a run."""
+    """Network and optimizer of a run, and what is written of them."""
+
+    config: TrainingConfig
+    store: Store
+    split: Split
+    spec: ImageSpec | FarFieldSpec
+    training_states: int
+
+    def build(self, **options) -> None:
+        """The network and its optimizer."""
+        config = self.config
+        self.coarsening = architectures.coarsening(config.architecture)
+        self.model = architectures.build(
+            config.architecture, channels=len(self.spec.channels), outputs=len(self.spec.targets), **options
+        )
+        if config.optimizer == "sgd":
+            self.optimizer = keras.optimizers.SGD(config.rate, momentum=config.momentum, global_clipnorm=config.clip)
+        else:
+            self.optimizer = keras.optimizers.Adam(config.rate, global_clipnorm=config.clip)
+        self.optimizer.build(self.model.trainable_variables)
+
+    def batches_an_epoch(self, states: int) -> int:
+        """How many batches an epoch has of so many states."""
+        config = self.config
+        wanted = states if config.states_per_epoch is None else min(states, config.states_per_epoch)
+        if states < config.batch_size:
+            raise ValueError(f"batch_size: expected at most the {states} states to train on, got {config.batch_size}")
+        return max(1, wanted // config.batch_size)
+
+    # ---- what is written ----
+
+    def save(self, path, card: dict) -> None:
+        save_model(path, self.model, self.spec, card, coarsening=self.coarsening, box=self.box)
+
+    def card(self) -> dict:
+        config = self.config
+        return {
+            "architecture": config.architecture,
+            "options": dict(config.options),
+            "parameters": int(self.model.count_params()),
+            "trainable_parameters": int(sum(np.prod(v.shape) for v in self.model.trainable_variables)),
+            "data_hash": data_hash(self.store, self.store.simulations[: config.simulations]),
+            "training_states": self.training_states,
+            "seed": config.seed,
+            "versions": {**package_versions(), "python": sys.version.split()[0], "backend": keras.backend.backend()},
+            "cpu": processor(),
+        }
+
+    def write_checkpoint(self, path: Path, settings: dict, history: list[dict]) -> None:
+        arrays = {f"model_{i:04d}": ops.convert_to_numpy(v) for i, v in enumerate(self.model.variables)}
+        arrays |= {f"optimizer_{i:04d}": ops.convert_to_numpy(v) for i, v in enumerate(self.optimizer.variables)}
+        text = json.dumps({"settings": settings, "history": history, "spec": self.spec.to_dict()})
+        with replacing(path) as temporary:
+            # Uncompressed: weights do not shrink.
+            with open(temporary, "wb") as file:
+                np.savez(file, state=np.frombuffer(text.encode(), np.uint8), **arrays)
+
+    def restore(self, saved: _Checkpoint) -> list[dict]:
+        for prefix, variables in (("model", self.model.variables), ("optimizer", self.optimizer.variables)):
+            for i, variable in enumerate(variables):
+                variable.assign(saved.arrays[f"{prefix}_{i:04d}"])
+        return saved.history
+
+
+class _ImageRun(_Run):
+    """A run whose network predicts images of impulses."""
 
     def __init__(self, config: TrainingConfig, store: Store, split: Split, spec: ImageSpec):
         self.config, self.store, self.split, self.spec = config, store, split, spec
@@ -299,15 +387,8 @@ class _Run:
             drop_last=True,
             states=store.states(split.train, phases=wanted),
         )
-        if config.states_per_epoch is not None:
-            self.per_epoch = max(1, min(config.states_per_epoch // config.batch_size, len(self.batches)))
-        else:
-            self.per_epoch = len(self.batches)
-        if self.per_epoch == 0:
-            raise ValueError(
-                f"batch_size: expected at most the {len(self.batches.states)} states to train on, "
-                f"got {config.batch_size}"
-            )
+        self.training_states = len(self.batches.states)
+        self.per_epoch = self.batches_an_epoch(self.training_states)
         chosen = store.states(split.validation)
         chosen = chosen[:: max(1, len(chosen) // config.validation_states)]
         self.validation = ImageBatches(
@@ -321,15 +402,7 @@ class _Run:
         else:
             self.box = None
             options = compact_options(spec) | options
-        self.coarsening = architectures.coarsening(config.architecture)
-        self.model = architectures.build(
-            config.architecture, channels=len(spec.channels), outputs=len(spec.targets), **options
-        )
-        if config.optimizer == "sgd":
-            self.optimizer = keras.optimizers.SGD(config.rate, momentum=config.momentum, global_clipnorm=config.clip)
-        else:
-            self.optimizer = keras.optimizers.Adam(config.rate, global_clipnorm=config.clip)
-        self.optimizer.build(self.model.trainable_variables)
+        self.build(**options)
         self.contact_loss = CONTACT_LOSSES.get(config.loss)
         self._step, self._predict = _compiled_steps(self)
         self._goes: dict[int, np.ndarray] = {}
@@ -400,45 +473,127 @@ class _Run:
             self._goes[k] = goes
         return self._goes[k]
 
-    # ---- what is written ----
 
-    def save(self, path, card: dict) -> None:
-        save_model(path, self.model, self.spec, card, coarsening=self.coarsening, box=self.box)
+class _FarFieldRun(_Run):
+    """A run whose network corrects Builtin, trained through the solver."""
 
-    def card(self) -> dict:
-        config = self.config
+    def __init__(self, config: TrainingConfig, store: Store, split: Split, spec: FarFieldSpec):
+        self.config, self.store, self.split, self.spec = config, store, split, spec
+        self.box = None
+        self.states = self._worth_solving(split.train, _LEARN_FROM)
+        self.training_states = len(self.states)
+        self.per_epoch = self.batches_an_epoch(self.training_states)
+        chosen = self._worth_solving(split.validation, _JUDGE_BY)
+        self.validation = chosen[:: max(1, len(chosen) // config.validation_states)]
+        self.build(**config.options)
+        # So that every number of sweeps counts alike, although the errors get smaller.
+        errors = self._errors(self.validation, lambda states: [None] * len(states))[:, 1:]
+        self.weights = 1.0 / (errors.mean(axis=0) * len(config.sweeps))
+        self._coefficients = self._compiled()
+
+    def _worth_solving(self, sims, least: float) -> np.ndarray:
+        """(k, 2) states of the simulations whose start by Builtin is off by more than a share."""
+        found = [[sim, i] for sim in sims for i in np.flatnonzero(self.store.simulation(sim).start_errors() > least)]
+        return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+    def _compiled(self):
+        """(images, nodes, weights) -> coefficients (K, 12), differentiable; traced once."""
+        import tensorflow as tf
+
+        signature = [
+            tf.TensorSpec((None, None, None, len(self.spec.channels)), tf.float32),
+            tf.TensorSpec((None, 4), tf.int32),
+            tf.TensorSpec((None, 4), tf.float32),
+        ]
+
+        @tf.function(input_signature=signature)
+        def coefficients(images, node, weight):
+            nodes = tf.reshape(self.model(images, training=True), (-1, len(self.spec.targets)))
+            return tf.reduce_sum(tf.gather(nodes, node) * weight[:, :, None], axis=1)
+
+        return coefficients
+
+    def batch(self, states: np.ndarray, symmetry: np.ndarray):
+        """(images, node, weight, descriptions, problems) of states (B, 2)."""
+        found = [self.store.state(*state) for state in states.tolist()]
+        descriptions = [describe(state, self.spec, int(k)) for state, k in zip(found, symmetry)]
+        shape = padded_shape(descriptions[0].image.shape[:2], self.coarsening)
+        out = tuple((n - 1) // self.spec.coarsening + 1 for n in shape)
+        images = np.zeros((len(found), *shape, len(self.spec.channels)), np.float32)
+        nodes, weights = [], []
+        for k, (state, description) in enumerate(zip(found, descriptions)):
+            n_y, n_x = description.image.shape[:2]
+            images[k, :n_y, :n_x] = description.image
+            node, weight = nodes_of(description.point, self.spec, state.world, out)
+            nodes.append(node + k * out[0] * out[1])
+            weights.append(weight)
+        problems = [solved_problem(state) for state in found]
+        return images, np.concatenate(nodes).astype(np.int32), np.concatenate(weights), descriptions, problems
+
+    def epoch(self, epoch: int, rate: float, progress, on_batch) -> float:
+        """Train on one epoch's batches. Returns the mean loss."""
+        import tensorflow as tf
+
+        config, variables = self.config, self.model.trainable_variables
+        self.optimizer.learning_rate = rate
+        rng = np.random.default_rng((config.seed, epoch))
+        order = rng.permutation(len(self.states))
+        total = 0.0
+        for k in range(self.per_epoch):
+            if on_batch is not None:
+                on_batch(epoch, k)
+            chosen = self.states[order[k * config.batch_size : (k + 1) * config.batch_size]]
+            symmetry = rng.integers(0, 8, len(chosen)) if config.augment else np.zeros(len(chosen), np.int64)
+            images, node, weight, descriptions, problems = self.batch(chosen, symmetry)
+            with tf.GradientTape() as tape:
+                coefficients = self._coefficients(images, node, weight)
+            values = coefficients.numpy().astype(np.float64)
+            by_coefficient, first = np.empty_like(values), 0
+            for description, problem in zip(descriptions, problems):
+                own = slice(first, first + len(description.start))
+                start = corrected(description, values[own])
+                loss, gradient, _ = loss_and_gradient(problem, start, config.sweeps, self.weights)
+                by_coefficient[own] = np.einsum("ik,ijk->ij", gradient, description.features)
+                total += loss / len(chosen)
+                first = own.stop
+            given = tf.constant(by_coefficient / len(chosen), tf.float32)
+            self.optimizer.apply(tape.gradient(coefficients, variables, output_gradients=given), variables)
+            progress.batch(epoch, k + 1, self.per_epoch, config.batch_size, total / (k + 1))
+        return total / self.per_epoch
+
+    def _errors(self, states, predict) -> np.ndarray:
+        """Velocity errors (k, 1 + sweeps) after none and after each number of sweeps; by predicted coefficients."""
+        errors = []
+        for first in range(0, len(states), 64):
+            part = states[first : first + 64]
+            for state, coefficients in zip(part.tolist(), predict(part)):
+                found = self.store.state(*state)
+                problem = solved_problem(found)
+                description = describe(found, self.spec) if coefficients is not None else None
+                start = problem.rows.impulse if description is None else corrected(description, coefficients)
+                errors.append(errors_after(problem, start, sorted({0, *self.config.sweeps})))
+        return np.array(errors)[:, -len(self.config.sweeps) - 1 :]
+
+    def validate(self) -> dict[str, float]:
+        """Loss on the validation states, and the mean velocity error before any sweep and after the last."""
+
+        def predict(states):
+            images, node, weight, descriptions, _ = self.batch(states, np.zeros(len(states), np.int64))
+            values = self._coefficients(images, node, weight).numpy().astype(np.float64)
+            return np.split(values, np.cumsum([len(d.start) for d in descriptions])[:-1])
+
+        errors = self._errors(self.validation, predict).mean(axis=0)
         return {
-            "architecture": config.architecture,
-            "options": dict(config.options),
-            "parameters": int(self.model.count_params()),
-            "trainable_parameters": int(sum(np.prod(v.shape) for v in self.model.trainable_variables)),
-            "data_hash": data_hash(self.store, self.store.simulations[: config.simulations]),
-            "training_states": len(self.batches.states),
-            "seed": config.seed,
-            "versions": {**package_versions(), "python": sys.version.split()[0], "backend": keras.backend.backend()},
-            "cpu": processor(),
+            "validation_loss": float(errors[1:] @ self.weights),
+            "validation_velocity_error": float(errors[0]),
+            "validation_impulse_error": float(errors[-1]),
         }
-
-    def write_checkpoint(self, path: Path, settings: dict, history: list[dict]) -> None:
-        arrays = {f"model_{i:04d}": ops.convert_to_numpy(v) for i, v in enumerate(self.model.variables)}
-        arrays |= {f"optimizer_{i:04d}": ops.convert_to_numpy(v) for i, v in enumerate(self.optimizer.variables)}
-        text = json.dumps({"settings": settings, "history": history, "spec": self.spec.to_dict()})
-        with replacing(path) as temporary:
-            # Uncompressed: weights do not shrink.
-            with open(temporary, "wb") as file:
-                np.savez(file, state=np.frombuffer(text.encode(), np.uint8), **arrays)
-
-    def restore(self, saved: _Checkpoint) -> list[dict]:
-        for prefix, variables in (("model", self.model.variables), ("optimizer", self.optimizer.variables)):
-            for i, variable in enumerate(variables):
-                variable.assign(saved.arrays[f"{prefix}_{i:04d}"])
-        return saved.history
 
 
 class _Checkpoint(NamedTuple):
     arrays: dict[str, np.ndarray]
     history: list[dict]
-    spec: ImageSpec
+    spec: ImageSpec | FarFieldSpec
 
 
 def _read_checkpoint(path: Path, settings: dict) -> _Checkpoint | None:
@@ -455,7 +610,8 @@ def _read_checkpoint(path: Path, settings: dict) -> _Checkpoint | None:
                 f"{name}: expected {state['settings'].get(name)!r}, with which the run in {path.parent} was started, "
                 f"got {value!r}; take another folder, or delete it"
             )
-    return _Checkpoint(arrays, state["history"], ImageSpec.from_dict(state["spec"]))
+    kind = FarFieldSpec if state["spec"].get("kind") == "far field" else ImageSpec
+    return _Checkpoint(arrays, state["history"], kind.from_dict(state["spec"]))
 
 
 def _compiled_steps(run: _Run):

@@ -1,0 +1,283 @@
+"""The far-field network: a coarse image of stress that corrects Builtin's start, read at the contacts.
+
+Projected Gauss-Seidel removes what is wrong between neighbours in a few sweeps; what it takes long for is the far
+field. That is smooth, and fits a coarse image. So the network does not predict impulses: it predicts, at every node of
+a grid of 2 m, coefficients c_j (`COEFFICIENTS`), which are read bilinearly at a contact and multiplied by features F_j
+that the solver knows there (normal, effective mass, residual, last impulses):
+
+    λ = λ_Builtin + Σ_j c_j F_j
+
+The first four coefficients are a stress tensor S (λ_n = n·S·n, λ_t = t·S·n, with its antisymmetric part), the others
+gates on Builtin and on the rows' residuals. With c = 0 the start is Builtin's.
+
+The inputs carry the contact problem: its rows before and after Builtin's impulses, as tensors by the normals, so that
+the arbitrary sign of a normal drops out. All is divided by the state's own residual (the problem is positively
+homogeneous), and sizes without bound are compressed by arsinh. Symmetries of the square turn the description exactly.
+
+It is trained through the solver (`through_solver`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.contact_solver import apply_impulses, contact_rows, integrate_velocities, make_rows
+from deep_contact.physics.engine import world_arguments
+from deep_contact.sph import Grid, splat
+from deep_contact.state import State, World
+
+CONTACT_CHANNELS = (
+    "density",
+    "normal_xx",
+    "normal_xy",
+    *(
+        f"{row}_{part}"
+        for row in ("approach", "slip", "normal_residual", "tangent_residual", "builtin_normal", "builtin_tangent")
+        for part in ("1", "xx", "xy")
+    ),
+    "wall",
+)
+"""Splatted at the contacts. Parts: the value, times n_x² − n_y², times 2 n_x n_y (of slip and tangent: t ⊗ n)."""
+
+BODY_CHANNELS = (
+    "bodies",
+    *(f"{name}_{when}" for when in ("free", "builtin") for name in ("velocity_x", "velocity_y", "spin")),
+)
+"""Splatted at the centres: velocities after Δt of gravity, without impulses and with Builtin's."""
+
+COEFFICIENTS = (
+    "stress_trace",
+    "stress_xx",
+    "stress_xy",
+    "stress_turn",
+    "builtin_normal_1",
+    "builtin_normal_xx",
+    "builtin_normal_xy",
+    "builtin_tangent",
+    "normal_residual_1",
+    "normal_residual_xx",
+    "normal_residual_xy",
+    "tangent_residual",
+)
+"""What the network predicts at a node."""
+
+_SMALL = 1e-2
+"""Share of the carried impulses' size in the scale of a state: keeps a resting pile's residual from being blown up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FarFieldSpec:
+    """The images of a far-field network. spacing: of the input's nodes, m. coarsening: nodes of the input per node of
+    the output. support: h of the splat, m. Raises ValueError naming the field and the value."""
+
+    spacing: float = 1.0
+    support: float = 1.0
+    coarsening: int = 2
+
+    def __post_init__(self):
+        for name in ("spacing", "support"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
+                raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
+        if isinstance(self.coarsening, bool) or not isinstance(self.coarsening, int) or self.coarsening < 1:
+            raise ValueError(f"coarsening: expected an integer >= 1, got {self.coarsening!r}")
+
+    channels = CONTACT_CHANNELS + BODY_CHANNELS
+    targets = COEFFICIENTS
+
+    def grid(self, world: World) -> Grid:
+        """The grid of the input over a world's box."""
+        return _grid(world.box, self.spacing)
+
+    def to_dict(self) -> dict:
+        """All fields, and what they are for."""
+        return {"kind": "far field", **{field.name: getattr(self, field.name) for field in fields(self)}}
+
+    @classmethod
+    def from_dict(cls, values: dict) -> FarFieldSpec:
+        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields."""
+        names = {"kind"} | {field.name for field in fields(cls)}
+        if not isinstance(values, dict) or set(values) != names or values["kind"] != "far field":
+            raise ValueError(f"far-field spec: expected the fields {', '.join(sorted(names))}, got {values!r}")
+        return cls(**{name: value for name, value in values.items() if name != "kind"})
+
+
+@lru_cache(maxsize=64)
+def _grid(box, spacing) -> Grid:
+    return Grid.over_box(box, spacing)
+
+
+class Description(NamedTuple):
+    """A state as the far-field network meets it, possibly turned (`symmetry`).
+
+    | field    | meaning                                                              | shape          |
+    |----------|----------------------------------------------------------------------|----------------|
+    | image    | the input, float32                                                   | (n_y, n_x, c)  |
+    | point    | contact points, turned, m                                            | (m, 2)         |
+    | features | F: what each coefficient adds to λ_n and λ_t (not turned), N·s        | (m, 12, 2)     |
+    | start    | Builtin's impulses, N·s                                              | (m, 2)         |
+    | scale    | the velocity by which the state was divided, m/s                     |                |
+    | unsolved | rms of what one relaxation of each row would change, over that of λ  |                |
+    """
+
+    image: np.ndarray
+    point: np.ndarray
+    features: np.ndarray
+    start: np.ndarray
+    scale: float
+    unsolved: float
+
+
+def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description:
+    """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`.
+
+    Other symmetries than 0 need a square box, and are for training.
+    """
+    if state.contacts is None:
+        raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
+    mirrored, turns = symmetry >= 4, symmetry % 4
+    found = _describe(state.bodies, state.contacts, world_arguments(state), state.dt, mirrored, turns)
+    point, contact_values, centre, body_values, features, start, scale, unsolved = found
+    grid = spec.grid(state.world)
+    # Contacts with walls, and bodies pushed into one, act from the edge of the grid; every particle counts.
+    options = {"h": spec.support, "normalization": "particle", "outside": "clamp", "unreached": "nearest"}
+    image = np.empty((*grid.shape, len(spec.channels)), np.float32)
+    image[:, :, : len(CONTACT_CHANNELS)] = splat(grid, point, contact_values, **options)
+    image[:, :, len(CONTACT_CHANNELS) :] = splat(grid, centre, body_values, **options)
+    return Description(image, point, features, start, scale, unsolved)
+
+
+def read_coefficients(image: np.ndarray, description: Description, spec: FarFieldSpec, world: World) -> np.ndarray:
+    """Coefficients (m, 12) at the contacts from the network's image, bilinear between its nodes."""
+    node, weight = nodes_of(description.point, spec, world, image.shape[:2])
+    return np.einsum("ik,ikj->ij", weight, image.reshape(-1, image.shape[2])[node], dtype=np.float64)
+
+
+def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
+    """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected."""
+    return description.start + np.einsum("ij,ijk->ik", coefficients, description.features)
+
+
+def nodes_of(point: np.ndarray, spec: FarFieldSpec, world: World, shape: tuple[int, int]):
+    """(m, 4) numbers of the output's nodes around each point, of an image of this shape, and their weights."""
+    node, weight = np.empty((len(point), 4), np.int32), np.empty((len(point), 4), np.float32)
+    distance = spec.spacing * spec.coarsening
+    _bilinear(point, world.box[0], world.box[1], distance, shape[0], shape[1], node, weight)
+    return node, weight
+
+
+@njit(cache=True)
+def _bilinear(point, x_0, y_0, distance, n_y, n_x, node, weight):
+    for i in range(point.shape[0]):
+        u = min(max((point[i, 0] - x_0) / distance, 0.0), n_x - 1.0)
+        v = min(max((point[i, 1] - y_0) / distance, 0.0), n_y - 1.0)
+        column, row = min(int(u), n_x - 2), min(int(v), n_y - 2)
+        s, t = u - column, v - row
+        node[i, 0] = row * n_x + column
+        node[i, 1] = node[i, 0] + 1
+        node[i, 2] = node[i, 0] + n_x
+        node[i, 3] = node[i, 2] + 1
+        weight[i, 0], weight[i, 1] = (1 - s) * (1 - t), s * (1 - t)
+        weight[i, 2], weight[i, 3] = (1 - s) * t, s * t
+
+
+@njit(cache=True)
+def _relative_velocities(rows, moving, i):
+    """Normal relative velocity less its target, and tangential one, of contact i."""
+    a, b = rows.body[i, 0], rows.body[i, 1]
+    n_x, n_y = rows.data[i, 0], rows.data[i, 1]
+    v_x, v_y = moving[b, 0] - moving[a, 0], moving[b, 1] - moving[a, 1]
+    turn = rows.data[i, 4] * moving[a, 2] + rows.data[i, 5] * moving[b, 2]
+    return v_x * n_x + v_y * n_y - rows.data[i, 6], v_x * n_y - v_y * n_x + turn
+
+
+@njit(cache=True, error_model="numpy")
+def _describe(bodies, contacts, world, dt, mirrored, turns):
+    """Turned points and channels of contacts and bodies, features, start, scale, unsolved (`Description`)."""
+    box, gravity, friction, restitution = world
+    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
+    free = np.empty((n + 4, 4))
+    integrate_velocities(bodies, gravity, dt, free)
+    rows, _ = contact_rows(bodies, contacts, free, restitution, make_rows(m, free.dtype))
+    after = free.copy()
+    apply_impulses(rows, after)
+
+    # What one relaxation of each row would change, in m/s: 0 where the row is satisfied.
+    residual = np.empty((m, 2))
+    unsolved, carried = 0.0, 0.0
+    for i in range(m):
+        k_n, k_t = rows.data[i, 2], rows.data[i, 3]
+        p_n, p_t = rows.impulse[i, 0], rows.impulse[i, 1]
+        v_n, v_t = _relative_velocities(rows, after, i)
+        largest = friction * p_n
+        residual[i, 0] = max(-v_n, -p_n / k_n)
+        residual[i, 1] = (max(-largest, min(p_t - k_t * v_t, largest)) - p_t) / k_t
+        unsolved += residual[i, 0] ** 2 + residual[i, 1] ** 2
+        carried += (p_n / k_n) ** 2
+    unsolved, carried = math.sqrt(unsolved / max(m, 1)), math.sqrt(carried / max(m, 1))
+    scale = math.sqrt(unsolved**2 + (_SMALL * carried) ** 2)
+    if not scale > 1e-150:
+        scale = 1.0
+    share = unsolved / (unsolved + carried) if unsolved > 0.0 else 0.0
+
+    c, s = 1.0, 0.0
+    for _ in range(turns):
+        c, s = -s, c
+    sign = -1.0 if mirrored else 1.0
+    x_m, y_m = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
+    point, values = np.empty((m, 2)), np.empty((m, 22))
+    features = np.zeros((m, 12, 2))
+    for i in range(m):
+        n_x, n_y = sign * rows.data[i, 0], rows.data[i, 1]
+        n_x, n_y = c * n_x - s * n_y, s * n_x + c * n_y
+        x, y = sign * (contacts.position[i, 0] - x_m), contacts.position[i, 1] - y_m
+        point[i, 0], point[i, 1] = x_m + c * x - s * y, y_m + s * x + c * y
+        xx, xy = n_x * n_x - n_y * n_y, 2.0 * n_x * n_y
+        k_n, k_t = rows.data[i, 2], rows.data[i, 3]
+        v_n, v_t = _relative_velocities(rows, free, i)
+        r_n, r_t = residual[i, 0] / scale, sign * residual[i, 1] / scale
+        p_n, p_t = rows.impulse[i, 0], sign * rows.impulse[i, 1]
+        values[i, 0], values[i, 1], values[i, 2] = 1.0, xx, xy
+        normal = (np.arcsinh(v_n / scale), r_n, np.arcsinh(p_n / (k_n * scale)))
+        tangent = (np.arcsinh(sign * v_t / scale), r_t, np.arcsinh(p_t / (k_n * scale)))
+        for j in range(3):
+            values[i, 3 + 6 * j] = normal[j]
+            values[i, 4 + 6 * j] = normal[j] * xx
+            values[i, 5 + 6 * j] = normal[j] * xy
+            # t ⊗ n with t = (n_y, -n_x): its symmetric part has xx = 2 n_x n_y, xy = n_y² − n_x².
+            values[i, 6 + 6 * j] = tangent[j]
+            values[i, 7 + 6 * j] = tangent[j] * xy
+            values[i, 8 + 6 * j] = -tangent[j] * xx
+        values[i, 21] = 1.0 if rows.body[i, 1] >= n else 0.0
+        unit = k_n * scale
+        F = features[i]
+        F[0, 0] = unit
+        F[1, 0], F[1, 1] = unit * xx, unit * xy
+        F[2, 0], F[2, 1] = unit * xy, -unit * xx
+        F[3, 1] = unit
+        F[4, 0], F[5, 0], F[6, 0] = share * p_n, share * p_n * xx, share * p_n * xy
+        F[7, 1] = share * p_t
+        F[8, 0], F[9, 0], F[10, 0] = unit * r_n, unit * r_n * xx, unit * r_n * xy
+        F[11, 1] = k_t * scale * r_t
+        # Back from the mirror: λ_t changes its sign there.
+        for j in range(12):
+            F[j, 1] *= sign
+
+    centre, moving = np.empty((n, 2)), np.empty((n, 7))
+    for i in range(n):
+        x, y = sign * (bodies.position[i, 0] - x_m), bodies.position[i, 1] - y_m
+        centre[i, 0], centre[i, 1] = x_m + c * x - s * y, y_m + s * x + c * y
+        moving[i, 0] = 1.0
+        for j in range(2):
+            velocity = free if j == 0 else after
+            v_x, v_y = sign * velocity[i, 0], velocity[i, 1]
+            moving[i, 1 + 3 * j] = np.arcsinh((c * v_x - s * v_y) / scale)
+            moving[i, 2 + 3 * j] = np.arcsinh((s * v_x + c * v_y) / scale)
+            moving[i, 3 + 3 * j] = np.arcsinh(sign * velocity[i, 2] / scale)
+    return point, values, centre, moving, features, rows.impulse.copy(), scale, unsolved / max(carried, 1e-300)

@@ -1,0 +1,137 @@
+"""The far-field network's description of a state, its symmetries and scaling, and the start it gives."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.cnn.far_field import (
+    COEFFICIENTS,
+    FarFieldSpec,
+    corrected,
+    describe,
+    nodes_of,
+    read_coefficients,
+)
+from deep_contact.cnn.images import transform_state
+from deep_contact.state import World
+
+SPEC = FarFieldSpec()
+
+
+@pytest.fixture(scope="module")
+def state(falling_states):
+    return falling_states[6]
+
+
+@pytest.mark.parametrize("symmetry", range(1, 8))
+def test_a_turned_state_is_described_as_the_state_turned(state, symmetry):
+    turned, expected = describe(state, SPEC, symmetry), describe(transform_state(state, symmetry), SPEC)
+    np.testing.assert_allclose(turned.point, expected.point, atol=1e-12)
+    np.testing.assert_allclose(turned.image, expected.image, atol=2e-5)
+    # Features stay in the frame of the solver: a mirror changes the sign of λ_t.
+    sign = np.array([1.0, -1.0 if symmetry >= 4 else 1.0])
+    np.testing.assert_allclose(turned.features, expected.features * sign, atol=1e-9)
+
+
+def test_scaling_all_velocities_scales_features_and_leaves_the_image(state):
+    factor = 3.7
+    world = World(box=state.world.box, gravity=tuple(factor * g for g in state.world.gravity))
+    contacts = state.contacts._replace(
+        normal_start=factor * state.contacts.normal_start, tangent_start=factor * state.contacts.tangent_start
+    )
+    bodies = state.bodies._replace(velocity=factor * state.bodies.velocity, spin=factor * state.bodies.spin)
+    scaled = describe(state.replace(world=world, bodies=bodies, contacts=contacts), SPEC)
+    plain = describe(state, SPEC)
+    np.testing.assert_allclose(scaled.image, plain.image, atol=2e-5)
+    np.testing.assert_allclose(scaled.features, factor * plain.features, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(scaled.unsolved, plain.unsolved, rtol=1e-9)
+
+
+def test_without_coefficients_the_start_is_builtin(state):
+    description = describe(state, SPEC)
+    start = corrected(description, np.zeros((state.contacts.count, len(COEFFICIENTS))))
+    np.testing.assert_array_equal(start[:, 0], state.contacts.normal_start)
+    np.testing.assert_array_equal(start[:, 1], state.contacts.tangent_start)
+
+
+def test_a_uniform_stress_gives_impulses_by_the_normal(state):
+    # S = [[1, 0], [0, -1]] plus the trace 2: λ_n = 2 + n_x² − n_y², λ_t = t·S·n = 2 n_x n_y, in units of k_n s.
+    description = describe(state, SPEC)
+    coefficients = np.zeros((state.contacts.count, len(COEFFICIENTS)))
+    coefficients[:, COEFFICIENTS.index("stress_trace")] = 2.0
+    coefficients[:, COEFFICIENTS.index("stress_xx")] = 1.0
+    change = corrected(description, coefficients) - description.start
+    unit = description.features[:, 0, 0]
+    n_x, n_y = state.contacts.normal.T
+    np.testing.assert_allclose(change[:, 0], unit * (2 + n_x**2 - n_y**2), atol=1e-9)
+    np.testing.assert_allclose(change[:, 1], unit * 2 * n_x * n_y, atol=1e-9)
+
+
+def test_coefficients_are_read_bilinearly(state):
+    shape, distance = (17, 17), SPEC.spacing * SPEC.coarsening
+    y, x = np.mgrid[:17, :17] * distance
+    image = np.repeat((1.0 + 2.0 * x - 0.5 * y)[:, :, None], len(COEFFICIENTS), axis=2).astype(np.float32)
+    description = describe(state, SPEC)
+    found = read_coefficients(image, description, SPEC, state.world)
+    inside = np.clip(description.point, 0.0, 30.0)
+    np.testing.assert_allclose(found[:, 0], 1.0 + 2.0 * inside[:, 0] - 0.5 * inside[:, 1], atol=0.05)
+    assert nodes_of(description.point, SPEC, state.world, shape)[0].max() < 17 * 17
+
+
+def test_spec_goes_through_json():
+    assert FarFieldSpec.from_dict(FarFieldSpec(spacing=0.75).to_dict()) == FarFieldSpec(spacing=0.75)
+    with pytest.raises(ValueError, match="spacing: expected a finite number > 0, got -1"):
+        FarFieldSpec(spacing=-1)
+    with pytest.raises(ValueError, match="far-field spec: expected the fields"):
+        FarFieldSpec.from_dict({"kind": "far field"})
+
+
+def test_a_state_without_contacts_found_is_refused():
+    with pytest.raises(ValueError, match=r"state\.contacts: expected contacts, got None"):
+        describe(dc.column(3), SPEC)
+
+
+def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):
+    from deep_contact.cnn import architectures
+    from deep_contact.cnn.inference import Cnn, FarFieldModel, load_model
+    from deep_contact.cnn.model_file import save_model
+
+    network = architectures.build("far field", channels=len(SPEC.channels), outputs=len(SPEC.targets), width=4)
+    # Away from zero, where an untrained network starts, so that it does something.
+    last = network.get_layer("coefficients")
+    last.set_weights([np.full_like(w, 0.05) for w in last.get_weights()])
+    path = save_model(tmp_path / "far.h5", network, SPEC, {}, coarsening=8)
+    model = load_model(path)
+    assert isinstance(model, FarFieldModel)
+    assert model.spec == SPEC
+    normal, tangent = Cnn(model)(state, dc.PGS())
+    assert not np.array_equal(normal, state.contacts.normal_start)
+    assert (normal >= 0).all()
+    assert (np.abs(tangent) <= state.world.friction * normal + 1e-12).all()
+
+
+@pytest.mark.slow
+def test_training_resumes_and_beats_builtin_a_little(tmp_path):
+    # Ten seconds of training: two epochs at once, and one and one, give the same history.
+    from deep_contact.cnn.dataset import write_simulation
+    from deep_contact.cnn.training import far_field_config, train
+
+    for sim in range(4):
+        states = []
+        scene = dc.circles_in_box(60, seed=sim)
+        dc.simulate(scene, steps=250, solver=dc.PGS(sweeps=2000), on_step=lambda s, r, kept=states: kept.append(s))
+        write_simulation(tmp_path / f"sim_{sim:04d}.h5", [s for s in states if s.contacts.count])
+    settings = {
+        "epochs": 2,
+        "states_per_epoch": 320,
+        "schedule": "constant",
+        "fractions": (0.5, 0.25, 0.25),
+        "options": {"width": 8},
+        "validation_states": 60,
+    }
+    through = train(far_field_config(**settings), tmp_path, tmp_path / "a", held_out=30)
+    train(far_field_config(**settings | {"epochs": 1}), tmp_path, tmp_path / "b", held_out=30)
+    resumed = train(far_field_config(**settings), tmp_path, tmp_path / "b", held_out=30)
+    losses = [[line["validation_loss"] for line in run.history] for run in (through, resumed)]
+    assert losses[0] == losses[1]
+    assert losses[0][-1] < 1.0  # Builtin's is 1
