@@ -34,7 +34,7 @@ import numpy as np
 from deep_contact import plotting, results
 from deep_contact.results import Claim
 
-__all__ = ["Claim", "Figure", "main", "override", "parallel_map", "produce", "progress_bar", "seeds"]
+__all__ = ["Claim", "Figure", "cell", "main", "override", "parallel_map", "produce", "progress_bar", "seeds"]
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
@@ -94,9 +94,10 @@ class Figure:
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     """Run a script's command line; its exit status.
 
-    0: files written, or up to date. 2: bad arguments, or a ValueError of the figure's own functions under `--set`.
-    130: interrupted by Ctrl-C, 143: by SIGTERM, without a traceback and without half-written files. Any other
-    error in the figure's own functions is raised.
+    0: files written, or up to date. 1: something that has to be there first is not, such as a trained network
+    (FileNotFoundError, whose message is printed). 2: bad arguments, or a ValueError of the figure's own functions
+    under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, without a traceback and without half-written files.
+    Any other error in the figure's own functions is raised.
     """
     parser = _parser(figure)
     given = parser.parse_args(arguments)
@@ -122,6 +123,9 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
         return INTERRUPTED
+    except FileNotFoundError as error:
+        print(f"{figure.stem}: {error}", file=sys.stderr)
+        return 1
     except ValueError as error:
         if not given.set:
             raise
@@ -175,7 +179,7 @@ def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
     path = _stored_at(figure, out).with_suffix(".png")
     with plotting.style():
         if figure.draw is None:
-            rows = [[_cell(value) for value in row] for row in figure.table(found["data"])]
+            rows = [[cell(value) for value in row] for row in figure.table(found["data"])]
             picture = plotting.draw_table(rows, _heading(figure, found))
         else:
             picture = figure.draw(found["data"], found["options"])
@@ -226,30 +230,30 @@ def _heading(figure: Figure, found: dict) -> str:
 def _report(figure: Figure, found: dict, echo: Callable[[str], None]) -> None:
     """Print the numbers as a table, and one line a claim."""
     echo(_heading(figure, found))
-    rows = [[_cell(value) for value in row] for row in figure.table(found["data"])]
+    rows = [[cell(value) for value in row] for row in figure.table(found["data"])]
     widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
     for row in rows:
-        echo("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)).rstrip())
+        echo("  " + "  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip())
     for claim in found["claims"]:
         echo(_claim_line(claim))
 
 
 def _claim_line(claim: dict) -> str:
     source = f" ({claim['thesis']})" if claim["thesis"] else ""
-    measured = "; ".join(f"{name} = {_cell(value)}" for name, value in claim["measured"].items())
+    measured = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
     return f"{'holds' if claim['holds'] else 'DOES NOT HOLD'}: {claim['text']}{source}: {measured}"
 
 
 def _markdown(figure: Figure, found: dict) -> str:
-    head, *body = [[_cell(value).replace("|", "\\|") for value in row] for row in figure.table(found["data"])]
+    head, *body = [[cell(value).replace("|", "\\|") for value in row] for row in figure.table(found["data"])]
     lines = [f"**{_heading(figure, found)}**", ""]
     lines += ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
     lines += [""] + [f"- {_claim_line(claim)}" for claim in found["claims"]]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def _cell(value) -> str:
-    """A value as tables show it: floats with four significant digits, None as a dash."""
+def cell(value) -> str:
+    """A value as tables and claims show it: floats with four significant digits, None as a dash."""
     if value is None:
         return "–"
     if isinstance(value, (bool, np.bool_)):
@@ -257,9 +261,9 @@ def _cell(value) -> str:
     if isinstance(value, (float, np.floating)):
         return f"{value:.4g}"
     if isinstance(value, (list, tuple)):
-        return "[" + ", ".join(_cell(item) for item in value) + "]"
+        return "[" + ", ".join(cell(item) for item in value) + "]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {_cell(item)}" for name, item in value.items()) + "}"
+        return "{" + ", ".join(f"{name}: {cell(item)}" for name, item in value.items()) + "}"
     return str(value)
 
 

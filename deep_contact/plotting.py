@@ -380,6 +380,69 @@ def draw_table(rows: Sequence[Sequence[str]], title: str):
     return figure
 
 
+def draw_network(
+    ax,
+    values: Sequence[Sequence[float]],
+    weights: Sequence[Sequence[Sequence[float]]],
+    *,
+    titles: Sequence[str] = (),
+    dropped: Sequence[Sequence[bool]] | None = None,
+    numbers: str = "{:.2f}",
+) -> None:
+    """Draw a fully connected network with numbers: a column of neurons for each layer, from left to right.
+
+    values: of each layer's neurons. weights: between each layer and the next, (n, m); a positive one is a blue line, a
+    negative one a dashed vermilion line, as wide as it is large. titles: under the layers. dropped: neurons that are
+    crossed out, and whose lines are left out. numbers: how a neuron's value is written; "" writes none.
+    """
+    from matplotlib.collections import LineCollection
+
+    places = [[(float(i), 0.5 * (len(layer) - 1) - j) for j in range(len(layer))] for i, layer in enumerate(values)]
+    gone = dropped or [[False] * len(layer) for layer in values]
+    largest = max((abs(w) for between in weights for row in between for w in row), default=1.0) or 1.0
+    for i, between in enumerate(weights):
+        for sign, colour, line in ((1, BLUE, "-"), (-1, VERMILION, "--")):
+            found = [
+                (places[i][a], places[i + 1][b], abs(w))
+                for a, row in enumerate(between)
+                for b, w in enumerate(row)
+                if sign * w > 0 and not (gone[i][a] or gone[i + 1][b])
+            ]
+            lines = [(start, end) for start, end, _ in found]
+            widths = [0.3 + 2.7 * size / largest for *_, size in found]
+            ax.add_collection(LineCollection(lines, colors=colour, linestyles=line, linewidths=widths, zorder=1))
+    low = min(y for layer in places for _, y in layer)
+    for i, layer in enumerate(places):
+        for (x, y), value, out in zip(layer, values[i], gone[i]):
+            face, edge = ("#EEEEEE", GREY) if out else ("#CFE6F5", BLACK)
+            ax.plot(x, y, "o", markersize=30, markerfacecolor=face, markeredgecolor=edge, zorder=2)
+            if out:
+                ax.plot(x, y, "x", markersize=22, color=GREY, markeredgewidth=1.5, zorder=3)
+            elif numbers:
+                ax.text(x, y, numbers.format(value), ha="center", va="center", fontsize=8, zorder=3)
+        if i < len(titles):
+            ax.text(i, low - 0.45, titles[i], ha="center", va="top", fontsize=9)
+    high = max(y for layer in places for _, y in layer)
+    ax.set_xlim(-0.4, len(values) - 0.6)
+    ax.set_ylim(low - (0.9 if titles else 0.5), high + 0.5)
+    ax.axis("off")
+
+
+def write_in_cells(ax, values, *, numbers: str = "{:g}", **keywords):
+    """An image drawn as cells with their numbers in them, row 0 at the top; keywords go to `ax.imshow`."""
+    values = np.asarray(values, dtype=np.float64)
+    shown = ax.imshow(values, **keywords)
+    ax.grid(False)
+    ax.set_xticks(range(values.shape[1]))
+    ax.set_yticks(range(values.shape[0]))
+    ax.tick_params(length=0)
+    brightness = shown.to_rgba(values)[..., :3] @ np.array([0.299, 0.587, 0.114])
+    for (i, j), value in np.ndenumerate(values):
+        colour = "#222222" if brightness[i, j] > 0.5 else "white"
+        ax.text(j, i, numbers.format(value), ha="center", va="center", color=colour)
+    return shown
+
+
 def save(figure, path: str | os.PathLike) -> Path:
     """Write a figure as PNG in one move; the same figure gives the same bytes. Returns the path."""
     path = Path(path)
@@ -398,13 +461,15 @@ def animate(
     draw: Callable | None = None,
     size: float = 5.0,
     dpi: int = 80,
+    panels: Sequence[float] = (1.0,),
 ) -> list[Path]:
     """Animate states, one frame each: a GIF always, and an MP4 beside it where matplotlib finds ffmpeg.
 
     path: of the GIF; the MP4 has the same stem. fps: frames a second; a GIF rounds the time of a frame to
     hundredths of a second. draw: `draw(ax, state)`; by default `draw_state`, coloured by speeds up to 12
-    m/s. size: width and height of a frame, inches. Returns the paths written. Raises ValueError if there is
-    no state.
+    m/s. size: height of a frame, inches. panels: widths of the panels side by side, in heights; if there are
+    several, `draw` gets the sequence of their axes. Returns the paths written. Raises ValueError if there is no
+    state.
     """
     from matplotlib import animation
     from matplotlib.figure import Figure
@@ -418,8 +483,8 @@ def animate(
     path.parent.mkdir(parents=True, exist_ok=True)
     draw = draw or _draw_frame
     with style(), ExitStack() as stack:
-        figure = Figure(figsize=(size, size), dpi=dpi, layout="constrained")
-        ax = figure.subplots()
+        figure = Figure(figsize=(size * sum(panels), size), dpi=dpi, layout="constrained")
+        axes = figure.subplots(1, len(panels), width_ratios=list(panels), squeeze=False)[0]
         paths, film = [path], None
         if animation.writers.is_available("ffmpeg"):
             paths.append(path.with_suffix(".mp4"))
@@ -428,8 +493,9 @@ def animate(
             stack.enter_context(film.saving(figure, temporary, dpi))
         frames = []
         for state in states:
-            ax.clear()
-            draw(ax, state)
+            for ax in axes:
+                ax.clear()
+            draw(axes if len(panels) > 1 else axes[0], state)
             if film:
                 film.grab_frame()
             frames.append(_frame(figure))

@@ -1,7 +1,8 @@
 """python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] [--seed S]
 
 Runs every scripts/figure_*.py and scripts/table_*.py, in the order of their numbers. One that fails does not
-stop the others; a summary comes last. `--resume` leaves out those whose stored results have the same settings
+stop the others; a summary comes last, and all results of the folder become one page, <out>/index.html, that can
+be opened anywhere. `--resume` leaves out those whose stored results have the same settings
 and commit, `--replot` draws all again from what is stored. Exit status 0 if all went well, 1 if any failed,
 2 for bad arguments, 130 after Ctrl-C.
 """
@@ -13,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from deep_contact import results
+from deep_contact import report, results
 from deep_contact.figures import INTERRUPTED
 
 HERE = Path(__file__).resolve().parent
@@ -24,7 +25,8 @@ def main(arguments=None, folder=HERE):
     """Run the scripts of a folder; the exit status."""
     given, passed_on = parse(arguments)
     try:
-        chosen = choose(find(folder), given.only)
+        scripts = find(folder)
+        chosen = choose(scripts, given.only)
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
@@ -40,6 +42,9 @@ def main(arguments=None, folder=HERE):
         done.append((name, status, after == before, seconds, stored))
         if status in (INTERRUPTED, -2):
             break
+    if Path(given.out).is_dir():
+        page = report.write_report(given.out, expected=[name.replace("T", "T ") for name in scripts])
+        print(f"\nall results as one page: {page}")
     summarise(done)
     if any(status in (INTERRUPTED, -2) for _, status, *_ in done):
         return INTERRUPTED

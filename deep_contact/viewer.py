@@ -1,0 +1,133 @@
+"""A simulation as it runs, in a window or as a film: circles, contacts as wide as their impulses, and θ by sweep.
+
+`python -m deep_contact view` is its command line, see `deep_contact.__main__`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from deep_contact import plotting
+from deep_contact.physics.convergence import ConvergenceRecord
+from deep_contact.simulation import simulate
+from deep_contact.state import State
+
+PANELS = (1.0, 0.8)
+"""Widths of the scene and of θ, in heights of a frame."""
+
+FLOOR = 1e-9
+"""Smallest θ that is drawn, N·s; an isolated contact is solved exactly."""
+
+
+class Frame(NamedTuple):
+    """A solved state and how its sweeps went."""
+
+    state: State
+    record: ConvergenceRecord
+
+
+def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start="builtin") -> Iterator[Frame]:
+    """Run a scene, or go on from a state, and give the last one of every so many steps, as soon as it is solved.
+
+    Raises ValueError on counts below one at once, and on other arguments that do not hold together with the first step.
+    """
+    for name, value in (("steps", steps), ("every", every)):
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+            raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+    return _frames(scene, steps, every, {"solver": solver, "warm_start": warm_start})
+
+
+def _frames(state: State, steps: int, every: int, options: dict) -> Iterator[Frame]:
+    for done in range(0, steps, every):
+        last: list[Frame] = []
+
+        def keep(solved, record, last=last):
+            last[:] = [Frame(solved, record)]
+
+        state = simulate(state, steps=min(every, steps - done), on_step=keep, **options).state
+        yield last[0]
+
+
+class Painter:
+    """Draws frames into two axes, on scales that only ever grow, so that one frame can be compared with the next.
+
+    speed: end of the colours at first, m/s.
+    """
+
+    def __init__(self, speed: float = 12.0):
+        self._speed = speed
+        self._impulse = 0.0
+        self._theta: list[float] = []  # smallest and largest so far
+        self._sweeps = 10
+
+    def __call__(self, axes, frame: Frame) -> None:
+        """Draw a frame; axes: of the scene and of θ, empty."""
+        scene, rates = axes
+        state, record = frame
+        impulses = state.contacts.normal_impulse
+        largest = float(impulses.max(initial=0.0))
+        self._impulse = max(self._impulse, largest)
+        self._speed = max(self._speed, float(np.hypot(*state.bodies.velocity.T).max(initial=0.0)))
+        limits = (0.0, self._speed)
+        plotting.draw_state(scene, state, limits=limits, largest_impulse=self._impulse or None)
+        text = f"t = {state.time:.2f} s, {state.contacts.count} contacts, largest λ$_n$ = {largest:.3g} N·s"
+        scene.set_title(text, loc="left")
+        self._draw_theta(rates, record, getattr(state.solver, "tolerance", None))
+
+    def _draw_theta(self, ax, record: ConvergenceRecord, tolerance: float | None) -> None:
+        count = record.theta.size
+        ax.set_title(f"{count} sweep{'' if count == 1 else 's'}, {record.status.replace('_', ' ')}", loc="left")
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        if record.theta.size:
+            theta = np.maximum(record.theta, FLOOR)
+            self._sweeps = max(self._sweeps, theta.size)
+            self._theta = [min([*self._theta[:1], theta.min()]), max([*self._theta[1:], theta.max()])]
+            ax.plot(np.arange(1, theta.size + 1), theta, "o-" if theta.size < 30 else "-", markersize=3)
+        if tolerance:
+            ax.axhline(tolerance, color=plotting.GREY, linewidth=1.0, linestyle="--")
+        if self._theta:
+            ax.set_ylim(0.5 * self._theta[0], 2 * self._theta[1])
+        ax.set_xlim(0.9, 1.1 * self._sweeps)
+        plotting.label_axes(ax, "sweep of this step", "convergence rate θ", y_unit="N·s")
+
+
+def has_display() -> bool:
+    """Whether matplotlib can open a window here."""
+    from matplotlib import pyplot
+
+    try:
+        figure = pyplot.figure()
+    except ImportError:  # a window is asked for by MPLBACKEND, and there is none to be had
+        return False
+    pyplot.close(figure)
+    return figure.canvas.required_interactive_framework is not None
+
+
+def play(found: Iterator[Frame], *, height: float = 6.0) -> int:
+    """Show frames in a window while they are computed, until they end or the window is closed; how many were shown."""
+    from matplotlib import pyplot
+
+    painter, shown = Painter(), 0
+    with plotting.style():
+        figure = pyplot.figure(figsize=(height * sum(PANELS), height), layout="constrained")
+        axes = figure.subplots(1, 2, width_ratios=PANELS)
+        for frame in found:
+            for ax in axes:
+                ax.clear()
+            painter(axes, frame)
+            shown += 1
+            pyplot.pause(0.001)
+            if not pyplot.fignum_exists(figure.number):
+                return shown
+        pyplot.show()
+    return shown
+
+
+def record(found: Iterator[Frame], path, *, fps: int = 25) -> list[Path]:
+    """Write frames as a GIF and, where matplotlib finds ffmpeg, an MP4 beside it; the paths written."""
+    return plotting.animate(found, path, fps=fps, draw=Painter(), panels=PANELS, size=5.0)

@@ -1,0 +1,62 @@
+"""python scripts/figure_4_1_network.py: a network of three layers, with the numbers that go through it."""
+
+import numpy as np
+
+from deep_contact import figures, plotting
+from deep_contact.cnn import worked_examples as worked
+from deep_contact.figures import Claim, Figure
+
+
+def compute(options, seed, jobs, progress):
+    """The values of all neurons for one input, and the same output by Keras's `Dense`."""
+    sizes = [len(options["input"]), options["hidden"], options["output"]]
+    layers = worked.random_layers(sizes, seed)
+    values = worked.forward(options["input"], layers)
+    return {
+        "values": [value.tolist() for value in values],
+        "weights": [layer.weights.tolist() for layer in layers],
+        "biases": [layer.bias.tolist() for layer in layers],
+        "Keras": worked.keras_forward(options["input"], layers),
+        "parameters": int(sum(layer.weights.size + layer.bias.size for layer in layers)),
+    }
+
+
+def claims(data):
+    """L847: matrix multiplications and biases are all there is to a fully connected network."""
+    difference = float(np.abs(np.subtract(data["values"][-1], data["Keras"])).max())
+    text = "matrix multiplications and biases, with ReLU between, complete a fully connected network: equal to Keras's"
+    holds = difference <= 1e-12 * np.abs(data["Keras"]).max()  # sums of a few products in float64
+    return [Claim(text, "L847", bool(holds), {"largest difference": difference, "parameters": data["parameters"]})]
+
+
+def table(data):
+    """Rows: the values of each layer."""
+    names = ("input", "hidden, ReLU", "output")
+    return [["layer", "values"], *([name, value] for name, value in zip(names, data["values"]))]
+
+
+def draw(data, options):
+    """The three columns of neurons; the lines are the weights."""
+    figure, ax = plotting.subplots(size=(6.4, 4.2))
+    titles = ("input layer", "hidden layer (ReLU)", "output layer")
+    plotting.draw_network(ax, data["values"], data["weights"], titles=titles)
+    ax.plot([], [], color=plotting.BLUE, label="weight > 0")
+    ax.plot([], [], color=plotting.VERMILION, linestyle="--", label="weight < 0")
+    ax.legend(loc="upper right")
+    return figure
+
+
+FIGURE = Figure(
+    id="4.1",
+    title="A network of three layers",
+    options={"input": [1.0, -0.5, 0.25], "hidden": 4, "output": 2},
+    seed=1,
+    digits=None,
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,167 @@
+"""python scripts/figure_4_3_feature_maps.py: what a trained network makes of a state, layer by layer."""
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import figures, plotting
+from deep_contact.cnn import worked_examples as worked
+from deep_contact.cnn.images import input_image
+from deep_contact.cnn.inference import load_model
+from deep_contact.figures import Claim, Figure
+
+
+def compute(options, seed, jobs, progress):
+    """Input channels, the strongest maps of some layers, the prediction, and the solution beside it."""
+    model = load_model(options["model"])
+    state = solved_state(options, seed)
+    image = input_image(state, model.spec)
+    layers = worked.convolutions(model.keras)
+    names = [layer.name for layer in layers]
+    evenly = np.unique(np.linspace(0, len(names) - 1, options["layers"]).round().astype(int))
+    found = worked.feature_maps(model.keras, image, [names[i] for i in evenly])
+    shown = options["maps"]
+    panels = [panel("input", image, model.spec.channels, worked.strongest(image, shown))]
+    panels += [panel(name, maps, None, worked.strongest(maps, shown)) for name, maps in found.items()]
+    solved = np.concatenate([state.contacts.normal_impulse, state.contacts.tangent_impulse])
+    normal, tangent = model.predict(state)
+    predicted = np.concatenate([normal, tangent])
+    started = np.concatenate([state.contacts.normal_start, state.contacts.tangent_start])
+    size = np.linalg.norm(solved)
+    return {
+        "scene": plotting.state_data(state),
+        "model": {key: model.card.get(key) for key in ("architecture", "parameters", "seed", "training_states")},
+        "panels": panels,
+        "predicted": {"normal": normal, "tangent": tangent},
+        "convolutions": [
+            {
+                "name": layer.name,
+                "border": layer.padding,
+                "stride": int(layer.strides[0]),
+                "input depth": int(layer.input.shape[-1]),
+                "kernel depth": kernel_depth(layer),
+                "nodes": int(maps.shape[0]),
+            }
+            for layer, maps in zip(layers, worked.feature_maps(model.keras, image, names).values())
+        ],
+        "relative error of λ": {
+            "network": float(np.linalg.norm(predicted - solved) / size),
+            "Builtin": float(np.linalg.norm(started - solved) / size),
+            "None": 1.0,
+        },
+    }
+
+
+def solved_state(options, seed):
+    """The falling pile after some steps, solved. Raises ValueError where it has no contacts yet."""
+    kept = []
+    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+    dc.simulate(scene, steps=options["steps"], on_step=lambda state, record: kept.append(state))
+    if not kept or not kept[-1].contacts.count:
+        raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
+    return kept[-1]
+
+
+def kernel_depth(layer):
+    """How many maps a kernel reads: the last axis but one, and the last one of a transposed convolution."""
+    transposed = type(layer).__name__ == "Conv2DTranspose"
+    return int(layer.kernel.shape[-1 if transposed else -2])
+
+
+def panel(name, maps, labels, chosen):
+    """Some maps of a layer, as stored data."""
+    return {
+        "layer": name,
+        "maps in all": int(maps.shape[2]),
+        "shown": [str(labels[i]) if labels else f"map {i}" for i in chosen],
+        "values": [maps[..., i] for i in chosen],
+    }
+
+
+def claims(data):
+    """What section 4.2.2 says of kernels and maps, and whether the network has learned anything."""
+    layers, error = data["convolutions"], data["relative error of λ"]
+    deep = {f"{c['name']}": f"{c['kernel depth']} of {c['input depth']}" for c in layers}
+    nodes = {f"{c['name']}, border {c['border']}, stride {c['stride']}": c["nodes"] for c in layers}
+    sizes = [c["nodes"] for c in layers]
+    return [
+        Claim(
+            "a kernel is as deep as its layer's input",
+            "L788",
+            all(c["kernel depth"] == c["input depth"] for c in layers),
+            deep,
+        ),
+        Claim(
+            "the maps get smaller with every convolution",
+            "L790",
+            all(after < before for before, after in zip(sizes, sizes[1:])),
+            nodes,
+        ),
+        Claim(
+            "the trained network's impulses are nearer to the solution than zero is", None, error["network"] < 1, error
+        ),
+    ]
+
+
+def table(data):
+    """Rows: the layers whose maps are shown."""
+    rows = [["layer", "nodes", "maps", "strongest"]]
+    for part in data["panels"]:
+        rows.append([part["layer"], len(part["values"][0]), part["maps in all"], part["shown"][0]])
+    return rows
+
+
+def draw(data, options):
+    """A row of maps for each layer; below, the impulses predicted and solved."""
+    columns, rows = options["maps"], len(data["panels"])
+    figure = plotting.subplots(size=(1.75 * columns, 1.9 * rows + 3.9))[0]
+    figure.clear()
+    above, below = figure.subfigures(2, 1, height_ratios=[1.9 * rows, 3.9])
+    state = plotting.state_of(data["scene"])
+    x_min, y_min, x_max, y_max = state.world.box
+    for row, part in zip(above.subplots(rows, columns, squeeze=False), data["panels"]):
+        for ax in row:
+            ax.axis("off")
+        for ax, name, values in zip(row, part["shown"], part["values"]):
+            # Impacts are so much larger than all else that the rest would be lost: colours end before them.
+            size = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
+            look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
+            ax.imshow(values, cmap="cividis", vmin=-size, vmax=size, **look)
+            ax.set_title(name.replace("_", " "), fontsize=8)
+        n_y, n_x = np.shape(part["values"][0])
+        text = f"{part['layer'].replace('_', ' ')}\n{n_y} × {n_x}, {part['maps in all']} maps"
+        look = {"rotation": 90, "ha": "right", "va": "center", "fontsize": 8}
+        row[0].text(-0.06, 0.5, text, transform=row[0].transAxes, **look)
+    draw_impulses(below.subplots(1, 3), state, data["predicted"])
+    return figure
+
+
+def draw_impulses(panels, state, predicted):
+    """The pile with the solved impulses, with the predicted ones, and the ones against the others."""
+    solved = state.contacts
+    found = solved._replace(normal_impulse=np.maximum(0.0, predicted["normal"]))
+    largest = max(solved.normal_impulse.max(), found.normal_impulse.max())
+    for ax, contacts, text in ((panels[0], solved, "solved λ$_n$"), (panels[1], found, "predicted λ$_n$, if positive")):
+        plotting.draw_state(ax, state.replace(contacts=contacts), colour_by=None, largest_impulse=largest)
+        ax.set_title(f"{text}, {contacts.count} contacts" if contacts is solved else text)
+    ax = panels[2]
+    ax.plot(solved.normal_impulse, predicted["normal"], "o", color=plotting.BLUE, markersize=3, label="normal")
+    ax.plot(solved.tangent_impulse, predicted["tangent"], "x", color=plotting.VERMILION, markersize=4, label="tangent")
+    ax.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
+    plotting.label_axes(ax, "solved λ", "predicted λ", x_unit="N·s", y_unit="N·s")
+    ax.legend()
+
+
+FIGURE = Figure(
+    id="4.3",
+    title="Feature maps of the trained network on a state of the falling pile",
+    options={"model": None, "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6},
+    seed=5,
+    digits=4,
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,99 @@
+"""python scripts/figure_4_5_max_pooling.py: 2 × 2 max pooling worked through, and equal to Keras's."""
+
+import numpy as np
+
+from deep_contact import figures, plotting
+from deep_contact.cnn import worked_examples as worked
+from deep_contact.figures import Claim, Figure
+
+
+def compute(options, seed, jobs, progress):
+    """The largest values by hand and by Keras; the sizes in the thesis's network; what pooling saves in weights."""
+    image = np.array(options["image"], dtype=float)
+    rng = np.random.default_rng(seed)
+    whole = rng.normal(size=(options["nodes"], options["nodes"], 3))
+    sizes = worked.pooled_sizes(options["nodes"], options["poolings"])
+    outputs = options["nodes"] ** 2 * 2
+    return {
+        "image": image,
+        "pooled": worked.max_pool(image),
+        "Keras": worked.keras_max_pool(image[..., None])[..., 0],
+        "difference on a whole image": float(np.abs(worked.max_pool(whole) - worked.keras_max_pool(whole)).max()),
+        "sizes": sizes,
+        "weights of the last layer": {
+            "with pooling": sizes[-1] ** 2 * options["channels"] * outputs,
+            "without": sizes[0] ** 2 * options["channels"] * outputs,
+        },
+    }
+
+
+def claims(data):
+    """Section 4.2.4."""
+    found = np.abs(np.subtract(data["pooled"], data["Keras"])).max(), data["difference on a whole image"]
+    differences = {"largest difference to Keras": float(found[0]), "on a whole image": found[1]}
+    sizes, weights = data["sizes"], data["weights of the last layer"]
+    equal = "the output holds the largest value within each window: equal to Keras's"
+    return [
+        Claim(equal, "L833", max(found) == 0, differences),
+        Claim(
+            "pooling decreases the size of the output",
+            "L833",
+            all(after < before for before, after in zip(sizes, sizes[1:])),
+            {"nodes along an edge": sizes},
+        ),
+        Claim(
+            "pooling decreases the number of weights", "L835-837", weights["with pooling"] < weights["without"], weights
+        ),
+    ]
+
+
+def table(data):
+    """Rows: sizes of the thesis's images as they are pooled."""
+    return [["poolings", "nodes along an edge"], *([i, n] for i, n in enumerate(data["sizes"]))]
+
+
+def draw(data, options):
+    """Each window and its largest value in one colour; the rows and columns left over are windows too."""
+    from matplotlib.colors import ListedColormap
+    from matplotlib.patches import Rectangle
+
+    image, pooled = np.array(data["image"]), np.array(data["pooled"])
+    figure, panels = plotting.subplots(1, 2, size=(6.8, 3.7), width_ratios=[image.shape[1], pooled.shape[1]])
+    colours = ListedColormap(["#CFE6F5", "#F6D9B8", "#D6EBDD", "#EED9E6"])
+    rows, columns = np.indices(pooled.shape)
+    window = 2 * (rows % 2) + columns % 2
+    spread = window.repeat(2, axis=0).repeat(2, axis=1)[: image.shape[0], : image.shape[1]]
+    for ax, values, kinds in ((panels[0], image, spread), (panels[1], pooled, window)):
+        ax.imshow(kinds, cmap=colours, vmin=0, vmax=3)
+        ax.grid(False)
+        ax.set_xticks([])
+        ax.set_yticks([])
+        for (i, j), value in np.ndenumerate(values):
+            largest = ax is panels[1] or value == pooled[i // 2, j // 2]
+            ax.text(j, i, f"{value:g}", ha="center", va="center", weight="bold" if largest else "normal")
+            ax.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor="white", linewidth=1.5))
+    panels[0].set_title(f"{image.shape[0]} × {image.shape[1]} values")
+    panels[1].set_title("largest of each 2 × 2")
+    sizes = " → ".join(str(n) for n in data["sizes"])
+    figure.supxlabel(f"the thesis's images, nodes along an edge: {sizes}", fontsize=9)
+    return figure
+
+
+FIGURE = Figure(
+    id="4.5",
+    title="2 × 2 max pooling worked through",
+    options={
+        # An odd number of columns: the thesis's 61 nodes are odd too.
+        "image": [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]],
+        "nodes": 61,
+        "poolings": 4,
+        "channels": 512,
+    },
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,156 @@
+"""python scripts/figure_4_6_dropout.py: dropout on and off, in a small network and in the trained one."""
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import figures, plotting
+from deep_contact.cnn import worked_examples as worked
+from deep_contact.cnn.images import input_image, read_back
+from deep_contact.cnn.inference import load_model
+from deep_contact.figures import Claim, Figure
+
+
+def compute(options, seed, jobs, progress):
+    """The small network before and after; the trained network's first maps and its prediction, off and on."""
+    model = load_model(options["model"])
+    rate = options["rate"]
+    rng = np.random.default_rng(seed)
+    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+    state = dc.simulate(scene, steps=options["steps"]).state
+    image = input_image(state, model.spec)
+    off = [read_back(model.run(image), state, model.spec)[0] for _ in range(2)]
+    dropping, source, name = worked.with_dropout(model.keras, rate, seed)
+    before = worked.feature_maps(dropping, image, [source])[source]
+    mean, on = np.zeros_like(before), []
+    maps_and_output = dropping_model(dropping, name)
+    for _ in progress(range(options["masks"]), text="masks"):
+        maps, out = (np.asarray(part)[0] for part in maps_and_output(image[None]))
+        mean += maps / options["masks"]
+        on.append(read_back(out.reshape(*image.shape[:2], -1), state, model.spec)[0])
+    after = maps
+    strongest = int(worked.strongest(before, 1)[0])
+    active = before > 0
+    sizes = [3, 5, 5, 2]
+    layers = worked.random_layers(sizes, seed)
+    drawn = [
+        np.zeros(n, bool) if i in (0, len(sizes) - 1) else rng.random(n) < options["rate drawn"]
+        for i, n in enumerate(sizes)
+    ]
+    return {
+        "small network": {
+            "values": [value.tolist() for value in worked.forward([1.0, -0.5, 0.25], layers)],
+            "weights": [layer.weights.tolist() for layer in layers],
+            "dropped": [gone.tolist() for gone in drawn],
+        },
+        "own layers": not name.startswith("dropout_after_"),
+        "rate": dropping.get_layer(name).rate,
+        "layer": source,
+        "map": strongest,
+        "before": before[..., strongest],
+        "after": after[..., strongest],
+        "λ_n": {"off": off[0], "mean": np.mean(on, axis=0), "spread": np.std(on, axis=0)},
+        "change off": float(np.abs(off[0] - off[1]).max()),
+        "change on": float(np.abs(on[0] - on[1]).max()),
+        "dropped": float(np.mean(after[active] == 0)),
+        "values": int(active.sum()),
+        "scaled": float(np.median(after[active & (after > 0)] / before[active & (after > 0)])),
+        "mean over masks": float(mean[active].sum() / before[active].sum()),
+        "masks": options["masks"],
+    }
+
+
+def dropping_model(model, name):
+    """A function from the input to the output of the dropout layer and of the network, of the same masks."""
+    import keras
+
+    return keras.Model(model.inputs[0], [model.get_layer(name).output, model.outputs[0]])
+
+
+def claims(data):
+    """L894, and that dropout keeps the mean."""
+    rate = data["rate"]
+    # Three standard deviations of the share dropped among so many independent values.
+    allowed = 3 * np.sqrt(rate * (1 - rate) / data["values"])
+    repeats = {"largest change of λ_n from run to run, off (N·s)": data["change off"], "on": data["change on"]}
+    share = {"share dropped": data["dropped"], "rate": rate, "values": data["values"], "allowed": float(allowed)}
+    mean = {"values kept are multiplied by": data["scaled"], "mean over masks, over the value": data["mean over masks"]}
+    return [
+        Claim(
+            "nodes are dropped at random, a share of them as large as the rate",
+            "L894",
+            bool(abs(data["dropped"] - rate) <= allowed),
+            share,
+        ),
+        Claim(
+            "dropout is at work in training only: without it the network repeats itself, with it it does not",
+            "L894",
+            data["change off"] == 0 < data["change on"],
+            repeats,
+        ),
+        Claim(
+            "what is kept is scaled up so that the mean stays, within a hundredth",
+            None,
+            abs(data["mean over masks"] - 1) < 0.01,
+            mean,
+        ),
+    ]
+
+
+def table(data):
+    """Rows: the numbers of the trained network."""
+    spread = float(np.mean(data["λ_n"]["spread"]) / np.mean(np.abs(data["λ_n"]["off"])))
+    return [
+        ["trained network", ""],
+        ["rate", data["rate"]],
+        ["share of the layer's active values dropped", data["dropped"]],
+        ["spread of the predicted λ_n over masks, over its size", spread],
+    ]
+
+
+def draw(data, options):
+    """Above: the small network before and after. Below: a map and the prediction of the trained one, off and on."""
+    figure = plotting.subplots(size=(11.0, 6.0))[0]
+    figure.clear()
+    above, below = figure.subfigures(2, 1, height_ratios=[1, 1.05])
+    small = data["small network"]
+    titles = ("before dropout", f"after, rate {options['rate drawn']:g}")
+    for ax, title, dropped in zip(above.subplots(1, 2), titles, (None, small["dropped"])):
+        plotting.draw_network(ax, small["values"], small["weights"], dropped=dropped, numbers="")
+        ax.set_title(title)
+    panels = below.subplots(1, 4)
+    before, after = np.array(data["before"]), np.array(data["after"])
+    kept = np.divide(after, before, out=np.full_like(before, np.nan), where=before > 0)
+    layer, high = data["layer"].replace("_", " "), np.percentile(before[before > 0], 95)
+    parts = [
+        (f"{layer}, map {data['map']}, off", before, {"vmin": 0, "vmax": high}),
+        (f"the same, rate {data['rate']:g}", after, {"vmin": 0, "vmax": high}),
+        ("on / off, where not zero", kept, {"vmin": 0, "vmax": 1 / (1 - data["rate"]), "cmap": "cividis"}),
+    ]
+    for ax, (title, values, limits) in zip(panels, parts):
+        shown = ax.imshow(values, origin="lower", interpolation="nearest", **limits)
+        ax.axis("off")
+        ax.set_title(title)
+        below.colorbar(shown, ax=ax, location="bottom", shrink=0.85, pad=0.03)
+    ax, found = panels[3], {name: np.array(values) for name, values in data["λ_n"].items()}
+    ax.errorbar(found["off"], found["mean"], found["spread"], fmt="o", color=plotting.BLUE, markersize=3, linewidth=0.8)
+    ax.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
+    plotting.label_axes(ax, "predicted λ$_n$, off", "on, mean and spread", x_unit="N·s", y_unit="N·s")
+    ax.set_title(f"{found['off'].size} contacts, {data['masks']} masks")
+    return figure
+
+
+FIGURE = Figure(
+    id="4.6",
+    title="Dropout, off and on",
+    options={"model": None, "rate": 0.1, "rate drawn": 0.4, "masks": 100, "n_bodies": 100, "size": 30.0, "steps": 150},
+    quick={"masks": 40},
+    seed=5,
+    digits=4,
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,162 @@
+"""python scripts/figure_4_7_backpropagation.py: Eq 4.11-4.18 with numbers, held against automatic differentiation."""
+
+import numpy as np
+
+from deep_contact import figures, plotting
+from deep_contact.cnn import worked_examples as worked
+from deep_contact.figures import Claim, Figure
+
+
+def compute(options, seed, jobs, progress):
+    """One forward and one backward pass by the thesis's equations and automatically, and one update of the weights."""
+    x, w_h, w_o = (np.array(options[name]) for name in ("x", "hidden weights", "output weights"))
+    target, rate = options["target"], options["rate"]
+    found = worked.backpropagate(x, w_h, w_o, target)
+    automatic = worked.automatic_gradients(x, w_h, w_o, target)
+    step_o, _ = worked.momentum_step(w_o, automatic["output"], rate=rate)
+    step_h, _ = worked.momentum_step(w_h, automatic["hidden"], rate=rate)
+    chain = found.chain
+    losses = {
+        "before": found.loss,
+        "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss,
+    }
+    return {
+        "x": x,
+        "hidden weights": w_h,
+        "output weights": w_o,
+        "target": target,
+        "rate": rate,
+        "v": found.v,
+        "y": found.y,
+        "e": found.e,
+        "loss": losses,
+        "chain": chain,
+        "gradients": {
+            "output": {
+                "Eq 4.12": chain["∂L/∂e"] * chain["∂e/∂y"] * chain["∂y/∂w"],
+                "Eq 4.13": found.output,
+                "automatic": automatic["output"],
+            },
+            "hidden": {
+                "Eq 4.15": chain["∂L/∂e"] * chain["∂e/∂y"] * chain["∂y/∂v"] * chain["∂v/∂w"],
+                "Eq 4.17": found.hidden,
+                "automatic": automatic["hidden"],
+            },
+        },
+        "chain, automatic": {name: automatic[name] for name in chain},
+        "updated": {
+            "output": {"Eq 4.14": worked.printed_output_update(w_o, found, rate), "Eq 4.8": step_o},
+            "hidden": {
+                "Eq 4.18": worked.printed_hidden_update(w_h, w_o, x, found, rate),
+                "Eq 4.18, output weights updated before": worked.printed_hidden_update(w_h, step_o, x, found, rate),
+                "Eq 4.8": step_h,
+            },
+        },
+    }
+
+
+def apart(a, b):
+    """Largest difference, over the largest size of b."""
+    return float(np.abs(np.subtract(a, b)).max() / np.abs(b).max())
+
+
+def claims(data):
+    """Each equation against automatic differentiation."""
+    gradients, updated = data["gradients"], data["updated"]
+    factors = {name: apart(value, data["chain, automatic"][name]) for name, value in data["chain"].items()}
+
+    def gradient(number, part, thesis, text, **measured):
+        measured |= {"relative difference to automatic": apart(gradients[part][number], gradients[part]["automatic"])}
+        return Claim(text, thesis, max(measured.values()) < ROUNDING, measured)
+
+    def update(number, part, thesis, text):
+        before = np.array(data[f"{part} weights"])
+        printed, right = (np.array(updated[part][name]) - before for name in (number, "Eq 4.8"))
+        measured = {
+            "relative difference to Eq 4.8's step": apart(printed, right),
+            "size, over that of Eq 4.8": float(np.linalg.norm(printed) / np.linalg.norm(right)),
+        }
+        return Claim(text, thesis, measured["relative difference to Eq 4.8's step"] < ROUNDING, measured)
+
+    late = "Eq 4.18, output weights updated before"
+    loss = data["loss"]
+    return [
+        gradient(
+            "Eq 4.12", "output", "L985-989", "Eq 4.11 and 4.12: the chain rule for the output's weights", **factors
+        ),
+        gradient("Eq 4.13", "output", "L993", "Eq 4.13: ∂L/∂w_j = −2 v_j e"),
+        update(
+            "Eq 4.14", "output", "L997", "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"
+        ),
+        gradient(
+            "Eq 4.15", "hidden", "L1004-1009", "Eq 4.15 and 4.16: the chain rule for the hidden weights", **factors
+        ),
+        gradient("Eq 4.17", "hidden", "L1013", "Eq 4.17: ∂L/∂w_ij = −2 e w_j x_i"),
+        update("Eq 4.18", "hidden", "L1017", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
+        update(late, "hidden", "L1002", "the hidden weights can be updated by Eq 4.18 after the output's weights were"),
+        Claim("a step decreases the loss", "L964-968", loss["after the step of Eq 4.8"] < loss["before"], loss),
+    ]
+
+
+ROUNDING = 1e-12
+"""Largest relative difference that counts as none: of sums of a few products in float64."""
+
+
+def table(data):
+    """Rows: each gradient by the equations and automatically."""
+    rows = [["weight", "by the equation", "automatic", "updated, Eq 4.14 or 4.18", "updated, Eq 4.8"]]
+    for part, equation, printed in (("output", "Eq 4.13", "Eq 4.14"), ("hidden", "Eq 4.17", "Eq 4.18")):
+        found, updated = data["gradients"][part], data["updated"][part]
+        columns = [np.array(c) for c in (found[equation], found["automatic"], updated[printed], updated["Eq 4.8"])]
+        for index in np.ndindex(columns[0].shape):
+            letters = "ₒ" if part == "output" else "ₕ"
+            name = f"w{letters}[{', '.join(str(i + 1) for i in index)}]"
+            rows.append([name, *(float(column[index]) for column in columns)])
+    return rows
+
+
+def draw(data, options):
+    """Left: the network with the numbers of the forward pass. Right: the gradients, by the equations and automatic."""
+    figure, (ax, bars) = plotting.subplots(1, 2, size=(10.0, 4.2), width_ratios=[1.1, 1])
+    weights = [data["hidden weights"], [[w] for w in data["output weights"]]]
+    titles = ("inputs x$_i$", "hidden v$_j$ (Eq 4.16)", "output y (Eq 4.11)")
+    plotting.draw_network(ax, [data["x"], data["v"], [data["y"]]], weights, titles=titles)
+    text = f"d = {data['target']:g}\ne = d − y = {data['e']:.3g}\nL = e² = {data['loss']['before']:.3g}"
+    ax.text(2, 0.55, text, ha="center", va="bottom", fontsize=9)
+    rows = table(data)[1:]
+    place = np.arange(len(rows))
+    bars.barh(place, [row[1] for row in rows], height=0.6, color=plotting.SKY, label="Eq 4.13 and 4.17")
+    bars.plot([row[2] for row in rows], place, "x", color=plotting.BLACK, label="automatic differentiation")
+    bars.axvline(0, color=plotting.GREY, linewidth=0.8)
+    bars.set_yticks(place, [weight_name(row[0]) for row in rows])
+    bars.invert_yaxis()
+    plotting.label_axes(bars, "gradient ∂L/∂w", "")
+    bars.legend()
+    return figure
+
+
+def weight_name(name):
+    """A weight's name of the table, set as in the thesis."""
+    index = name[name.index("[") + 1 : -1].replace(", ", "")
+    return f"$w^{'o' if 'ₒ' in name else 'h'}_{{{index}}}$"
+
+
+FIGURE = Figure(
+    id="4.7",
+    title="Backpropagation by Eq 4.11-4.18, with numbers",
+    options={
+        "x": [0.5, -1.0],
+        "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]],
+        "output weights": [0.7, -0.5, 0.3],
+        "target": 2.0,
+        "rate": 0.1,
+    },
+    digits=None,  # every number exact, so that rounding is the only difference there may be
+    compute=compute,
+    claims=claims,
+    draw=draw,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,171 @@
+"""The page of all results: complete, alone in the world, and readable on a phone."""
+
+import importlib.util
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from deep_contact import errata, plotting, report, results
+
+ROOT = Path(__file__).resolve().parents[1]
+BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+FLAGS = (
+    "--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking "
+    "--disable-component-update --disable-sync --hide-scrollbars"
+).split()
+
+
+def entry(id, **changes):
+    """Results with a claim that holds and one that does not."""
+    claims = [
+        {"text": "θ < 1 & so on", "thesis": "L669", "holds": True, "measured": {"θ": 0.125}},
+        {"text": "the <other>", "thesis": "L1-2", "holds": False, "measured": {"n": 3}},
+    ]
+    made = results.provenance(seed=7, wall_s=1.0)
+    found = {"id": id, "title": f"Title {id}", "options": {"d": [0.25, 0.5]}, "provenance": made, "claims": claims}
+    return {**found, "data": {}, **changes}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two figures, a table, an animation; and files that do not belong to it."""
+    for id, stem in (("3.10", "figure_3_10"), ("3.9", "figure_3_9"), ("T 5.1", "table_5_1")):
+        results.write_results(tmp_path / f"{stem}.json", entry(id))
+        figure, ax = plotting.subplots(size=(11.0, 3.0))
+        ax.plot([1, 2], [3, 4])
+        plotting.save(figure, tmp_path / f"{stem}.png")
+    shutil.copy(tmp_path / "figure_3_9.png", tmp_path / "animation.gif")
+    (tmp_path / "other.json").write_text("{")
+    return tmp_path
+
+
+class Page(HTMLParser):
+    """Tags that are open, all attributes, and the headings."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.attributes, self.headings = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+
+
+def test_the_page_has_every_result_in_order_and_is_well_formed(folder):
+    page = Page(report.write_report(folder).read_text())
+    assert page.open == []
+    assert page.headings[:4] == [
+        "Animation",
+        "Figure 3.9: Title 3.9",
+        "Figure 3.10: Title 3.10",
+        "Table 5.1: Title T 5.1",
+    ]
+    anchors = {attributes["id"] for _, attributes in page.attributes if "id" in attributes}
+    links = {attributes["href"] for tag, attributes in page.attributes if tag == "a"}
+    assert links == {f"#{anchor}" for anchor in anchors - {"animation"}}
+
+
+def test_claims_stand_with_line_numbers_and_verdict(folder):
+    text = report.write_report(folder).read_text()
+    assert "of 6 claims of the thesis, 3 hold and 3 do not" in text
+    assert "<strong>holds:</strong> θ &lt; 1 &amp; so on <small>(L669)</small>" in text
+    assert '<span class="measured">θ = 0.125</span>' in text
+    assert "<strong>does not hold:</strong> the &lt;other&gt;" in text
+    assert text.count("the &lt;other&gt;") == 6  # at their figures, and in the list of those that do not hold
+
+
+def test_the_page_asks_for_nothing_beyond_itself(folder):
+    page = Page(report.write_report(folder).read_text())
+    sources = [
+        attributes[name] for _, attributes in page.attributes for name in ("src", "srcset") if name in attributes
+    ]
+    assert len(sources) == 4
+    assert all(source.startswith("data:image/") for source in sources)
+    assert not {"script", "link", "iframe"} & {tag for tag, _ in page.attributes}
+    policies = [attributes["content"] for tag, attributes in page.attributes if "http-equiv" in attributes]
+    assert policies == [report.POLICY]
+
+
+def test_all_errata_are_in_the_page_and_in_the_markdown(folder):
+    assert report.write_report(folder).read_text().count('<td data-name="Where">') == len(errata.ERRATA)
+    table = errata.markdown().splitlines()
+    assert len(table) == len(errata.ERRATA) + 2
+    assert {len(re.findall(r"(?<!\\)\|", line)) for line in table} == {5}
+
+
+def test_what_is_missing_or_damaged_is_said(folder):
+    (folder / "figure_4_1.json").write_text(json.dumps(entry("4.1") | {"title": ""}))
+    (folder / "figure_3_9.png").unlink()
+    text = report.write_report(folder, expected=["3.9", "5.7", "T 5.2"]).read_text()
+    assert "No results of Table 5.2, Figure 5.7." in text
+    assert "figure_4_1.json: title: expected text" in text
+    assert text.count("no picture") == 1
+
+
+def test_a_film_takes_the_place_of_its_gif(folder):
+    (folder / "animation.mp4").write_bytes(b"film")
+    text = report.write_report(folder).read_text()
+    assert "data:video/mp4;base64,ZmlsbQ==" in text
+    assert "data:image/gif" not in text
+
+
+def test_a_folder_that_is_not_there_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError, match="folder of results"):
+        report.write_report(tmp_path / "no")
+
+
+def test_all_figures_writes_the_page(folder, capsys):
+    path = ROOT / "scripts" / "all_figures.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    (folder / "scripts").mkdir()
+    assert module.main(["--out", str(folder)], folder / "scripts") == 0
+    assert (folder / "index.html").exists()
+    assert "index.html" in capsys.readouterr().out
+
+
+# ---- in a real browser ----
+
+PROBE = """<script>addEventListener("load", () => { parent.postMessage(JSON.stringify({
+  width: innerWidth, needed: document.documentElement.scrollWidth,
+  pictures: [...document.images].map(i => [i.naturalWidth > 0, i.getBoundingClientRect().right]),
+  resources: performance.getEntriesByType("resource").map(r => r.name).filter(n => !n.startsWith("data:")),
+  text: parseFloat(getComputedStyle(document.querySelector("section li")).fontSize)}), "*"); });</script></body>"""
+
+FRAME = """<iframe src="page.html" style="border:0;width:%dpx;height:900px"></iframe><pre id="found"></pre>
+<script>addEventListener("message", e => { document.getElementById("found").textContent = e.data; });</script>"""
+
+
+@pytest.mark.skipif(BROWSER is None, reason="needs a browser: chromium is not installed")
+@pytest.mark.parametrize("width", [390, 1200])
+def test_browser_shows_all_pictures_within_the_width(folder, width):
+    """The page as it is but for a script that measures it, in a frame as wide as a phone and as a desktop."""
+    text = report.write_report(folder).read_text()
+    probed = text.replace(report.POLICY, f"{report.POLICY}; script-src 'unsafe-inline'").replace("</body>", PROBE)
+    (folder / "page.html").write_text(probed)
+    (folder / "frame.html").write_text(FRAME % width)
+    profile = f"--user-data-dir={folder / 'profile'}"
+    command = [BROWSER, *FLAGS, profile, "--virtual-time-budget=5000", "--dump-dom", (folder / "frame.html").as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    found = json.loads(re.search(r'<pre id="found">(\{.*\})</pre>', done.stdout)[1])
+    assert found["width"] == width
+    assert found["needed"] <= width  # nothing sticks out, so nobody has to scroll sideways
+    assert len(found["pictures"]) == 4
+    assert all(loaded and right <= width for loaded, right in found["pictures"])
+    assert found["resources"] == []
+    assert found["text"] >= 16  # pixels: read without zooming in

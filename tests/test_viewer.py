@@ -1,0 +1,140 @@
+"""`python -m deep_contact view`: frames, films, windows, and the command line."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact import viewer
+from deep_contact.__main__ import main
+
+
+@pytest.fixture
+def scene():
+    return dc.column(3)
+
+
+def test_frames_are_states_of_the_run_that_simulate_makes(scene):
+    kept = []
+    dc.simulate(scene, steps=7, on_step=lambda state, record: kept.append(state))
+    found = list(viewer.frames(scene, steps=7, every=3))
+    assert [frame.state.step for frame in found] == [2, 5, 6]
+    for frame in found:
+        np.testing.assert_array_equal(frame.state.bodies.position, kept[frame.state.step].bodies.position)
+        np.testing.assert_array_equal(
+            frame.state.contacts.normal_impulse, kept[frame.state.step].contacts.normal_impulse
+        )
+
+
+def test_solver_and_start_are_those_that_are_asked_for(scene):
+    found = list(viewer.frames(scene, steps=2, solver=dc.PGS(sweeps=5, tolerance=None), warm_start=None))
+    assert [frame.record.theta.size for frame in found] == [5, 5]
+    assert not found[1].state.contacts.normal_start.any()
+
+
+@pytest.mark.parametrize("name", ["steps", "every"])
+def test_counts_below_one_are_refused_at_once(scene, name):
+    with pytest.raises(ValueError, match=f"{name}: expected an integer >= 1, got 0"):
+        viewer.frames(scene, **({"steps": 3} | {name: 0}))
+
+
+def test_scales_never_shrink_from_frame_to_frame(scene):
+    from deep_contact import plotting
+
+    painter, limits = viewer.Painter(), []
+    for frame in viewer.frames(scene, steps=30, every=10, solver=dc.PGS(sweeps=50)):
+        _, axes = plotting.subplots(1, 2)
+        painter(axes, frame)
+        limits.append([*axes[1].get_ylim(), axes[1].get_xlim()[1]])
+    low, high, sweeps = np.transpose(limits)
+    assert (np.diff(low) <= 0).all()
+    assert (np.diff(high) >= 0).all()
+    assert (np.diff(sweeps) >= 0).all()
+
+
+def test_a_step_without_contacts_can_be_drawn():
+    from deep_contact import plotting
+
+    (frame,) = viewer.frames(dc.single_body(height=5.0), steps=1)
+    _, axes = plotting.subplots(1, 2)
+    viewer.Painter()(axes, frame)
+    assert "0 contacts" in axes[0].get_title(loc="left")
+    assert axes[1].get_title(loc="left").endswith("no contacts")
+
+
+def test_a_film_has_two_panels_and_a_frame_for_each_state(scene, tmp_path):
+    from PIL import Image
+
+    written = viewer.record(viewer.frames(scene, steps=6, every=3), tmp_path / "view.gif", fps=10)
+    with Image.open(written[0]) as gif:
+        assert gif.n_frames == 2
+        assert gif.width == pytest.approx(sum(viewer.PANELS) * gif.height, abs=1)
+
+
+def test_a_window_plays_until_it_is_closed(scene, monkeypatch):
+    from matplotlib import pyplot
+
+    pyplot.switch_backend("agg")
+    shown = []
+    monkeypatch.setattr(pyplot, "show", lambda: shown.append("stays open at the end"))
+    monkeypatch.setattr(pyplot, "pause", lambda seconds: None)
+    assert viewer.play(viewer.frames(scene, steps=3)) == 3
+    assert shown == ["stays open at the end"]
+    monkeypatch.setattr(pyplot, "pause", lambda seconds: pyplot.close("all"))
+    assert viewer.play(viewer.frames(scene, steps=3)) == 1
+    assert len(shown) == 1
+
+
+def test_without_a_display_there_is_no_window(monkeypatch):
+    from matplotlib import pyplot
+
+    pyplot.switch_backend("agg")
+    assert not viewer.has_display()
+
+    def no_toolkit():
+        raise ImportError("cannot load backend 'TkAgg'")
+
+    monkeypatch.setattr(pyplot, "figure", no_toolkit)
+    assert not viewer.has_display()
+
+
+# ---- the command line ----
+
+
+def test_a_state_file_is_gone_on_from(scene, tmp_path, capsys):
+    state = dc.simulate(scene, steps=4).state
+    dc.write_state(tmp_path / "state.xml", state)
+    out = tmp_path / "view.gif"
+    assert main(["view", str(tmp_path / "state.xml"), "--steps", "2", "--every", "1", "--out", str(out)]) == 0
+    assert out.exists()
+    assert str(out) in capsys.readouterr().out
+
+
+def test_without_a_display_a_film_is_written(tmp_path):
+    command = [sys.executable, "-m", "deep_contact", "view", "--bodies", "3", "--steps", "2", "--every", "1"]
+    environment = {"MPLBACKEND": "agg", "PATH": "", "PYTHONPATH": str(dc.__path__[0] + "/..")}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert "no display" in done.stderr
+    assert (tmp_path / "view.gif").read_bytes().startswith(b"GIF89a")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["no such file.xml"], "no such file.xml"),
+        (["--every", "0"], "every: expected an integer >= 1, got 0"),
+        (["--warm-start", "magic", "--out", "x.gif"], "expected one of none, builtin"),
+        (["--bodies", "1000000", "--size", "3"], "n_bodies: expected circles that fit"),
+        (["--sweeps", "-1"], "sweeps"),
+        (["state.xml", "--bodies", "3"], "expected none beside STATE.xml"),
+    ],
+)
+def test_bad_arguments_exit_with_2_and_name_the_fault(tmp_path, monkeypatch, capsys, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main(["view", *arguments])
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
