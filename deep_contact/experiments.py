@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,17 +27,23 @@ THRESHOLD = constants.THETA_TOLERANCE
 CURVE_POINTS = 240
 """Points kept of a curve of θ by sweep; they lie evenly on a logarithmic axis."""
 
+REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
+"""What velocity errors are measured against: a solution swept on, so that no start is the road to it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
     """How the solves of a run went from one start.
 
     theta: mean θ after each sweep, Eq 2.30, (sweeps,), N·s. sweeps: number of sweeps until θ is within
-    `THRESHOLD`, one a step; a step that never is counts as all of them.
+    `THRESHOLD`, one a step; a step that never is counts as all of them. velocity: relative velocity errors
+    (`cnn.evaluation.velocity_errors`), a row a step, or None where they were not asked for; a row is not finite where
+    nothing was to be solved.
     """
 
     theta: np.ndarray
     sweeps: np.ndarray
+    velocity: np.ndarray | None = None
 
 
 def solved_states(
@@ -65,13 +71,35 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> Convergence:
     return Convergence(theta=mean_theta(thetas, sweeps), sweeps=np.array([sweeps_to(theta) for theta in thetas]))
 
 
-def paired(states: Sequence[State], starts: Mapping[str, WarmStart], *, sweeps: int) -> dict[str, Convergence]:
-    """Every start solves the same states, with so many sweeps each."""
+def paired(
+    states: Sequence[State], starts: Mapping[str, WarmStart], *, sweeps: int, velocity_sweeps: Sequence[int] = ()
+) -> dict[str, Convergence]:
+    """Every start solves the same states, with so many sweeps each.
+
+    velocity_sweeps: after how many sweeps the velocity error is taken, against the solution swept on by `REFERENCE`.
+    """
+    from deep_contact.cnn.evaluation import velocity_errors
+
     solver = PGS(sweeps=sweeps, tolerance=None)
-    return {
-        name: convergence_of([solve_contacts(s, solver=solver, start=start).record.theta for s in states], sweeps)
-        for name, start in starts.items()
-    }
+    goals = [swept_on(state) for state in states] if velocity_sweeps else []
+    found = {}
+    for name, start in starts.items():
+        impulses = [start(state, solver) for state in states]
+        thetas = [solve_contacts(s, solver=solver, start=given).record.theta for s, given in zip(states, impulses)]
+        found[name] = convergence_of(thetas, sweeps)
+        if velocity_sweeps:
+            errors = [velocity_errors(goal, given, velocity_sweeps) for goal, given in zip(goals, impulses)]
+            found[name] = replace(found[name], velocity=np.array(errors))
+    return found
+
+
+def swept_on(state: State, solver=REFERENCE) -> State:
+    """A solved state whose solution is swept on until `solver` is content."""
+    contacts = state.contacts
+    given = contacts.normal_impulse, contacts.tangent_impulse
+    solution = solve_contacts(state, solver=solver, start=given)
+    better = {"normal_impulse": solution.normal_impulses, "tangent_impulse": solution.tangent_impulses}
+    return state.replace(contacts=contacts._replace(**better), solved=True)
 
 
 def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> Convergence:
@@ -87,8 +115,15 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> C
 
 
 def start_of(description) -> WarmStart:
-    """A start from its description in a figure's options: a name, or the fields of `Sph` as a dict."""
-    return Sph(**description) if isinstance(description, Mapping) else warm_start_of(description)
+    """A start from its description in a figure's options: a name, or a dict: the fields of `Sph`, or {"model": path}
+    for a network, which then works on one thread (`learned_experiments.network_start`)."""
+    if not isinstance(description, Mapping):
+        return warm_start_of(description)
+    if "model" not in description:
+        return Sph(**description)
+    from deep_contact.learned_experiments import network_start
+
+    return network_start(**description)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,46 +133,61 @@ class _Task:
     starts: dict
     paired: bool
     seed: int
-    n_bodies: int
+    n_bodies: int | tuple[int, int]
     size: float
     steps: int
     sweeps: int
+    velocity_sweeps: tuple[int, ...]
+
+
+def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
+    """The thesis's scene of so many circles; of a pair (low, high), both included, the seed draws the number first."""
+    if isinstance(n_bodies, (int, np.integer)):
+        return circles_in_box(n_bodies, size=size, seed=seed)
+    rng = np.random.default_rng(seed)
+    low, high = n_bodies
+    return circles_in_box(int(rng.integers(low, high, endpoint=True)), size=size, seed=rng)
 
 
 def _run(task: _Task) -> dict[str, Convergence]:
-    scene = circles_in_box(task.n_bodies, size=task.size, seed=task.seed)
+    scene = scene_of(task.n_bodies, size=task.size, seed=task.seed)
     starts = {name: start_of(description) for name, description in task.starts.items()}
     if task.paired:
         # Solved with as many sweeps as the starts get, as the thesis's copy of the world is.
         states = solved_states(scene, steps=task.steps, solver=PGS(sweeps=task.sweeps, tolerance=None))
-        return paired(states, starts, sweeps=task.sweeps)
+        return paired(states, starts, sweeps=task.sweeps, velocity_sweeps=task.velocity_sweeps)
     return {name: independent(scene, start, steps=task.steps, sweeps=task.sweeps) for name, start in starts.items()}
 
 
 def compare_starts(
     starts: Mapping,
     *,
-    n_bodies: int = 100,
+    n_bodies: int | Sequence[int] = 100,
     size: float = 30.0,
     steps: int = 600,
     sweeps: int = 3000,
     scenes: int = 1,
+    velocity_sweeps: Sequence[int] = (),
     seed: int = 0,
     jobs: int = 1,
     progress: Callable | None = None,
 ) -> dict:
     """The thesis's comparison of starts over `scenes` scenes, both ways, as the data of a results file.
 
-    starts: name -> description (`start_of`). Returns {"sweep": (k,), "paired": {name: …}, "independent": {name: …}}
-    where … is {"theta": mean θ at these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number}.
+    starts: name -> description (`start_of`). n_bodies: see `scene_of`. velocity_sweeps: see `paired`.
+    Returns {"sweep": (k,), "paired": {name: …}, "independent": {name: …}} where … is
+    {"theta": mean θ at these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number}.
+    With velocity_sweeps also {"velocity": {"sweeps", "states", "mean": {name: …}, "median": {name: …}}}, paired, over
+    the states that have something to be solved.
     """
     common = {"n_bodies": n_bodies, "size": size, "steps": steps, "sweeps": sweeps}
+    common["velocity_sweeps"] = tuple(velocity_sweeps)
     tasks = []
     for scene_seed in seeds(seed, scenes):
         tasks.append(_Task(starts=dict(starts), paired=True, seed=scene_seed, **common))
         tasks += [_Task(starts={n: d}, paired=False, seed=scene_seed, **common) for n, d in starts.items()]
     found = parallel_map(_run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
-    sample = sampled_sweeps(sweeps)
+    sample = np.union1d(sampled_sweeps(sweeps), [k for k in velocity_sweeps if 1 <= k <= sweeps]).astype(np.int64)
     data = {"sweep": sample, "threshold": THRESHOLD, "paired": {}, "independent": {}}
     for mode in ("paired", "independent"):
         for name in starts:
@@ -153,7 +203,22 @@ def compare_starts(
                 "sweeps": {"mean": float(counts.mean()), "median": float(np.median(counts))},
                 "states": int(counts.size),
             }
+    if velocity_sweeps:
+        together = [part for task, part in zip(tasks, found) if task.paired]
+        errors = {name: np.concatenate([part[name].velocity for part in together]) for name in starts}
+        data["velocity"] = _summary_of_errors(errors, velocity_sweeps)
     return data
+
+
+def _summary_of_errors(errors: Mapping[str, np.ndarray], sweeps: Sequence[int]) -> dict:
+    """Mean and median over the states in which every start has a finite error."""
+    kept = np.all([np.isfinite(of_start).all(axis=1) for of_start in errors.values()], axis=0)
+    return {
+        "sweeps": list(sweeps),
+        "states": int(kept.sum()),
+        "mean": {name: of_start[kept].mean(axis=0) for name, of_start in errors.items()},
+        "median": {name: np.median(of_start[kept], axis=0) for name, of_start in errors.items()},
+    }
 
 
 def sampled_sweeps(sweeps: int, points: int = CURVE_POINTS) -> np.ndarray:
@@ -161,9 +226,9 @@ def sampled_sweeps(sweeps: int, points: int = CURVE_POINTS) -> np.ndarray:
     return np.unique(np.round(np.geomspace(1, sweeps, points)).astype(np.int64))
 
 
-def table_of_starts(data: dict) -> list[list]:
-    """Rows for a figure's table: sweeps to the threshold and θ after some sweeps, both ways."""
-    shown = [s for s in (10, 100, 1000, data["sweep"][-1]) if s <= data["sweep"][-1]]
+def table_of_starts(data: dict, after: Sequence[int] = (10, 100, 1000)) -> list[list]:
+    """Rows for a figure's table: sweeps to the threshold and θ after some sweeps, and after all, both ways."""
+    shown = [s for s in (*after, data["sweep"][-1]) if s <= data["sweep"][-1]]
     rows = [["start", "states", "mean sweeps", "median", *(f"θ({s})" for s in dict.fromkeys(shown))]]
     for mode in ("paired", "independent"):
         for name, found in data[mode].items():

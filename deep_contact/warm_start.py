@@ -140,6 +140,12 @@ def _cnn() -> WarmStart:
     return Cnn()
 
 
+def _guarded() -> WarmStart:
+    from deep_contact.cnn.inference import Guarded
+
+    return Guarded()
+
+
 STARTS: dict[str, Callable[[], WarmStart]] = {
     "none": NoStart,
     "builtin": Builtin,
@@ -148,6 +154,7 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
     "bad": Bad,
     "sph": Sph,
     "cnn": _cnn,
+    "guarded": _guarded,
 }
 """Name -> what makes the start with its default options."""
 

@@ -1,7 +1,7 @@
 """python scripts/readme.py [--check]: fill README.md's tables from the results files under data/reference.
 
-A table stands between the lines `<!-- table: NAME -->` and `<!-- end -->`. With --check nothing is written, and the exit
-status is 1 if a table is not what its results file says.
+A table stands between the lines `<!-- table: NAME -->` and `<!-- end -->`. With --check nothing is written, and the
+exit status is 1 if a table is not what its results file says.
 """
 
 from __future__ import annotations

@@ -77,9 +77,7 @@ def test_sweeps_equal_algorithm_1_on_matrices(falling_states):
     for state in falling_states[::4]:
         problem = contact_problem(state)
         start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
-        expected, record = projected_gauss_seidel(
-            problem.A, problem.b, start, sweeps=30, friction=state.world.friction
-        )
+        expected, record = projected_gauss_seidel(problem.A, problem.b, start, sweeps=30, friction=state.world.friction)
         solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=30, tolerance=None))
         scale = np.abs(expected).max()
         np.testing.assert_allclose(solution.normal_impulses, expected[::2], atol=1e-11 * scale)
@@ -163,6 +161,7 @@ def test_mean_theta_repeats_a_finished_step():
     ("options", "message"),
     [
         ({"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
+        ({"sweeps": 10**12}, "sweeps: expected an integer <= 10000000, got 1000000000000"),
         ({"sweeps": 2.5}, "sweeps: expected an integer >= 0, got 2.5"),
         ({"tolerance": float("nan")}, "tolerance: expected None or a finite number >= 0, got nan"),
     ],

@@ -7,10 +7,10 @@ import deep_contact as dc
 from deep_contact.cnn.far_field import (
     COEFFICIENTS,
     FarFieldSpec,
+    correct,
     corrected,
     describe,
     nodes_of,
-    read_coefficients,
 )
 from deep_contact.cnn.images import transform_state
 from deep_contact.state import World
@@ -68,14 +68,18 @@ def test_a_uniform_stress_gives_impulses_by_the_normal(state):
 
 
 def test_coefficients_are_read_bilinearly(state):
-    shape, distance = (17, 17), SPEC.spacing * SPEC.coarsening
+    # A linear field of stress is read exactly; points beyond a wall read its edge.
+    distance = SPEC.spacing * SPEC.coarsening
     y, x = np.mgrid[:17, :17] * distance
-    image = np.repeat((1.0 + 2.0 * x - 0.5 * y)[:, :, None], len(COEFFICIENTS), axis=2).astype(np.float32)
+    image = np.zeros((17, 17, len(COEFFICIENTS)), np.float32)
+    image[:, :, COEFFICIENTS.index("stress_trace")] = 1.0 + 2.0 * x - 0.5 * y
     description = describe(state, SPEC)
-    found = read_coefficients(image, description, SPEC, state.world)
-    inside = np.clip(description.point, 0.0, 30.0)
-    np.testing.assert_allclose(found[:, 0], 1.0 + 2.0 * inside[:, 0] - 0.5 * inside[:, 1], atol=0.05)
-    assert nodes_of(description.point, SPEC, state.world, shape)[0].max() < 17 * 17
+    found = correct(image, description, SPEC, state.world)
+    p_x, p_y = np.clip(description.point, 0.0, 30.0).T
+    coefficients = np.zeros((state.contacts.count, len(COEFFICIENTS)))
+    coefficients[:, COEFFICIENTS.index("stress_trace")] = 1.0 + 2.0 * p_x - 0.5 * p_y
+    np.testing.assert_allclose(found, corrected(description, coefficients), atol=1e-4 * np.abs(found).max())
+    assert nodes_of(description.point, SPEC, state.world, (17, 17))[0].max() < 17 * 17
 
 
 def test_spec_goes_through_json():
@@ -135,3 +139,34 @@ def test_training_resumes_and_beats_builtin_a_little(tmp_path):
     losses = [[line["validation_loss"] for line in run.history] for run in (through, resumed)]
     assert losses[0] == losses[1]
     assert losses[0][-1] < 1.0  # Builtin's is 1
+
+
+def test_a_resting_pile_pays_for_no_network(state):
+    from deep_contact.cnn.inference import FarFieldModel, Guarded
+
+    class Refuses(FarFieldModel):
+        def correct(self, state, description):
+            raise AssertionError("the network was asked")
+
+    guarded = Guarded(Refuses(keras=None, spec=SPEC))
+    resting = dc.simulate(dc.column(4), steps=100, solver=dc.PGS(tolerance=1e-9)).state
+    normal, tangent = guarded(resting, dc.PGS())
+    np.testing.assert_array_equal(normal, resting.contacts.normal_start)
+    np.testing.assert_array_equal(tangent, resting.contacts.tangent_start)
+    with pytest.raises(AssertionError, match="the network was asked"):
+        guarded(state, dc.PGS())
+
+
+@pytest.mark.parametrize(("factor", "taken"), [(1.0, True), (50.0, False)])
+def test_the_better_of_two_starts_is_taken(state, factor, taken):
+    from deep_contact.cnn.inference import FarFieldModel, Guarded
+
+    class Knows(FarFieldModel):
+        """Predicts the solution, times a factor."""
+
+        def correct(self, state, description):
+            return factor * state.contacts.normal_impulse, factor * state.contacts.tangent_impulse
+
+    normal, _ = Guarded(Knows(keras=None, spec=SPEC))(state, dc.PGS())
+    expected = state.contacts.normal_impulse if taken else state.contacts.normal_start
+    np.testing.assert_allclose(normal, expected)

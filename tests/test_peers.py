@@ -35,9 +35,7 @@ def box2d():
     return peers.Box2D23
 
 
-def scene(
-    position, *, box=(0, 0, 20, 30), gravity=(0, -9.81), friction=0.5, restitution=0.0, **bodies
-) -> State:
+def scene(position, *, box=(0, 0, 20, 30), gravity=(0, -9.81), friction=0.5, restitution=0.0, **bodies) -> State:
     world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
     return State(name="test", world=world, bodies=make_bodies(position, **bodies))
 
@@ -94,9 +92,7 @@ def test_sliding_disc_is_slowed_by_the_mixed_friction(engine):
 
 def test_head_on_pair_bounces_with_the_mixed_restitution(engine):
     """Newton's e: equal masses leave with e times the speed they met with (v3 is soft: 1 %)."""
-    state = scene(
-        [[8, 5], [12, 5]], gravity=(0, 0), restitution=0.5, velocity=[[4, 0], [-4, 0]], friction=0.0
-    )
+    state = scene([[8, 5], [12, 5]], gravity=(0, 0), restitution=0.5, velocity=[[4, 0], [-4, 0]], friction=0.0)
     world = engine(state)
     for _ in range(60):
         world.step(0.01, 10, 3)
@@ -140,11 +136,7 @@ def all_gaps(bodies, box) -> np.ndarray:
     x, y = bodies.position.T
     i, j = np.triu_indices(bodies.count, 1)
     pairs = np.hypot(x[i] - x[j], y[i] - y[j]) - bodies.radius[i] - bodies.radius[j]
-    walls = (
-        np.concatenate([x - box[0], y - box[1], box[2] - x, box[3] - y])
-        - np.tile(bodies.radius, 4)
-        - WALL_SKIN
-    )
+    walls = np.concatenate([x - box[0], y - box[1], box[2] - x, box[3] - y]) - np.tile(bodies.radius, 4) - WALL_SKIN
     return np.concatenate([pairs, walls])
 
 
@@ -189,9 +181,7 @@ def test_a_step_starts_from_what_the_last_one_solved(box2d):
     for _ in range(100):
         world.step(0.01, 20, 3)
     first, second = (world.record_step(0.01, 20, 3).state.contacts for _ in range(2))
-    old = {
-        (a, b): impulses for a, b, *impulses in zip(*first[:2], first.normal_impulse, first.tangent_impulse)
-    }
+    old = {(a, b): impulses for a, b, *impulses in zip(*first[:2], first.normal_impulse, first.tangent_impulse)}
     expected = [old.get(pair, [0.0, 0.0]) for pair in zip(second.body_a, second.body_b)]
     np.testing.assert_array_equal(np.stack([second.normal_start, second.tangent_start], axis=1), expected)
     assert sum(pair in old for pair in zip(second.body_a, second.body_b)) > 25
@@ -227,9 +217,7 @@ def replay(state: State, order: np.ndarray, sweeps: int) -> np.ndarray:
         for d_x, d_y in ((n_x, n_y), (n_y, -n_x)):
             turn_a, turn_b = r_ax * d_y - r_ay * d_x, r_bx * d_y - r_by * d_x
             inverse.append(w[a] + w[b] + w_spin[a] * turn_a**2 + w_spin[b] * turn_b**2)
-        rows.append(
-            (a, b, n_x, n_y, r_ax, r_ay, r_bx, r_by, *inverse, -world.restitution * v_n if v_n < -1 else 0.0)
-        )
+        rows.append((a, b, n_x, n_y, r_ax, r_ay, r_bx, r_by, *inverse, -world.restitution * v_n if v_n < -1 else 0.0))
 
     def push(row, p_x, p_y):
         a, b, _, _, r_ax, r_ay, r_bx, r_by = row[:8]

@@ -7,8 +7,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 
 from deep_contact.cnn.dataset import PHASES, phase
+from deep_contact.constants import THETA_TOLERANCE
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.methods import PGS
+from deep_contact.simulation import simulate
 from deep_contact.state import Bodies, State
 
 SWEEPS = (0, 3, 10, 30)
@@ -68,3 +70,58 @@ def _distance(bodies: Bodies, one: ContactSolution, other: ContactSolution) -> f
 
 def _rounded(values) -> list[float]:
     return [float(f"{value:.4g}") for value in values]
+
+
+def errors_on_scene(
+    scene: State,
+    starts: Mapping[str, object],
+    *,
+    steps: int = 600,
+    every: int = 5,
+    sweeps: Sequence[int] = (0, 3, 10, 30, 100),
+    threshold: float = THETA_TOLERANCE,
+    most: int = 5000,
+) -> dict[str, np.ndarray]:
+    """What several starts are worth on the states of one run, all on the same ones.
+
+    The run starts from Builtin and solves to `threshold`, as the training data did; one state in `every` step that
+    has contacts is judged against a solution of its own, to θ < 1e-9 N·s or 20,000 sweeps from the run's.
+    starts: name -> callable of `deep_contact.warm_start`; "builtin" has to be among them.
+    Returns {"step": (k,), "sweeps": {name: (k,) sweeps until θ ≤ threshold, at most `most`}, "errors": {name:
+    (k, len(sweeps)) velocity errors as in `velocity_errors`}}.
+    """
+    states: list[State] = []
+
+    def keep(state: State, record) -> None:
+        if state.step % every == 0 and state.contacts.count:
+            states.append(state)
+
+    simulate(scene, steps=steps, solver=PGS(sweeps=most, tolerance=threshold), on_step=keep)
+    to_threshold = PGS(sweeps=most, tolerance=threshold)
+    found: dict = {"step": [], "sweeps": {n: [] for n in starts}, "errors": {n: [] for n in starts}}
+    for state in states:
+        contacts = state.contacts
+        exact = solve(state, PGS(sweeps=20_000, tolerance=1e-9), contacts.normal_impulse, contacts.tangent_impulse)
+        contacts = contacts._replace(normal_impulse=exact.normal_impulses, tangent_impulse=exact.tangent_impulses)
+        state = state.replace(contacts=contacts)
+        given = {name: start(state, to_threshold) for name, start in starts.items()}
+        errors = {name: velocity_errors(state, impulses, sweeps) for name, impulses in given.items()}
+        if not all(np.isfinite(error).all() for error in errors.values()):
+            continue  # contacts without anything to solve
+        found["step"].append(state.step)
+        for name, impulses in given.items():
+            found["errors"][name].append(errors[name])
+            found["sweeps"][name].append(solve(state, to_threshold, *impulses).record.sweeps)
+    return {
+        "step": np.array(found["step"]),
+        "sweeps": {name: np.array(counts) for name, counts in found["sweeps"].items()},
+        "errors": {name: np.array(errors).reshape(-1, len(sweeps)) for name, errors in found["errors"].items()},
+    }
+
+
+def mean_with_interval(by_scene: Sequence[float], *, seed: int = 0, count: int = 2000) -> tuple[float, float, float]:
+    """Mean over scenes and its 95 % confidence interval, by resampling the scenes."""
+    values = np.asarray(by_scene, dtype=np.float64)
+    chosen = np.random.default_rng(seed).integers(0, values.size, (count, values.size))
+    low, high = np.quantile(values[chosen].mean(axis=1), [0.025, 0.975])
+    return float(values.mean()), float(low), float(high)

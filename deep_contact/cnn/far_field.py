@@ -153,14 +153,28 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description
     return Description(image, point, features, start, scale, unsolved)
 
 
-def read_coefficients(image: np.ndarray, description: Description, spec: FarFieldSpec, world: World) -> np.ndarray:
-    """Coefficients (m, 12) at the contacts from the network's image, bilinear between its nodes."""
+def correct(image: np.ndarray, description: Description, spec: FarFieldSpec, world: World) -> np.ndarray:
+    """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected, with the coefficients that the network's image has there."""
     node, weight = nodes_of(description.point, spec, world, image.shape[:2])
-    return np.einsum("ik,ikj->ij", weight, image.reshape(-1, image.shape[2])[node], dtype=np.float64)
+    flat = image.reshape(-1, image.shape[2])
+    return _correct(flat, node, weight, description.features, description.start)
+
+
+@njit(cache=True)
+def _correct(image, node, weight, features, start):
+    impulses = start.copy()
+    for i in range(node.shape[0]):
+        for j in range(features.shape[1]):
+            coefficient = 0.0
+            for k in range(4):
+                coefficient += weight[i, k] * image[node[i, k], j]
+            impulses[i, 0] += coefficient * features[i, j, 0]
+            impulses[i, 1] += coefficient * features[i, j, 1]
+    return impulses
 
 
 def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
-    """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected."""
+    """The same from coefficients (m, 12) that have been read already, as training has them."""
     return description.start + np.einsum("ij,ijk->ik", coefficients, description.features)
 
 

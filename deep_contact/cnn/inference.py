@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.cnn.far_field import Description, FarFieldSpec, corrected, describe, read_coefficients
+from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_model
+from deep_contact.physics.engine import solve
+from deep_contact.physics.methods import PGS
 from deep_contact.state import State
 
 _SAME_BOX = 1e-6
@@ -126,8 +128,7 @@ class FarFieldModel(LearnedModel):
 
     def correct(self, state: State, description: Description) -> tuple[np.ndarray, np.ndarray]:
         """The same from a description that has been made already."""
-        image = self.run(description.image)
-        impulses = corrected(description, read_coefficients(image, description, self.spec, state.world))
+        impulses = correct(self.run(description.image), description, self.spec, state.world)
         return np.ascontiguousarray(impulses[:, 0]), np.ascontiguousarray(impulses[:, 1])
 
     def predict_image(self, state: State) -> np.ndarray:
@@ -142,7 +143,8 @@ class FarFieldModel(LearnedModel):
             image = np.pad(image, ((0, rows - n_y), (0, columns - n_x), (0, 0)))
         key = rows, columns
         if key not in self._compiled:
-            self._compiled[key] = compiled(self.keras, (rows, columns, image.shape[2]))
+            # Small enough for the calls between its layers to count: one program takes three quarters of the time.
+            self._compiled[key] = compiled(self.keras, (rows, columns, image.shape[2]), one_program=True)
         return self._compiled[key](image[None])[0]
 
     def check_scene(self, state: State) -> None:
@@ -154,8 +156,11 @@ def padded_shape(shape: tuple[int, int], coarsening: int) -> tuple[int, int]:
     return tuple(n + (1 - n) % coarsening for n in shape)
 
 
-def compiled(model, shape: tuple[int, int, int]) -> Callable[[np.ndarray], np.ndarray]:
-    """The network for one image of this shape as a function of a NumPy array (1, n_y, n_x, c), float32."""
+def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -> Callable[[np.ndarray], np.ndarray]:
+    """The network for one image of this shape as a function of a NumPy array (1, n_y, n_x, c), float32.
+
+    one_program: compiled by XLA as a whole, which takes about a second.
+    """
     import keras
 
     if keras.backend.backend() != "tensorflow":
@@ -164,7 +169,8 @@ def compiled(model, shape: tuple[int, int, int]) -> Callable[[np.ndarray], np.nd
 
     signature = [tf.TensorSpec((1, *shape), tf.float32)]
     # The concrete function skips the look-up by signature, a tenth of the time of a small network.
-    function = tf.function(lambda image: model(image, training=False), input_signature=signature)
+    jit = {"jit_compile": True} if one_program else {}
+    function = tf.function(lambda image: model(image, training=False), input_signature=signature, **jit)
     concrete = function.get_concrete_function()
     return lambda image: concrete(tf.constant(image)).numpy()
 
@@ -192,3 +198,41 @@ def projected(normal: np.ndarray, tangent: np.ndarray, friction: float) -> tuple
     """Impulses (m,) with the normal ones cut at 0 and the tangent ones at the friction cone, as a sweep would."""
     normal = np.maximum(normal, 0.0)
     return normal, np.clip(tangent, -friction * normal, friction * normal)
+
+
+@dataclass(frozen=True)
+class Guarded:
+    """The far-field network where it helps: Builtin's start wherever that is good enough, or better by a trial.
+
+    model: a `FarFieldModel`, or the path of its file; by default models/far_field.h5.
+    least: no network is asked where one relaxation of the rows after Builtin would change them by less than this
+    share of the carried impulses (`Description.unsolved`), so that a resting pile pays next to nothing.
+    trial: sweeps from both starts; the one whose last θ is smaller is taken. 0 takes the network's untried.
+    """
+
+    model: FarFieldModel | str | Path | None = None
+    least: float = 1e-2
+    trial: int = 3
+
+    def __post_init__(self):
+        model = self.model
+        if not isinstance(model, LearnedModel):
+            model = load_model(default_model_path("far_field.h5") if model is None else model)
+        if not isinstance(model, FarFieldModel):
+            raise ModelFileError(f"model: expected a far-field network, got one for {model.spec.targets}")
+        object.__setattr__(self, "model", model)
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        contacts = state.contacts
+        builtin = contacts.normal_start.copy(), contacts.tangent_start.copy()
+        if contacts.count == 0:
+            return builtin
+        description = describe(state, self.model.spec)
+        if description.unsolved < self.least:
+            return builtin
+        learned = projected(*self.model.correct(state, description), state.world.friction)
+        if self.trial == 0:
+            return learned
+        tried = PGS(sweeps=self.trial, tolerance=None)
+        theta = [solve(state, tried, *start).record.theta[-1] for start in (builtin, learned)]
+        return learned if theta[1] < theta[0] else builtin

@@ -38,8 +38,10 @@ FORMAT = 1
 METADATA = "deep_contact"
 """Name of the dataset with our metadata."""
 
-DEFAULT_MODEL = Path("models") / "model.h5"
-"""The shipped model, from the root of the checkout."""
+MODELS = "models"
+"""Folder of the shipped models, from the root of the checkout."""
+
+DEFAULT_MODEL = "model.h5"
 
 _FIELDS = ("format", "spec", "coarsening", "box", "card", "digest")
 
@@ -134,18 +136,19 @@ def read_model(path):
     return model, spec, metadata
 
 
-def default_model_path() -> Path:
-    """The shipped models/model.h5: of the checkout that this package lies in, or below the current folder.
+def default_model_path(name: str | None = None) -> Path:
+    """A shipped model, models/`name`, by default `DEFAULT_MODEL`: of this checkout, or below the current folder.
 
     Raises FileNotFoundError naming where it was looked for.
     """
+    name = DEFAULT_MODEL if name is None else name
     roots = (Path(__file__).resolve().parents[2], Path.cwd())
     for root in roots:
-        if (root / DEFAULT_MODEL).is_file():
-            return root / DEFAULT_MODEL
-    places = " and ".join(dict.fromkeys(str(root / DEFAULT_MODEL) for root in roots))
+        if (root / MODELS / name).is_file():
+            return root / MODELS / name
+    places = " and ".join(dict.fromkeys(str(root / MODELS / name) for root in roots))
     raise FileNotFoundError(
-        f"model file: expected {DEFAULT_MODEL}, looked for {places}; it is part of the repository, "
+        f"model file: expected {MODELS}/{name}, looked for {places}; it is part of the repository, "
         "and `python scripts/train.py` makes another"
     )
 

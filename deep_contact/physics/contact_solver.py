@@ -193,7 +193,7 @@ def correct_positions(bodies, contacts, box, sweeps):
             if b < n:
                 d_x, d_y = position[b, 0] - x, position[b, 1] - y
                 reach = radius[a] + radius[b]
-                least = reach - LINEAR_SLOP
+                least = max(reach - LINEAR_SLOP, 0.0)  # circles smaller than the slop must not be drawn together
                 if d_x * d_x + d_y * d_y >= least * least:
                     continue  # Nothing to correct; found without a square root, and most contacts end here.
                 distance = math.sqrt(d_x * d_x + d_y * d_y)

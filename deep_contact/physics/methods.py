@@ -182,11 +182,17 @@ def describe(solver) -> str:
     return f"{type(solver).__name__}({', '.join(f'{f.name}={getattr(solver, f.name)!r}' for f in changed)})"
 
 
+MOST_SWEEPS = 10_000_000
+"""Upper limit of every count: the θ of each sweep is kept, which takes 8 bytes."""
+
+
 def _check_counts(solver, *names: str, least: int = 0) -> None:
     for name in names:
         value = getattr(solver, name)
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
             raise ValueError(f"{name}: expected an integer >= {least}, got {value!r}")
+        if value > MOST_SWEEPS:
+            raise ValueError(f"{name}: expected an integer <= {MOST_SWEEPS}, got {value!r}")
 
 
 def _check_number(solver, name: str, fits, expected: str) -> None:

@@ -1,0 +1,82 @@
+"""python scripts/figure_5_9_cnn.py: the CNN start beside all others, on scenes that no network was trained on."""
+
+from deep_contact import experiments, figures, plotting
+from deep_contact import learned_experiments as learned
+from deep_contact.figures import Figure
+
+STARTS = {
+    "none": "none",
+    "builtin": "builtin",
+    "sph": {"spacing": 0.5, "transfer": "thesis"},
+    "sph consistent": {"spacing": 0.5, "transfer": "consistent"},
+}
+"""All but the networks, which the options name, and Copy, which comes last."""
+
+LABELS = {"cnn": "CNN (ours)", "cnn thesis": "CNN (thesis network)"}
+
+
+def compute(options, seed, jobs, progress):
+    """The starts on scenes of a random number of circles each, and what the model files say of themselves."""
+    networks = options.pop("networks")
+    about = learned.networks_info(networks)
+    starts = STARTS | {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
+    after = [sweeps for sweeps in learned.AFTER if sweeps < options["sweeps"]] + [options["sweeps"]]
+    data = experiments.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, velocity_sweeps=after, **options)
+    return data | {"networks": about}
+
+
+def claims(data):
+    """What the thesis sees in the figure, for each network."""
+    return [
+        claim for name in data["networks"] for claim in learned.claims_of_network(data, name, LABELS.get(name, name))
+    ]
+
+
+def table(data):
+    """θ by sweeps, both ways, and the velocity errors below."""
+    return experiments.table_of_starts(data, learned.AFTER) + learned.table_of_velocity(data)
+
+
+def draw(data, options):
+    """θ paired and independent, as in the thesis; and what is left of the velocity error."""
+    figure, (same, own, velocity) = plotting.subplots(1, 3, size=(13.5, 4.0))
+    titles = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
+    for ax, (mode, title) in zip((same, own), titles.items()):
+        curves = {name: found["theta"] for name, found in data[mode].items()}
+        plotting.convergence_plot(ax, curves, sweeps=data["sweep"], threshold=data["threshold"], floor=1e-9)
+        ax.get_legend().remove()
+        ax.set_title(title)
+    own.sharey(same)
+    floor = 1e-7
+    for name, errors in data["velocity"]["mean"].items():
+        shown = [max(error, floor) for error in errors]
+        velocity.plot(data["velocity"]["sweeps"], shown, **plotting.style_of(name, marker=True), markersize=4)
+    velocity.set_xscale("log")
+    velocity.set_yscale("log")
+    plotting.label_axes(velocity, "sweep", "mean relative velocity error", title="the same states for every start")
+    velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    return figure
+
+
+FIGURE = Figure(
+    id="5.9",
+    title="Convergence with the CNN start",
+    options={
+        "n_bodies": [51, 99],
+        "size": 30.0,
+        "steps": 600,
+        "sweeps": 3000,
+        "scenes": 12,
+        "networks": {"cnn": "models/model.h5", "cnn thesis": "models/thesis_factored.h5"},
+    },
+    quick={"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": "models/model.h5"}},
+    # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
+    seed=59,
+    compute=compute,
+    claims=claims,
+    table=table,
+    draw=draw,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,191 @@
+"""python scripts/figure_6_6_stability.py: how far each quantity can be pushed, here and in two other engines."""
+
+from deep_contact import extremes, figures, plotting
+from deep_contact.constants import LINEAR_SLOP
+from deep_contact.extremes import ABSENT, ACCURATE, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
+from deep_contact.figures import Claim, Figure
+from deep_contact.physics.methods import PGS
+
+ROUNDING = 1e-9
+"""Rise of the energy that rounding may cause, as a share of what there was."""
+
+MILD_START = 1e12
+"""Largest misleading start, in weights, of which rounding leaves less than `ROUNDING`."""
+
+SILOS = {
+    "straight, 10 sweeps": (extremes.silo, {}, PGS(sweeps=10, tolerance=None)),
+    "leaning, 10 sweeps": (extremes.leaning_silo, {}, PGS(sweeps=10, tolerance=None)),
+    "straight, 1000:1 on top, 10 sweeps": (extremes.loaded_silo, {"ratio": 1000.0}, PGS(sweeps=10, tolerance=None)),
+    "straight, 1000:1 on top, most accurate": (extremes.loaded_silo, {"ratio": 1000.0}, ACCURATE),
+}
+
+
+def compute(options, seed, jobs, progress):
+    """Every value of every quantity in every engine; and columns in a silo that have to rest."""
+    cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
+    found = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
+    cells = [
+        {"quantity": case.quantity, "value": float(case.value), "engine": case.engine, **outcome}
+        for case, outcome in zip(cases, found)
+    ]
+    silos = {}
+    for name, (make, arguments, solver) in SILOS.items():
+        scene = make(options["silo"], **arguments)
+        # A peer with as many sweeps as the most accurate setting may take would stand here for an hour.
+        engines = ENGINES if solver is not ACCURATE else ENGINES[:1]
+        silos[name] = {
+            engine: extremes.stand(scene, engine, solver=solver, seconds=options["seconds"]) for engine in engines
+        }
+    return {"units": {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}, "cells": cells,
+            "silos": silos}  # fmt: skip
+
+
+def ours(data, *quantities):
+    """Cells of this engine that were not refused; of some quantities, or of all."""
+    accepted = [cell for cell in data["cells"] if cell["engine"] == "ours" and cell["verdict"] != REFUSED]
+    return [cell for cell in accepted if not quantities or cell["quantity"] in quantities]
+
+
+def unearned(cell):
+    """Rise of the energy beyond what position correction has lifted, as a share of what there was."""
+    return cell["energy"] - (cell["correction"] or 0.0)
+
+
+def is_inelastic(cell):
+    """Whether a cell has e = 0, is in float64, and starts from what rounding lets the sweeps make good."""
+    if cell["quantity"].startswith("start"):
+        return cell["value"] <= MILD_START
+    return (cell["quantity"] != "restitution" or cell["value"] == 0) and "float32" not in cell["quantity"]
+
+
+def claims(data):
+    """What the engine promises at the extremes."""
+    accepted = ours(data)
+    inelastic = [cell for cell in accepted if is_inelastic(cell)]
+    worst = max(inelastic, key=unearned, default=None)
+    refusals = [cell for cell in data["cells"] if cell["engine"] == "ours" and cell["verdict"] == REFUSED]
+    found = [
+        Claim(
+            "no accepted scene ends in a number that is not finite",
+            None,
+            all(cell["finite"] for cell in accepted),
+            {"scenes": len(accepted), "not finite": sum(not cell["finite"] for cell in accepted)},
+        ),
+        Claim(
+            "every refusal names the quantity, its limits and the value",
+            None,
+            all("expected" in cell["message"] and "got" in cell["message"] for cell in refusals),
+            {"refused": len(refusals)},
+        ),
+    ]
+    if worst is not None:
+        measured = {"scenes": len(inelastic), "largest rise": unearned(worst), "of": worst["quantity"]}
+        text = f"with e = 0 the energy never rises by more than {ROUNDING:g} and the work of position correction"
+        found.append(Claim(text, None, unearned(worst) <= ROUNDING, {**measured, "at": worst["value"]}))
+    parted = ours(data, "overlap", "coinciding circles")
+    if parted:
+        speed = max(cell["speed"] for cell in parted)
+        text = "circles that overlap, up to the whole diameter, are parted without giving them any speed"
+        found.append(Claim(text, None, speed == 0.0, {"largest speed (m/s)": speed}))
+    for name, setting in (("straight, 10 sweeps", "10 sweeps"), ("straight, 1000:1 on top, most accurate", None)):
+        silo = data["silos"][name]["ours"]
+        depth, speed = silo["settled"] / LINEAR_SLOP, silo["speed"][-1]
+        what = f"at {setting}" if setting else "with 1000 times its mass on top, most accurately solved,"
+        text = f"a column in a silo one circle wide {what} rests, its penetration below 2 slops"
+        found.append(Claim(text, None, depth < 2.0 and speed < 1e-3, {"slops": depth, "speed (m/s)": speed}))
+    return found
+
+
+def by_quantity(data):
+    """quantity -> engine -> its cells."""
+    found = {}
+    for cell in data["cells"]:
+        found.setdefault(cell["quantity"], {}).setdefault(cell["engine"], []).append(cell)
+    return found
+
+
+def ranges(cells, *verdicts):
+    """The values that got one of the verdicts, as text: "1 to 100; 1e+06"."""
+    spans = extremes.spans([cell["value"] for cell in cells], [cell["verdict"] for cell in cells])
+    texts = [f"{low:g}" if low == high else f"{low:g} to {high:g}" for found, low, high in spans if found in verdicts]
+    return "; ".join(texts) or None
+
+
+def table(data):
+    """Rows: by quantity the values that are safe, degraded, failed and refused; what is safe in the peers."""
+    rows = [["quantity", "unit", *(f"ours: {v}" for v in (SAFE, DEGRADED, FAILED, REFUSED)), "worst (slops)",
+             "back after (steps)", *(f"{engine}: safe" for engine in ENGINES[1:])]]  # fmt: skip
+    for name, engines in by_quantity(data).items():
+        mine = engines["ours"]
+        good = [cell for cell in mine if cell["verdict"] == SAFE]
+        worst = max((cell["worst"] / LINEAR_SLOP for cell in good), default=None)
+        recovered = max((cell["recovered"] for cell in good if cell["recovered"] is not None), default=None)
+        rows.append([
+            name, data["units"][name], *(ranges(mine, v) for v in (SAFE, DEGRADED, FAILED, REFUSED)), worst, recovered,
+            *(ranges(engines[engine], SAFE) if engine in engines else None for engine in ENGINES[1:]),
+        ])  # fmt: skip
+    for name, engines in data["silos"].items():
+        settled = {e: found["settled"] / LINEAR_SLOP for e, found in engines.items() if "settled" in found}
+        text = "; ".join(f"{engine} {depth:.3g}" for engine, depth in settled.items())
+        rows.append([f"silo: {name}", "slops at rest", text, *[None] * 7])
+    return rows
+
+
+LOOKS = {
+    SAFE: (plotting.GREEN, ""),
+    DEGRADED: (plotting.YELLOW, "d"),
+    FAILED: (plotting.VERMILION, "F"),
+    REFUSED: (plotting.GREY, "R"),
+    ABSENT: ("white", "–"),
+}
+
+
+def draw(data, options):
+    """A row for each quantity, three stripes for the engines, a cell for each value; colour and letter: the verdict."""
+    from matplotlib.patches import Patch, Rectangle
+
+    grouped = by_quantity(data)
+    most = max(len(engines["ours"]) for engines in grouped.values())
+    figure, ax = plotting.subplots(size=(3.6 + 0.52 * most, 1.2 + 0.62 * len(grouped)))
+    for row, engines in enumerate(grouped.values()):
+        for stripe, engine in enumerate(ENGINES):
+            for column, cell in enumerate(sorted(engines.get(engine, []), key=lambda cell: cell["value"])):
+                colour, letter = LOOKS[cell["verdict"]]
+                low = row + 0.30 + 0.21 * stripe
+                ax.add_patch(Rectangle((column, low), 0.94, 0.19, facecolor=colour, edgecolor="none"))
+                ax.text(column + 0.47, low + 0.1, letter, ha="center", va="center", fontsize=6)
+                if stripe == 0:
+                    ax.text(column + 0.47, row + 0.17, f"{cell['value']:g}", ha="center", va="center", fontsize=6.5)
+            if engine in engines:
+                ax.text(-0.1, row + 0.40 + 0.21 * stripe, engine, ha="right", va="center", fontsize=5.5)
+    ax.set_yticks([row + 0.5 for row in range(len(grouped))])
+    ax.set_yticklabels([f"{name} ({data['units'][name]})" if data["units"][name] else name for name in grouped])
+    ax.tick_params(axis="y", length=0, pad=44)
+    ax.set_xticks([])
+    ax.set_xlim(-0.2, most)
+    ax.set_ylim(len(grouped), 0)
+    ax.grid(False)
+    for side in ("left", "bottom"):
+        ax.spines[side].set_visible(False)
+    handles = [
+        Patch(facecolor=colour, edgecolor=plotting.GREY, label=f"{verdict} ({letter})" if letter else verdict)
+        for verdict, (colour, letter) in LOOKS.items()
+        if verdict != ABSENT
+    ]
+    ax.legend(handles=handles, loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    return figure
+
+
+FIGURE = Figure(
+    id="6.6",
+    title="Stability at the extremes: what is safe, degraded, failed and refused",
+    options={"quantities": list(extremes.QUANTITIES), "few": False, "steps": 1000, "silo": 50, "seconds": 60},
+    quick={"few": True, "steps": 300},
+    compute=compute,
+    claims=claims,
+    table=table,
+    draw=draw,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

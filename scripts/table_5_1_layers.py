@@ -1,0 +1,63 @@
+"""python scripts/table_5_1_layers.py: layers and shapes of the built thesis network beside the thesis's table."""
+
+from deep_contact import figures
+from deep_contact import learned_experiments as learned
+from deep_contact.figures import Claim, Figure
+
+MISPRINTS = ["Input", "BatchNormalization"]
+"""Layers of which the thesis's table is known to be wrong: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""
+
+
+def compute(options, seed, jobs, progress):
+    """Both tables, layer by layer."""
+    built = learned.thesis_layers()
+    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in learned.PRINTED_LAYERS]
+    return {"built": built, "printed": printed}
+
+
+def differences(data):
+    """(layer, printed, built) wherever the two differ."""
+    return [
+        (mine["kind"] if mine["kind"] == theirs["kind"] else f"{theirs['kind']} / {mine['kind']}", theirs, mine)
+        for theirs, mine in zip(data["printed"], data["built"])
+        if (theirs["kind"], theirs["shape"]) != (mine["kind"], mine["shape"])
+    ]
+
+
+def claims(data):
+    """The network is the table's, but for its two misprints."""
+    same_length = len(data["built"]) == len(data["printed"])
+    found = differences(data)
+    measured = {f"{kind}: printed, built": [text(theirs), text(mine)] for kind, theirs, mine in found}
+    count = {"layers, printed and built": [len(data["printed"]), len(data["built"])]}
+    only_known = same_length and [kind for kind, *_ in found] == MISPRINTS
+    trainable = sum(layer["trainable"] for layer in data["built"])
+    return [
+        Claim(
+            "the layers and shapes are those of Table 5.1", "L1223-1252", not found and same_length, count | measured
+        ),
+        Claim("they are, but for its channels and its second batch normalisation", "L1223-1252", only_known, measured),
+        Claim("its weights number 64,498,866", "L1199", trainable == 64_498_866, {"trainable parameters": trainable}),
+    ]
+
+
+def text(layer):
+    """61 × 61 × 5."""
+    return " × ".join(map(str, layer["shape"]))
+
+
+def table(data):
+    """A row a layer."""
+    rows = [["layer", "thesis's shape", "built", "kernel", "parameters", "equal"]]
+    for theirs, mine in zip(data["printed"], data["built"]):
+        equal = (theirs["kind"], theirs["shape"]) == (mine["kind"], mine["shape"])
+        kernel = " × ".join(map(str, mine["kernel"])) if mine["kernel"] else None
+        rows.append([mine["kind"], text(theirs), text(mine), kernel, f"{mine['parameters']:,}", equal])
+    total = sum(layer["parameters"] for layer in data["built"])
+    return [*rows, ["all", None, None, None, f"{total:,}", None]]
+
+
+FIGURE = Figure(id="T 5.1", title="Layers of the thesis's network", compute=compute, claims=claims, table=table)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,41 @@
+"""python scripts/table_5_2_hyperparameters.py: hyperparameters of the thesis's training, as printed and as built."""
+
+from deep_contact import figures
+from deep_contact import learned_experiments as learned
+from deep_contact.figures import Claim, Figure
+
+KNOWN = {
+    "Kernel size": "Appendix B: 3 × 3 in the first four convolutions, 2 × 2 in all others; its weights are 64,498,866"
+}
+"""Settings in which the network cannot follow Table 5.2, and why."""
+
+
+def compute(options, seed, jobs, progress):
+    """Both columns, by the name of the setting."""
+    return {"printed": learned.PRINTED_HYPERPARAMETERS, "built": learned.thesis_hyperparameters()}
+
+
+def claims(data):
+    """The configuration is the table's, but where the table contradicts the number of weights."""
+    printed, built = data["printed"], data["built"]
+    found = {name: [value, built.get(name)] for name, value in printed.items() if value != built.get(name)}
+    return [
+        Claim("the training's settings are those of Table 5.2", "L1260-1272", not found, found),
+        Claim("they are, but for the sizes of the kernels", "L1260-1272", set(found) == set(KNOWN), found),
+    ]
+
+
+def table(data):
+    """A row a setting."""
+    rows = [["hyperparameter", "thesis", "here", "equal"]]
+    for name, printed in data["printed"].items():
+        rows.append([name, printed, data["built"][name], printed == data["built"][name]])
+    return rows
+
+
+FIGURE = Figure(
+    id="T 5.2", title="Hyperparameters of the thesis's training", compute=compute, claims=claims, table=table
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

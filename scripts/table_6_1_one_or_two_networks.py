@@ -1,0 +1,138 @@
+"""python scripts/table_6_1_one_or_two_networks.py: one network for normal and tangent impulses, or one for each.
+
+Goals 7 to 9 of the thesis. Three ways, once for each seed: a compact network for both; one with more convolutional
+layers, as large as two; and two, one for each. Every network sees the same states in the same order, in batches of
+the same size, with the same learning rates; two networks thus cost the work of the deeper one. The runs lie in
+runs/table_6_1 and are gone on with where they were stopped.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+
+from deep_contact import figures
+from deep_contact import learned_experiments as learned
+from deep_contact.cnn.dataset import Store
+from deep_contact.figures import Claim, Figure
+
+ONE, DEEPER, EACH = learned.VARIANTS
+
+TITLES = {
+    "normal": "error of λ_n, of ‖λ‖",
+    "tangent": "error of λ_t, of ‖λ‖",
+    "velocity": "velocity error",
+}
+
+
+def compute(options, seed, jobs, progress):
+    """Train all of them on the generated states, or on some that are made here where there are none."""
+    needed = options["simulations"] + options["held_out"]
+    data = states_folder(options, needed, seed, progress)
+    settings = options["training"]
+    decided = {name: options[name] for name in ("network", "deeper", "training", "simulations")}
+    digest = hashlib.sha256(json.dumps([decided, str(data)], sort_keys=True).encode()).hexdigest()[:12]
+    found = learned.one_or_two_networks(
+        data=str(data),
+        out=str(Path(options["runs"]) / digest),
+        simulations=options["simulations"],
+        held_out=options["held_out"],
+        states=options["states"],
+        sweeps=options["sweeps"],
+        options=options["network"],
+        larger=options["network"] | options["deeper"],
+        settings=settings,
+        seeds=[seed + i for i in range(options["seeds"])],
+        jobs=jobs,
+        progress=progress,
+    )
+    budget = settings["epochs"] * settings["states_per_epoch"] // settings["batch_size"]
+    return found | {"training steps": budget, "batch size": settings["batch_size"]}
+
+
+def states_folder(options, needed, seed, progress):
+    """The generated data set if it is large enough, else a small one below the folder of the runs."""
+    if options["data"] is not None and list(Path(options["data"]).glob("sim_*.h5")):
+        if len(Store(options["data"]).simulations) >= needed:
+            return Path(options["data"])
+    bodies, steps = options["own_bodies"], options["own_steps"]
+    folder = Path(options["runs"]) / f"data_{bodies[0]}_{bodies[1]}_{steps}_{seed}"
+    return learned.make_states(folder, simulations=needed, steps=steps, bodies=bodies, seed=seed, progress=progress)
+
+
+def claims(data):
+    """Equal, as far as the seeds can tell; of one seed there is nothing to tell."""
+    if len(data["seeds"]) < 2:
+        return []
+    return [
+        equal(data, DEEPER, EACH, "two networks equal one with more convolutional layers", "L1380"),
+        equal(data, ONE, EACH, "two networks equal one of the size of each", "L1390"),
+    ]
+
+
+def equal(data, first, second, text, thesis):
+    """The claim that two variants are equal within the spread of the seeds."""
+    holds, measured = learned.within_spread(data, first, second)
+    return Claim(f"{text}, within the spread of the seeds", thesis, holds, measured)
+
+
+def table(data):
+    """A row a variant: mean ± standard deviation over the seeds; and the velocity error after some sweeps."""
+    shown = [i for i, sweeps in enumerate(data["sweeps"]) if sweeps]
+    head = ["networks", "parameters", "seeds", *(f"{title}" for title in TITLES.values())]
+    rows = [[*head, *(f"after {data['sweeps'][i]}" for i in shown)]]
+    for variant, found in data["variants"].items():
+        row = [variant, f"{found['parameters']:,}", len(found["errors"])]
+        row += [spread(learned.of_seeds(data, variant, measure)) for measure in TITLES]
+        rows.append(row + [spread([errors["velocity"][i] for errors in found["errors"]]) for i in shown])
+    return rows
+
+
+def spread(values):
+    """Mean ± standard deviation; of one value, the value."""
+    import numpy as np
+
+    values = np.asarray(values)
+    return f"{values.mean():.4f} ± {values.std(ddof=1):.4f}" if values.size > 1 else f"{values.mean():.4f}"
+
+
+NETWORK = {"stem": 12, "width": 24, "decoder": 16, "dilations": [1, 2, 4]}
+DEEPER_BY = {"dilations": [1, 2, 4, 1, 2, 4, 1, 2]}
+TRAINING = {"epochs": 8, "states_per_epoch": 4800, "batch_size": 32, "rate": 4e-3, "validation_states": 200}
+
+FIGURE = Figure(
+    id="T 6.1",
+    title="One network for both impulses, or one for each",
+    options={
+        "data": "data/generated",
+        "runs": "runs/table_6_1",
+        "simulations": 40,
+        "held_out": 10,
+        "states": 300,
+        "sweeps": [0, 3, 10, 30],
+        "network": NETWORK,
+        "deeper": DEEPER_BY,
+        "training": TRAINING,
+        "seeds": 3,
+        "own_bodies": [70, 110],
+        "own_steps": 300,
+    },
+    quick={
+        "data": None,
+        "simulations": 3,
+        "held_out": 1,
+        "states": 30,
+        "network": {"stem": 4, "width": 8, "decoder": 4, "dilations": [1]},
+        "deeper": {"dilations": [1, 2, 1, 2]},
+        "training": {"epochs": 1, "states_per_epoch": 64, "batch_size": 16, "rate": 2e-3, "validation_states": 16},
+        "seeds": 1,
+        "own_bodies": [40, 60],
+        "own_steps": 250,
+    },
+    seed=61,
+    compute=compute,
+    claims=claims,
+    table=table,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))
