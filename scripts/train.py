@@ -68,18 +68,19 @@ def optional(kind):
     return lambda text: None if text.lower() == "none" else kind(text)
 
 
-def learning_curve(history, path) -> None:
-    """Loss and errors against the epoch."""
+def learning_curve(history, path, last="impulses") -> None:
+    """Loss and errors against the epoch. last: what the last column of errors is of."""
     from deep_contact import plotting
 
-    figure, (left, right) = plotting.subplots(1, 2)
+    with plotting.style():
+        figure, (left, right) = plotting.subplots(1, 2, size=(8.4, 3.4))
     epochs = [line["epoch"] + 1 for line in history]
-    left.semilogy(epochs, [line["loss"] for line in history], label="training")
-    left.semilogy(epochs, [line["validation_loss"] for line in history], label="validation")
+    left.plot(epochs, [line["loss"] for line in history], label="training")
+    left.plot(epochs, [line["validation_loss"] for line in history], label="validation")
     plotting.label_axes(left, "epoch", "loss")
-    right.plot(epochs, [line["validation_velocity_error"] for line in history], label="velocities")
-    right.plot(epochs, [line["validation_impulse_error"] for line in history], label="impulses")
-    plotting.label_axes(right, "epoch", "relative error before any sweep, validation")
+    right.semilogy(epochs, [line["validation_velocity_error"] for line in history], label="velocities, no sweep")
+    right.semilogy(epochs, [line["validation_impulse_error"] for line in history], label=last)
+    plotting.label_axes(right, "epoch", "relative error, validation")
     left.legend()
     right.legend()
     plotting.save(figure, path)
@@ -106,7 +107,9 @@ def main() -> int:
         tensorboard=tensorboard,
         command=shlex.join(["python", "scripts/train.py", *sys.argv[1:]]),
     )
-    learning_curve(done.history, out / "history.png")
+    far = config.architecture == "far field"
+    last = f"velocities, {config.sweeps[-1]} sweeps" if far else "impulses, no sweep"
+    learning_curve(done.history, out / "history.png", last)
     print(f"best epoch {done.best_epoch + 1} of {len(done.history)}; {done.path}")
     errors = done.model.card["held_out"]
     print("mean relative velocity error after", ", ".join(map(str, errors["sweeps"])), "sweeps, test states")

@@ -181,7 +181,7 @@ def test_contacts_of_a_turned_image_are_those_of_the_turned_state(data, k):
     store = Store(data)
     config = tiny()
     split = split_by_simulation(store, fractions=config.fractions, seed=0)
-    run = training._Run(config, store, split, config.spec())
+    run = training._ImageRun(config, store, split, config.spec())
     where = store.states(split.train)[10]
     turned = run.contacts(run.batches.batch([where], [k]))
     state = transform_state(store.state(*where), k)
@@ -199,7 +199,7 @@ def test_contacts_of_a_turned_image_are_those_of_the_turned_state(data, k):
 def test_training_pads_as_inference_does(data, spacing):
     store, config = Store(data), tiny(spacing=spacing, support=spacing, augment=False)
     split = split_by_simulation(store, fractions=config.fractions, seed=0)
-    run = training._Run(config, store, split, config.spec())
+    run = training._ImageRun(config, store, split, config.spec())
     rng = np.random.default_rng(0)
     run.model.set_weights([rng.normal(0, 0.2, w.shape) for w in run.model.get_weights()])
     batch = run.batches.batch([store.states(split.train)[10]])

@@ -207,12 +207,14 @@ class Guarded:
     model: a `FarFieldModel`, or the path of its file; by default models/far_field.h5.
     least: no network is asked where one relaxation of the rows after Builtin would change them by less than this
     share of the carried impulses (`Description.unsolved`), so that a resting pile pays next to nothing.
-    trial: sweeps from both starts; the one whose last θ is smaller is taken. 0 takes the network's untried.
+    trial: sweeps from both starts. The network's is taken unless its last θ is more than `margin` times that of
+    Builtin's; 0 takes it untried. θ is a rough judge, so a start that is better in the mean gets the benefit of doubt.
     """
 
     model: FarFieldModel | str | Path | None = None
     least: float = 1e-2
     trial: int = 3
+    margin: float = 2.0
 
     def __post_init__(self):
         model = self.model
@@ -235,4 +237,4 @@ class Guarded:
             return learned
         tried = PGS(sweeps=self.trial, tolerance=None)
         theta = [solve(state, tried, *start).record.theta[-1] for start in (builtin, learned)]
-        return learned if theta[1] < theta[0] else builtin
+        return learned if theta[1] <= self.margin * theta[0] else builtin

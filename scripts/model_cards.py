@@ -1,0 +1,75 @@
+"""python scripts/model_cards.py: write models/README.md, the cards of the shipped models, from what the files hold."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from deep_contact.cnn.model_file import read_metadata
+from deep_contact.results import replacing
+
+MODELS = Path(__file__).resolve().parent.parent / "models"
+ABOUT = {
+    "model.h5": "The model that `dc.load_model()` gives: fully convolutional, an image of impulses for any box.",
+    "far_field.h5": "Corrects Builtin's start by a coarse image of stress (`deep_contact/cnn/far_field.py`), trained "
+    'through the solver; `warm_start="guarded"` uses it where it helps.',
+    "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",
+}
+HEAD = """# Models
+
+Made by `python scripts/model_cards.py` from the files themselves. Every file opens with plain
+`keras.models.load_model(path, compile=False)` and with `dc.load_model(path)`, which also checks it and never runs
+code from it. Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that
+were used neither for training nor for choosing the epoch; phases as in `data/README.md`.
+"""
+
+
+def card(path: Path) -> str:
+    """One model's section."""
+    stored = read_metadata(path)
+    found = stored["card"]
+    lines = [f"## {path.name}", "", ABOUT.get(path.name, ""), ""]
+    rows = [
+        ("architecture", found.get("architecture")),
+        ("weights", found.get("parameters")),
+        ("size", f"{path.stat().st_size / 1e6:.1f} MB"),
+        ("command", f"`{found['command']}`" if found.get("command") else None),
+        ("trained on", f"{found['training_states']:,} states" if found.get("training_states") else None),
+        ("data", f"`{found['data_hash']}`" if found.get("data_hash") else None),
+        ("seed", found.get("seed")),
+        (
+            "time",
+            f"{found['seconds'] / 60:.0f} minutes on {found.get('cpu', 'one core')}" if "seconds" in found else None,
+        ),
+        (
+            "epochs",
+            f"{len(found['history'])}, the best is {found['best_epoch'] + 1}" if "best_epoch" in found else None,
+        ),
+        ("loss", f"{found['history'][found['best_epoch']]['validation_loss']:.4g}" if "best_epoch" in found else None),
+        ("rank", found.get("rank")),
+    ]
+    lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows if value is not None), ""]
+    curve = path.with_name(f"{path.stem}_history.png")
+    if curve.exists():
+        lines += [f"![learning curve]({curve.name})", ""]
+    errors = found.get("held_out")
+    if errors:
+        after = " | ".join(f"after {k} sweeps" for k in errors["sweeps"])
+        lines += [f"| phase | states | start | {after} |", "|---" * (3 + len(errors["sweeps"])) + "|"]
+        for phase, by_start in errors["phases"].items():
+            for start, numbers in by_start.items():
+                if start != "states":
+                    cells = " | ".join(f"{value:.3f}" for value in numbers["mean"])
+                    lines.append(f"| {phase} | {by_start['states']} | {start} | {cells} |")
+        lines.append("")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Write the page."""
+    cards = [card(MODELS / name) for name in ABOUT if (MODELS / name).exists()]
+    with replacing(MODELS / "README.md") as temporary:
+        temporary.write_text("\n".join([HEAD, *cards]), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
