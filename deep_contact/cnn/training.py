@@ -604,10 +604,12 @@ def _read_checkpoint(path: Path, settings: dict) -> _Checkpoint | None:
     state = json.loads(arrays.pop("state").tobytes())
     # How long to go on may be thought over, but where the rates depend on it.
     free = {"patience"} if settings["schedule"] == "cosine" else {"patience", "epochs"}
+    # A setting that is newer than the run had its default's effect then.
+    started_with = json.loads(json.dumps(asdict(TrainingConfig()))) | state["settings"]
     for name, value in settings.items():
-        if name not in free and state["settings"].get(name) != value:
+        if name not in free and started_with.get(name) != value:
             raise ValueError(
-                f"{name}: expected {state['settings'].get(name)!r}, with which the run in {path.parent} was started, "
+                f"{name}: expected {started_with.get(name)!r}, with which the run in {path.parent} was started, "
                 f"got {value!r}; take another folder, or delete it"
             )
     kind = FarFieldSpec if state["spec"].get("kind") == "far field" else ImageSpec
