@@ -14,6 +14,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from deep_contact import errata
+from deep_contact.figures import cell
 from deep_contact.results import read_results, replacing
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -75,14 +76,32 @@ def loss() -> str:
 def claims() -> str:
     """Every claim of the thesis that a reference run has tested."""
     rows = [["figure", "thesis", "claim", "holds"]]
-    for path in sorted(REFERENCE.glob("*.json")):
-        stored = json.loads(path.read_text())
-        if not isinstance(stored, dict) or "claims" not in stored:
-            continue
-        for claim in stored["claims"]:
-            if claim["thesis"]:
-                rows.append([stored["id"], claim["thesis"], claim["text"], "yes" if claim["holds"] else "**no**"])
+    for stored, claim in _claims():
+        if claim["thesis"]:
+            rows.append([stored["id"], claim["thesis"], claim["text"], "yes" if claim["holds"] else "**no**"])
     return markdown(rows)
+
+
+def goals() -> str:
+    """What we set out to reach, and the reference runs measured."""
+    rows = [["results file", "goal", "met", "measured"]]
+    for stored, claim in _claims():
+        if not claim["thesis"]:
+            measured = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
+            rows.append([stored["id"], claim["text"], "yes" if claim["holds"] else "**no**", measured])
+    return markdown(rows)
+
+
+def _claims():
+    """(results, claim) of all results files, in the order of their ids."""
+    files = [json.loads(path.read_text()) for path in REFERENCE.glob("*.json")]
+    files = [stored for stored in files if "claims" in stored]
+
+    def order(stored):
+        kind, _, number = stored["id"].rpartition(" ")
+        return kind, [int(part) if part.isdigit() else -1 for part in number.split(".")]
+
+    return [(stored, claim) for stored in sorted(files, key=order) for claim in stored["claims"]]
 
 
 TABLES: dict[str, Callable[[], str]] = {
@@ -91,6 +110,7 @@ TABLES: dict[str, Callable[[], str]] = {
     "transfer": transfer,
     "loss": loss,
     "claims": claims,
+    "goals": goals,
     "errata": errata.markdown,
 }
 """Name of a table in README.md -> what makes it."""
