@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from deep_contact import constants
-from deep_contact.figures import Claim, parallel_map, seeds
+from deep_contact import constants, plotting
+from deep_contact.figures import Claim, Figure, parallel_map, seeds
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.methods import PGS
 from deep_contact.physics.scenes import circles_in_box
@@ -252,8 +252,6 @@ def mean_sweeps(data: dict, name: str, mode: str = "paired") -> float:
 
 def draw_comparison(data: dict, *, title: str = ""):
     """Two panels of θ by sweep: paired and independent."""
-    from deep_contact import plotting
-
     figure, panels = plotting.subplots(1, 2, size=(10.0, 3.8), sharey=True)
     titles = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
     for ax, (mode, text) in zip(panels, titles.items()):
@@ -315,8 +313,6 @@ def table_of_study(data: dict) -> list[list]:
 
 def draw_study(data: dict, *, d: float):
     """Panels a and b as in Figures 5.4 and 5.5 (a run for each start), and below them the same states for each."""
-    from deep_contact import plotting
-
     figure, panels = plotting.subplots(2, 2, size=(9.0, 7.0), sharey=True, sharex=True)
     modes = {"independent": "a run of its own for each", "paired": "the same states for each"}
     for row, (mode, text) in zip(panels, modes.items()):
@@ -376,10 +372,33 @@ def snapshots(scene: State, times: Sequence[float], *, solver=None) -> list[Stat
     return [kept[step] for step in wanted]
 
 
+def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
+    """The figure of snapshots of the thesis's scene at some times, s, its circles coloured by speed or impulse."""
+
+    def compute(options, seed, jobs, progress):
+        scene = circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+        return {"snapshots": [plotting.state_data(state) for state in snapshots(scene, options["times"])]}
+
+    def table(data):
+        rows = [["time (s)", "contacts", "mean height (m)", "largest speed (m/s)", "largest λ_n (N·s)"]]
+        for state in map(plotting.state_of, data["snapshots"]):
+            height, speed = state.bodies.position[:, 1].mean(), plotting.body_values(state, "speed")[0].max()
+            largest = state.contacts.normal_impulse.max(initial=0.0)
+            rows.append([state.time, state.contacts.count, height, speed, largest])
+        return rows
+
+    return Figure(
+        id=id,
+        title=title,
+        options={"n_bodies": 100, "size": 30.0, "times": list(times)},
+        compute=compute,
+        table=table,
+        draw=lambda data, options: draw_snapshots(data, colour_by=colour_by),
+    )
+
+
 def draw_snapshots(data: dict, *, colour_by: str, columns: int = 4):
     """Panels of the states that `data["snapshots"]` holds (`plotting.state_data`), one colour scale for all."""
-    from deep_contact import plotting
-
     states = [plotting.state_of(found) for found in data["snapshots"]]
     rows = -(-len(states) // columns)
     figure, panels = plotting.subplots(

@@ -233,7 +233,7 @@ def test_inference_is_the_network(network, falling_states):
 def test_inference_is_traced_once(network, falling_states, monkeypatch):
     compilations = []
     monkeypatch.setattr(
-        inference, "compiled", lambda *given: compilations.append(given[1]) or (lambda image: image[..., :2])
+        inference, "compiled", lambda *given, **more: compilations.append(given[1]) or (lambda image: image[..., :2])
     )
     model = LearnedModel(keras=network, spec=SPEC, coarsening=4)
     for state in falling_states:

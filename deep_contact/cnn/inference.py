@@ -92,13 +92,19 @@ class LearnedModel:
         """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32."""
         n_y, n_x = image.shape[:2]
         rows, columns = padded_shape((n_y, n_x), self.coarsening)
+        return self._padded(image).reshape(rows, columns, -1)[:n_y, :n_x]
+
+    def _padded(self, image: np.ndarray, *, one_program: bool = False) -> np.ndarray:
+        """What the network makes of the image, padded to a size that it takes."""
+        n_y, n_x = image.shape[:2]
+        rows, columns = padded_shape((n_y, n_x), self.coarsening)
         if (rows, columns) != (n_y, n_x):
             image = np.pad(image, ((0, rows - n_y), (0, columns - n_x), (0, 0)))
         key = rows, columns
         if key not in self._compiled:
-            self._compiled[key] = compiled(self.keras, (rows, columns, image.shape[2]))
-        out = self._compiled[key](image[None])
-        return out.reshape(rows, columns, -1)[:n_y, :n_x]
+            shape = rows, columns, image.shape[2]
+            self._compiled[key] = compiled(self.keras, shape, one_program=one_program)
+        return self._compiled[key](image[None])[0]
 
     def check_scene(self, state: State) -> None:
         """Raise ModelFileError naming the field unless the network can work on this scene."""
@@ -111,8 +117,8 @@ class LearnedModel:
         extent = x_max - x_min, y_max - y_min
         if self.box is not None and not np.allclose(extent, self.box, rtol=_SAME_BOX, atol=0.0):
             raise ModelFileError(
-                f"box: expected a scene of {self.box[0]} m × {self.box[1]} m, for which the network "
-                f"was trained, got {extent[0]} m × {extent[1]} m"
+                f"box: expected a scene of {self.box[0]:g} m × {self.box[1]:g} m, for which the network "
+                f"was trained, got {extent[0]:g} m × {extent[1]:g} m"
             )
         shape = spec.shape(state.world)
         if shape != size:
@@ -137,15 +143,8 @@ class FarFieldModel(LearnedModel):
 
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to coefficients (rows, columns, 12), float32."""
-        n_y, n_x = image.shape[:2]
-        rows, columns = padded_shape((n_y, n_x), self.coarsening)
-        if (rows, columns) != (n_y, n_x):
-            image = np.pad(image, ((0, rows - n_y), (0, columns - n_x), (0, 0)))
-        key = rows, columns
-        if key not in self._compiled:
-            # Small enough for the calls between its layers to count: one program takes three quarters of the time.
-            self._compiled[key] = compiled(self.keras, (rows, columns, image.shape[2]), one_program=True)
-        return self._compiled[key](image[None])[0]
+        # Small enough for the calls between its layers to count: one program takes three quarters of the time.
+        return self._padded(image, one_program=True)
 
     def check_scene(self, state: State) -> None:
         """Any scene will do."""
