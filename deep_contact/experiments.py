@@ -116,12 +116,12 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> C
 
 def start_of(description) -> WarmStart:
     """A start from its description in a figure's options: a name, or a dict: the fields of `Sph`, or {"model": path}
-    for a network, which then works on one thread (`learned_experiments.network_start`)."""
+    for a network, which then works on one thread (`cnn.inference.network_start`)."""
     if not isinstance(description, Mapping):
         return warm_start_of(description)
     if "model" not in description:
         return Sph(**description)
-    from deep_contact.learned_experiments import network_start
+    from deep_contact.cnn.inference import network_start
 
     return network_start(**description)
 

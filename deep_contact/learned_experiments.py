@@ -7,11 +7,9 @@ imported by the functions that need them; networks work on one thread.
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -21,6 +19,7 @@ from deep_contact import sph
 from deep_contact.cnn.dataset import PHASES, Store, phase, simulation_path, write_simulation
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import input_image, read_back
+from deep_contact.cnn.inference import network_file, network_start, one_thread
 from deep_contact.experiments import scene_of, solved_states, sweeps_to, swept_on, theta_after
 from deep_contact.figures import Claim, parallel_map
 from deep_contact.physics.engine import solve
@@ -29,45 +28,6 @@ from deep_contact.state import State
 from deep_contact.warm_start import Sph, WarmStart
 
 # ---- networks ----
-
-
-def network_file(path) -> Path:
-    """A model file by its path, from the current folder or from the root of the checkout.
-
-    Raises FileNotFoundError where there is none.
-    """
-    given = Path(path)
-    for place in (given, Path(__file__).resolve().parents[1] / given):
-        if place.is_file():
-            return place
-    raise FileNotFoundError(f"model file: expected {given}, which does not exist; `python scripts/train.py` makes one")
-
-
-def one_thread() -> None:
-    """Let TensorFlow use one thread in this process, and keep quiet, unless it is already at work."""
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    from deep_contact.cnn.inference import limit_threads
-
-    try:
-        limit_threads(1)
-    except RuntimeError:  # as it was set up by whoever used it first: the numbers stay the same, the times may not
-        pass
-
-
-def network_start(model: str) -> WarmStart:
-    """The start by the network of a file (Algorithm 7), read once in a process and working on one thread.
-
-    Raises FileNotFoundError where there is no such file, `ModelFileError` where it is damaged.
-    """
-    return _loaded_start(str(network_file(model)))
-
-
-@lru_cache(maxsize=8)
-def _loaded_start(path: str) -> WarmStart:
-    one_thread()
-    from deep_contact.cnn.inference import Cnn
-
-    return Cnn(path)
 
 
 def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:

@@ -6,8 +6,10 @@ no retracing, and the overhead of `keras.Model.predict` is not paid.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -237,3 +239,38 @@ class Guarded:
         tried = PGS(sweeps=self.trial, tolerance=None)
         theta = [solve(state, tried, *start).record.theta[-1] for start in (builtin, learned)]
         return learned if theta[1] <= self.margin * theta[0] else builtin
+
+
+def network_file(path) -> Path:
+    """A model file by its path, from the current folder or from the root of the checkout.
+
+    Raises FileNotFoundError where there is none.
+    """
+    given = Path(path)
+    for place in (given, Path(__file__).resolve().parents[2] / given):
+        if place.is_file():
+            return place
+    raise FileNotFoundError(f"model file: expected {given}, which does not exist; `python scripts/train.py` makes one")
+
+
+def one_thread() -> None:
+    """Let TensorFlow use one thread in this process, and keep quiet, unless it is already at work."""
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    try:
+        limit_threads(1)
+    except RuntimeError:  # as it was set up by whoever used it first: the numbers stay the same, the times may not
+        pass
+
+
+def network_start(model: str) -> Cnn:
+    """The start by the network of a file (Algorithm 7), read once in a process and working on one thread.
+
+    Raises FileNotFoundError where there is no such file, `ModelFileError` where it is damaged.
+    """
+    return _loaded_start(str(network_file(model)))
+
+
+@lru_cache(maxsize=8)
+def _loaded_start(path: str) -> Cnn:
+    one_thread()
+    return Cnn(path)
