@@ -24,8 +24,12 @@ _BLOCK = re.compile(r"(<!-- table: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re
 
 def markdown(rows: list[list]) -> str:
     """Rows, head first, as a Markdown table."""
-    cells = [[f"{value:.3g}" if isinstance(value, float) else str(value) for value in row] for row in rows]
+    cells = [[_number(value) if isinstance(value, float) else str(value) for value in row] for row in rows]
     return "".join(f"| {' | '.join(row)} |\n" for row in (cells[0], ["---"] * len(cells[0]), *cells[1:]))
+
+
+def _number(value: float) -> str:
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
 
 
 def engine() -> str:
