@@ -20,6 +20,9 @@ Made by `python scripts/model_cards.py` from the files themselves. Every file op
 `keras.models.load_model(path, compile=False)` and with `dc.load_model(path)`, which also checks it and never runs
 code from it. Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that
 were used neither for training nor for choosing the epoch; phases as in `data/README.md`.
+
+The data are those of `scripts/generate_data.py` as it was on the day of training. The engine's sweep has changed its
+order of operations since: the same command now gives runs that part from them by rounding, with another hash.
 """
 
 
