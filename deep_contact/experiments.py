@@ -285,6 +285,48 @@ def near(
     return Claim(text, thesis, bool(found <= ratio), {f"ratio, {mode}": found, **measured})
 
 
+def convergence_figure(*, id: str, title: str, compute: Callable, claims: Callable, **options) -> Figure:
+    """A figure of `compare_starts`' data with the thesis's settings; options: more of them, or others."""
+    return Figure(
+        id=id,
+        title=title,
+        options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 5} | options,
+        quick={"scenes": 1, "steps": 300},
+        compute=compute,
+        claims=claims,
+        table=table_of_starts,
+        draw=lambda data, options: draw_comparison(data),
+    )
+
+
+def study_figure(*, id: str, kernel: str, claims: Callable) -> Figure:
+    """Figure 5.4 or 5.5: `study_of_kernel` with the thesis's settings."""
+
+    def compute(options, seed, jobs, progress):
+        return study_of_kernel(kernel, seed=seed, jobs=jobs, progress=progress, **options)
+
+    return Figure(
+        id=id,
+        title=f"Convergence with the kernel {kernel} by support and spacing",
+        options={
+            "n_bodies": 100,
+            "size": 30.0,
+            "steps": 600,
+            "sweeps": 3000,
+            "scenes": 3,
+            "d": 0.25,
+            "h": [0.1, 0.2, 0.25, 0.5],
+            "spacings": [0.25, 0.5, 0.75, 1.0],
+            "transfer": "thesis",
+        },
+        quick={"scenes": 1, "steps": 250, "sweeps": 1500},
+        compute=compute,
+        claims=claims,
+        table=table_of_study,
+        draw=lambda data, options: draw_study(data, d=options["d"]),
+    )
+
+
 def study_of_kernel(
     kernel: str, *, d: float, h: Sequence[float], spacings: Sequence[float], transfer: str, **options
 ) -> dict:

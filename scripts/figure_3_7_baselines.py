@@ -1,7 +1,7 @@
 """python scripts/figure_3_7_baselines.py: mean θ by sweep from None, Builtin and Copy."""
 
 from deep_contact import experiments, figures
-from deep_contact.figures import Claim, Figure
+from deep_contact.figures import Claim
 
 STARTS = {"none": "none", "builtin": "builtin", "copy": "copy"}
 
@@ -32,15 +32,8 @@ def claims(data):
     ]
 
 
-FIGURE = Figure(
-    id="3.7",
-    title="Convergence from None, Builtin and Copy",
-    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 5},
-    quick={"scenes": 1, "steps": 300},
-    compute=compute,
-    claims=claims,
-    table=experiments.table_of_starts,
-    draw=lambda data, options: experiments.draw_comparison(data),
+FIGURE = experiments.convergence_figure(
+    id="3.7", title="Convergence from None, Builtin and Copy", compute=compute, claims=claims
 )
 
 if __name__ == "__main__":

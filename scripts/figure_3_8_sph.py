@@ -1,7 +1,6 @@
 """python scripts/figure_3_8_sph.py: mean θ by sweep with the SPH start, by the thesis's transfer and by ours."""
 
 from deep_contact import experiments, figures
-from deep_contact.figures import Figure
 
 STARTS = {
     "none": "none",
@@ -41,15 +40,8 @@ def claims(data):
     ]
 
 
-FIGURE = Figure(
-    id="3.8",
-    title="Convergence with the SPH start",
-    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 5, "d": 0.5},
-    quick={"scenes": 1, "steps": 300},
-    compute=compute,
-    claims=claims,
-    table=experiments.table_of_starts,
-    draw=lambda data, options: experiments.draw_comparison(data),
+FIGURE = experiments.convergence_figure(
+    id="3.8", title="Convergence with the SPH start", compute=compute, claims=claims, d=0.5
 )
 
 if __name__ == "__main__":

@@ -1,14 +1,7 @@
 """python scripts/figure_5_4_poly6.py: poly6, support h at d = 0.25 and spacing d at h = d."""
 
 from deep_contact import experiments, figures
-from deep_contact.figures import Claim, Figure
-
-KERNEL = "poly6"
-
-
-def compute(options, seed, jobs, progress):
-    """Every h and every d on the thesis's falling pile."""
-    return experiments.study_of_kernel(KERNEL, seed=seed, jobs=jobs, progress=progress, **options)
+from deep_contact.figures import Claim
 
 
 def claims(data):
@@ -22,26 +15,7 @@ def claims(data):
     ]
 
 
-FIGURE = Figure(
-    id="5.4",
-    title="Convergence with the kernel poly6 by support and spacing",
-    options={
-        "n_bodies": 100,
-        "size": 30.0,
-        "steps": 600,
-        "sweeps": 3000,
-        "scenes": 3,
-        "d": 0.25,
-        "h": [0.1, 0.2, 0.25, 0.5],
-        "spacings": [0.25, 0.5, 0.75, 1.0],
-        "transfer": "thesis",
-    },
-    quick={"scenes": 1, "steps": 250, "sweeps": 1500},
-    compute=compute,
-    claims=claims,
-    table=experiments.table_of_study,
-    draw=lambda data, options: experiments.draw_study(data, d=options["d"]),
-)
+FIGURE = experiments.study_figure(id="5.4", kernel="poly6", claims=claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -1,7 +1,6 @@
 """python scripts/figure_5_6_kernels.py: poly6 at d = h = 0.5 against spiky at d = h = 0.25."""
 
 from deep_contact import experiments, figures
-from deep_contact.figures import Figure
 
 POLY6, SPIKY = "poly6, d = h = 0.5", "spiky, d = h = 0.25"
 
@@ -21,15 +20,8 @@ def claims(data):
     return [experiments.faster(data, POLY6, SPIKY, text="poly6 performs better", thesis="L1129")]
 
 
-FIGURE = Figure(
-    id="5.6",
-    title="Convergence with poly6 and spiky",
-    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 5000, "scenes": 5, "transfer": "thesis"},
-    quick={"scenes": 1, "steps": 300},
-    compute=compute,
-    claims=claims,
-    table=experiments.table_of_starts,
-    draw=lambda data, options: experiments.draw_comparison(data),
+FIGURE = experiments.convergence_figure(
+    id="5.6", title="Convergence with poly6 and spiky", compute=compute, claims=claims, sweeps=5000, transfer="thesis"
 )
 
 if __name__ == "__main__":

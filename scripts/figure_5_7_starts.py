@@ -1,7 +1,6 @@
 """python scripts/figure_5_7_starts.py: None, Builtin, SPH at d = h = 0.5 and Copy."""
 
 from deep_contact import experiments, figures
-from deep_contact.figures import Figure
 
 STARTS = {
     "none": "none",
@@ -41,15 +40,8 @@ def claims(data):
     ]
 
 
-FIGURE = Figure(
-    id="5.7",
-    title="Convergence with None, Builtin, SPH and Copy",
-    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 5},
-    quick={"scenes": 1, "steps": 300},
-    compute=compute,
-    claims=claims,
-    table=experiments.table_of_starts,
-    draw=lambda data, options: experiments.draw_comparison(data),
+FIGURE = experiments.convergence_figure(
+    id="5.7", title="Convergence with None, Builtin, SPH and Copy", compute=compute, claims=claims
 )
 
 if __name__ == "__main__":
