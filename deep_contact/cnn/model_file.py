@@ -110,7 +110,10 @@ def read_metadata(path) -> dict:
                 raise ModelFileError(
                     f"{path}: digest: expected that of the file's contents, got another; it was changed or damaged"
                 )
-    except (OSError, RuntimeError, KeyError) as error:
+    except ModelFileError:
+        raise
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
+        # What h5py raises on a damaged file depends on where the damage is; text that is no UTF-8 is a ValueError.
         raise ModelFileError(f"{path}: expected a whole HDF5 file, got one that cannot be read ({error})") from error
     return metadata
 
