@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -234,4 +235,10 @@ def _preset(state: State, accuracy: str, solver) -> tuple:
     if solver is not None:
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
     advice = preset(state, accuracy)
+    if not advice.reached:
+        warnings.warn(
+            f"accuracy={accuracy!r}: no setting of the study reached a velocity error of {advice.velocity_error:g}; "
+            f"the most accurate one is taken, {advice.measured:.2g} (print(dc.recommend(scene)) says more)",
+            stacklevel=3,
+        )
     return advice.solver, advice.warm_start

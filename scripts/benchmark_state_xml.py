@@ -2,7 +2,7 @@
 
     python scripts/benchmark_state_xml.py [--repeats 200] [--json FILE]
 
-Prints minimum and median over the repeats, for plain and compressed files. Issue 2 asks for at most 4 ms to write
+Prints minimum and median over the repeats, for plain and compressed files. The goal is at most 4 ms to write
 and 6 ms to read.
 """
 

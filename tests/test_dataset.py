@@ -178,7 +178,7 @@ def test_a_failed_write_leaves_what_was_there(run, tmp_path, monkeypatch):
     assert (tmp_path / "a.h5").read_bytes() == before
 
 
-# ---- bad files: issue 4, "truncated, foreign or tampered .h5: a clear error" ----
+# ---- bad files: truncated, foreign or tampered: a clear error ----
 
 
 def test_a_truncated_file_is_refused_wherever_it_ends(path):
@@ -375,7 +375,7 @@ def test_states_of_a_phase_are_found(folder):
     seed=st.integers(0, 5),
 )
 def test_no_simulation_is_on_both_sides(ids, fractions, seed):
-    """Issue 4 item 2."""
+    """What is learned from is never tested on."""
     split = split_by_simulation(ids, fractions=fractions, seed=seed)
     assert sorted(split.train + split.validation + split.test) == sorted(ids)
     assert split == split_by_simulation(sorted(ids, reverse=True), fractions=fractions, seed=seed)
@@ -541,7 +541,7 @@ def stopped_after_the_first(out, how):
 
 
 def test_a_killed_run_loses_at_most_the_simulation_it_was_at(generate, undisturbed, tmp_path):
-    """Issue 4: tested by killing it. What is there is whole; the same command finishes the rest, and redoes nothing."""
+    """What is there is whole; the same command finishes the rest, and redoes nothing."""
     assert stopped_after_the_first(tmp_path, signal.SIGKILL) == -signal.SIGKILL
     finished = sorted(tmp_path.glob("sim_*.h5"))
     assert 1 <= len(finished) < 20

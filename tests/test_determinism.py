@@ -1,4 +1,4 @@
-"""Bit for bit (issue 7): the same run in this process, in others, with any number of jobs, with compiled code cold or
+"""Bit for bit: the same run in this process, in others, with any number of jobs, with compiled code cold or
 warm, and from any kind of array.
 
 Not promised, and not tested: other processors (fused operations and vector widths differ), other versions of Numba or

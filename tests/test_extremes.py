@@ -1,4 +1,4 @@
-"""The extremes (issue 7, Figure 6.6): what is refused, what stays bounded, what rests."""
+"""The extremes (Figure 6.6): what is refused, what stays bounded, what rests."""
 
 import importlib.util
 from pathlib import Path
@@ -183,7 +183,7 @@ def test_float32_sweeps_have_narrower_limits(field, value):
 @pytest.mark.parametrize("sweeps", [0, 1, 3, 20])
 @pytest.mark.parametrize("start", ["none", "builtin"])
 def test_sweeps_without_friction_never_add_kinetic_energy_to_what_the_start_left(frictionless_states, sweeps, start):
-    # A row's relaxation minimises the dual objective, which is the kinetic energy gained, over that row (SCIENCE 5).
+    # A row's relaxation minimises the dual objective, which is the kinetic energy gained, over that row.
     for state in frictionless_states:
         m = state.contacts.count
         impulses = (np.zeros(m), np.zeros(m))

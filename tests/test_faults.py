@@ -1,4 +1,4 @@
-"""Faults from outside (issue 7): killed processes, full disks, folders that cannot be written, damaged compiled code,
+"""Faults from outside: killed processes, full disks, folders that cannot be written, damaged compiled code,
 two processes in one folder, clocks that go back. Nothing corrupt stays, and nothing is lost beyond the unit in flight.
 
 A killed data generation is in `test_dataset.py`, an interrupted figure in `test_figures.py`.

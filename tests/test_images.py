@@ -256,7 +256,7 @@ def test_scale_of_a_resting_circle():
 
 
 def test_images_are_the_same_from_memory_from_xml_and_from_hdf5(states, tmp_path):
-    """Issue 3 item 4, issue 4 item 1: to the last bit."""
+    """The same image on every road, to the last bit."""
     write_simulation(tmp_path / "sim.h5", states)
     stored = read_simulation(tmp_path / "sim.h5")
     for i, state in enumerate(states):

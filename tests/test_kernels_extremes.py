@@ -1,4 +1,4 @@
-"""Kernels and transfers at the extremes (issue 7): r = 0, r = h, tiny and huge h, subnormals, float32, nodes and edges.
+"""Kernels and transfers at the extremes: r = 0, r = h, tiny and huge h, subnormals, float32, nodes and edges.
 
 `test_kernels.py` and `test_grid.py` hold the mathematics at ordinary sizes; here it is held where floats run out.
 """

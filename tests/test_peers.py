@@ -252,7 +252,7 @@ def replay(state: State, order: np.ndarray, sweeps: int) -> np.ndarray:
 
 @pytest.mark.parametrize(("seed", "restitution", "friction"), [(6, 0.0, 0.5), (7, 0.0, 1.0), (8, 0.5, 0.3)])
 def test_replay_in_float64_solves_the_recorded_impulses(box2d, seed, restitution, friction):
-    """SCIENCE.md, section 5: 100 sweeps in Box2D's order from its start agree to about 1e-5 of the largest
+    """100 sweeps in Box2D's order from its start agree to about 1e-5 of the largest
     impulse.
 
     Box2D works in float32, so a share of 6e-8 is lost every time an impulse is updated. Over 224 states of

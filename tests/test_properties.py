@@ -116,7 +116,7 @@ def test_scaling_all_masses_scales_the_impulses_and_nothing_else(state, power):
 @settings(max_examples=60, deadline=None)
 @given(crowds(), st.integers(-20, 20))
 def test_scaling_all_velocities_scales_the_solution(state, power):
-    # Positive homogeneity (SCIENCE 4), to the last bit for powers of two; without gravity, which is a velocity too.
+    # Positive homogeneity to the last bit for powers of two; without gravity, which is a velocity too.
     factor = 2.0**power
     state = state.replace(world=World(box=state.world.box, gravity=(0, 0), friction=state.world.friction))
     bodies = state.bodies

@@ -1,5 +1,7 @@
 """Recommendations: what they choose from a study, what they say, and the presets of `simulate`."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -132,3 +134,13 @@ def test_small_study_of_a_pile(monkeypatch):
     few, many = found["settings"]["PGS"]["sweeps"]
     assert np.median(many["velocity"]) < 0.2 * np.median(few["velocity"])
     assert found["settings"]["NNCG"]["tolerance"][0]["done"][0] < 200
+
+
+def test_a_preset_that_the_study_does_not_reach_warns(monkeypatch):
+    from deep_contact import recommendation
+
+    scene = dc.circles_in_box(20, seed=1)
+    found = recommendation.preset(scene, "fast")
+    monkeypatch.setattr(recommendation, "preset", lambda *_: dataclasses.replace(found, reached=False))
+    with pytest.warns(UserWarning, match="accuracy='fast': no setting of the study reached a velocity error of"):
+        dc.simulate(scene, steps=1, accuracy="fast")

@@ -117,11 +117,3 @@ def errors_on_scene(
         "sweeps": {name: np.array(counts) for name, counts in found["sweeps"].items()},
         "errors": {name: np.array(errors).reshape(-1, len(sweeps)) for name, errors in found["errors"].items()},
     }
-
-
-def mean_with_interval(by_scene: Sequence[float], *, seed: int = 0, count: int = 2000) -> tuple[float, float, float]:
-    """Mean over scenes and its 95 % confidence interval, by resampling the scenes."""
-    values = np.asarray(by_scene, dtype=np.float64)
-    chosen = np.random.default_rng(seed).integers(0, values.size, (count, values.size))
-    low, high = np.quantile(values[chosen].mean(axis=1), [0.025, 0.975])
-    return float(values.mean()), float(low), float(high)

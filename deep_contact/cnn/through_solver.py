@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.contact_solver import Rows, contact_rows, integrate_velocities, make_rows
+from deep_contact.physics.contact_solver import Rows, apply_impulses, contact_rows, integrate_velocities, make_rows
 from deep_contact.physics.engine import world_arguments
 from deep_contact.state import State
 
@@ -79,18 +79,7 @@ def loss_and_gradient(
 def _velocities(rows, free, impulse, out):
     """v⁻ + M⁻¹ Jᵀ λ into `out`, packed like `free`."""
     out[:] = free
-    for i in range(rows.body.shape[0]):
-        a, b = rows.body[i, 0], rows.body[i, 1]
-        n_x, n_y, arm_a, arm_b = rows.data[i, 0], rows.data[i, 1], rows.data[i, 4], rows.data[i, 5]
-        p_n, p_t = impulse[i, 0], impulse[i, 1]
-        p_x, p_y = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x
-        w_a, w_b = out[a, 3], out[b, 3]
-        out[a, 0] -= w_a * p_x
-        out[a, 1] -= w_a * p_y
-        out[a, 2] += 2.0 * w_a * arm_a * p_t
-        out[b, 0] += w_b * p_x
-        out[b, 1] += w_b * p_y
-        out[b, 2] += 2.0 * w_b * arm_b * p_t
+    apply_impulses(Rows(rows.body, rows.data, impulse), out)
 
 
 @njit(cache=True)
