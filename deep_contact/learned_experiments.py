@@ -594,3 +594,31 @@ def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
         measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), float(test.pvalue)]
         equal.append(not test.pvalue < 0.05)
     return all(equal), measured
+
+
+# ---- starts on held-out scenes ----
+
+OFF = 0.05
+"""Error of Builtin's own start above which a state counts as one where there is something to win."""
+
+
+def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
+    """Mean velocity error of a start by scene and number of sweeps, of scenes as `errors_on_scene` has them.
+
+    where: "all" states, or those where Builtin is "off" by more than `OFF`; scenes without any are left out.
+    """
+    means = []
+    for scene in scenes:
+        found, builtin = (np.array(scene["errors"][n]) for n in (name, "builtin"))
+        chosen = builtin[:, 0] > OFF if where == "off" else np.ones(len(found), bool)
+        if chosen.any():
+            means.append(found[chosen].mean(axis=0))
+    return np.array(means)
+
+
+def ratios_to_builtin(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
+    """Error over Builtin's, of the means over scenes, and its 95 % interval by resampling scenes: (sweeps, 3)."""
+    found, builtin = mean_errors(scenes, name, where), mean_errors(scenes, "builtin", where)
+    chosen = np.random.default_rng(0).integers(0, len(found), (2000, len(found)))
+    sampled = found[chosen].mean(axis=1) / builtin[chosen].mean(axis=1)
+    return np.column_stack([found.mean(axis=0) / builtin.mean(axis=0), *np.quantile(sampled, [0.025, 0.975], axis=0)])

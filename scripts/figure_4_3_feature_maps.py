@@ -6,13 +6,13 @@ import deep_contact as dc
 from deep_contact import figures, plotting
 from deep_contact.cnn import worked_examples as worked
 from deep_contact.cnn.images import input_image
-from deep_contact.cnn.inference import load_model
+from deep_contact.cnn.inference import load_model, network_file
 from deep_contact.figures import Claim, Figure
 
 
 def compute(options, seed, jobs, progress):
     """Input channels, the strongest maps of some layers, the prediction, and the solution beside it."""
-    model = load_model(options["model"])
+    model = load_model(network_file(options["model"]))
     state = solved_state(options, seed)
     image = input_image(state, model.spec)
     layers = worked.convolutions(model.keras)
@@ -154,7 +154,7 @@ def draw_impulses(panels, state, predicted):
 FIGURE = Figure(
     id="4.3",
     title="Feature maps of the trained network on a state of the falling pile",
-    options={"model": None, "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6},
+    options={"model": "models/compact.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6},
     seed=5,
     digits=4,
     compute=compute,

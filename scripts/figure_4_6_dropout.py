@@ -6,13 +6,13 @@ import deep_contact as dc
 from deep_contact import figures, plotting
 from deep_contact.cnn import worked_examples as worked
 from deep_contact.cnn.images import input_image, read_back
-from deep_contact.cnn.inference import load_model
+from deep_contact.cnn.inference import load_model, network_file
 from deep_contact.figures import Claim, Figure
 
 
 def compute(options, seed, jobs, progress):
     """The small network before and after; the trained network's first maps and its prediction, off and on."""
-    model = load_model(options["model"])
+    model = load_model(network_file(options["model"]))
     rate = options["rate"]
     rng = np.random.default_rng(seed)
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
@@ -126,11 +126,11 @@ def draw(data, options):
         (f"the same, rate {data['rate']:g}", after, {"vmin": 0, "vmax": high}),
         ("on / off, where not zero", kept, {"vmin": 0, "vmax": 1 / (1 - data["rate"]), "cmap": "cividis"}),
     ]
-    for ax, (title, values, limits) in zip(panels, parts):
+    for ax, (title, values, limits), label in zip(panels, parts, ("activation", "activation", "ratio")):
         shown = ax.imshow(values, origin="lower", interpolation="nearest", **limits)
         ax.axis("off")
         ax.set_title(title)
-        below.colorbar(shown, ax=ax, location="bottom", shrink=0.85, pad=0.03)
+        below.colorbar(shown, ax=ax, location="bottom", shrink=0.85, pad=0.03, label=label)
     ax, found = panels[3], {name: np.array(values) for name, values in data["λ_n"].items()}
     ax.errorbar(found["off"], found["mean"], found["spread"], fmt="o", color=plotting.BLUE, markersize=3, linewidth=0.8)
     ax.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
@@ -142,7 +142,15 @@ def draw(data, options):
 FIGURE = Figure(
     id="4.6",
     title="Dropout, off and on",
-    options={"model": None, "rate": 0.1, "rate drawn": 0.4, "masks": 100, "n_bodies": 100, "size": 30.0, "steps": 150},
+    options={
+        "model": "models/compact.h5",
+        "rate": 0.1,
+        "rate drawn": 0.4,
+        "masks": 100,
+        "n_bodies": 100,
+        "size": 30.0,
+        "steps": 150,
+    },
     quick={"masks": 40},
     seed=5,
     digits=4,

@@ -189,7 +189,7 @@ FIGURE = Figure(
         "sweeps": 5000,
         "most": [10000, 20000],
         "repeats": 5,
-        "networks": {"cnn": "models/model.h5", "cnn thesis": "models/thesis_factored.h5"},
+        "networks": {"cnn": "models/compact.h5", "cnn thesis": "models/thesis_factored.h5"},
     },
     quick={
         "many": 300,
@@ -198,7 +198,7 @@ FIGURE = Figure(
         "sweeps": 1000,
         "most": [5000, 5000],
         "repeats": 3,
-        "networks": {"cnn": "models/model.h5"},
+        "networks": {"cnn": "models/compact.h5"},
     },
     seed=510,
     compute=compute,

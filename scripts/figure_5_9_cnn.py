@@ -42,8 +42,7 @@ def draw(data, options):
     figure, (same, own, velocity) = plotting.subplots(1, 3, size=(13.5, 4.0))
     titles = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
     for ax, (mode, title) in zip((same, own), titles.items()):
-        curves = {name: found["theta"] for name, found in data[mode].items()}
-        plotting.convergence_plot(ax, curves, sweeps=data["sweep"], threshold=data["threshold"], floor=1e-9)
+        experiments.draw_convergence(ax, data, mode, floor=1e-9)
         ax.get_legend().remove()
         ax.set_title(title)
     own.sharey(same)
@@ -54,7 +53,7 @@ def draw(data, options):
     velocity.set_xscale("log")
     velocity.set_yscale("log")
     plotting.label_axes(velocity, "sweep", "mean relative velocity error", title="the same states for every start")
-    velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+    velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title="bands: quartiles of the scenes")
     return figure
 
 
@@ -67,9 +66,9 @@ FIGURE = Figure(
         "steps": 600,
         "sweeps": 3000,
         "scenes": 12,
-        "networks": {"cnn": "models/model.h5", "cnn thesis": "models/thesis_factored.h5"},
+        "networks": {"cnn": "models/compact.h5", "cnn thesis": "models/thesis_factored.h5"},
     },
-    quick={"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": "models/model.h5"}},
+    quick={"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": "models/compact.h5"}},
     # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
     seed=59,
     compute=compute,

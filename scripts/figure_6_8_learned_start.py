@@ -5,9 +5,7 @@ import numpy as np
 import deep_contact as dc
 from deep_contact import figures, plotting
 from deep_contact.figures import Claim, Figure
-
-OFF = 0.05
-"""Error of Builtin's own start above which a state counts as one where there is something to win."""
+from deep_contact.learned_experiments import OFF, mean_errors, ratios_to_builtin
 
 TENTHS = 10
 
@@ -31,29 +29,11 @@ def one_scene(task):
     starts = {
         "none": NoStart(),
         "builtin": Builtin(),
-        "cnn": Cnn(task["model"]),
-        "far field": Cnn(task["far_field"]),
-        "guarded": Guarded(task["far_field"]),
+        "cnn": Cnn(task["compact"]),
+        "far field": Cnn(task["model"]),
+        "guarded": Guarded(task["model"]),
     }
     return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
-
-
-def errors(data, name, where):
-    """Mean error by scene, (scenes, sweeps), over all states or those where Builtin's start is off."""
-    means = []
-    for scene in data["scenes"]:
-        found, builtin = (np.array(scene["errors"][n]) for n in (name, "builtin"))
-        chosen = builtin[:, 0] > OFF if where == "off" else np.ones(len(found), bool)
-        means.append(found[chosen].mean(axis=0))
-    return np.array(means)
-
-
-def ratios(data, name, where):
-    """Ratio to Builtin of the mean over scenes, and its 95 % interval by resampling scenes: (sweeps, 3)."""
-    found, builtin = errors(data, name, where), errors(data, "builtin", where)
-    chosen = np.random.default_rng(0).integers(0, len(found), (2000, len(found)))
-    sampled = found[chosen].mean(axis=1) / builtin[chosen].mean(axis=1)
-    return np.column_stack([found.mean(axis=0) / builtin.mean(axis=0), *np.quantile(sampled, [0.025, 0.975], axis=0)])
 
 
 def by_tenth(data, name):
@@ -75,7 +55,10 @@ def mean_sweeps(data, name):
 def claims(data):
     """Whether the learned start pays, by the measures that were set before it was trained."""
     few = [data["after"].index(k) for k in (3, 10, 30)]
-    learned, guarded = ratios(data, "far field", "off"), ratios(data, "guarded", "all")
+    learned, guarded = (
+        ratios_to_builtin(data["scenes"], "far field", "off"),
+        ratios_to_builtin(data["scenes"], "guarded", "all"),
+    )
     worst = by_tenth(data, "guarded")[:, few].max()
     sweeps = {name: mean_sweeps(data, name) for name in ("builtin", "guarded")}
 
@@ -112,10 +95,10 @@ def table(data):
     rows = [["start", "states", *(f"error({k})" for k in data["after"]), "mean sweeps to 6e-5"]]
     for where, text in (("off", "Builtin off"), ("all", "all")):
         for name in data["scenes"][0]["errors"]:
-            found = errors(data, name, where).mean(axis=0)
+            found = mean_errors(data["scenes"], name, where).mean(axis=0)
             rows.append([name, text, *(float(v) for v in found), mean_sweeps(data, name) if where == "all" else None])
     for name in ("cnn", "far field", "guarded"):
-        cells = [f"{r:.3f} ({low:.3f}–{high:.3f})" for r, low, high in ratios(data, name, "off")]
+        cells = [f"{r:.3f} ({low:.3f}–{high:.3f})" for r, low, high in ratios_to_builtin(data["scenes"], name, "off")]
         rows.append([f"{name} / builtin", "Builtin off", *cells, None])
     return rows
 
@@ -128,7 +111,7 @@ def draw(data, options):
     # No logarithm of 0 sweeps: they stand at 1, where nothing else is.
     x = [max(k, 1) for k in data["after"]]
     for name in names:
-        found = errors(data, name, "off")
+        found = mean_errors(data["scenes"], name, "off")
         spread = 1.96 * found.std(axis=0) / np.sqrt(len(found))
         mean = found.mean(axis=0)
         left.plot(x, mean, marker="o", markersize=3, **styles[name])
@@ -157,8 +140,8 @@ FIGURE = Figure(
         "steps": 600,
         "every": 5,
         "after": [0, 3, 10, 30, 100],
+        "compact": "models/compact.h5",
         "model": "models/model.h5",
-        "far_field": "models/far_field.h5",
     },
     quick={"scenes": 2, "every": 15, "steps": 300},
     compute=compute,

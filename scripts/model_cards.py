@@ -9,9 +9,11 @@ from deep_contact.results import replacing
 
 MODELS = Path(__file__).resolve().parent.parent / "models"
 ABOUT = {
-    "model.h5": "The model that `dc.load_model()` gives: fully convolutional, an image of impulses for any box.",
-    "far_field.h5": "Corrects Builtin's start by a coarse image of stress (`deep_contact/cnn/far_field.py`), trained "
-    'through the solver; `warm_start="guarded"` uses it where it helps.',
+    "model.h5": "The model that `dc.load_model()` gives, the far-field network: it corrects Builtin's start by a "
+    "coarse image of stress (`deep_contact/cnn/far_field.py`), in a box of any size, and was trained through the "
+    'solver; `warm_start="guarded"` uses it where it helps.',
+    "compact.h5": "The thesis's way made small and fully convolutional: an image of bodies and contact rows in, an "
+    "image of impulses out. Chapter 5 of the figures shows it.",
     "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",
 }
 HEAD = """# Models

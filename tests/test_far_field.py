@@ -10,7 +10,7 @@ from deep_contact.cnn.far_field import (
     correct,
     corrected,
     describe,
-    nodes_of,
+    window_side,
 )
 from deep_contact.cnn.images import transform_state
 from deep_contact.state import World
@@ -47,6 +47,63 @@ def test_scaling_all_velocities_scales_features_and_leaves_the_image(state):
     np.testing.assert_allclose(scaled.unsolved, plain.unsolved, rtol=1e-9)
 
 
+def test_the_window_spans_the_contacts_and_no_more(state):
+    description = describe(state, SPEC)
+    x_min, y_min, x_max, y_max = description.grid.box
+    low, high = state.contacts.position.min(axis=0), state.contacts.position.max(axis=0)
+    assert (low - (x_min, y_min) >= 1.0 - 1e-9).all()
+    assert ((x_max, y_max) - high >= 1.0 - 1e-9).all()
+    assert description.image.shape[:2] == (window_side(high[1] - low[1]), window_side(high[0] - low[0]))
+    assert [window_side(cells) for cells in (0.0, 6.0, 6.1, 30.0, 30.1)] == [9, 9, 17, 33, 49]
+
+
+def test_an_empty_part_of_the_box_changes_nothing(state):
+    world = World(box=(-20.0, 0.0, 90.0, 200.0), gravity=state.world.gravity)
+    np.testing.assert_array_equal(describe(state.replace(world=world), SPEC).image, describe(state, SPEC).image)
+
+
+def test_small_circles_look_like_large_ones(state):
+    # All lengths by c, masses as they are: the same velocities after the same gravity Δt, s = ω r kept.
+    c = 0.25
+    bodies = state.bodies._replace(
+        position=c * state.bodies.position, radius=c * state.bodies.radius, spin=state.bodies.spin / c
+    )
+    contacts = state.contacts._replace(position=c * state.contacts.position, separation=c * state.contacts.separation)
+    world = World(box=tuple(c * x for x in state.world.box), gravity=state.world.gravity)
+    small, plain = describe(state.replace(world=world, bodies=bodies, contacts=contacts), SPEC), describe(state, SPEC)
+    np.testing.assert_allclose(small.image, plain.image, atol=2e-5)
+    np.testing.assert_allclose(small.features, plain.features, rtol=1e-9, atol=1e-9)
+
+
+def test_far_away_contacts_make_a_coarser_window():
+    spread = dc.circles_in_box(2, seed=0)
+    position = np.array([[0.9, 0.9], [9_999.1, 0.9]])
+    spread = dc.simulate(
+        spread.replace(
+            world=World(box=(0.0, 0.0, 10_000.0, 30.0)), bodies=spread.bodies._replace(position=position), contacts=None
+        ),
+        steps=0,
+    ).state
+    description = describe(spread, SPEC)
+    assert max(description.image.shape) <= 1025
+    assert description.grid.box[2] > 9_999.1
+
+
+@pytest.mark.parametrize("inputs", ["all", "contacts", "bodies"])
+def test_inputs_are_parts_of_one_image(state, inputs):
+    spec = FarFieldSpec(inputs=inputs)
+    everything, part = describe(state, SPEC).image, describe(state, spec).image
+    chosen = [SPEC.channels.index(name) for name in spec.channels]
+    np.testing.assert_array_equal(part, everything[:, :, chosen])
+
+
+def test_without_correction_nothing_is_added_to(state):
+    description = describe(state, FarFieldSpec(correction=False))
+    assert not description.start.any()
+    # The gates can still bring Builtin's impulses back, in units of the share that is unsolved.
+    np.testing.assert_array_equal(description.features, describe(state, SPEC).features)
+
+
 def test_without_coefficients_the_start_is_builtin(state):
     description = describe(state, SPEC)
     start = corrected(description, np.zeros((state.contacts.count, len(COEFFICIENTS))))
@@ -68,24 +125,24 @@ def test_a_uniform_stress_gives_impulses_by_the_normal(state):
 
 
 def test_coefficients_are_read_bilinearly(state):
-    # A linear field of stress is read exactly; points beyond a wall read its edge.
-    distance = SPEC.spacing * SPEC.coarsening
-    y, x = np.mgrid[:17, :17] * distance
-    image = np.zeros((17, 17, len(COEFFICIENTS)), np.float32)
-    image[:, :, COEFFICIENTS.index("stress_trace")] = 1.0 + 2.0 * x - 0.5 * y
+    # A linear field of stress is read exactly.
     description = describe(state, SPEC)
-    found = correct(image, description, SPEC, state.world)
-    p_x, p_y = np.clip(description.point, 0.0, 30.0).T
+    x, y = np.meshgrid(*(nodes[::2] for nodes in description.grid.nodes))
+    image = np.zeros((*x.shape, len(COEFFICIENTS)), np.float32)
+    image[:, :, COEFFICIENTS.index("stress_trace")] = 1.0 + 2.0 * x - 0.5 * y
+    found = correct(image, description, SPEC)
+    p_x, p_y = description.point.T
     coefficients = np.zeros((state.contacts.count, len(COEFFICIENTS)))
     coefficients[:, COEFFICIENTS.index("stress_trace")] = 1.0 + 2.0 * p_x - 0.5 * p_y
     np.testing.assert_allclose(found, corrected(description, coefficients), atol=1e-4 * np.abs(found).max())
-    assert nodes_of(description.point, SPEC, state.world, (17, 17))[0].max() < 17 * 17
 
 
 def test_spec_goes_through_json():
     assert FarFieldSpec.from_dict(FarFieldSpec(spacing=0.75).to_dict()) == FarFieldSpec(spacing=0.75)
     with pytest.raises(ValueError, match="spacing: expected a finite number > 0, got -1"):
         FarFieldSpec(spacing=-1)
+    with pytest.raises(ValueError, match="inputs: expected one of all, contacts, bodies, got 'pixels'"):
+        FarFieldSpec(inputs="pixels")
     with pytest.raises(ValueError, match="far-field spec: expected the fields"):
         FarFieldSpec.from_dict({"kind": "far field"})
 
@@ -93,6 +150,9 @@ def test_spec_goes_through_json():
 def test_a_state_without_contacts_found_is_refused():
     with pytest.raises(ValueError, match=r"state\.contacts: expected contacts, got None"):
         describe(dc.column(3), SPEC)
+    flying = dc.simulate(dc.circles_in_box(2, seed=0), steps=0).state
+    with pytest.raises(ValueError, match=r"state\.contacts: expected at least one contact, got 0"):
+        describe(flying, SPEC)
 
 
 def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):

@@ -213,14 +213,13 @@ def test_a_script_of_chapter_4_evaluates_its_claims(keras, tmp_path, script):
 
 
 @pytest.mark.parametrize("script", ["figure_4_3", "figure_4_6"])
-def test_without_a_trained_network_its_figures_say_what_to_do(keras, tmp_path, monkeypatch, capsys, script):
-    from deep_contact.cnn import model_file
-
-    monkeypatch.setattr(model_file, "DEFAULT_MODEL", Path("models") / "no such model.h5")
-    monkeypatch.chdir(tmp_path)
-    assert figures.main(load(script).FIGURE, ["--quick", "--out", "figures"]) == 1
-    assert "scripts/train.py" in capsys.readouterr().err
-    assert not (tmp_path / "figures").exists()
+def test_without_a_trained_network_its_figures_say_what_to_do(keras, tmp_path, capsys, script):
+    options = ["--quick", "--set", "model=models/none.h5", "--out", str(tmp_path)]
+    assert figures.main(load(script).FIGURE, options) == 1
+    message = capsys.readouterr().err
+    assert "models/none.h5" in message
+    assert "scripts/train.py" in message
+    assert not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("script", ["figure_4_3", "figure_4_6"])

@@ -49,7 +49,7 @@ VERSION = 1
 MAX_BYTES = 2**31
 """Largest simulation that is read, unpacked."""
 
-CACHE_BYTES = 2**31
+CACHE_BYTES = 8 * 2**30
 """Memory that a store keeps of simulations it has read, unpacked."""
 
 PHASES = ("impact", "settling", "rest")
@@ -232,12 +232,21 @@ def write_simulation(
     compression: "gzip" (lossless, every HDF5 reader has it), "lzf" or None. The same arguments give the same bytes.
     Raises ValueError naming the state and the field.
     """
+    simulation = pack_simulation(states, sweeps=sweeps, theta=theta, seed=seed, options=options)
+    data = simulation_file(simulation, compression=compression)
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+    return simulation.digest
+
+
+def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> bytes:
+    """The bytes of a simulation's file. compression and errors as for `write_simulation`."""
     if compression not in ("gzip", "lzf", None):
         raise ValueError(f"compression: expected 'gzip', 'lzf' or None, got {compression!r}")
-    simulation = pack_simulation(states, sweeps=sweeps, theta=theta, seed=seed, options=options)
     if simulation.bytes > MAX_BYTES:
         raise ValueError(f"states: expected at most {MAX_BYTES} bytes a file, got {simulation.bytes}")
-    # In memory first: a process that is killed while it writes leaves no half of an HDF5 file.
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         for name, value in (_attributes(simulation.header) | {"digest": simulation.digest}).items():
@@ -253,12 +262,11 @@ def write_simulation(
                 rows = max(1, 2**18 // max(1, array.nbytes // array.shape[0]))
                 options = {"chunks": (min(rows, array.shape[0]), *array.shape[1:]), "shuffle": True}
                 options |= {"compression": compression, "compression_opts": 1 if compression == "gzip" else None}
-            file.create_dataset(name, data=array.astype(_stored_type(name)), **options)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        temporary.write_bytes(buffer.getbuffer())
-    return simulation.digest
+            dataset = file.create_dataset(name, data=array.astype(_stored_type(name)), **options)
+            # Now, not when it is closed: whatever looks at running frames, as profilers do (Dask's workers have one),
+            # may hold it open for a moment, and then its bytes would come to lie behind those of the next.
+            dataset.flush()
+    return buffer.getvalue()
 
 
 def read_simulation(path) -> StoredSimulation:

@@ -1,8 +1,8 @@
 """The far-field network: a coarse image of stress that corrects Builtin's start, read at the contacts.
 
 Projected Gauss-Seidel removes what is wrong between neighbours in a few sweeps; what it takes long for is the far
-field. That is smooth, and fits a coarse image. So the network does not predict impulses: it predicts, at every node of
-a grid of 2 m, coefficients c_j (`COEFFICIENTS`), which are read bilinearly at a contact and multiplied by features F_j
+field. That is smooth, and fits a coarse image. So the network does not predict impulses: it predicts, at the nodes of a
+coarse grid, coefficients c_j (`COEFFICIENTS`), which are read bilinearly at a contact and multiplied by features F_j
 that the solver knows there (normal, effective mass, residual, last impulses):
 
     λ = λ_Builtin + Σ_j c_j F_j
@@ -14,14 +14,18 @@ The inputs carry the contact problem: its rows before and after Builtin's impuls
 the arbitrary sign of a normal drops out. All is divided by the state's own residual (the problem is positively
 homogeneous), and sizes without bound are compressed by arsinh. Symmetries of the square turn the description exactly.
 
+Images cover a window: what the contacts span, with a margin of a node. A box has no part in it but by its contacts, so
+that any box will do and empty space costs nothing. Lengths are in mean radii, so that small circles look like large
+ones; what is called d = 1 is 1 m in the thesis's scene.
+
 It is trained through the solver (`through_solver`).
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from dataclasses import dataclass, fields
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -30,7 +34,8 @@ from numba import njit
 from deep_contact.physics.contact_solver import apply_impulses, contact_rows, integrate_velocities, make_rows
 from deep_contact.physics.engine import world_arguments
 from deep_contact.sph import Grid, splat
-from deep_contact.state import State, World
+from deep_contact.sph.grid import ROUNDING
+from deep_contact.state import State
 
 CONTACT_CHANNELS = (
     "density",
@@ -50,6 +55,13 @@ BODY_CHANNELS = (
     *(f"{name}_{when}" for when in ("free", "builtin") for name in ("velocity_x", "velocity_y", "spin")),
 )
 """Splatted at the centres: velocities after Δt of gravity, without impulses and with Builtin's."""
+
+INPUTS = {
+    "all": CONTACT_CHANNELS + BODY_CHANNELS,
+    "contacts": CONTACT_CHANNELS,
+    "bodies": ("bodies", "velocity_x_free", "velocity_y_free", "spin_free"),
+}
+"""Name -> channels. "bodies" are those of the thesis: where circles are, and how they move."""
 
 COEFFICIENTS = (
     "stress_trace",
@@ -71,14 +83,22 @@ _SMALL = 1e-2
 """Share of the carried impulses' size in the scale of a state: keeps a resting pile's residual from being blown up."""
 
 
+WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
+"""Nodes along an edge of a window, n = 1 (mod 8): few, because a network is compiled for each shape."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class FarFieldSpec:
-    """The images of a far-field network. spacing: of the input's nodes, m. coarsening: nodes of the input per node of
-    the output. support: h of the splat, m. Raises ValueError naming the field and the value."""
+    """The images of a far-field network. spacing: of the input's nodes, in mean radii. coarsening: nodes of the input
+    per node of the output. support: h of the splat, in mean radii. inputs: of `INPUTS`. correction: λ_Builtin is added
+    to what is predicted; without, λ = Σ_j c_j F_j. Raises ValueError naming the field and the value.
+    """
 
     spacing: float = 1.0
     support: float = 1.0
     coarsening: int = 2
+    inputs: str = "all"
+    correction: bool = True
 
     def __post_init__(self):
         for name in ("spacing", "support"):
@@ -87,13 +107,28 @@ class FarFieldSpec:
                 raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
         if isinstance(self.coarsening, bool) or not isinstance(self.coarsening, int) or self.coarsening < 1:
             raise ValueError(f"coarsening: expected an integer >= 1, got {self.coarsening!r}")
+        if self.inputs not in INPUTS:
+            raise ValueError(f"inputs: expected one of {', '.join(INPUTS)}, got {self.inputs!r}")
+        if not isinstance(self.correction, bool):
+            raise ValueError(f"correction: expected True or False, got {self.correction!r}")
 
-    channels = CONTACT_CHANNELS + BODY_CHANNELS
     targets = COEFFICIENTS
 
-    def grid(self, world: World) -> Grid:
-        """The grid of the input over a world's box."""
-        return _grid(world.box, self.spacing)
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the input's channels."""
+        return INPUTS[self.inputs]
+
+    def window(self, low: np.ndarray, high: np.ndarray, radius: float) -> Grid:
+        """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles of this mean radius, m.
+
+        Where they lie farther apart than the largest window has nodes, the nodes lie farther apart too.
+        """
+        spacing = self.spacing * radius
+        extent = float(max(high[0] - low[0], high[1] - low[1]))
+        spacing = max(spacing, extent / (WINDOW_SIDES[-1] - 3))
+        shape = tuple(window_side((high[k] - low[k]) / spacing) for k in (1, 0))
+        return Grid(origin=(low[0] - spacing, low[1] - spacing), spacing=spacing, shape=shape)
 
     def to_dict(self) -> dict:
         """All fields, and what they are for."""
@@ -108,9 +143,10 @@ class FarFieldSpec:
         return cls(**{name: value for name, value in values.items() if name != "kind"})
 
 
-@lru_cache(maxsize=64)
-def _grid(box, spacing) -> Grid:
-    return Grid.over_box(box, spacing)
+def window_side(cells: float) -> int:
+    """Nodes along an edge of the window of contacts that span so many cells: with a margin of one on either side."""
+    least = cells + 3.0 - ROUNDING
+    return WINDOW_SIDES[min(bisect_left(WINDOW_SIDES, least), len(WINDOW_SIDES) - 1)]
 
 
 class Description(NamedTuple):
@@ -119,14 +155,16 @@ class Description(NamedTuple):
     | field    | meaning                                                              | shape          |
     |----------|----------------------------------------------------------------------|----------------|
     | image    | the input, float32                                                   | (n_y, n_x, c)  |
+    | grid     | of the image                                                         |                |
     | point    | contact points, turned, m                                            | (m, 2)         |
     | features | F: what each coefficient adds to λ_n and λ_t (not turned), N·s        | (m, 12, 2)     |
-    | start    | Builtin's impulses, N·s                                              | (m, 2)         |
+    | start    | what is corrected: Builtin's impulses, or zeros, N·s                 | (m, 2)         |
     | scale    | the velocity by which the state was divided, m/s                     |                |
     | unsolved | rms of what one relaxation of each row would change, over that of λ  |                |
     """
 
     image: np.ndarray
+    grid: Grid
     point: np.ndarray
     features: np.ndarray
     start: np.ndarray
@@ -135,27 +173,36 @@ class Description(NamedTuple):
 
 
 def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description:
-    """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`.
+    """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
 
-    Other symmetries than 0 need a square box, and are for training.
+    Raises ValueError where there is no contact, or none has been looked for.
     """
     if state.contacts is None:
         raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
+    if state.contacts.count == 0:
+        raise ValueError("state.contacts: expected at least one contact, got 0")
     mirrored, turns = symmetry >= 4, symmetry % 4
     found = _describe(state.bodies, state.contacts, world_arguments(state), state.dt, mirrored, turns)
     point, contact_values, centre, body_values, features, start, scale, unsolved = found
-    grid = spec.grid(state.world)
-    # Contacts with walls, and bodies pushed into one, act from the edge of the grid; every particle counts.
-    options = {"h": spec.support, "normalization": "particle", "outside": "clamp", "unreached": "nearest"}
-    image = np.empty((*grid.shape, len(spec.channels)), np.float32)
-    image[:, :, : len(CONTACT_CHANNELS)] = splat(grid, point, contact_values, **options)
-    image[:, :, len(CONTACT_CHANNELS) :] = splat(grid, centre, body_values, **options)
-    return Description(image, point, features, start, scale, unsolved)
+    grid = spec.window(point.min(axis=0), point.max(axis=0), state.bodies.radius.mean())
+    # Every particle counts, if only at the node next to it; circles beyond the window touch nothing.
+    options = {"h": spec.support * grid.spacing[0] / spec.spacing, "normalization": "particle", "unreached": "nearest"}
+    if spec.inputs == "bodies":
+        image = splat(grid, centre, body_values[:, : len(spec.channels)], outside="ignore", **options)
+    elif spec.inputs == "contacts":
+        image = splat(grid, point, contact_values, **options)
+    else:
+        image = np.empty((*grid.shape, len(spec.channels)), np.float32)
+        image[:, :, : len(CONTACT_CHANNELS)] = splat(grid, point, contact_values, **options)
+        image[:, :, len(CONTACT_CHANNELS) :] = splat(grid, centre, body_values, outside="ignore", **options)
+    if not spec.correction:
+        start = np.zeros_like(start)
+    return Description(image.astype(np.float32, copy=False), grid, point, features, start, scale, unsolved)
 
 
-def correct(image: np.ndarray, description: Description, spec: FarFieldSpec, world: World) -> np.ndarray:
+def correct(image: np.ndarray, description: Description, spec: FarFieldSpec) -> np.ndarray:
     """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected, with the coefficients that the network's image has there."""
-    node, weight = nodes_of(description.point, spec, world, image.shape[:2])
+    node, weight = nodes_of(description, spec, image.shape[:2])
     flat = image.reshape(-1, image.shape[2])
     return _correct(flat, node, weight, description.features, description.start)
 
@@ -178,11 +225,12 @@ def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
     return description.start + np.einsum("ij,ijk->ik", coefficients, description.features)
 
 
-def nodes_of(point: np.ndarray, spec: FarFieldSpec, world: World, shape: tuple[int, int]):
-    """(m, 4) numbers of the output's nodes around each point, of an image of this shape, and their weights."""
+def nodes_of(description: Description, spec: FarFieldSpec, shape: tuple[int, int]):
+    """(m, 4) numbers of the output's nodes around each contact, of an image of this shape, and their weights."""
+    point, grid = description.point, description.grid
     node, weight = np.empty((len(point), 4), np.int32), np.empty((len(point), 4), np.float32)
-    distance = spec.spacing * spec.coarsening
-    _bilinear(point, world.box[0], world.box[1], distance, shape[0], shape[1], node, weight)
+    distance = grid.spacing[0] * spec.coarsening
+    _bilinear(point, grid.origin[0], grid.origin[1], distance, shape[0], shape[1], node, weight)
     return node, weight
 
 

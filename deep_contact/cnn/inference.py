@@ -136,11 +136,11 @@ class FarFieldModel(LearnedModel):
 
     def correct(self, state: State, description: Description) -> tuple[np.ndarray, np.ndarray]:
         """The same from a description that has been made already."""
-        impulses = correct(self.run(description.image), description, self.spec, state.world)
+        impulses = correct(self.run(description.image), description, self.spec)
         return np.ascontiguousarray(impulses[:, 0]), np.ascontiguousarray(impulses[:, 1])
 
     def predict_image(self, state: State) -> np.ndarray:
-        """The predicted image of coefficients, float32, (rows, columns, 12): a node every `spacing · coarsening` m."""
+        """The predicted image of coefficients, float32, (rows, columns, 12): every second node of the window."""
         return self.run(describe(state, self.spec).image)
 
     def run(self, image: np.ndarray) -> np.ndarray:
@@ -205,7 +205,7 @@ def projected(normal: np.ndarray, tangent: np.ndarray, friction: float) -> tuple
 class Guarded:
     """The far-field network where it helps: Builtin's start wherever that is good enough, or better by a trial.
 
-    model: a `FarFieldModel`, or the path of its file; by default models/far_field.h5.
+    model: a `FarFieldModel`, or the path of its file; by default the one that is shipped.
     least: no network is asked where one relaxation of the rows after Builtin would change them by less than this
     share of the carried impulses (`Description.unsolved`), so that a resting pile pays next to nothing.
     trial: sweeps from both starts. The network's is taken unless its last θ is more than `margin` times that of
@@ -220,7 +220,7 @@ class Guarded:
     def __post_init__(self):
         model = self.model
         if not isinstance(model, LearnedModel):
-            model = load_model(default_model_path("far_field.h5") if model is None else model)
+            model = load_model(model)
         if not isinstance(model, FarFieldModel):
             raise ModelFileError(f"model: expected a far-field network, got one for {model.spec.targets}")
         object.__setattr__(self, "model", model)

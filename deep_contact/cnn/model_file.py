@@ -139,19 +139,18 @@ def read_model(path):
     return model, spec, metadata
 
 
-def default_model_path(name: str | None = None) -> Path:
-    """A shipped model, models/`name`, by default `DEFAULT_MODEL`: of this checkout, or below the current folder.
+def default_model_path() -> Path:
+    """The shipped model, models/model.h5, of this checkout, or below the current folder.
 
     Raises FileNotFoundError naming where it was looked for.
     """
-    name = DEFAULT_MODEL if name is None else name
     roots = (Path(__file__).resolve().parents[2], Path.cwd())
     for root in roots:
-        if (root / MODELS / name).is_file():
-            return root / MODELS / name
-    places = " and ".join(dict.fromkeys(str(root / MODELS / name) for root in roots))
+        if (root / MODELS / DEFAULT_MODEL).is_file():
+            return root / MODELS / DEFAULT_MODEL
+    places = " and ".join(dict.fromkeys(str(root / MODELS / DEFAULT_MODEL) for root in roots))
     raise FileNotFoundError(
-        f"model file: expected {MODELS}/{name}, looked for {places}; it is part of the repository, "
+        f"model file: expected {MODELS}/{DEFAULT_MODEL}, looked for {places}; it is part of the repository, "
         "and `python scripts/train.py` makes another"
     )
 

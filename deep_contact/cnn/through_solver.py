@@ -5,6 +5,9 @@ that one sweep removes does not matter. So the loss is the error after those swe
 own order, and its gradient with respect to the start is the adjoint of the sweeps: one pass back over the contacts a
 sweep, with the clamps as the pass forward left them (almost everywhere the derivative). No automatic differentiation
 could unroll 170 contacts × 30 sweeps in a time worth having; this takes two or three times that of the sweeps.
+
+Instead of the error of the velocities, which wants the solution, the loss may be what one more sweep would change
+("residual"), which needs no labels. `impulse_loss` is the plain regression on λ, for comparison.
 """
 
 from __future__ import annotations
@@ -50,6 +53,10 @@ def solved_problem(state: State) -> SolvedProblem:
     return SolvedProblem(rows, free, solution, friction)
 
 
+MEASURES = ("velocity", "residual")
+"""What a loss measures after each number of sweeps."""
+
+
 def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int]) -> np.ndarray:
     """‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy after so many sweeps from a start (m, 2), projected first.
 
@@ -57,22 +64,40 @@ def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int
     """
     errors = np.empty(len(sweeps))
     sweeps = np.asarray(sweeps, dtype=np.int64)
-    _loss(*problem, np.asarray(start, dtype=np.float64), sweeps, np.zeros(sweeps.size), errors, np.empty((0, 2)))
+    start = np.asarray(start, dtype=np.float64)
+    _loss(*problem, start, sweeps, np.zeros(sweeps.size), False, errors, np.empty((0, 2)))
     return errors
 
 
 def loss_and_gradient(
-    problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int], weights: Sequence[float]
+    problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int], weights: Sequence[float], measure="velocity"
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """(loss, gradient (m, 2) with respect to the start, errors): loss = Σ weight · error after so many sweeps.
+
+    measure: "velocity", the error of `errors_after`; or "residual", ‖Δλ‖ of one more sweep over ‖Δλ‖ of the first
+    sweep from λ = 0, in the norm Σ Δλ² / k with the effective masses k, for which no solution is asked.
 
     The start is projected on λ_n ≥ 0 and the cone before the first sweep. Where the projection cuts a normal impulse
     below zero off, the gradient is kept if it asks for more impulse: else such a contact could never learn to push.
     """
+    if measure not in MEASURES:
+        raise ValueError(f"measure: expected one of {', '.join(MEASURES)}, got {measure!r}")
     sweeps, weights = np.asarray(sweeps, dtype=np.int64), np.asarray(weights, dtype=np.float64)
     errors, gradient = np.empty(sweeps.size), np.zeros(problem.solution.shape)
-    _loss(*problem, np.asarray(start, dtype=np.float64), sweeps, weights, errors, gradient)
+    start = np.asarray(start, dtype=np.float64)
+    _loss(*problem, start, sweeps, weights, measure == "residual", errors, gradient)
     return float(weights @ errors), gradient, errors
+
+
+def impulse_loss(problem: SolvedProblem, start: np.ndarray) -> tuple[float, np.ndarray]:
+    """(loss, gradient (m, 2)): ‖λ − λ*‖ / ‖λ*‖ in the norm Σ λ² / k with the effective masses k; 0 where λ* = 0."""
+    weight = 1.0 / problem.rows.data[:, 2:4]
+    size = math.sqrt(np.sum(weight * problem.solution**2))
+    if size == 0.0:
+        return 0.0, np.zeros(problem.solution.shape)
+    off = start - problem.solution
+    error = math.sqrt(np.sum(weight * off**2))
+    return error / size, weight * off / (size * max(error, 1e-12 * size))
 
 
 @njit(cache=True)
@@ -175,45 +200,72 @@ def _by_change(rows, moving, by_velocity, i):
 
 
 @njit(cache=True)
-def _loss(rows, free, solution, friction, start, sweeps, weights, errors, gradient):
-    """Fill `errors`, and `gradient` unless it has no rows."""
+def _distance_of_impulses(rows, one, other):
+    """√(Σ (λ − λ')² / k) over all rows, with the effective masses k: m/s · √kg."""
+    total = 0.0
+    for i in range(one.shape[0]):
+        for j in range(2):
+            total += (one[i, j] - other[i, j]) ** 2 / rows.data[i, 2 + j]
+    return math.sqrt(total)
+
+
+@njit(cache=True)
+def _loss(rows, free, solution, friction, start, sweeps, weights, residual, errors, gradient):
+    """Fill `errors`, and `gradient` unless it has no rows. residual: measure what one more sweep would change."""
     m, n = rows.body.shape[0], free.shape[0] - 4
     goal, moving = np.empty_like(free), np.empty_like(free)
-    _velocities(rows, free, solution, goal)
-    size = _distance(goal, free, n)
+    impulse, before = np.zeros((m, 2)), np.zeros((m, 2))
+    clamped = np.empty((sweeps[-1] + 1, m, 2), np.int8)
+    if residual:
+        moving[:] = free
+        sweep_and_note(rows, friction, moving, impulse, clamped[0])
+        size = _distance_of_impulses(rows, impulse, before)
+    else:
+        _velocities(rows, free, solution, goal)
+        size = _distance(goal, free, n)
     if size < _NOTHING:
         errors[:] = 0.0
         return
-    impulse = np.empty((m, 2))
     for i in range(m):
         impulse[i, 0] = max(start[i, 0], 0.0)
         largest = friction * impulse[i, 0]
         impulse[i, 1] = max(-largest, min(start[i, 1], largest))
     _velocities(rows, free, impulse, moving)
-    back = gradient.shape[0] > 0
-    clamped = np.empty((max(sweeps[-1], 1), m, 2), np.int8)
-    by_velocity = np.zeros((n + 4, 3))
-    kept = np.empty((sweeps.size, n, 3))
-    done = 0
-    for c in range(sweeps.size):
-        while done < sweeps[c]:
-            sweep_and_note(rows, friction, moving, impulse, clamped[done])
-            done += 1
-        errors[c] = _distance(moving, goal, n) / size
-        if back:
+    # Derivatives of each error by the velocities it is taken from, or by the impulses after the sweep beyond it.
+    kept_velocity, kept_impulse = np.zeros((sweeps.size, n, 3)), np.zeros((sweeps.size, m, 2))
+    last, c = sweeps[-1] + (1 if residual else 0), 0
+    for k in range(last + 1):
+        if not residual and sweeps[c] == k:
+            errors[c] = _distance(moving, goal, n) / size
             factor = weights[c] / (size * size * max(errors[c], 1e-9))
             for i in range(n):
                 for j in range(3):
                     inertia = (0.5 if j == 2 else 1.0) / moving[i, 3]
-                    kept[c, i, j] = factor * inertia * (moving[i, j] - goal[i, j])
-    if not back:
+                    kept_velocity[c, i, j] = factor * inertia * (moving[i, j] - goal[i, j])
+            c += 1
+        if k < last:
+            noted = residual and sweeps[c] == k
+            if noted:
+                before[:] = impulse
+            sweep_and_note(rows, friction, moving, impulse, clamped[k])
+            if noted:
+                errors[c] = _distance_of_impulses(rows, impulse, before) / size
+                factor = weights[c] / (size * size * max(errors[c], 1e-9))
+                for i in range(m):
+                    for j in range(2):
+                        kept_impulse[c, i, j] = factor * (impulse[i, j] - before[i, j]) / rows.data[i, 2 + j]
+                c += 1
+    if gradient.shape[0] == 0:
         return
-    by_impulse = np.zeros((m, 2))
-    c = sweeps.size - 1
-    for k in range(done, -1, -1):
-        while c >= 0 and sweeps[c] == k:
-            by_velocity[:n] += kept[c]
-            c -= 1
+    by_velocity, by_impulse = np.zeros((n + 4, 3)), np.zeros((m, 2))
+    for k in range(last, -1, -1):
+        for c in range(sweeps.size):
+            if residual and sweeps[c] + 1 == k:
+                by_impulse += kept_impulse[c]
+            elif residual and sweeps[c] == k:
+                by_impulse -= kept_impulse[c]
+            elif not residual and sweeps[c] == k:
+                by_velocity[:n] += kept_velocity[c]
         if k > 0:
             _sweep_back(rows, friction, free, clamped[k - 1], by_velocity, by_impulse)
     for i in range(m):

@@ -24,6 +24,7 @@ import math
 import sys
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -40,7 +41,7 @@ from deep_contact.cnn.images import SOLVER_CHANNELS, THESIS_CHANNELS, ImageSpec,
 from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model, padded_shape, projected
 from deep_contact.cnn.losses import CONTACT_LOSSES, ContactBatch
 from deep_contact.cnn.model_file import save_model
-from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
+from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
 from deep_contact.results import package_versions, processor, replacing
 from deep_contact.warm_start import Builtin, NoStart
 
@@ -51,8 +52,8 @@ CHANNEL_SETS = {
 }
 """Name -> input channels."""
 
-THROUGH_SOLVER = "through solver"
-LOSSES = ("appendix b", *CONTACT_LOSSES, THROUGH_SOLVER)
+FAR_FIELD_LOSSES = ("through solver", "residual through solver", "impulses")
+LOSSES = ("appendix b", *CONTACT_LOSSES, *FAR_FIELD_LOSSES)
 OPTIMIZERS = ("sgd", "adam")
 
 COLUMNS = (
@@ -76,7 +77,9 @@ class TrainingConfig:
     """Settings of a run. The defaults are those of the compact network; `thesis_config` has Table 5.2.
 
     architecture, options: of `architectures.build`; channels and outputs follow from the spec.
-    The far-field network has images of its own, and is trained "through solver" on the errors after `sweeps` sweeps.
+    The far-field network has images of its own (`inputs`, `correction`: of `FarFieldSpec`), and losses of its own: on
+    the errors after `sweeps` sweeps "through solver", on what one more sweep would change then ("residual through
+    solver", without labels), or on "impulses".
     channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`.
     measure_scales: divide each channel by its root mean square on the training side; if not, by 1.
     loss: "appendix b" (masked, on images), or one of `CONTACT_LOSSES` ("velocity" …).
@@ -113,6 +116,8 @@ class TrainingConfig:
     phases: tuple[str, ...] = PHASES
     augment: bool = True
     sweeps: tuple[int, ...] = (3, 10, 30)
+    inputs: str = "all"
+    correction: bool = True
     seed: int = 0
 
     def __post_init__(self):
@@ -139,8 +144,9 @@ class TrainingConfig:
         strange = [name for name in self.phases if name not in PHASES]
         if strange or not self.phases:
             raise ValueError(f"phases: expected among {', '.join(PHASES)}, got {self.phases!r}")
-        if (self.architecture == "far field") != (self.loss == THROUGH_SOLVER):
-            raise ValueError(f"loss: expected {THROUGH_SOLVER!r} for the far-field network alone, got {self.loss!r}")
+        if (self.architecture == "far field") != (self.loss in FAR_FIELD_LOSSES):
+            names = ", ".join(FAR_FIELD_LOSSES)
+            raise ValueError(f"loss: expected {names} for the far-field network and it alone, got {self.loss!r}")
         sweeps = tuple(self.sweeps)
         if not sweeps or list(sweeps) != sorted(set(sweeps)) or sweeps[0] < 0:
             raise ValueError(f"sweeps: expected increasing integers >= 0, got {self.sweeps!r}")
@@ -184,7 +190,7 @@ def thesis_config(**changes) -> TrainingConfig:
 
 def far_field_config(**changes) -> TrainingConfig:
     """The settings of the far-field network, trained through the solver."""
-    return TrainingConfig(**({"architecture": "far field", "loss": THROUGH_SOLVER, "rate": 1.5e-3} | changes))
+    return TrainingConfig(**({"architecture": "far field", "loss": "through solver", "rate": 1.5e-3} | changes))
 
 
 class Training(NamedTuple):
@@ -207,12 +213,39 @@ def set_up(seed: int, threads: int | None = None) -> None:
     keras.utils.set_random_seed(seed)
 
 
+def strategy_for(config: TrainingConfig, devices: int):
+    """TensorFlow's strategy for training on so many devices; None with another backend, which has one.
+
+    Raises ValueError naming what was expected.
+    """
+    _check_count("devices", devices)
+    if devices > 1 and config.architecture == "far field":
+        raise ValueError(f"devices: expected 1 for the far-field network, whose loss is the solver's, got {devices}")
+    if config.batch_size % devices:
+        raise ValueError(f"batch_size: expected a multiple of the {devices} devices, got {config.batch_size}")
+    if keras.backend.backend() != "tensorflow":
+        if devices > 1:
+            raise ValueError(f"devices: expected 1 with the backend {keras.backend.backend()}, got {devices}")
+        return None
+    import tensorflow as tf
+
+    if devices == 1:
+        return tf.distribute.get_strategy()
+    found = tf.config.list_logical_devices("GPU") or tf.config.list_logical_devices("CPU")
+    if len(found) < devices:
+        raise ValueError(f"devices: expected at most the {len(found)} that TensorFlow sees, got {devices}")
+    # Summed on one device, in the same order every time. The collectives of CPUs mix up those of batch normalisation.
+    reduction = tf.distribute.ReductionToOneDevice()
+    return tf.distribute.MirroredStrategy([device.name for device in found[:devices]], cross_device_ops=reduction)
+
+
 def train(
     config: TrainingConfig,
     data,
     out,
     *,
     threads: int | None = None,
+    devices: int = 1,
     command: str = "",
     held_out: int = 300,
     tensorboard=None,
@@ -222,27 +255,30 @@ def train(
     """Train until the epochs are done or patience is lost, from the run in `out` if there is one.
 
     data: a `Store` or its folder. out: folder of the run. threads: of TensorFlow (`limit_threads`), or None for as it
-    is. command: what to write into the card. held_out: number of test states for the card.
-    tensorboard: folder for event files. log: gets a line an epoch; by default the progress goes to stderr.
+    is. devices: of TensorFlow (GPUs, else its logical CPUs) among which every batch is shared; a step is that of one
+    device but for rounding and the masks of dropout. command: what to write into the card. held_out: number of test
+    states for the card. tensorboard: folder for event files. log: gets a line an epoch; by default the progress goes
+    to stderr.
     on_batch: called with (epoch, batch) before each batch.
     Raises ValueError where the run in `out` was started with other settings or data (`patience` may differ, and
-    `epochs` unless the schedule is "cosine").
+    `epochs` unless the schedule is "cosine"), and for devices that are not there or cannot share the batches.
     """
     store = data if isinstance(data, Store) else Store(data)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
     set_up(config.seed, threads)
+    strategy = strategy_for(config, devices)
     sims = store.simulations[: config.simulations]
     split = split_by_simulation(sims, fractions=config.fractions, seed=config.seed)
     settings = json.loads(json.dumps({**asdict(config), "data": data_hash(store, sims)}))
     saved = _read_checkpoint(out / "last.npz", settings)
     if config.architecture == "far field":
-        run = _FarFieldRun(config, store, split, FarFieldSpec())
+        run = _FarFieldRun(config, store, split, FarFieldSpec(inputs=config.inputs, correction=config.correction))
     else:
         spec = saved.spec if saved is not None else config.spec()
         if saved is None and config.measure_scales:
             spec = fit_scales(store, split.train, spec, seed=config.seed)
-        run = _ImageRun(config, store, split, spec)
+        run = _ImageRun(config, store, split, spec, strategy)
     history = run.restore(saved) if saved is not None else []
     writer = _Tensorboard(tensorboard) if tensorboard else None
     progress = _Progress(config.epochs, log)
@@ -374,8 +410,10 @@ class _Run:
 class _ImageRun(_Run):
     """A run whose network predicts images of impulses."""
 
-    def __init__(self, config: TrainingConfig, store: Store, split: Split, spec: ImageSpec):
+    def __init__(self, config: TrainingConfig, store: Store, split: Split, spec: ImageSpec, strategy=None):
         self.config, self.store, self.split, self.spec = config, store, split, spec
+        self.strategy = strategy or strategy_for(config, 1)
+        self.devices = self.strategy.num_replicas_in_sync if self.strategy else 1
         wanted = None if set(config.phases) == set(PHASES) else config.phases
         self.batches = ImageBatches(
             store,
@@ -402,7 +440,8 @@ class _ImageRun(_Run):
         else:
             self.box = None
             options = compact_options(spec) | options
-        self.build(**options)
+        with self.strategy.scope() if self.strategy else nullcontext():
+            self.build(**options)
         self.contact_loss = CONTACT_LOSSES.get(config.loss)
         self._step, self._predict = _compiled_steps(self)
         self._goes: dict[int, np.ndarray] = {}
@@ -418,9 +457,8 @@ class _ImageRun(_Run):
             if on_batch is not None:
                 on_batch(epoch, k)
             chosen = slice(k * self.config.batch_size, (k + 1) * self.config.batch_size)
-            batch = self.batches.batch(states[chosen], symmetry[chosen])
             # A number at once: an epoch's losses must not depend on how they are added up later.
-            total += float(self._step(*self.arrays(batch)))
+            total += float(self._step(*self.shares(states[chosen], symmetry[chosen])))
             progress.batch(epoch, k + 1, self.per_epoch, self.config.batch_size, total / (k + 1))
         return total / self.per_epoch
 
@@ -444,6 +482,11 @@ class _ImageRun(_Run):
             "validation_velocity_error": velocity,
             "validation_impulse_error": impulse,
         }
+
+    def shares(self, states: np.ndarray, symmetry: np.ndarray) -> list[tuple]:
+        """The arrays of a batch of states (B, 2), a part for each device."""
+        parts = zip(np.split(states, self.devices), np.split(symmetry, self.devices))
+        return [self.arrays(self.batches.batch(*part)) for part in parts]
 
     def arrays(self, batch) -> tuple:
         """(inputs padded to the network's size, labels, contacts or None) of an image batch."""
@@ -487,9 +530,9 @@ class _FarFieldRun(_Run):
         self.validation = chosen[:: max(1, len(chosen) // config.validation_states)]
         self.build(**config.options)
         # So that every number of sweeps counts alike, although the errors get smaller.
-        errors = self._errors(self.validation, lambda states: [None] * len(states))[:, 1:]
+        errors = self.errors(self.validation, learned=False)[:, 1:]
         self.weights = 1.0 / (errors.mean(axis=0) * len(config.sweeps))
-        self._coefficients = self._compiled()
+        self._coefficients, self._apply = self._compiled()
 
     def _worth_solving(self, sims, least: float) -> np.ndarray:
         """(k, 2) states of the simulations whose start by Builtin is off by more than a share."""
@@ -497,7 +540,7 @@ class _FarFieldRun(_Run):
         return np.array(found, dtype=np.int64).reshape(-1, 2)
 
     def _compiled(self):
-        """(images, nodes, weights) -> coefficients (K, 12), differentiable; traced once."""
+        """(images, nodes, weights) -> coefficients (K, 12), differentiable; and gradients -> one step by them."""
         import tensorflow as tf
 
         signature = [
@@ -511,83 +554,105 @@ class _FarFieldRun(_Run):
             nodes = tf.reshape(self.model(images, training=True), (-1, len(self.spec.targets)))
             return tf.reduce_sum(tf.gather(nodes, node) * weight[:, :, None], axis=1)
 
-        return coefficients
+        # As one program: called one by one, the optimizer's small operations take as long as the network.
+        @tf.function(input_signature=[[tf.TensorSpec(v.shape, tf.float32) for v in self.model.trainable_variables]])
+        def apply(gradients):
+            self.optimizer.apply(gradients, self.model.trainable_variables)
 
-    def batch(self, states: np.ndarray, symmetry: np.ndarray):
-        """(images, node, weight, descriptions, problems) of states (B, 2)."""
-        found = [self.store.state(*state) for state in states.tolist()]
-        descriptions = [describe(state, self.spec, int(k)) for state, k in zip(found, symmetry)]
-        shape = padded_shape(descriptions[0].image.shape[:2], self.coarsening)
+        return coefficients, apply
+
+    def examples(self, states: np.ndarray, symmetry: np.ndarray):
+        """(description, problem) of each of the states (k, 2), one after the other."""
+        for state, k in zip(states.tolist(), symmetry.tolist()):
+            found = self.store.state(*state)
+            yield describe(found, self.spec, k), solved_problem(found)
+
+    def arrays(self, descriptions):
+        """(images, nodes, weights) of descriptions with windows of one shape, as `_compiled` takes them."""
+        shape = descriptions[0].image.shape[:2]
         out = tuple((n - 1) // self.spec.coarsening + 1 for n in shape)
-        images = np.zeros((len(found), *shape, len(self.spec.channels)), np.float32)
-        nodes, weights = [], []
-        for k, (state, description) in enumerate(zip(found, descriptions)):
-            n_y, n_x = description.image.shape[:2]
-            images[k, :n_y, :n_x] = description.image
-            node, weight = nodes_of(description.point, self.spec, state.world, out)
-            nodes.append(node + k * out[0] * out[1])
-            weights.append(weight)
-        problems = [solved_problem(state) for state in found]
-        return images, np.concatenate(nodes).astype(np.int32), np.concatenate(weights), descriptions, problems
+        read = [nodes_of(description, self.spec, out) for description in descriptions]
+        node = np.concatenate([node + k * out[0] * out[1] for k, (node, _) in enumerate(read)]).astype(np.int32)
+        return np.stack([d.image for d in descriptions]), node, np.concatenate([weight for _, weight in read])
 
     def epoch(self, epoch: int, rate: float, progress, on_batch) -> float:
-        """Train on one epoch's batches. Returns the mean loss."""
-        import tensorflow as tf
-
-        config, variables = self.config, self.model.trainable_variables
+        """Train on one epoch's states. Returns the mean loss."""
+        config = self.config
         self.optimizer.learning_rate = rate
         rng = np.random.default_rng((config.seed, epoch))
-        order = rng.permutation(len(self.states))
-        total = 0.0
-        for k in range(self.per_epoch):
+        count = self.per_epoch * config.batch_size
+        states = self.states[rng.permutation(len(self.states))[:count]]
+        symmetry = rng.integers(0, 8, count) if config.augment else np.zeros(count, np.int64)
+        total, done = 0.0, 0
+        for k, batch in enumerate(_by_shape(self.examples(states, symmetry), config.batch_size)):
             if on_batch is not None:
                 on_batch(epoch, k)
-            chosen = self.states[order[k * config.batch_size : (k + 1) * config.batch_size]]
-            symmetry = rng.integers(0, 8, len(chosen)) if config.augment else np.zeros(len(chosen), np.int64)
-            images, node, weight, descriptions, problems = self.batch(chosen, symmetry)
-            with tf.GradientTape() as tape:
-                coefficients = self._coefficients(images, node, weight)
-            values = coefficients.numpy().astype(np.float64)
-            by_coefficient, first = np.empty_like(values), 0
-            for description, problem in zip(descriptions, problems):
-                own = slice(first, first + len(description.start))
-                start = corrected(description, values[own])
-                loss, gradient, _ = loss_and_gradient(problem, start, config.sweeps, self.weights)
-                by_coefficient[own] = np.einsum("ik,ijk->ij", gradient, description.features)
-                total += loss / len(chosen)
-                first = own.stop
-            given = tf.constant(by_coefficient / len(chosen), tf.float32)
-            self.optimizer.apply(tape.gradient(coefficients, variables, output_gradients=given), variables)
-            progress.batch(epoch, k + 1, self.per_epoch, config.batch_size, total / (k + 1))
-        return total / self.per_epoch
+            total += self.step(batch)
+            done += len(batch)
+            progress.batch(epoch, done // config.batch_size, self.per_epoch, len(batch), total / done)
+        return total / count
 
-    def _errors(self, states, predict) -> np.ndarray:
-        """Velocity errors (k, 1 + sweeps) after none and after each number of sweeps; by predicted coefficients."""
-        errors = []
-        for first in range(0, len(states), 64):
-            part = states[first : first + 64]
-            for state, coefficients in zip(part.tolist(), predict(part)):
-                found = self.store.state(*state)
-                problem = solved_problem(found)
-                description = describe(found, self.spec) if coefficients is not None else None
-                start = problem.rows.impulse if description is None else corrected(description, coefficients)
-                errors.append(errors_after(problem, start, sorted({0, *self.config.sweeps})))
-        return np.array(errors)[:, -len(self.config.sweeps) - 1 :]
+    def step(self, batch) -> float:
+        """One step by examples with windows of one shape. Returns the sum of their losses."""
+        import tensorflow as tf
+
+        with tf.GradientTape() as tape:
+            coefficients = self._coefficients(*self.arrays([description for description, _ in batch]))
+        values = coefficients.numpy().astype(np.float64)
+        by_coefficient, total, first = np.empty_like(values), 0.0, 0
+        for description, problem in batch:
+            own = slice(first, first + len(description.start))
+            start = corrected(description, values[own])
+            loss, gradient = self.loss_and_gradient(problem, start)
+            by_coefficient[own] = np.einsum("ik,ijk->ij", gradient, description.features)
+            total += loss
+            first = own.stop
+        # Over a full batch, so that a few states with a rare window do not count as much as a batch.
+        given = tf.constant(by_coefficient / self.config.batch_size, tf.float32)
+        self._apply(tape.gradient(coefficients, self.model.trainable_variables, output_gradients=given))
+        return total
+
+    def loss_and_gradient(self, problem, start) -> tuple[float, np.ndarray]:
+        """The loss of one state by its start, and the gradient with respect to that."""
+        if self.config.loss == "impulses":
+            return impulse_loss(problem, start)
+        measure = "velocity" if self.config.loss == "through solver" else "residual"
+        weights = self.weights if measure == "velocity" else np.full(len(self.weights), 1 / len(self.weights))
+        return loss_and_gradient(problem, start, self.config.sweeps, weights, measure)[:2]
+
+    def errors(self, states: np.ndarray, *, learned: bool) -> np.ndarray:
+        """Velocity errors (k, 1 + sweeps) after none and after each number of sweeps, from the network or Builtin."""
+        sweeps = sorted({0, *self.config.sweeps})
+        found = []
+        for batch in _by_shape(self.examples(states, np.zeros(len(states), np.int64)), 64):
+            descriptions, problems = zip(*batch)
+            starts = [problem.rows.impulse for problem in problems]
+            if learned:
+                values = self._coefficients(*self.arrays(descriptions)).numpy().astype(np.float64)
+                parts = np.split(values, np.cumsum([len(start) for start in starts])[:-1])
+                starts = [corrected(description, part) for description, part in zip(descriptions, parts)]
+            found += [errors_after(problem, start, sweeps) for problem, start in zip(problems, starts)]
+        return np.array(found)[:, -len(self.config.sweeps) - 1 :]
 
     def validate(self) -> dict[str, float]:
         """Loss on the validation states, and the mean velocity error before any sweep and after the last."""
-
-        def predict(states):
-            images, node, weight, descriptions, _ = self.batch(states, np.zeros(len(states), np.int64))
-            values = self._coefficients(images, node, weight).numpy().astype(np.float64)
-            return np.split(values, np.cumsum([len(d.start) for d in descriptions])[:-1])
-
-        errors = self._errors(self.validation, predict).mean(axis=0)
+        errors = self.errors(self.validation, learned=True).mean(axis=0)
         return {
             "validation_loss": float(errors[1:] @ self.weights),
             "validation_velocity_error": float(errors[0]),
             "validation_impulse_error": float(errors[-1]),
         }
+
+
+def _by_shape(examples, size: int):
+    """Lists of up to `size` examples with windows of one shape, full ones first."""
+    waiting: dict[tuple, list] = {}
+    for example in examples:
+        batch = waiting.setdefault(example[0].image.shape, [])
+        batch.append(example)
+        if len(batch) == size:
+            yield waiting.pop(example[0].image.shape)
+    yield from waiting.values()
 
 
 class _Checkpoint(NamedTuple):
@@ -617,7 +682,7 @@ def _read_checkpoint(path: Path, settings: dict) -> _Checkpoint | None:
 
 
 def _compiled_steps(run: _Run):
-    """(step, predict): arrays -> loss, having trained on them; arrays -> (images, loss)."""
+    """(step, predict): arrays of each device -> loss, having trained on them; arrays -> (images, loss)."""
     model, optimizer = run.model, run.optimizer
     n_y, n_x = run.shape
     rows, columns = padded_shape(run.shape, run.coarsening)
@@ -649,7 +714,7 @@ def _compiled_steps(run: _Run):
         contacts = None if contacts is None else ContactBatch(*map(ops.convert_to_tensor, contacts))
         return ops.convert_to_tensor(inputs), ops.convert_to_tensor(labels), contacts
 
-    def step(*arrays):
+    def step(arrays):
         inputs, labels, contacts = tensors(arrays)
         model.zero_grad()
         loss = penalized(forward(inputs, True), labels, contacts)
@@ -683,22 +748,42 @@ def _tensorflow_steps(run, forward, loss_of, penalized):
         contacts = ContactBatch(*(tf.TensorSpec(shapes[name], types[name]) for name in ContactBatch._fields))
     signature = [images, labels, contacts] if contacts is not None else [images, labels]
 
-    @tf.function(input_signature=signature)
-    def step(inputs, labels, contacts=None):
-        with tf.GradientTape() as tape:
-            loss = penalized(forward(inputs, True), labels, contacts)
-        optimizer.apply(tape.gradient(loss, model.trainable_variables), model.trainable_variables)
-        return loss
+    strategy, devices, width = run.strategy, run.devices, len(signature)
+    normalizations = [layer for layer in model.layers if isinstance(layer, keras.layers.BatchNormalization)]
+    if optimizer.global_clipnorm:
+        optimizer.global_clipnorm /= devices  # of shares of the gradient: see below
+
+    @tf.function(input_signature=signature * devices)
+    def step(*arrays):
+        def on_device():
+            context = tf.distribute.get_replica_context()
+            k = int(tf.get_static_value(context.replica_id_in_sync_group))
+            inputs, labels, *contacts = arrays[k * width : (k + 1) * width]
+            with tf.GradientTape() as tape:
+                loss = penalized(forward(inputs, True), labels, contacts[0] if contacts else None) / devices
+            # Keras's optimizer clips what it is given and adds up over the devices afterwards: it is given shares of
+            # the sum.
+            total = context.all_reduce(tf.distribute.ReduceOp.SUM, tape.gradient(loss, model.trainable_variables))
+            optimizer.apply([gradient / devices for gradient in total], model.trainable_variables)
+            return loss
+
+        # Over the whole batch, while this is traced; a model file does not say on what it was trained.
+        for layer in normalizations:
+            layer.synchronized = devices > 1
+        losses_of = strategy.run(on_device)
+        for layer in normalizations:
+            layer.synchronized = False
+        return strategy.reduce(tf.distribute.ReduceOp.SUM, losses_of, axis=None)
 
     @tf.function(input_signature=signature)
     def predict(inputs, labels, contacts=None):
         images = forward(inputs, False)
         return images, loss_of(images, labels, contacts)
 
-    def called(function):
-        return lambda inputs, labels, contacts: function(*(x for x in (inputs, labels, contacts) if x is not None))
+    def called(function, arrays):
+        return function(*(x for x in arrays if x is not None))
 
-    return called(step), called(predict)
+    return lambda *parts: called(step, (x for part in parts for x in part)), lambda *arrays: called(predict, arrays)
 
 
 def _out_of_patience(history: list[dict], patience: int | None) -> bool:

@@ -1,0 +1,170 @@
+"""python scripts/figure_6_4_network_size.py: what a larger far-field network gains, and what it costs.
+
+One network a file, models/comparison/width_<features>.h5, all trained alike; where there are none, the shipped one.
+"""
+
+import re
+import time
+from pathlib import Path
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import figures, plotting
+from deep_contact.figures import Claim, Figure
+from deep_contact.learned_experiments import mean_errors, networks_info, ratios_to_builtin
+
+SHIPPED = "models/model.h5"
+
+
+def compute(options, seed, jobs, progress):
+    """Errors of every network on the same states of scenes that none has seen, and their times, one after the other."""
+    networks = files(options["folder"])
+    tasks = [{**options, "networks": networks, "seed": s} for s in figures.seeds(seed + 10_000, options["scenes"])]
+    scenes = figures.parallel_map(one_scene, tasks, jobs=jobs, progress=progress, text="scenes")
+    info = networks_info(networks)
+    us = {name: inference_us(path, options["repeats"]) for name, path in networks.items()}
+    found = [{"name": name, "weights": info[name]["parameters"], "us": us[name]} for name in networks]
+    return {
+        "after": options["after"],
+        "networks": sorted(found, key=lambda network: network["weights"]),
+        "scenes": scenes,
+        "sweep_us": sweep_us(options["repeats"]),
+    }
+
+
+def files(folder):
+    """Name -> model file of every network of the folder, or of the shipped one if it has none."""
+    root = Path(__file__).resolve().parents[1]
+    found = [path for path in (root / folder).glob("width_*.h5") if re.fullmatch(r"width_\d+", path.stem)]
+    if not found:
+        return {"shipped": SHIPPED}
+    found.sort(key=lambda path: int(path.stem.split("_")[1]))
+    return {path.stem.replace("_", " "): str(Path(folder) / path.name) for path in found}
+
+
+def one_scene(task):
+    """Errors of all starts on one scene of 70 to 110 circles, in a process of its own."""
+    from deep_contact.cnn.evaluation import errors_on_scene
+    from deep_contact.cnn.inference import network_start
+    from deep_contact.warm_start import Builtin
+
+    rng = np.random.default_rng(task["seed"])
+    scene = dc.circles_in_box(int(rng.integers(70, 111)), seed=rng)
+    starts = {"builtin": Builtin()} | {name: network_start(path) for name, path in task["networks"].items()}
+    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
+
+
+def settled():
+    """A state of 100 circles on which all times are taken."""
+    return dc.simulate(dc.circles_in_box(100, seed=1), steps=200, solver=dc.NNCG()).state
+
+
+def inference_us(path, repeats):
+    """Time of a warm start by the network on one thread, image and reading back included, μs: the least of several."""
+    from deep_contact.cnn.inference import network_start
+
+    start, state = network_start(path), settled()
+    return least_us(lambda: start(state, dc.PGS()), repeats)
+
+
+def sweep_us(repeats):
+    """Time of a sweep of PGS on the same state, μs, from the difference of a thousand sweeps and none."""
+    state = settled()
+    few, many = (dc.PGS(sweeps=k, tolerance=None) for k in (1, 1001))
+    both = [least_us(lambda solver=solver: dc.solve_contacts(state, solver=solver), repeats) for solver in (few, many)]
+    return (both[1] - both[0]) / 1000
+
+
+def least_us(work, repeats):
+    """The least time of several, after one that compiles, μs."""
+    work()
+    least = np.inf
+    for _ in range(repeats):
+        begin = time.perf_counter()
+        work()
+        least = min(least, time.perf_counter() - begin)
+    return least * 1e6
+
+
+def claims(data):
+    """Whether size pays, in error and in time."""
+    small, large = data["networks"][0], data["networks"][-1]
+    found = []
+    for network in data["networks"]:
+        ratio = ratios_to_builtin(data["scenes"], network["name"], "all")[:, 0]
+        network["ratio"] = {f"after {k}": float(value) for k, value in zip(data["after"], ratio)}
+    at = "after 10" if 10 in data["after"] else f"after {data['after'][-1]}"
+    measured = {f"{network['weights']:,} weights": network["ratio"][at] for network in data["networks"]}
+    ratios = list(measured.values())
+    text = f"every larger network leaves less error {at} sweeps than the one before"
+    found.append(Claim(text, None, bool(len(ratios) > 1 and (np.diff(ratios) < 0).all()), measured))
+    half = [network for network in data["networks"] if network["weights"] <= large["weights"] / 4]
+    if half:
+        gain = {"a quarter of the weights": half[-1]["ratio"][at], "all": large["ratio"][at]}
+        text = f"the largest network leaves at most 0.9 of the error {at} sweeps of one with a quarter of its weights"
+        found.append(Claim(text, None, gain["all"] <= 0.9 * gain["a quarter of the weights"], gain))
+    cost = {f"{network['weights']:,} weights, μs": network["us"] for network in data["networks"]}
+    text = "even the smallest network costs more time than thirty sweeps of PGS"
+    found.append(Claim(text, None, small["us"] > 30 * data["sweep_us"], cost | {"a sweep, μs": data["sweep_us"]}))
+    return found
+
+
+def table(data):
+    """Rows: weights, time, and the error left after some sweeps over Builtin's, with its 95 % interval."""
+    rows = [["network", "weights", "μs", "in sweeps", *(f"error({k}) / Builtin's" for k in data["after"])]]
+    for network in data["networks"]:
+        ratios = ratios_to_builtin(data["scenes"], network["name"], "all")
+        cells = [f"{ratio:.3f} ({low:.3f}–{high:.3f})" for ratio, low, high in ratios]
+        rows.append([network["name"], network["weights"], network["us"], network["us"] / data["sweep_us"], *cells])
+    builtin = mean_errors(data["scenes"], "builtin", "all").mean(axis=0)
+    rows.append(["builtin, its error", None, None, None, *(float(value) for value in builtin)])
+    return rows
+
+
+def draw(data, options):
+    """Left: error over Builtin's by weights, with intervals. Right: time by weights, and what it is in sweeps."""
+    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.0))
+    weights = [network["weights"] for network in data["networks"]]
+    every = np.array([ratios_to_builtin(data["scenes"], network["name"], "all") for network in data["networks"]])
+    for i, k in enumerate(data["after"]):
+        line = left.plot(weights, every[:, i, 0], marker="o", markersize=4, label=f"after {k} sweeps")
+        left.fill_between(weights, every[:, i, 1], every[:, i, 2], color=line[0].get_color(), alpha=0.15, linewidth=0)
+    left.axhline(1.0, color=plotting.GREY, linewidth=1.0)
+    left.set_ylim(0, 1.2)
+    plotting.label_axes(left, "weights", "velocity error / Builtin's", title="a) error on held-out scenes, all steps")
+    left.legend()
+    right.plot(weights, [network["us"] for network in data["networks"]], marker="o", color=plotting.BLUE)
+    right.set_yscale("log")
+    sweeps = right.secondary_yaxis(
+        "right", functions=(lambda us: us / data["sweep_us"], lambda count: count * data["sweep_us"])
+    )
+    sweeps.set_ylabel("sweeps of PGS in that time")
+    title = "b) a start for 100 circles, one thread"
+    plotting.label_axes(right, "weights", "time of a start", y_unit="μs", title=title)
+    for ax in (left, right):
+        ax.set_xscale("log")
+    return figure
+
+
+FIGURE = Figure(
+    id="6.4",
+    title="Size of the far-field network: error and time",
+    options={
+        "folder": "models/comparison",
+        "scenes": 20,
+        "steps": 600,
+        "every": 5,
+        "after": [3, 10, 30],
+        "repeats": 200,
+    },
+    quick={"scenes": 2, "every": 30, "steps": 240, "repeats": 20},
+    compute=compute,
+    claims=claims,
+    table=table,
+    draw=draw,
+    digits=5,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

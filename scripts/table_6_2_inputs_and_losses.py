@@ -1,0 +1,113 @@
+"""python scripts/table_6_2_inputs_and_losses.py: what the far-field network is shown and what it learns from.
+
+The networks of models/comparison were trained alike but for the one setting that names them; this needs no training.
+"""
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import figures
+from deep_contact.figures import Claim, Figure
+from deep_contact.learned_experiments import ratios_to_builtin
+
+NETWORKS = {
+    "width_24": ("bodies and contact rows", "velocities after 3, 10, 30 sweeps"),
+    "contacts": ("contact rows", "velocities after 3, 10, 30 sweeps"),
+    "bodies": ("bodies, as the thesis", "velocities after 3, 10, 30 sweeps"),
+    "no_correction": ("bodies and contact rows", "the same, from zero instead of from Builtin"),
+    "no_sweep": ("bodies and contact rows", "velocities before any sweep"),
+    "impulses": ("bodies and contact rows", "λ"),
+    "residual": ("bodies and contact rows", "residual after 3, 10, 30 sweeps, without labels"),
+}
+"""Name of the file -> inputs, and what the loss is on."""
+
+PLAIN = "width_24"
+"""The network that the others differ from, each in one setting."""
+
+FEW = (3, 10, 30)
+
+
+def compute(options, seed, jobs, progress):
+    """Every network's start on the same states of scenes whose seeds were not in the data."""
+    tasks = [{**options, "seed": s} for s in figures.seeds(seed + 40_000, options["scenes"])]
+    scenes = figures.parallel_map(one_scene, tasks, jobs=jobs, progress=progress, text="scenes")
+    return {"after": options["after"], "scenes": scenes, "budget": budgets(options["folder"])}
+
+
+def models(folder):
+    """Name -> path of the networks' files."""
+    from deep_contact.cnn.inference import network_file
+
+    return {name: network_file(f"{folder}/{name}.h5") for name in NETWORKS}
+
+
+def budgets(folder):
+    """What each network was trained with."""
+    from deep_contact.cnn.model_file import read_metadata
+
+    cards = {name: read_metadata(path)["card"] for name, path in models(folder).items()}
+    return {
+        name: {
+            "parameters": card["parameters"],
+            "epochs": len(card["history"]),
+            "states_per_epoch": card["config"]["states_per_epoch"],
+            "command": card["command"],
+        }
+        for name, card in cards.items()
+    }
+
+
+def one_scene(task):
+    """Errors from all starts on one scene, in a process of its own."""
+    from deep_contact.cnn.evaluation import errors_on_scene
+    from deep_contact.cnn.inference import Cnn, one_thread
+    from deep_contact.warm_start import Builtin
+
+    one_thread()
+    rng = np.random.default_rng(task["seed"])
+    scene = dc.circles_in_box(int(rng.integers(70, 111)), seed=rng)
+    starts = {"builtin": Builtin()} | {name: Cnn(path) for name, path in models(task["folder"]).items()}
+    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
+
+
+def claims(data):
+    """Whether contact rows, the correction and the loss through the solver each pay."""
+    few = [data["after"].index(k) for k in FEW]
+    found = {name: ratios_to_builtin(data["scenes"], name, "off")[few, 0] for name in NETWORKS}
+
+    def better(text, *others):
+        shown = {name: [float(v) for v in found[name]] for name in (PLAIN, *others)}
+        return Claim(text, None, all(bool((found[PLAIN] < found[name]).all()) for name in others), shown)
+
+    return [
+        better(
+            "with contact rows the network is better than with the thesis's inputs, at 3, 10 and 30 sweeps", "bodies"
+        ),
+        better("a correction of Builtin is better than λ from zero", "no_correction"),
+        better("velocities after sweeps are a better loss than λ, or velocities before any", "impulses", "no_sweep"),
+        better("labels are worth their price: the residual alone teaches less", "residual"),
+    ]
+
+
+def table(data):
+    """Rows: error over Builtin's after some sweeps where Builtin is off, with its 95 % interval."""
+    rows = [["inputs", "loss on", "weights", *(f"after {k} sweeps" for k in data["after"])]]
+    for name, (inputs, loss) in NETWORKS.items():
+        cells = [f"{r:.3f} ({a:.3f}–{b:.3f})" for r, a, b in ratios_to_builtin(data["scenes"], name, "off")]
+        rows.append([inputs, loss, data["budget"][name]["parameters"], *cells])
+    return rows
+
+
+FIGURE = Figure(
+    id="T 6.2",
+    title="Inputs and losses of the far-field network on equal budgets",
+    options={"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30], "folder": "models/comparison"},
+    quick={"scenes": 2, "every": 15, "steps": 300},
+    compute=compute,
+    claims=claims,
+    table=table,
+    digits=5,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))
