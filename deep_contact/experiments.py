@@ -176,7 +176,8 @@ def compare_starts(
 
     starts: name -> description (`start_of`). n_bodies: see `scene_of`. velocity_sweeps: see `paired`.
     Returns {"sweep": (k,), "paired": {name: …}, "independent": {name: …}} where … is
-    {"theta": mean θ at these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number}.
+    {"theta": mean θ at these sweeps (k,), "quartiles": those of the scenes' own means (2, k),
+    "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number}.
     With velocity_sweeps also {"velocity": {"sweeps", "states", "mean": {name: …}, "median": {name: …}}}, paired, over
     the states that have something to be solved.
     """
@@ -200,6 +201,7 @@ def compare_starts(
             theta = np.average([part.theta for part in parts], axis=0, weights=weights)
             data[mode][name] = {
                 "theta": theta[sample - 1],
+                "quartiles": np.percentile([part.theta for part in parts], (25, 75), axis=0)[:, sample - 1],
                 "sweeps": {"mean": float(counts.mean()), "median": float(np.median(counts))},
                 "states": int(counts.size),
             }
@@ -250,16 +252,22 @@ def mean_sweeps(data: dict, name: str, mode: str = "paired") -> float:
     return data[mode][name]["sweeps"]["mean"]
 
 
-def draw_comparison(data: dict, *, title: str = ""):
+def draw_comparison(data: dict):
     """Two panels of θ by sweep: paired and independent."""
     figure, panels = plotting.subplots(1, 2, size=(10.0, 3.8), sharey=True)
     titles = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
     for ax, (mode, text) in zip(panels, titles.items()):
-        curves = {name: found["theta"] for name, found in data[mode].items()}
-        plotting.convergence_plot(ax, curves, sweeps=data["sweep"], threshold=data["threshold"], floor=1e-9)
-        ax.set_title(f"{title}{text}")
+        draw_convergence(ax, data, mode, floor=1e-9)
+        ax.set_title(text)
     panels[0].get_legend().remove()
     return figure
+
+
+def draw_convergence(ax, data: dict, mode: str, *, floor: float) -> None:
+    """θ by sweep of every start of `compare_starts`' data, "paired" or "independent", with the scenes' quartiles."""
+    curves = {name: found["theta"] for name, found in data[mode].items()}
+    bands = {name: found["quartiles"] for name, found in data[mode].items()}
+    plotting.convergence_plot(ax, curves, sweeps=data["sweep"], bands=bands, threshold=data["threshold"], floor=floor)
 
 
 def faster(data: dict, first: str, second: str, *, text: str, thesis: str | None, mode: str = "independent") -> Claim:
@@ -342,8 +350,8 @@ def study_of_kernel(
             for name, (spacing, support) in pairs.items()
         }
 
-    by_support = starts({f"h = {support:g}": (d, support) for support in h})
-    by_spacing = starts({f"d = h = {spacing:g}": (spacing, spacing) for spacing in spacings})
+    by_support = starts({f"h = {support:g} m": (d, support) for support in h})
+    by_spacing = starts({f"d = h = {spacing:g} m": (spacing, spacing) for spacing in spacings})
     return {"h": compare_starts(by_support, **options), "d": compare_starts(by_spacing, **options)}
 
 
@@ -359,10 +367,7 @@ def draw_study(data: dict, *, d: float):
     modes = {"independent": "a run of its own for each", "paired": "the same states for each"}
     for row, (mode, text) in zip(panels, modes.items()):
         for ax, part, title in zip(row, ("h", "d"), (f"a) d = {d:g} m", "b) h = d")):
-            curves = {name: found["theta"] for name, found in data[part][mode].items()}
-            plotting.convergence_plot(
-                ax, curves, sweeps=data[part]["sweep"], threshold=data[part]["threshold"], floor=1e-7
-            )
+            draw_convergence(ax, data[part], mode, floor=1e-7)
             ax.set_title(f"{title}, {text}")
     return figure
 

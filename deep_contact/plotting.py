@@ -37,6 +37,7 @@ START_STYLE = {
     "copy": {"color": GREEN, "linestyle": "-.", "marker": "D", "label": "Copy"},
     "cnn": {"color": PURPLE, "linestyle": "-", "marker": "o", "label": "CNN"},
     "cnn thesis": {"color": PURPLE, "linestyle": "--", "marker": "P", "label": "CNN, thesis network"},
+    "far field": {"color": PURPLE, "linestyle": "-.", "marker": "p", "label": "CNN, far field"},
     "guarded": {"color": ORANGE, "linestyle": "-", "marker": "*", "label": "Guarded"},
     "random": {"color": GREY, "linestyle": ":", "marker": "+", "label": "Random"},
     "bad": {"color": GREY, "linestyle": "--", "marker": "1", "label": "Bad"},
@@ -59,6 +60,7 @@ _STYLE = {
     "legend.framealpha": 0.9,
     "legend.edgecolor": "#DDDDDD",
     "legend.fontsize": 8.0,
+    "legend.title_fontsize": 8.0,
     "figure.facecolor": "white",
     "figure.constrained_layout.use": True,
     "figure.constrained_layout.h_pad": 0.08,
@@ -316,8 +318,8 @@ def convergence_plot(
     """Convergence rate θ after each sweep, both axes logarithmic.
 
     curves: name -> θ, N·s; starts have their own style. sweeps: after which each θ was taken, by default every one
-    from the first. bands: name -> (low, high)
-    around a curve of the same name. threshold: drawn as a horizontal line, N·s.
+    from the first. bands: name -> the quartiles (low, high) over the scenes, around the curve of that name.
+    threshold: drawn as a horizontal line, N·s.
 
     A logarithmic axis has no place for θ = 0: anything below `floor` is drawn there, and a note in the
     picture then says so. By default the floor is the power of ten below the smallest θ > 0, but not under
@@ -341,20 +343,19 @@ def convergence_plot(
             low, high = (np.maximum(edge, floor) for edge in bands[name])
             ax.fill_between(x, low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
     if threshold is not None:
-        ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1)
-        # At the left, which curves that fall leave free.
-        place = {"xy": (0.0, threshold), "xycoords": ax.get_yaxis_transform(), "textcoords": "offset points"}
-        ax.annotate(f"θ = {threshold:g}", xytext=(3, 2), fontsize=8, color="#555555", **place)
+        # In the legend: wherever it were written in the picture, some curve would cross it.
+        ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
     ax.set_xscale("log")
     ax.set_yscale("log")
     label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
     if clipped:
         note = f"θ below {floor:.0e}, zero included, is drawn there"
         ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=7, color="#555555", va="bottom")
+    title = "band: quartiles of the scenes" if bands else None
     if len(curves) > 4:  # more would hide curves
-        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
+        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title)
     elif curves:
-        ax.legend()
+        ax.legend(title=title)
     return float(floor)
 
 

@@ -57,9 +57,9 @@ def draw(data, options):
     ax.scatter(*position[~near].T, **outside)
     ax.scatter(*position[near].T, **inside)
     ax.plot(0, 0, "P", color=plotting.VERMILION, markersize=9, markeredgecolor="white", zorder=4)
-    box = {"boxstyle": "round,pad=0.15", "fc": "white", "ec": "none"}
-    place = {"textcoords": "offset points", "ha": "center", "va": "top", "bbox": box, "zorder": 5}
-    ax.annotate(f"h = {h:g} m", (0, -h), (0, -4), fontsize=8, color=plotting.BLUE, **place)
+    box = {"boxstyle": "round,pad=0.15", "fc": "#EAF4FB", "ec": "none"}
+    place = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box, "zorder": 5}
+    ax.annotate(f"h = {h:g} m", (0, -h), (0, 4), fontsize=8, color=plotting.BLUE, **place)
 
     line = data["curve"]
     curve.plot(line["r"], line["weight"], color=plotting.BLACK, label=f"{options['kernel']}, 2-D", zorder=1.5)

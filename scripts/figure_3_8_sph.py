@@ -22,6 +22,7 @@ def claims(data):
     """The hypothesis of section 3.4.1, and what the thesis sees in the figure."""
     return [
         experiments.faster(data, "sph", "builtin", text="SPH converges faster than Builtin", thesis="L683"),
+        experiments.faster(data, "sph", "none", text="SPH converges faster than None", thesis="L673"),
         experiments.faster(data, "copy", "sph", text="SPH is slower than Copy", thesis="L673"),
         experiments.faster(
             data,

@@ -99,12 +99,12 @@ def draw_neuron(ax, data):
     middle = n / 2
     for i, (left, text) in enumerate(rows):
         y = n - i
-        ax.annotate("", (2.05, middle), (0.3, y), arrowprops={"arrowstyle": "-", "color": plotting.GREY})
+        ax.annotate("", (2.05, middle), (0.1, y), arrowprops={"arrowstyle": "-", "color": plotting.GREY})
         ax.text(0.1, y, left, bbox=circle, zorder=3, **look)
         ax.text(1.05, y + (middle - y) * 0.43, text, bbox={"fc": "white", "ec": "none", "pad": 1}, **look)
     arrow = {"arrowstyle": "->", "color": plotting.BLACK}
     ax.annotate("", (3.2, middle), (2.4, middle), arrowprops=arrow)
-    ax.annotate("", (4.35, middle), (3.5, middle), arrowprops=arrow)
+    ax.annotate("", (4.2, middle), (3.5, middle), arrowprops=arrow)
     ax.text(2.2, middle, f"Σ\n{data['sum']:g}", bbox=circle, zorder=3, **look)
     ax.text(3.35, middle, "ReLU", bbox=circle, zorder=3, **look)
     ax.text(4.6, middle, f"y = {data['outputs']['ReLU']:g}", **look)

@@ -2,7 +2,7 @@
 
 from deep_contact import experiments, figures
 
-POLY6, SPIKY = "poly6, d = h = 0.5", "spiky, d = h = 0.25"
+POLY6, SPIKY = "poly6, d = h = 0.5 m", "spiky, d = h = 0.25 m"
 
 
 def compute(options, seed, jobs, progress):

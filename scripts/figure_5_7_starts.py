@@ -36,6 +36,15 @@ def claims(data):
             thesis="L1131",
             mode="independent",
         ),
+        experiments.near(
+            data,
+            "builtin",
+            "sph",
+            ratio=2.0,
+            text="SPH performs not much better than Builtin: Builtin needs at most twice its sweeps",
+            thesis="L1396",
+            mode="independent",
+        ),
         experiments.faster(data, "copy", "sph", text="Copy stays faster than SPH", thesis="L673"),
     ]
 

@@ -12,7 +12,7 @@ COLOURS = {
     "Dropout": "#FFFFFF",
     "MaxPooling": plotting.ORANGE,
     "BatchNormalization": plotting.YELLOW,
-    "Flatten": "#DDDDDD",
+    "Flatten": plotting.GREY,
     "Dense": plotting.PURPLE,
 }
 TITLES = {"MaxPooling": "max pooling", "BatchNormalization": "batch normalisation"}

@@ -2,7 +2,8 @@
 
 For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, as the solver would start from them
 (projected on the friction cone), from Builtin, and solved where the file has the solution; <out>/<name>.npy with the
-predicted image of impulses; <out>/<name>.png with both as pictures. The errors of the prediction are printed.
+predicted image, of impulses or of what the network corrects Builtin by; <out>/<name>.png with both as pictures. The
+errors of the prediction are printed.
 """
 
 from __future__ import annotations
@@ -43,26 +44,30 @@ def contact_table(state, predicted, start) -> list[list]:
 
 
 def picture(state, model, image, start):
-    """The state with its solution, or with the predicted start if there is none, and the images of the impulses."""
+    """The state with its predicted start and, if it has one, its solution; beside them the images of the impulses,
+    where the network predicts such images."""
     from deep_contact import plotting
-    from deep_contact.cnn.images import label_image
+    from deep_contact.cnn.images import ImageSpec, label_image
 
-    rows = [("predicted", image)]
-    if state.solved:
-        rows.append(("solved", label_image(state, model.spec)))
-    figure, axes = plotting.subplots(len(rows), 3, size=(12.6, 3.9 * len(rows)))
-    axes = np.asarray(axes).reshape(len(rows), 3)
     drawn = state.contacts._replace(normal_impulse=start[0], tangent_impulse=start[1])
-    shown = {"predicted": state.replace(contacts=drawn), "solved": state}
-    largest = max(float(s.contacts.normal_impulse.max(initial=0.0)) for s in (shown[name] for name, _ in rows))
-    grid = model.spec.grid(state.world)
-    (x, y), (d_x, d_y), (n_y, n_x) = grid.origin, grid.spacing, grid.shape
-    extent = (x - d_x / 2, x + d_x * (n_x - 0.5), y - d_y / 2, y + d_y * (n_y - 0.5))
-    limits = [max(float(np.abs(pixels[..., c]).max()) for _, pixels in rows) or 1.0 for c in range(2)]
-    for (name, pixels), (left, middle, right) in zip(rows, axes):
-        plotting.draw_state(left, shown[name], largest_impulse=largest)
-        left.set_title(f"{name}: impulses at the contacts")
-        for channel, (ax, what) in enumerate(((middle, "normal"), (right, "tangent"))):
+    shown = {"predicted": state.replace(contacts=drawn)} | ({"solved": state} if state.solved else {})
+    largest = max(float(found.contacts.normal_impulse.max(initial=0.0)) for found in shown.values())
+    images = {}
+    if isinstance(model.spec, ImageSpec):
+        images = {name: image if name == "predicted" else label_image(state, model.spec) for name in shown}
+    columns = 3 if images else 1
+    figure, axes = plotting.subplots(len(shown), columns, size=(4.2 * columns, 3.9 * len(shown)), squeeze=False)
+    for (name, found), row in zip(shown.items(), axes):
+        plotting.draw_state(row[0], found, largest_impulse=largest)
+        row[0].set_title(f"{name}: impulses at the contacts")
+    limits = [
+        max((float(np.abs(pixels[..., c]).max()) for pixels in images.values()), default=0.0) or 1.0 for c in (0, 1)
+    ]
+    for (name, pixels), row in zip(images.items(), axes):
+        grid = model.spec.grid(state.world)
+        (x, y), (d_x, d_y), (n_y, n_x) = grid.origin, grid.spacing, grid.shape
+        extent = (x - d_x / 2, x + d_x * (n_x - 0.5), y - d_y / 2, y + d_y * (n_y - 0.5))
+        for channel, (ax, what) in enumerate(((row[1], "normal"), (row[2], "tangent"))):
             low, colours = (0.0, plotting.COLOUR_MAP) if channel == 0 else (-limits[1], "RdBu_r")
             shades = ax.imshow(
                 pixels[..., channel], origin="lower", extent=extent, vmin=low, vmax=limits[channel], cmap=colours
@@ -101,7 +106,6 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
     """Predict one state file, write what comes of it, and return the lines to print."""
     import deep_contact as dc
     from deep_contact import plotting
-    from deep_contact.cnn.images import read_back
     from deep_contact.cnn.inference import projected
     from deep_contact.results import replacing
 
@@ -111,7 +115,7 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
     if state.contacts.count == 0:
         return [f"{path}: no contacts, nothing to predict"]
     image = model.predict_image(state)
-    predicted = read_back(image, state, model.spec)
+    predicted = model.predict(state)
     start = projected(*predicted, state.world.friction)
     name = path.name.removesuffix(".gz").removesuffix(".xml")
     text = io.StringIO()

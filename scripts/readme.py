@@ -12,10 +12,14 @@ import re
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from statistics import median
 
 from deep_contact import errata
+from deep_contact.constants import LINEAR_SLOP
+from deep_contact.extremes import spans
 from deep_contact.figures import cell
 from deep_contact.results import read_results, replacing
+from deep_contact.tradeoff import fastest_within
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"
@@ -28,8 +32,8 @@ def markdown(rows: list[list]) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in (cells[0], ["---"] * len(cells[0]), *cells[1:]))
 
 
-def _number(value: float) -> str:
-    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+def _number(value: float, digits: int = 3) -> str:
+    return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.{digits}g}"
 
 
 def engine() -> str:
@@ -40,7 +44,7 @@ def engine() -> str:
             cells = [f"{case['n_bodies']:,} {case['kind']}", name, f"{cost['contacts']:.0f}"]
             for key in ("sweep_ns", "overhead_us", "step_us"):
                 ratio = f" ({case['ratios'][name][key]:.2f}×)" if name in case["ratios"] else ""
-                cells.append(f"{cost[key]:.4g}{ratio}")
+                cells.append(_number(cost[key], 4) + ratio)
             rows.append(cells)
     return markdown(rows)
 
@@ -60,8 +64,8 @@ def transfer() -> str:
     case = json.loads((REFERENCE / "benchmark_transfer.json").read_text())
     files = json.loads((REFERENCE / "benchmark_state_xml.json").read_text())
     rows = [["what", "time"]]
-    rows += [[name, f"{1e6 * seconds:.4g} µs"] for name, seconds in case["case"].items()]
-    rows += [[name, f"{ratio:.3g}×"] for name, ratio in case["ratio"].items()]
+    rows += [[name, f"{_number(1e6 * seconds, 4)} µs"] for name, seconds in case["case"].items()]
+    rows += [[name, f"{_number(ratio)}×"] for name, ratio in case["ratio"].items()]
     for suffix in (".xml", ".xml.gz"):
         for way in ("write", "read"):
             rows.append([f"{way} a state as {suffix}", f"{files[suffix][way]['min_ms']:.3g} ms"])
@@ -74,6 +78,87 @@ def loss() -> str:
     for row in read_results(REFERENCE / "figure_6_3.json")["data"]["rows"]:
         if row["kernel"] == "poly6":
             rows.append([row["d"], row["h"], *(row[f"pile, {way}"] for way in ("thesis", "SPH gather", "consistent"))])
+    return markdown(rows)
+
+
+def pushed() -> str:
+    """How far each quantity can be pushed, from figure_6_6.json: by engine, and where another engine goes further."""
+    data = read_results(REFERENCE / "figure_6_6.json")["data"]
+    rows = [["pushed", "safe", "degraded", "fails", "refused", "safe in Box2D 2.3", "safe in pymunk"]]
+    cells = {}
+    for one in data["cells"]:
+        cells.setdefault(one["quantity"], {}).setdefault(one["engine"], {})[one["value"]] = one["verdict"]
+    for name, engines in cells.items():
+        unit = f" ({data['units'][name]})" if data["units"][name] else ""
+        mine, better = engines["ours"], {v for v, verdict in engines["ours"].items() if verdict != "safe"}
+        row = [name + unit, *(_values(mine, verdict) for verdict in ("safe", "degraded", "failed", "refused"))]
+        for peer in ("Box2D 2.3", "pymunk"):
+            found = engines.get(peer, {})
+            further = ", ".join(f"{value:g}" for value in sorted(better) if found.get(value) == "safe")
+            row.append(_values(found, "safe") + (f"; **further: {further}**" if further else ""))
+        rows.append(row)
+    return markdown(rows)
+
+
+def _values(verdicts: dict, wanted: str) -> str:
+    """The values with a verdict, neighbours among those tried as "from to last"."""
+    found = [(low, high) for verdict, low, high in spans(verdicts, verdicts.values()) if verdict == wanted]
+    return "; ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in found) or "–"
+
+
+def columns() -> str:
+    """Penetration of columns that stand in a silo, from figure_6_6.json."""
+    data = read_results(REFERENCE / "figure_6_6.json")["data"]
+    engines = ("ours", "Box2D 2.3", "pymunk")
+    rows = [["column of 50 in a silo", *(f"{engine}, slops" for engine in engines)]]
+    for name, found in data["silos"].items():
+        depths = [found[engine].get("settled") if engine in found else None for engine in engines]
+        rows.append([name, *("–" if depth is None else depth / LINEAR_SLOP for depth in depths)])
+    return markdown(rows)
+
+
+def tried() -> str:
+    """What was done to find what the tests overlook, from mutants.json and fuzz_state_xml.json."""
+    mutants = json.loads((REFERENCE / "mutants.json").read_text())
+    fuzz = json.loads((REFERENCE / "fuzz_state_xml.json").read_text())
+    rows = [["tried", "how many", "outcome"]]
+    kinds = {"planted": "faults planted by hand", "automatic": "mutants of `physics/` and `sph/`, drawn at random"}
+    for name, what in kinds.items():
+        found = mutants[name]
+        equal = f", {found['equivalent']} that change nothing" if found["equivalent"] else ""
+        rows.append([what, str(found["tried"]), f"{found['found']} found by the tests{equal}"])
+    wrong = len(fuzz["faults"])
+    rows.append(["damaged state files", f"{fuzz['inputs']:,}", f"{wrong} crashes, hangs, or accesses to anything else"])
+    return markdown(rows)
+
+
+def trade() -> str:
+    """Time of a step to a median velocity error on piles of 1,000, from tradeoff.json; in brackets over the best."""
+    data = read_results(REFERENCE / "tradeoff.json")["data"]
+    rows = [["pile", "velocity error", "best setting", "µs a step", "PGS from Builtin", "NNCG", "fastest peer"]]
+    for kind in dict.fromkeys(row["kind"] for row in data["rows"]):
+        mine = [row for row in data["rows"] if row["n_bodies"] == 1000 and row["kind"] == kind]
+        peers = [
+            {"us": row["us"], "setting": row["engine"], "velocity": {"p50": median(row["velocity"])}}
+            for row in data["peers"]
+            if row["n_bodies"] == 1000 and kind == "settling" and row["velocity"]
+        ]
+        for error in (0.3, 0.1, 0.03, 0.01, 0.001):
+            best = fastest_within(mine, error, "p50")
+            cells = [best["setting"] if best else "none", best["us"] if best else "–"]
+            for rivals in (
+                [r for r in mine if r["setting"] == "PGS"],
+                [r for r in mine if r["setting"] == "NNCG"],
+                peers,
+            ):
+                found = fastest_within(rivals, error, "p50")
+                if found is None:
+                    cells.append("not reached" if rivals else "–")
+                else:
+                    name = f"{found['setting']}, " if rivals is peers else ""
+                    over = f" ({found['us'] / best['us']:.1f}×)" if best else ""
+                    cells.append(f"{name}{_number(found['us'])}{over}")
+            rows.append([kind, error, *cells])
     return markdown(rows)
 
 
@@ -113,6 +198,10 @@ TABLES: dict[str, Callable[[], str]] = {
     "starts": starts,
     "transfer": transfer,
     "loss": loss,
+    "trade": trade,
+    "pushed": pushed,
+    "columns": columns,
+    "tried": tried,
     "claims": claims,
     "goals": goals,
     "errata": errata.markdown,
