@@ -15,8 +15,8 @@ from deep_contact.physics.engine import (
     contacts_of,
     is_sound,
     moving_room,
+    required_arguments,
     solve,
-    world_arguments,
 )
 from deep_contact.physics.methods import PGS, check_solver, tolerance_argument
 from deep_contact.state import (
@@ -42,18 +42,20 @@ _CHUNK = 4e8
 class Simulation(NamedTuple):
     """A finished run.
 
-    | field    | meaning                                                                                   |
-    |----------|-------------------------------------------------------------------------------------------|
-    | state    | the `State` after the last step, ready to go on: its contacts have been found, not solved |
-    | contacts | number of contacts in each step, (steps,)                                                 |
-    | sweeps   | number of velocity sweeps in each step, (steps,)                                          |
-    | theta    | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
+    | field       | meaning                                                                                   |
+    |-------------|-------------------------------------------------------------------------------------------|
+    | state       | the `State` after the last step, ready to go on: its contacts have been found, not solved |
+    | contacts    | number of contacts solved in each step, (steps,): all but those that are asleep           |
+    | sweeps      | number of velocity sweeps in each step, (steps,); of its slowest island, with islands     |
+    | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
+    | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over them              |
     """
 
     state: State
     contacts: np.ndarray
     sweeps: np.ndarray
     theta: np.ndarray
+    relaxations: np.ndarray
 
     @property
     def status(self) -> np.ndarray:
@@ -74,7 +76,7 @@ def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolu
     Raises ValueError on a state, solver or start that does not hold together.
     """
     state = ready(state)
-    solver = _checked_solver(solver, state)
+    solver = checked_solver(solver, state)
     return solve(state, solver, *_impulses(start, state, solver))
 
 
@@ -94,6 +96,7 @@ def simulate(
     solver=None,
     warm_start="builtin",
     accuracy: str | None = None,
+    sleep: bool = False,
     on_step: Callable[[State, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
     """Run a scene, or go on from a state, for so many steps.
@@ -102,6 +105,8 @@ def simulate(
     warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
     accuracy: "fast", "balanced" or "accurate", in place of solver and start: those that `recommendation.preset` has
     measured to be the fastest that keep the velocity error of a step within 1e-1, 1e-2 or 1e-3.
+    sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
+    does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
     it solved and those it started from) and the `ConvergenceRecord` of its sweeps.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
@@ -114,16 +119,17 @@ def simulate(
     state = ready(state)
     if accuracy is not None:
         solver, warm_start = _preset(state, accuracy, solver)
-    solver = _checked_solver(solver, state)
+    solver = checked_solver(solver, state)
     start = warm_start_of(warm_start)
     # Builtin and NoStart need nothing from Python between two steps.
     by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
     # A solved state is solved again, from where it started, so that a resumed run takes the same road.
     state = state.replace(solver=solver)
-    log = np.empty((steps, 3))
+    log = np.empty((steps, 4))
     theta = np.empty(solver.sweeps)
     moving = moving_room(state.bodies.count, solver)
-    advance, method = advance_of(solver)
+    advance, method = advance_of(solver, sleep)
+    rest = (np.zeros(state.bodies.count),) if sleep else ()
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
@@ -132,15 +138,15 @@ def simulate(
         contacts = state.contacts._replace(
             normal_start=normal,
             tangent_start=tangent,
-            normal_impulse=np.empty_like(normal),
-            tangent_impulse=np.empty_like(tangent),
+            normal_impulse=state.contacts.normal_impulse.copy(),
+            tangent_impulse=state.contacts.tangent_impulse.copy(),
         )
         bodies = Bodies(*(field.copy() for field in state.bodies))
         chunk = log[done : done + count]
         solved, found = advance(
             bodies,
             contacts,
-            world_arguments(state),
+            required_arguments(state, method[0], tangent),
             state.dt,
             *method,
             not isinstance(start, NoStart),
@@ -148,18 +154,22 @@ def simulate(
             moving,
             theta,
             chunk,
+            *rest,
         )
         if not np.isfinite(bodies.position.sum()):
             _raise_diverged(bodies, state.step + count)
         if on_step is not None:
-            record = convergence_record(theta[: int(chunk[0, 1])], solver, solved.count)
+            record = convergence_record(theta[: int(chunk[0, 1])], solver, int(chunk[0, 0]))
             on_step(state.replace(contacts=solved, solved=True), record)
         done += count
         number = state.step + count
         # From the number of steps, not by adding up, so that time does not depend on how a run was cut into pieces.
         time = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
         state = state.replace(bodies=bodies, contacts=found, time=time, step=number, solved=False)
-    return Simulation(state, log[:, 0].astype(np.int64), log[:, 1].astype(np.int64), log[:, 2].copy())
+    contacts, sweeps, theta, relaxations = log.T
+    return Simulation(
+        state, contacts.astype(np.int64), sweeps.astype(np.int64), theta.copy(), relaxations.astype(np.int64)
+    )
 
 
 def _raise_diverged(bodies: Bodies, step: int) -> None:
@@ -221,7 +231,7 @@ def _impulses(start, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
     return impulses
 
 
-def _checked_solver(solver, state: State):
+def checked_solver(solver, state: State):
     solver = solver if solver is not None else state.solver if state.solver is not None else PGS()
     check_solver(solver)
     if solver.precision == "single":

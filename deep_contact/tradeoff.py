@@ -1,12 +1,13 @@
 """The trade of speed for accuracy: what the study measures. `scripts/tradeoff.py` runs it, `recommend` reads it.
 
 Piles are falling, settling or resting. Every setting (method, precision, start) solves the same states of a pile with
-every budget, a number of sweeps or a tolerance; its errors are held against a reference (`physics.errors`). What a
-budget costs in time is measured apart, one thing at a time, as overhead + cost a contact and sweep.
+every budget, a number of sweeps or a tolerance; its errors are held against references (`physics.errors`). None of
+that depends on the machine or on what else it does. What a budget costs in time is measured apart, one thing at a
+time on a quiet machine, as overhead + cost a contact and sweep.
 Tolerances are in units of a mean circle's impulse of weight, m g Δt, so that they mean the same in another scene.
 With friction a pile of a thousand circles has many solutions, and which one is found depends on the method
-(`physics.errors`). So every method is run far past need from the state's start, and an error is the distance from the
-nearest of these solutions.
+(`physics.errors`). So every setting is run far past need once, which gives a reference and its θ by sweep, from which
+follows when it meets a tolerance; an error is the distance from the nearest of the references.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from deep_contact import peers
 from deep_contact.experiments import solved_states
 from deep_contact.physics import errors
 from deep_contact.physics.engine import ContactSolution
-from deep_contact.physics.methods import NNCG, PGS, SoftSteps
+from deep_contact.physics.methods import NNCG, PGS, SoftSteps, describe
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
-from deep_contact.recommendation import solver_of, weight_impulse
+from deep_contact.recommendation import recommend, solver_of, weight_impulse
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State
 
@@ -40,13 +41,15 @@ SETTINGS = {
     "PGS": {"method": "PGS"},
     "PGS, no start": {"method": "PGS", "start": "none"},
     "PGS, single": {"method": "PGS", "precision": "single"},
-    "PSOR 1.3": {"method": "PSOR", "omega": 1.3},
     "PSOR 1.5": {"method": "PSOR", "omega": 1.5},
     "PSOR adaptive": {"method": "PSOR", "omega": 1.0, "adaptive": True},
     "SymmetricPGS": {"method": "SymmetricPGS"},
     "NNCG": {"method": "NNCG"},
     "NNCG, no start": {"method": "NNCG", "start": "none"},
     "NNCG, single": {"method": "NNCG", "precision": "single"},
+    "NesterovPGS": {"method": "NesterovPGS"},
+    "NesterovPGS, no start": {"method": "NesterovPGS", "start": "none"},
+    "NesterovPGS, single": {"method": "NesterovPGS", "precision": "single"},
     "APGD": {"method": "APGD"},
 }
 """Name -> options of the method, and the start where it is not Builtin."""
@@ -78,19 +81,19 @@ def states_of(start: State, *, count: int, every: int = 4) -> list[State]:
     return found[every - 1 :: every]
 
 
-def references_of(state: State, sweeps: int) -> list[ContactSolution]:
-    """Solutions of a state's contact problem, one by each method with so many sweeps, far past need.
+def references_of(state: State, sweeps: int, names: Sequence[str] | None = None) -> dict[str, ContactSolution]:
+    """Setting -> what it finds with so many sweeps, far past need: each setting of double precision, or those named.
 
-    Those whose residual is not within `ENOUGH` are left out, which can be all of them.
+    Those whose residual is not within `ENOUGH` are no references, but their θ by sweep is as good: see `accepted`.
     """
-    found = []
-    for setting in SETTINGS.values():
-        if setting.get("precision", "double") == "double":
-            solver = solver_of(setting, sweeps=sweeps, tolerance=1e-9)
-            solution = solve_contacts(state, solver=solver, start=setting.get("start", "builtin"))
-            if errors.residual(state, solution) < ENOUGH:
-                found.append(solution)
-    return found
+    if names is None:
+        names = [name for name, setting in SETTINGS.items() if setting.get("precision", "double") == "double"]
+    return {name: _solved(state, SETTINGS[name], sweeps, tolerance=1e-9) for name in names}
+
+
+def accepted(state: State, found: dict[str, ContactSolution]) -> list[ContactSolution]:
+    """The solutions that may serve as references, which can be none."""
+    return [solution for solution in found.values() if errors.residual(state, solution) < ENOUGH]
 
 
 def solution_errors(
@@ -109,50 +112,65 @@ def solution_errors(
     [how far the references lie apart, state by state], "settings": {name: {"sweeps": […], "tolerance": […]}}} where
     each item of a list holds a budget and, state by state, the errors and the sweeps done.
     """
-    chosen, references, spread = [], [], []
+    budgets = [{"sweeps": int(k), "tolerance": None} for k in sweeps]
+    budgets += [{"sweeps": int(max(sweeps)), "tolerance": float(t)} for t in tolerances]
+    items = {name: [budget | {key: [] for key in _MEASURED} for budget in budgets] for name in SETTINGS}
+    contacts, spread = [], []
     for state in states_of(pile(kind, n_bodies, seed), count=states):
-        found = references_of(state, past_need)
-        if found:
-            chosen.append(state)
-            references.append(found)
-            spread.append(max(errors.velocity_error(state, other, found[0]) for other in found))
-    settings = {}
-    for name, setting in SETTINGS.items():
-        by_sweeps = [{"sweeps": int(k), "tolerance": None} for k in sweeps]
-        by_theta = [{"sweeps": int(max(sweeps)), "tolerance": float(t)} for t in tolerances]
-        settings[name] = {
-            "sweeps": [_errors_of(setting, budget, chosen, references) for budget in by_sweeps],
-            "tolerance": [_errors_of(setting, budget, chosen, references) for budget in by_theta],
-        }
+        far = references_of(state, past_need)
+        references = accepted(state, far)
+        if not references:
+            continue
+        contacts.append(state.contacts.count)
+        apart = max(errors.velocity_error(state, other, references[0]) for other in references)
+        spread.append(float(f"{apart:.3g}"))
+        for name, setting in SETTINGS.items():
+            course = far.get(name)
+            if course is None:
+                course = _solved(state, setting, max(sweeps))
+            _add_errors(items[name], state, setting, course, references)
     return {
         "kind": kind,
         "n_bodies": n_bodies,
         "seed": seed,
-        "contacts": float(np.mean([state.contacts.count for state in chosen])) if chosen else 0.0,
-        "states": len(chosen),
-        "left_out": states - len(chosen),
-        "spread": [float(f"{value:.3g}") for value in spread],
-        "settings": settings,
+        "contacts": float(np.mean(contacts)) if contacts else 0.0,
+        "states": len(contacts),
+        "left_out": states - len(contacts),
+        "spread": spread,
+        "settings": {
+            name: {"sweeps": found[: len(sweeps)], "tolerance": found[len(sweeps) :]} for name, found in items.items()
+        },
     }
 
 
-def _errors_of(setting: dict, budget: dict, states, references) -> dict:
-    found = {"velocity": [], "residual": [], "approach": [], "done": []}
-    for state, nearest in zip(states, references):
-        tolerance = budget["tolerance"]
-        absolute = None if tolerance is None else tolerance * weight_impulse(state)
-        solver = solver_of(setting, sweeps=budget["sweeps"], tolerance=absolute)
-        solution = solve_contacts(state, solver=solver, start=setting.get("start", "builtin"))
-        measured = {
-            "velocity": errors.nearest_velocity_error(state, solution, nearest),
-            "residual": errors.residual(state, solution),
-            "approach": errors.approach(state, solution),
-        }
-        for name, value in measured.items():
+_MEASURED = ("velocity", "residual", "approach", "done")
+
+
+def _solved(state: State, setting: dict, sweeps: int, tolerance: float | None = None) -> ContactSolution:
+    solver = solver_of(setting, sweeps=sweeps, tolerance=tolerance)
+    return solve_contacts(state, solver=solver, start=setting.get("start", "builtin"))
+
+
+def _add_errors(items: list[dict], state: State, setting: dict, course: ContactSolution, references) -> None:
+    """Append to each budget's item its errors on this state; course: a longer run, whose θ says where budgets end."""
+    measured = {}
+    for item in items:
+        done = item["sweeps"]
+        if item["tolerance"] is not None:
+            met = np.flatnonzero(course.record.theta[:done] <= item["tolerance"] * weight_impulse(state))
+            done = int(met[0]) + 1 if met.size else done
+        if done not in measured:
+            # A course that ended on the way would do nothing more.
+            solution = course if done >= course.record.sweeps else _solved(state, setting, done)
+            measured[done] = (
+                errors.nearest_velocity_error(state, solution, references),
+                errors.residual(state, solution),
+                errors.approach(state, solution),
+            )
+        for name, value in zip(_MEASURED, measured[done]):
             # Single precision can overflow; a number that is missing is None.
-            found[name].append(float(f"{value:.3g}") if np.isfinite(value) else None)
-        found["done"].append(solution.record.sweeps)
-    return {**budget, **found}
+            item[name].append(float(f"{value:.3g}") if np.isfinite(value) else None)
+        item["done"].append(done)
 
 
 def costs(n_bodies: int, seed: int, *, repeats: int) -> dict:
@@ -226,6 +244,10 @@ SOLVES_AT_NEW_POSITIONS = ("pymunk",)
 """Engines that move the bodies first, so that a step solves contacts at the positions which it leaves behind."""
 
 
+PEER_REFERENCES = ("PGS", "NNCG", "NesterovPGS")
+"""Settings whose solutions the steps of other engines are held against."""
+
+
 def peer_errors(
     name: str,
     n_bodies: int,
@@ -237,27 +259,44 @@ def peer_errors(
     dt: float = 0.01,
     warm_up: int = 10,
 ) -> list[dict]:
-    """Velocity error and time of single steps of another engine in its own run from a settling pile.
+    """Velocity error of single steps of another engine in its own run from a settling pile.
 
-    A step's error is that of the velocities it leaves, against our reference from the bodies it had. The engine starts
+    A step's error is that of the velocities it leaves, against our references from the bodies it had. The engine starts
     from impulses of its own (`warm_up` steps). Sub-stepping and contacts found ahead (Box2D v3) are another model, so
-    its error has a floor. Returns [{"engine", "n_bodies", "budget", "velocity": […], "us": least of the steps}].
+    its error has a floor. Returns [{"engine", "n_bodies", "budget", "velocity": […]}].
     """
     start = pile("settling", n_bodies, seed)
     rows = []
     for budget in budgets:
         world = PEERS[name](start)
-        found, least = [], np.inf
+        found = []
         for step in range(warm_up + 4 * samples):
             before = world.bodies()
-            begin = time.perf_counter()
             world.step(dt, budget, 10)
-            least = min(least, time.perf_counter() - begin)
             if step >= warm_up and step % 4 == 0:
                 error = _step_error(start, before, world.bodies(), dt, past_need, name in SOLVES_AT_NEW_POSITIONS)
                 if error is not None:
                     found.append(error)
-        rows.append({"engine": name, "n_bodies": n_bodies, "budget": budget, "velocity": found, "us": least * 1e6})
+        rows.append({"engine": name, "n_bodies": n_bodies, "budget": budget, "velocity": found})
+    return rows
+
+
+def peer_times(
+    name: str, n_bodies: int, seed: int, *, budgets: Sequence[int], steps: int = 30, dt: float = 0.01, warm_up: int = 10
+) -> list[dict]:
+    """Time of a step of another engine in the same runs: [{"engine", "n_bodies", "budget", "us": least of the steps}].
+
+    Nothing else should run meanwhile.
+    """
+    start = pile("settling", n_bodies, seed)
+    rows = []
+    for budget in budgets:
+        world, least = PEERS[name](start), np.inf
+        for _ in range(warm_up + steps):
+            begin = time.perf_counter()
+            world.step(dt, budget, 10)
+            least = min(least, time.perf_counter() - begin)
+        rows.append({"engine": name, "n_bodies": n_bodies, "budget": budget, "us": least * 1e6})
     return rows
 
 
@@ -271,11 +310,72 @@ def _step_error(start: State, before, after, dt: float, past_need: int, at_new_p
     guess = solve_contacts(state, solver=PGS(sweeps=300, tolerance=None), start=None)
     starts = {"normal_start": guess.normal_impulses, "tangent_start": guess.tangent_impulses}
     state = state.replace(contacts=state.contacts._replace(**starts))
-    references = references_of(state, past_need)
+    references = accepted(state, references_of(state, past_need, PEER_REFERENCES))
     if not references:
         return None
     left = references[0]._replace(velocities=after.velocity, angular_velocities=after.spin)
     return float(f"{errors.nearest_velocity_error(state, left, references):.3g}")
+
+
+def recommended_errors(
+    kind: str,
+    n_bodies: int,
+    seed: int,
+    *,
+    states: int,
+    asked: Sequence[float],
+    margins: Sequence[float],
+    past_need: int,
+    table: dict,
+) -> list[dict]:
+    """What the recommendations of a study (`table`) leave on states of a pile, by the error asked for and the margin.
+
+    Returns [{"kind", "n_bodies", "asked", "margin", "reached", "solver", "us", "velocity": [error, state by state]}].
+    """
+    start = pile(kind, n_bodies, seed)
+    rows = []
+    for error in asked:
+        for margin in margins:
+            found = recommend(start, velocity_error=error, table=with_margin(table, margin))
+            common = {"kind": kind, "n_bodies": n_bodies, "asked": float(error), "margin": float(margin)}
+            rows.append((common | {"reached": found.reached, "us": found.us, "velocity": []}, found))
+    for state in states_of(start, count=states):
+        references = accepted(state, references_of(state, past_need))
+        measured: dict = {}
+        for row, found in rows if references else ():
+            key = (found.solver, found.warm_start)
+            if key not in measured:
+                solution = solve_contacts(state, solver=found.solver, start=found.warm_start)
+                measured[key] = float(f"{errors.nearest_velocity_error(state, solution, references):.3g}")
+            row["velocity"].append(measured[key])
+    return [row | {"solver": describe(found.solver), "start": found.warm_start} for row, found in rows]
+
+
+def with_margin(table: dict, margin: float) -> dict:
+    """The same study, whose recommendations keep a margin: see `recommend`."""
+    return {**table, "data": {**table["data"], "margin": float(margin)}}
+
+
+def met(rows: Sequence[dict]) -> dict[float, float]:
+    """Error asked for -> share of the states in which its recommendations met it, where the study reaches it."""
+    shares = {}
+    for error in sorted({row["asked"] for row in rows}):
+        found = [v <= error for row in rows if row["asked"] == error and row["reached"] for v in row["velocity"]]
+        if found:
+            shares[error] = float(np.mean(found))
+    return shares
+
+
+def least_margin(rows: Sequence[dict], share: float = 0.95) -> float | None:
+    """The smallest margin with which each error asked for is met in that share of the states; None if none is enough.
+
+    Errors that are out of the study's reach with a margin do not count for it.
+    """
+    for margin in sorted({row["margin"] for row in rows}):
+        shares = met([row for row in rows if row["margin"] == margin])
+        if shares and min(shares.values()) >= share:
+            return margin
+    return None
 
 
 def condensed(piles: Sequence[dict], measured: Sequence[dict]) -> list[dict]:

@@ -1,11 +1,14 @@
 """The study of speed against accuracy: errors and times of every method, start, budget, precision and time step.
 
-    python scripts/tradeoff.py [--quick] [--jobs J] [--seed S] [--out FILE] [--work FOLDER]
+    python scripts/tradeoff.py [--quick] [--jobs J] [--scheduler ADDRESS] [--seed S] [--out FILE] [--work FOLDER]
+    python scripts/tradeoff.py --errors     the parts that need no quiet machine, and no more
+    python scripts/tradeoff.py --verify     whether recommendations keep what they promise on scenes outside the study
 
 Every part of the study is stored in the work folder as soon as it is done, so that a run that was interrupted goes on
-where it was; parts with other settings are left alone. Errors are measured by several processes, times afterwards by
-one. The results file holds all numbers; `scripts/figure_6_1_methods.py` and `figure_6_2_time_step.py` draw them, and
-`--install` hands the condensed part to the package, for `dc.recommend`. Quick form: 100 and 1,000 circles.
+where it was; parts with other settings are left alone. Errors are measured by several processes, or by a Dask cluster
+(--scheduler, see `deep_contact.executors`), times afterwards by one process of this machine. The results file holds all
+numbers; `scripts/figure_6_1_methods.py` and `figure_6_2_time_step.py` draw them, and `--install` hands the condensed
+part to the package, for `dc.recommend`; with --verify it hands over the margin. Quick form: 100 and 1,000 circles.
 """
 
 from __future__ import annotations
@@ -15,20 +18,23 @@ import hashlib
 import json
 import sys
 import time
+from concurrent.futures import Executor
+from contextlib import closing
 from pathlib import Path
 
-from deep_contact import figures, results, tradeoff
+from deep_contact import executors, figures, results, tradeoff
 from deep_contact.recommendation import TABLE
 
 FULL = {
     "sizes": [100, 1000, 10000],
     "seeds": {"100": 6, "1000": 3, "10000": 1},
     "states": {"100": 12, "1000": 8, "10000": 4},
-    "sweeps": [1, 2, 3, 5, 8, 12, 20, 30, 50, 80, 120, 200, 300, 500, 800, 1200, 2000, 4000],
+    "sweeps": [1, 2, 3, 5, 8, 12, 20, 30, 50, 80, 120, 200, 300, 500, 800, 1200, 2000, 4000, 10_000],
     "tolerances": [1.0, 0.3, 0.1, 3e-2, 1e-2, 3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-5, 1e-6],
-    "past_need": 100_000,
-    "run_sizes": [100, 1000],
-    "seconds": 2.0,
+    "most_sweeps": {"100": 10_000, "1000": 10_000, "10000": 2000},
+    "past_need": {"100": 100_000, "1000": 40_000, "10000": 15_000},
+    "run_sizes": [100, 1000, 10000],
+    "seconds": {"100": 2.0, "1000": 2.0, "10000": 0.5},
     "steps": [0.02, 0.01, 0.005],
     "peer_sizes": [100, 1000],
     "peer_budgets": [4, 10, 30, 100, 300, 1000],
@@ -41,9 +47,10 @@ QUICK = {
     "states": {"100": 5, "1000": 2},
     "sweeps": [1, 3, 10, 30, 100, 300, 1000],
     "tolerances": [1.0, 0.1, 1e-2, 1e-3, 1e-4],
-    "past_need": 30_000,
+    "most_sweeps": {"100": 1000, "1000": 1000},
+    "past_need": {"100": 20_000, "1000": 20_000},
     "run_sizes": [100],
-    "seconds": 0.5,
+    "seconds": {"100": 0.5},
     "steps": [0.02, 0.01],
     "peer_sizes": [100],
     "peer_budgets": [4, 10, 100],
@@ -51,11 +58,32 @@ QUICK = {
     "repeats": 3,
 }
 
+VERIFY = {
+    "sizes": [80, 700, 3000],
+    "seeds": {"80": 4, "700": 2, "3000": 1},
+    "states": {"80": 12, "700": 8, "3000": 2},
+    "asked": [0.3, 0.1, 0.03, 0.01, 0.003, 0.001],
+    "margins": [1.0, 1.25, 1.5, 2.0, 3.0, 4.0],
+    "past_need": {"80": 100_000, "700": 40_000, "3000": 15_000},
+}
+"""Scenes outside the study: other numbers of circles, other seeds."""
+
+VERIFY_QUICK = {
+    "sizes": [80],
+    "seeds": {"80": 1},
+    "states": {"80": 4},
+    "asked": [0.1, 0.01],
+    "margins": [1.0, 2.0, 4.0],
+    "past_need": {"80": 20_000},
+}
+
 PARTS = {
     "errors": tradeoff.solution_errors,
+    "peer_errors": tradeoff.peer_errors,
     "runs": tradeoff.resting_runs,
-    "peers": tradeoff.peer_errors,
+    "peer_times": tradeoff.peer_times,
     "costs": tradeoff.costs,
+    "verify": tradeoff.recommended_errors,
 }
 
 
@@ -63,56 +91,78 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
     """The parts of the study as (name, arguments): those whose errors count, and those whose times do."""
     measured, timed = [], []
     for n in options["sizes"]:
+        most, past_need = options["most_sweeps"][str(n)], options["past_need"][str(n)]
+        budgets = {
+            "sweeps": [k for k in options["sweeps"] if k <= most],
+            "tolerances": options["tolerances"],
+            "past_need": past_need,
+        }
         for pile_seed in figures.seeds(seed, options["seeds"][str(n)]):
             for kind in tradeoff.KINDS:
-                budgets = {name: options[name] for name in ("sweeps", "tolerances", "past_need")}
                 arguments = {"kind": kind, "n_bodies": n, "seed": pile_seed, "states": options["states"][str(n)]}
                 measured.append(("errors", arguments | budgets))
         timed.append(("costs", {"n_bodies": n, "seed": seed, "repeats": options["repeats"]}))
     for n in options["run_sizes"]:
-        timed.append(("runs", {"n_bodies": n, "seed": seed, "seconds": options["seconds"], "steps": options["steps"]}))
+        arguments = {"seconds": options["seconds"][str(n)], "steps": options["steps"]}
+        timed.append(("runs", {"n_bodies": n, "seed": seed} | arguments))
     for n in options["peer_sizes"]:
         for name in tradeoff.PEERS:
-            arguments = {"budgets": options["peer_budgets"], "samples": options["peer_samples"]}
-            arguments["past_need"] = options["past_need"]
-            timed.append(("peers", {"name": name, "n_bodies": n, "seed": seed} | arguments))
+            common = {"name": name, "n_bodies": n, "seed": seed, "budgets": options["peer_budgets"]}
+            more = {"samples": options["peer_samples"], "past_need": options["past_need"][str(n)]}
+            measured.append(("peer_errors", common | more))
+            timed.append(("peer_times", common))
     # The largest first, so that no process is left with one at the end.
     measured.sort(key=lambda part: -part[1]["n_bodies"])
     return measured, timed
 
 
-def do(task: tuple[str, dict, str]):
-    """The result of one part: read if it has been stored, else computed and stored."""
-    name, arguments, folder = task
-    text = json.dumps([name, arguments], sort_keys=True)
-    path = Path(folder) / f"{name}_{arguments['n_bodies']}_{hashlib.sha256(text.encode()).hexdigest()[:16]}.json"
-    if path.exists():
-        return json.loads(path.read_text(encoding="utf-8"))
-    found = results.plain(PARTS[name](**arguments))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with results.replacing(path) as temporary:
-        temporary.write_text(json.dumps(found, allow_nan=False), encoding="utf-8")
-    return found
+def compute(part: tuple[str, dict]):
+    """The result of one part, as it is stored."""
+    name, arguments = part
+    return results.plain(PARTS[name](**arguments))
 
 
-def study(options: dict, *, seed: int, jobs: int, work: Path) -> dict:
+def done(parts: list, *, work: Path, jobs: int | Executor, text: str) -> list:
+    """The results of the parts, in their order: read where they have been stored, else computed and stored here."""
+    paths = []
+    for part in parts:
+        digest = hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
+        paths.append(work / f"{part[0]}_{part[1]['n_bodies']}_{digest}.json")
+    missing = [i for i, path in enumerate(paths) if not path.exists()]
+    work.mkdir(parents=True, exist_ok=True)
+    with closing(executors.finished(compute, [parts[i] for i in missing], jobs=jobs)) as found:
+        for k, result in figures.progress_bar(found, total=len(missing), text=text):
+            with results.replacing(paths[missing[k]]) as temporary:
+                temporary.write_text(json.dumps(result, allow_nan=False), encoding="utf-8")
+    return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+
+
+def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict:
     """The data of the results file."""
     measured, timed = plan(options, seed)
-    tasks = [(name, arguments, str(work)) for name, arguments in measured]
-    piles = figures.parallel_map(do, tasks, jobs=jobs, progress=figures.progress_bar, text="errors")
-    found = {"costs": [], "runs": [], "peers": []}
-    for name, arguments in figures.progress_bar(timed, total=len(timed), text="times"):
-        part = do((name, arguments, str(work)))
-        if name == "costs":
-            found["costs"].append(part)
-        else:
-            extra = {"n_bodies": arguments["n_bodies"]}
-            found[name] += [extra | row for row in part]
-    spread = [
-        {key: pile[key] for key in ("kind", "n_bodies", "seed", "contacts", "states", "left_out", "spread")}
-        for pile in piles
-    ]
-    return {"settings": tradeoff.SETTINGS, "piles": spread, "rows": tradeoff.condensed(piles, found["costs"]), **found}
+    parts: dict = {name: [] for name in PARTS}
+    for (name, _), part in zip(measured, done(measured, work=work, jobs=jobs, text="errors")):
+        parts[name].append(part)
+    for (name, arguments), part in zip(timed, done(timed, work=work, jobs=1, text="times")):
+        extra = {"n_bodies": arguments["n_bodies"]}
+        parts[name].append([extra | row for row in part] if name == "runs" else part)
+    piles = parts["errors"]
+    peer_us = {_peer_key(row): row["us"] for part in parts["peer_times"] for row in part}
+    return {
+        "settings": tradeoff.SETTINGS,
+        "piles": [
+            {key: pile[key] for key in ("kind", "n_bodies", "seed", "contacts", "states", "left_out", "spread")}
+            for pile in piles
+        ],
+        "rows": tradeoff.condensed(piles, parts["costs"]),
+        "costs": parts["costs"],
+        "runs": [row for part in parts["runs"] for row in part],
+        "peers": [row | {"us": peer_us[_peer_key(row)]} for part in parts["peer_errors"] for row in part],
+    }
+
+
+def _peer_key(row: dict) -> tuple:
+    return row["engine"], row["n_bodies"], row["budget"]
 
 
 def claims(data: dict) -> list[results.Claim]:
@@ -129,11 +179,18 @@ def claims(data: dict) -> list[results.Claim]:
         if any(row["n_bodies"] == n for row in data["peers"]):
             rivals.append((peer, "the fastest peer", over_peers))
         for rival, name, factor in rivals:
+            apart = [
+                v
+                for pile in data["piles"]
+                if (pile["n_bodies"], pile["kind"]) == (n, "settling")
+                for v in pile["spread"]
+            ]
             measured = {
                 "ours": best and best["setting"],
                 "ours, us": best and best["us"],
                 "rival": rival and rival.get("engine", "PGS"),
                 "rival, us": rival and rival["us"],
+                "solutions lie apart by": median(apart) if apart else None,
             }
             text = f"velocity error {error:g}, {n} settling circles: a step is {factor:g}x faster than {name}'s"
             # A rival that never gets there is beaten.
@@ -147,35 +204,102 @@ def median(values: list) -> float:
     return sorted(values)[len(values) // 2] if values else float("inf")
 
 
+def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict:
+    """The data of the verification: errors of what the package recommends, on scenes outside of its study."""
+    found = results.read_results(TABLE)
+    # Without the margin, or parts would not be found again once it is there.
+    table = {"data": {name: found["data"][name] for name in ("settings", "rows")}, "provenance": found["provenance"]}
+    parts = []
+    for n in options["sizes"]:
+        for kind in tradeoff.KINDS:
+            common = {name: options[name] for name in ("asked", "margins")} | {"table": table}
+            common |= {"kind": kind, "n_bodies": n, "states": options["states"][str(n)]}
+            common |= {"past_need": options["past_need"][str(n)]}
+            # Seeds that no study starts from.
+            parts += [("verify", common | {"seed": s}) for s in figures.seeds(seed + 5000, options["seeds"][str(n)])]
+    parts.sort(key=lambda part: -part[1]["n_bodies"])
+    rows = [row for part in done(parts, work=work, jobs=jobs, text="scenes") for row in part]
+    margin = tradeoff.least_margin(rows)
+    kept = [row for row in rows if row["margin"] == (margin or max(options["margins"]))]
+    by_kind = {kind: _named(tradeoff.met([row for row in kept if row["kind"] == kind])) for kind in tradeoff.KINDS}
+    return {"rows": rows, "margin": margin, "met": _named(tradeoff.met(kept)), "by_kind": by_kind}
+
+
+def _named(shares: dict) -> dict:
+    return {f"{error:g}": share for error, share in shares.items()}
+
+
+def verify_claims(data: dict) -> list[results.Claim]:
+    """Whether what is recommended keeps its promise."""
+    plain = tradeoff.met([row for row in data["rows"] if row["margin"] == 1.0])
+    text = "a recommended setting meets the error asked for in 95 % of the states of scenes outside the study"
+    return [
+        results.Claim(text, None, data["margin"] is not None, {"margin": data["margin"], **data["met"]}),
+        results.Claim(text + ", without a margin", None, bool(plain) and min(plain.values()) >= 0.95, _named(plain)),
+    ]
+
+
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a smaller study that ends within five minutes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2, help="processes for the errors (2)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=executors.SCHEDULER_HELP + ", for the errors")
     parser.add_argument("--out", type=Path, help="results file (data/reference/tradeoff.json; quick: runs/)")
     parser.add_argument("--work", type=Path, default=Path("runs/tradeoff"), help="folder of the finished parts")
     parser.add_argument("--install", action="store_true", help="make these the numbers that dc.recommend reads")
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
+    what.add_argument("--verify", action="store_true", help="measure what is recommended on scenes outside the study")
     given = parser.parse_args(arguments)
-    options = QUICK if given.quick else FULL
-    out = given.out or Path("runs/tradeoff_quick.json" if given.quick else "data/reference/tradeoff.json")
     begin = time.perf_counter()
-    data = study(options, seed=given.seed, jobs=given.jobs, work=given.work)
-    file = {
-        "id": "6.1",
-        "title": "Speed for accuracy: errors and times of every method and budget",
-        "options": {**options, "quick": given.quick},
-        "provenance": results.provenance(seed=given.seed, wall_s=time.perf_counter() - begin),
-        "claims": claims(data),
-        "data": data,
-    }
+    try:
+        with executors.opened(given.jobs, given.scheduler) as jobs:
+            file = _verification(given, jobs) if given.verify else _study(given, jobs)
+    except executors.ClusterError as error:
+        print(error, file=sys.stderr)
+        return 1
+    if file is None:
+        return 0
+    file["provenance"] = results.provenance(seed=given.seed, wall_s=time.perf_counter() - begin)
+    name = "tradeoff_verify" if given.verify else "tradeoff"
+    out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
     results.write_results(out, file)
     for claim in file["claims"]:
         print(f"{'holds' if claim.holds else 'DOES NOT HOLD'}: {claim.text}: {claim.measured}")
     if given.install:
-        condensed = {"settings": data["settings"], "rows": tradeoff.installed(data["rows"])}
-        results.write_results(TABLE, {**file, "data": condensed})
-    print(f"{len(data['rows'])} rows in {out.name}, {time.perf_counter() - begin:.0f} s")
+        install(file)
+    print(f"{len(file['data']['rows'])} rows in {out.name}, {time.perf_counter() - begin:.0f} s")
     return 0
+
+
+def _study(given, jobs: int | Executor) -> dict | None:
+    options = QUICK if given.quick else FULL
+    if given.errors:
+        done(plan(options, given.seed)[0], work=given.work, jobs=jobs, text="errors")
+        return None
+    data = study(options, seed=given.seed, jobs=jobs, work=given.work)
+    title = "Speed for accuracy: errors and times of every method and budget"
+    options = {**options, "quick": given.quick}
+    return {"id": "6.1", "title": title, "options": options, "claims": claims(data), "data": data}
+
+
+def _verification(given, jobs: int | Executor) -> dict:
+    options = VERIFY_QUICK if given.quick else VERIFY
+    data = verify(options, seed=given.seed, jobs=jobs, work=given.work)
+    title = "Velocity errors of what is recommended, on scenes outside the study"
+    options = {**options, "quick": given.quick}
+    return {"id": "V.1", "title": title, "options": options, "claims": verify_claims(data), "data": data}
+
+
+def install(file: dict) -> None:
+    """Hand a study to the package, or, of a verification, the margin that its recommendations are to keep."""
+    if file["id"] == "V.1":
+        if file["data"]["margin"] is not None:
+            results.write_results(TABLE, tradeoff.with_margin(results.read_results(TABLE), file["data"]["margin"]))
+        return
+    rows = tradeoff.installed(file["data"]["rows"])
+    results.write_results(TABLE, {**file, "data": {"settings": file["data"]["settings"], "rows": rows}})
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 import deep_contact as dc
 from deep_contact.constants import WALL_SKIN
-from deep_contact.physics.collision import carry_impulses, make_contacts
+from deep_contact.physics.collision import carry_impulses, find_contacts, make_cells, make_contacts, sort_into_cells
 from deep_contact.physics.engine import contacts_of
 from deep_contact.state import World, make_bodies
 
@@ -55,6 +55,19 @@ def test_far_outlier_does_not_cost_a_cell_a_metre():
     assert list(zip(contacts.body_a, contacts.body_b)) == [(0, 1)]
 
 
+@pytest.mark.parametrize("stretch", [(1.0, 1.0), (1.0, 0.0), (1.0, 0.2), (1.0, 0.01)])
+@pytest.mark.parametrize("n", [1, 2, 10, 100, 3000])
+def test_cells_have_room_however_small_and_scattered_the_circles_are(n, stretch):
+    # The widest grids: circles much smaller than their distances, whose cells would be countless.
+    cells = make_cells(n)
+    position = np.random.default_rng(n).uniform(0, 1e3, (n, 2)) * stretch
+    position[: min(n, 2)] = np.array([[0.0, 0.0], [1e3, 1e3]])[:n] * stretch
+    columns, rows = sort_into_cells(position, np.full(n, 1e-6), cells)
+    assert columns * rows + 1 <= cells.start.size
+    assert cells.start[columns * rows] == n
+    assert sorted(cells.order) == list(range(n))
+
+
 def test_geometry_of_a_pair():
     contacts = contacts_of(state_of([[10.0, 10.0], [11.2, 11.6]], [1.0, 1.1]))
     # Centres 2 apart along (0.6, 0.8), radii 1 and 1.1: overlap 0.1, whose middle is 0.95 from the first centre.
@@ -96,3 +109,21 @@ def test_bodies_refuse_nan(field):
     arguments[field][1] = np.nan
     with pytest.raises(ValueError, match=rf"bodies\.{field}\[1\]: expected a finite number, got .*nan"):
         make_bodies(arguments["position"], radius=arguments["radius"])
+
+
+def test_what_a_search_remembers_changes_no_pair():
+    # A pile falls (no list lasts), rests (one does), and is kicked; it is searched afresh beside that each time.
+    state, cells, searched = dc.lattice_in_box(60, radius=(0.7, 1.0), gap=0.3, seed=2), make_cells(60), []
+    for step in range(500):
+        state = dc.simulate(state, steps=1, solver=dc.PGS(sweeps=10)).state
+        if step == 400:
+            state.bodies.position[7] += 0.5
+            state = state.replace(contacts=None)
+        bodies, box = state.bodies, state.world.box
+        found, _ = find_contacts(bodies.position, bodies.radius, box, cells, make_contacts(400))
+        fresh, _ = find_contacts(bodies.position, bodies.radius, box, make_cells(60), make_contacts(400))
+        searched.append(cells.memory[1] >= 0)
+        for one, other in zip(found, fresh):
+            np.testing.assert_array_equal(one, other)
+    assert not all(searched[:300])
+    assert np.mean(searched[300:400]) > 0.9

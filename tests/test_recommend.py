@@ -8,6 +8,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import recommendation as advice
 from deep_contact import tradeoff
+from deep_contact.physics.methods import describe
 
 
 def row(setting, kind, error, us, *, n_bodies=100, sweeps=10, tolerance=None):
@@ -134,6 +135,50 @@ def test_small_study_of_a_pile(monkeypatch):
     few, many = found["settings"]["PGS"]["sweeps"]
     assert np.median(many["velocity"]) < 0.2 * np.median(few["velocity"])
     assert found["settings"]["NNCG"]["tolerance"][0]["done"][0] < 200
+
+
+def test_a_tolerance_ends_where_its_theta_says(monkeypatch):
+    # The course far past need tells after how many sweeps a tolerance is met: the solver stops there by itself.
+    monkeypatch.setattr(tradeoff, "SETTINGS", {"NNCG": tradeoff.SETTINGS["NNCG"]})
+    found = tradeoff.solution_errors("settling", 40, 1, states=2, sweeps=[300], tolerances=[0.1, 1e-9], past_need=5000)
+    states = tradeoff.states_of(tradeoff.pile("settling", 40, 1), count=2)
+    loose, tight = found["settings"]["NNCG"]["tolerance"]
+    for k, state in enumerate(states):
+        solver = dc.NNCG(sweeps=300, tolerance=0.1 * advice.weight_impulse(state))
+        assert loose["done"][k] == dc.solve_contacts(state, solver=solver).record.sweeps < 300
+    assert tight["done"] == [300, 300]
+
+
+def test_a_margin_asks_for_a_smaller_error():
+    scene = dc.circles_in_box(50)
+    found = advice.recommend(scene, velocity_error=0.01, table=tradeoff.with_margin(TABLE, 2.0))
+    assert (found.measured, found.reached, found.margin) == (0.004, True, 2.0)
+    assert not advice.recommend(scene, velocity_error=0.01, table=tradeoff.with_margin(TABLE, 3.0)).reached
+    assert "margin of 2" in str(found)
+    assert "margin" not in str(advice.recommend(scene, velocity_error=0.01, table=TABLE))
+
+
+def test_the_least_margin_that_keeps_the_promise():
+    def row(asked, margin, velocity, reached=True):
+        return {"asked": asked, "margin": margin, "reached": reached, "velocity": velocity}
+
+    good, bad = [0.05] * 19 + [0.2], [0.05] * 18 + [0.2] * 2
+    rows = [row(0.1, 1.0, bad), row(0.1, 2.0, good), row(0.01, 1.0, [0.001] * 20), row(0.01, 2.0, [9.0], reached=False)]
+    assert tradeoff.met(rows[:1]) == {0.1: 0.9}
+    assert tradeoff.least_margin(rows) == 2.0
+    assert tradeoff.least_margin(rows[:1]) is None
+
+
+def test_recommendations_are_judged_on_other_scenes(monkeypatch):
+    monkeypatch.setattr(tradeoff, "SETTINGS", {name: tradeoff.SETTINGS[name] for name in ("PGS", "NNCG")})
+    options = {"states": 1, "asked": [0.05, 1e-6], "margins": [1.0, 2.0], "past_need": 5000, "table": TABLE}
+    rows = tradeoff.recommended_errors("resting", 40, 3, **options)
+    assert [(row["asked"], row["margin"], row["reached"]) for row in rows] == [
+        (0.05, 1.0, True), (0.05, 2.0, True), (1e-6, 1.0, False), (1e-6, 2.0, False)
+    ]  # fmt: skip
+    by_hand = advice.recommend(tradeoff.pile("resting", 40, 3), velocity_error=0.05, table=TABLE)
+    assert rows[0]["solver"] == describe(by_hand.solver)
+    assert all(len(row["velocity"]) == 1 for row in rows)
 
 
 def test_a_preset_that_the_study_does_not_reach_warns(monkeypatch):

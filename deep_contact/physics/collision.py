@@ -19,8 +19,15 @@ SMALLEST_DISTANCE = 1e-12
 """Centres closer than this have no direction between them; the normal is then +x, as in Box2D."""
 
 
+NEAR = 0.2
+"""Gap below which pairs are kept as near, in smallest radii. In a packing it is too small for second neighbours."""
+
+
 class Cells(NamedTuple):
-    """Room for the broad phase over n circles.
+    """Room for the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
+
+    As long as no circle has moved by more than half of what near means, pairs that touch are among those. A pile at
+    rest is sorted into cells once, then, and a list is not made where it would not last.
 
     | field  | meaning                                                                       | shape        |
     |--------|-------------------------------------------------------------------------------|--------------|
@@ -28,18 +35,29 @@ class Cells(NamedTuple):
     | order  | circles by cell, in a cell by index                                           | (n,)         |
     | cell   | cell of each circle                                                           | (n,)         |
     | circle | x, y, radius in the order of `order`                                          | (n, 3)       |
+    | anchor | positions at the last sorting                                                 | (n, 2)       |
+    | first  | circles `near[first[a]:first[a + 1]]` are near a and come after it            | (n + 1,)     |
+    | near   | circles, for each a by index                                                  | (8n + 40,)   |
+    | memory | searches since the last sorting, -1 before the first; pairs in `near`, or -1   | (2,)         |
     """
 
     start: np.ndarray
     order: np.ndarray
     cell: np.ndarray
     circle: np.ndarray
+    anchor: np.ndarray
+    first: np.ndarray
+    near: np.ndarray
+    memory: np.ndarray
 
 
 @njit(cache=True)
 def make_cells(n):
     """Room for the broad phase over n circles."""
-    return Cells(np.empty(8 * n + 40, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)))
+    return Cells(
+        np.empty(8 * n + 40, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
+        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int64), np.full(2, -1),
+    )  # fmt: skip
 
 
 @njit(cache=True)
@@ -72,10 +90,10 @@ def own_contacts(contacts):
 
 
 @njit(cache=True, error_model="numpy")
-def sort_into_cells(position, radius, cells):
-    """Broad phase: counting sort of the circles into square cells at least one diameter wide. Fills `cells`.
+def sort_into_cells(position, radius, cells, gap=0.0):
+    """Broad phase: counting sort of the circles into square cells at least one diameter and a gap wide. Fills `cells`.
 
-    position: (n, 2), m. radius: (n,), m. Returns (columns, rows) of the grid, which covers the centres.
+    position: (n, 2), m. radius: (n,), m. gap: m. Returns (columns, rows) of the grid, which covers the centres.
     Cells are wider where there would be more than four of them per circle.
     """
     n = position.shape[0]
@@ -89,7 +107,7 @@ def sort_into_cells(position, radius, cells):
         y_max = max(y_max, position[i, 1])
         largest = max(largest, radius[i])
     most = 4.0 * n + 16.0
-    width = max(2.0 * largest, math.sqrt((x_max - x_min) * (y_max - y_min) / most))
+    width = max(2.0 * largest + gap, math.sqrt((x_max - x_min) * (y_max - y_min) / most))
     width = max(width, max(x_max - x_min, y_max - y_min) / (n + 4.0))
     per_metre = 1.0 / width
     columns = int((x_max - x_min) * per_metre) + 1
@@ -122,12 +140,30 @@ def write_pairs(position, radius, box, cells, body_a, body_b):
     """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
 
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. body_b is a circle, or n + wall.
+    cells: `Cells`; what it remembers of the search before saves work and changes no pair.
     Returns the number of pairs, or -1 if they have no room.
     """
     n = position.shape[0]
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
     if n == 0 or not math.isfinite(position.sum()):
         return 0
+    smallest = radius[0]
+    for i in range(n):
+        smallest = min(smallest, radius[i])
+    gap = NEAR * smallest
+    memory = cells.memory
+    if memory[0] >= 0:
+        memory[0] += 1
+        lasts = moves_within(position, cells.anchor, 0.49 * gap)
+        if lasts and memory[1] >= 0:
+            return write_near_pairs(position, radius, box, cells, body_a, body_b)
+        # A list costs about a search: it is made where nothing went far in one step, or where the last one lasted.
+        if (lasts and moves_within(position, cells.anchor, 0.1 * gap)) or memory[0] > 4:
+            find_near(position, radius, gap, cells)
+            if memory[1] >= 0:
+                return write_near_pairs(position, radius, box, cells, body_a, body_b)
+    memory[0], memory[1] = 0, -1
+    cells.anchor[:] = position
     columns, rows = sort_into_cells(position, radius, cells)
     circle, order = cells.circle, cells.order
     m = 0
@@ -150,12 +186,83 @@ def write_pairs(position, radius, box, cells, body_a, body_b):
                 body_b[m] = order[k]
                 m += (dx * dx + dy * dy <= reach * reach) & (order[k] > a)
         _sort_run(body_b, first, m)
-        reach = r + WALL_SKIN
-        for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
-            if gap <= reach:
-                body_b[m] = n + wall
-                m += 1
+        m = write_walls(x, y, r, box, n, body_b, m)
         body_a[first:m] = a
+    return m
+
+
+@njit(cache=True)
+def moves_within(position, anchor, distance):
+    """Whether every circle is within this distance of where it was, m."""
+    farthest = 0.0
+    for i in range(position.shape[0]):
+        dx, dy = position[i, 0] - anchor[i, 0], position[i, 1] - anchor[i, 1]
+        farthest = max(farthest, dx * dx + dy * dy)
+    return farthest <= distance * distance
+
+
+@njit(cache=True, error_model="numpy")
+def find_near(position, radius, gap, cells):
+    """Fill the list of pairs that are near each other: no farther apart than the gap, m. None where it has no room."""
+    n = position.shape[0]
+    columns, rows = sort_into_cells(position, radius, cells, gap)
+    circle, order, near = cells.circle, cells.order, cells.near
+    cells.anchor[:] = position
+    cells.memory[0], cells.memory[1] = 0, -1
+    m = 0
+    for a in range(n):
+        x, y, r = position[a, 0], position[a, 1], radius[a] + gap
+        row = cells.cell[a] // columns
+        column = cells.cell[a] - row * columns
+        first = m
+        for neighbour_row in range(max(row - 1, 0), min(row + 2, rows)):
+            start = cells.start[neighbour_row * columns + max(column - 1, 0)]
+            stop = cells.start[neighbour_row * columns + min(column + 1, columns - 1) + 1]
+            if m + (stop - start) > near.shape[0]:
+                return
+            for k in range(start, stop):
+                dx = circle[k, 0] - x
+                dy = circle[k, 1] - y
+                reach = circle[k, 2] + r
+                near[m] = order[k]
+                m += (dx * dx + dy * dy <= reach * reach) & (order[k] > a)
+        _sort_run(near, first, m)
+        cells.first[a] = first
+    cells.first[n] = m
+    cells.memory[1] = m
+
+
+@njit(cache=True, error_model="numpy")
+def write_near_pairs(position, radius, box, cells, body_a, body_b):
+    """`write_pairs` from the list of those that were near."""
+    n = position.shape[0]
+    first, near = cells.first, cells.near
+    m = 0
+    for a in range(n):
+        if m + (first[a + 1] - first[a]) + 4 > body_a.shape[0]:
+            return -1
+        x, y, r = position[a, 0], position[a, 1], radius[a]
+        before = m
+        for k in range(first[a], first[a + 1]):
+            b = near[k]
+            dx = position[b, 0] - x
+            dy = position[b, 1] - y
+            reach = radius[b] + r
+            body_b[m] = b
+            m += dx * dx + dy * dy <= reach * reach
+        m = write_walls(x, y, r, box, n, body_b, m)
+        body_a[before:m] = a
+    return m
+
+
+@njit(cache=True)
+def write_walls(x, y, r, box, n, body_b, m):
+    """Write the walls that a circle touches from m on. Returns what m is then."""
+    reach = r + WALL_SKIN
+    for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
+        if gap <= reach:
+            body_b[m] = n + wall
+            m += 1
     return m
 
 

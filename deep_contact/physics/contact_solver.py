@@ -6,6 +6,10 @@ turns nothing, an arm is one number instead of a vector, and the two rows of a c
 
 With the arm l of a body of radius r, its surface moves tangentially at ω l = (l / r) s, where s = ω r is kept in
 place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) λ_t / m, whatever its radius.
+
+Without friction nothing turns and there are no tangent rows: where `friction` is None instead of a number, every stage
+here leaves them out. None is a type of its own, so the choice falls when the caller is compiled. What is left computes
+the same bits as μ = 0 does, since adding zeros changes none; a start with tangent impulses needs the general rows.
 """
 
 from __future__ import annotations
@@ -36,6 +40,8 @@ class Rows(NamedTuple):
     | body    | a, b as indices into the moving velocities                                 | (m, 2) |
     | data    | n_x, n_y, normal mass, tangent mass, arm_a / r_a, arm_b / r_b, target v_n  | (m, 7) |
     | impulse | λ_n, λ_t, N·s                                                              | (m, 2) |
+
+    Without friction, data is n_x, n_y, normal mass, target v_n, (m, 4), and impulse is λ_n, (m, 1).
     """
 
     body: np.ndarray
@@ -48,8 +54,10 @@ CONTRACT = {"contract"}
 
 
 @njit(cache=True)
-def make_rows(capacity, dtype):
+def make_rows(capacity, dtype, friction=0.0):
     """Room for the rows of so many contacts, with numbers of the given kind: that of the moving velocities."""
+    if friction is None:
+        return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 4), dtype), np.empty((capacity, 1), dtype))
     return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 7), dtype), np.empty((capacity, 2), dtype))
 
 
@@ -70,17 +78,27 @@ def integrate_velocities(bodies, gravity, dt, moving):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(bodies, contacts, moving, restitution, room):
+def contact_rows(bodies, contacts, moving, restitution, room, friction=0.0):
     """Rows of all contacts, with the impulses that they start from. Returns `Rows` in the room, or in a larger one.
 
     Effective masses: 1 / (J M⁻¹ Jᵀ). Target of a contact that approaches faster than the threshold: -e v_n.
     """
-    n = bodies.mass.shape[0]
     m = contacts.body_a.shape[0]
     if m > room.body.shape[0]:
-        room = make_rows(m, room.data.dtype)
+        room = make_rows(m, room.data.dtype, friction)
     rows = Rows(room.body[:m], room.data[:m], room.impulse[:m])
-    for i in range(m):
+    if friction is None:
+        write_normal_rows(contacts, moving, restitution, rows)
+    else:
+        write_rows(bodies, contacts, moving, restitution, rows)
+    return rows, room
+
+
+@njit(cache=True, error_model="numpy")
+def write_rows(bodies, contacts, moving, restitution, rows):
+    """Fill the rows of all contacts: see `contact_rows`."""
+    n = bodies.mass.shape[0]
+    for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
         arm_a = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[a]
@@ -98,12 +116,48 @@ def contact_rows(bodies, contacts, moving, restitution, room):
         rows.data[i, 6] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
         rows.impulse[i, 0] = contacts.normal_start[i]
         rows.impulse[i, 1] = contacts.tangent_start[i]
-    return rows, room
+
+
+@njit(cache=True, error_model="numpy")
+def write_normal_rows(contacts, moving, restitution, rows):
+    """Fill the rows of all contacts without friction: see `contact_rows`."""
+    for i in range(contacts.body_a.shape[0]):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
+        v_n = (moving[b, 0] - moving[a, 0]) * n_x + (moving[b, 1] - moving[a, 1]) * n_y
+        rows.body[i, 0] = a
+        rows.body[i, 1] = b
+        rows.data[i, 0] = n_x
+        rows.data[i, 1] = n_y
+        rows.data[i, 2] = 1.0 / (moving[a, 3] + moving[b, 3])
+        rows.data[i, 3] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
+        rows.impulse[i, 0] = contacts.normal_start[i]
 
 
 @njit(cache=True)
-def apply_impulses(rows, moving):
+def apply_impulses(rows, moving, friction=0.0):
     """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
+    if friction is None:
+        apply_normal_impulses(rows, moving)
+    else:
+        apply_both_impulses(rows, moving)
+
+
+@njit(cache=True)
+def apply_normal_impulses(rows, moving):
+    """`apply_impulses` of rows without friction."""
+    for i in range(rows.body.shape[0]):
+        a, b = rows.body[i, 0], rows.body[i, 1]
+        p_x, p_y = rows.impulse[i, 0] * rows.data[i, 0], rows.impulse[i, 0] * rows.data[i, 1]
+        moving[a, 0] -= moving[a, 3] * p_x
+        moving[a, 1] -= moving[a, 3] * p_y
+        moving[b, 0] += moving[b, 3] * p_x
+        moving[b, 1] += moving[b, 3] * p_y
+
+
+@njit(cache=True)
+def apply_both_impulses(rows, moving):
+    """`apply_impulses` of rows with friction."""
     two = moving.dtype.type(2.0)
     for i in range(rows.body.shape[0]):
         a, b = rows.body[i, 0], rows.body[i, 1]
@@ -120,13 +174,54 @@ def apply_impulses(rows, moving):
         moving[b, 2] += two * w_b * rows.data[i, 5] * p_t
 
 
-@njit(cache=True, fastmath=CONTRACT)
+@njit(cache=True)
 def sweep(rows, friction, moving):
     """One sweep of Projected Gauss-Seidel over all contacts, in place. Returns θ.
 
+    θ = max over all rows of |λ_k − λ_{k−1}|, N·s (Algorithm 1, two-sided).
+    """
+    if friction is None:
+        return sweep_normals(rows, moving)
+    return sweep_both(rows, friction, moving)
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def sweep_normals(rows, moving):
+    """`sweep` without friction: the normal rows alone, clamped at 0. What is not said here is as in `sweep_both`."""
+    body, data, impulse = rows.body, rows.data, rows.impulse
+    theta = moving.dtype.type(0.0)
+    in_hand = np.uint32(0)
+    a_x, a_y, w_a = moving[0, 0], moving[0, 1], moving[0, 3]
+    for i in range(body.shape[0]):
+        a, b = body[i, 0], body[i, 1]
+        if a != in_hand:
+            moving[in_hand, 0], moving[in_hand, 1] = a_x, a_y
+            a_x, a_y, w_a = moving[a, 0], moving[a, 1], moving[a, 3]
+            in_hand = a
+        b_x, b_y, w_b = moving[b, 0], moving[b, 1], moving[b, 3]
+        n_x, n_y, k_n, target = data[i, 0], data[i, 1], data[i, 2], data[i, 3]
+        old_n = impulse[i, 0]
+
+        x_n, y_n = k_n * n_x, k_n * n_y
+        free_n = k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
+        p_n = max(free_n, -old_n)
+        impulse[i, 0] = old_n + p_n
+        theta = max(theta, abs(p_n))
+
+        a_x = a_x - w_a * n_x * p_n
+        a_y = a_y - w_a * n_y * p_n
+        moving[b, 0] = b_x + w_b * n_x * p_n
+        moving[b, 1] = b_y + w_b * n_y * p_n
+    moving[in_hand, 0], moving[in_hand, 1] = a_x, a_y
+    return theta
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def sweep_both(rows, friction, moving):
+    """`sweep` with friction.
+
     Every contact relaxes its friction row, clamped by μ times the normal impulse it has, and its normal row, clamped
     at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows).
-    θ = max over all rows of |λ_k − λ_{k−1}|, N·s (Algorithm 1, two-sided).
     """
     body, data, impulse = rows.body, rows.data, rows.impulse
     # In the precision of the velocities: a float64 among float32 would make all of them float64.
@@ -171,9 +266,10 @@ def sweep(rows, friction, moving):
 @njit(cache=True)
 def store_impulses(rows, contacts):
     """Write the solved impulses into the contacts, in place."""
+    last = rows.impulse.shape[1] - 1
     for i in range(rows.body.shape[0]):
         contacts.normal_impulse[i] = rows.impulse[i, 0]
-        contacts.tangent_impulse[i] = rows.impulse[i, 1]
+        contacts.tangent_impulse[i] = rows.impulse[i, last] if last else 0.0
 
 
 @njit(cache=True, error_model="numpy")

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 
 
 class ConvergenceRecord(NamedTuple):
@@ -59,3 +61,27 @@ def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
     if count == 0:
         raise ValueError("thetas: expected at least one step, got none")
     return total / count
+
+
+@njit(cache=True)
+def is_over(theta, tolerance):
+    """Whether sweeping ends: θ is within the tolerance, or not a number any more."""
+    return theta <= tolerance or not math.isfinite(theta)
+
+
+@njit(cache=True)
+def all_finite(moving):
+    """Whether all velocities are finite."""
+    total = 0.0
+    for i in range(moving.shape[0]):
+        for c in range(3):
+            # 0 times an infinite number is none.
+            total += 0.0 * moving[i, c]
+    return total == 0.0
+
+
+@njit(cache=True)
+def tell_divergence(moving, theta, sweeps):
+    """Let the last θ be no number where a velocity is none: a maximum does not show it. Once, at the end."""
+    if sweeps > 0 and not all_finite(moving):
+        theta[sweeps - 1] = np.nan

@@ -1,7 +1,7 @@
 """The engine: what a step does.
 
-`advance` is the algorithm; the conduct is that of Box2D 2.3 for circles, without sleeping and without continuous
-collision. `deep_contact.simulation` is its validated face.
+`advance` is the algorithm; the conduct is that of Box2D 2.3 for circles, without continuous collision, and with
+sleeping only where it is asked for (`sleeping`). `deep_contact.simulation` is its validated face.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from deep_contact.physics.contact_solver import (
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.methods import PRECISIONS, SoftSteps
-from deep_contact.physics.relaxation import relax, settings_of
+from deep_contact.physics.methods import PRECISIONS, BatchedPGS, SoftSteps
+from deep_contact.physics.relaxation import WITHOUT_TANGENTS, make_scratch, relax, settings_of
 from deep_contact.state import LIMITS, Bodies, Contacts, State
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
@@ -44,23 +44,25 @@ def advance(bodies, contacts, world, dt, settings, position_sweeps, warm, steps,
     """Do `steps` steps: the bodies move in place. Returns the last solved contacts and those found after them.
 
     bodies: `Bodies`. contacts: `Contacts` at their positions, with the impulses to start from.
-    world: (box, gravity, friction, restitution). dt: s. settings: of `relaxation`; their type is the method.
+    world: (box, gravity, friction, restitution); friction None, instead of 0, leaves the tangent rows out.
+    dt: s. settings: of `relaxation`; their type is the method.
     warm: start the steps after the first from the impulses carried over; otherwise from zero.
     moving: room for the velocities in the sweeps, (n + 4, 4), in their precision.
     theta: room for the θ of the sweeps of one step, which is also how many there may be.
-    log: (steps, 3), filled with the number of contacts, of sweeps, and the last θ of each step.
+    log: (steps, 4), filled with the number of contacts, of sweeps, the last θ, and the relaxations of each step.
     """
     box, gravity, friction, restitution = world
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     room, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
-    rows_room = make_rows(4 * n + 64, moving.dtype)
+    rows_room = make_rows(4 * n + 64, moving.dtype, friction)
+    scratch = make_scratch(settings, rows_room, moving)
     solved = contacts
     for k in range(steps):
         integrate_velocities(bodies, gravity, dt, moving)
-        rows, rows_room = contact_rows(bodies, contacts, moving, restitution, rows_room)
-        apply_impulses(rows, moving)
-        sweeps = relax(settings, rows, friction, moving, theta)
+        rows, rows_room = contact_rows(bodies, contacts, moving, restitution, rows_room, friction)
+        apply_impulses(rows, moving, friction)
+        sweeps, relaxations = relax(settings, rows, friction, moving, theta, scratch)
         store_impulses(rows, contacts)
         integrate_positions(bodies, moving, dt)
         correct_positions(bodies, contacts, box, position_sweeps)
@@ -72,6 +74,7 @@ def advance(bodies, contacts, world, dt, settings, position_sweeps, warm, steps,
         log[k, 0] = solved.body_a.shape[0]
         log[k, 1] = sweeps
         log[k, 2] = theta[sweeps - 1] if sweeps > 0 else np.inf
+        log[k, 3] = relaxations
     return own_contacts(solved), own_contacts(contacts)
 
 
@@ -100,12 +103,13 @@ def integrate_positions(bodies, moving, dt):
 
 @njit(cache=True, error_model="numpy")
 def solve_velocities(bodies, contacts, world, dt, settings, moving, theta):
-    """The velocity part of a step alone; fills moving and theta. Returns (impulses (m, 2), number of sweeps)."""
+    """The velocity part of a step alone; fills moving and theta. Returns (impulses, number of sweeps): of `Rows`."""
     _, gravity, friction, restitution = world
     integrate_velocities(bodies, gravity, dt, moving)
-    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(contacts.body_a.shape[0], moving.dtype))
-    apply_impulses(rows, moving)
-    sweeps = relax(settings, rows, friction, moving, theta)
+    room = make_rows(contacts.body_a.shape[0], moving.dtype, friction)
+    rows, _ = contact_rows(bodies, contacts, moving, restitution, room, friction)
+    apply_impulses(rows, moving, friction)
+    sweeps, _ = relax(settings, rows, friction, moving, theta, make_scratch(settings, rows, moving))
     return rows.impulse, sweeps
 
 
@@ -185,12 +189,38 @@ def world_arguments(state: State) -> tuple:
     return world.box, world.gravity, world.friction, world.restitution
 
 
-def advance_of(solver):
-    """The compiled function that does the steps of a method, and what it takes as (settings, position sweeps)."""
+def required_arguments(state: State, settings: NamedTuple, tangent_start: np.ndarray) -> tuple:
+    """`world_arguments` with friction None where no tangent rows are required: μ = 0, and none to start from.
+
+    settings: of the method, which has to know rows without tangents.
+    """
+    box, gravity, friction, restitution = world_arguments(state)
+    required = friction > 0 or not isinstance(settings, WITHOUT_TANGENTS) or tangent_start.any()
+    return box, gravity, friction if required else None, restitution
+
+
+def advance_of(solver, sleep: bool = False):
+    """The compiled function that does the steps of a method, and what it takes as (settings, position sweeps).
+
+    With sleeping it takes one argument more, `rest`. Raises ValueError for a method that cannot sleep.
+    """
+    if not isinstance(sleep, (bool, np.bool_)):
+        raise ValueError(f"sleep: expected True or False, got {sleep!r}")
+    if sleep and isinstance(solver, (SoftSteps, BatchedPGS)):
+        raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
     if isinstance(solver, SoftSteps):
         from deep_contact.physics.soft_steps import advance_softly, soft_settings
 
         return advance_softly, (soft_settings(solver), 0)
+    if sleep:
+        from deep_contact.physics.sleeping import advance_sleeping
+
+        return advance_sleeping, (settings_of(solver), solver.position_sweeps)
+    if isinstance(solver, BatchedPGS):
+        from deep_contact.physics.batched_steps import advance_in_batches, advance_side_by_side
+
+        step = advance_in_batches if solver.threads == 1 else advance_side_by_side(solver.threads)
+        return step, (settings_of(solver), solver.position_sweeps)
     return advance, (settings_of(solver), solver.position_sweeps)
 
 
@@ -220,18 +250,18 @@ def solve(state: State, solver, normal_start: np.ndarray, tangent_start: np.ndar
         room = Contacts(*(field.copy() for field in contacts))
         bodies = Bodies(*(field.copy() for field in bodies))
         step, method = advance_of(solver)
-        log = np.empty((1, 3))
+        log = np.empty((1, 4))
         solved, _ = step(bodies, room, world_arguments(state), state.dt, *method, True, 1, moving, theta, log)
         impulse, sweeps = np.column_stack([solved.normal_impulse, solved.tangent_impulse]), int(log[0, 1])
         velocity, spin = bodies.velocity, bodies.spin
     else:
-        impulse, sweeps = solve_velocities(
-            bodies, contacts, world_arguments(state), state.dt, settings_of(solver), moving, theta
-        )
+        settings = settings_of(solver)
+        world = required_arguments(state, settings, tangent_start)
+        impulse, sweeps = solve_velocities(bodies, contacts, world, state.dt, settings, moving, theta)
         velocity, spin = moving[:n, :2].astype(np.float64), moving[:n, 2] / bodies.radius
     return ContactSolution(
         normal_impulses=impulse[:, 0].astype(np.float64),
-        tangent_impulses=impulse[:, 1].astype(np.float64),
+        tangent_impulses=impulse[:, 1].astype(np.float64) if impulse.shape[1] > 1 else np.zeros(contacts.count),
         velocities=velocity,
         angular_velocities=spin,
         record=convergence_record(theta[:sweeps], solver, contacts.count),

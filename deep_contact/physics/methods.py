@@ -33,10 +33,13 @@ class PGS:
 
     sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
     sweep, N·s) is no larger; None sweeps to the end. position_sweeps: at most so many sweeps of position correction.
-    precision: of the rows and velocities in the sweeps, "double" or "single".
+    precision: of the rows and velocities in the sweeps, "double" or "single". islands: sweep each island on its own.
 
     It fails slowly, not badly: every sweep lowers the kinetic energy that is left to lose, but information travels
     one contact a sweep, so tall piles and large mass ratios need sweeps by the square of their height.
+    With islands, circles that touch each other, directly or through others, are swept on their own and stop on their
+    own, so that one impact does not keep piles at rest elsewhere iterating. It does not pay for one pile, nor without a
+    tolerance, where it only sorts; the other methods are not offered with it.
     Single precision leaves a velocity error of about 1e-5 and buys little: a sweep waits for the one operation that
     the next contact needs, not for memory (0 to 2 % for PGS, 5 to 10 % for NNCG). A tight tolerance is never met in it.
     """
@@ -45,12 +48,45 @@ class PGS:
     tolerance: float | None = constants.THETA_TOLERANCE
     position_sweeps: int = 10
     precision: str = "double"
+    islands: bool = False
 
     def __post_init__(self):
         _check_counts(self, "sweeps", "position_sweeps")
         _check_precision(self)
+        _check_flag(self, "islands")
+        if self.islands and type(self) is not PGS:
+            raise ValueError(f"islands: expected False, since {type(self).__name__} sweeps them together, got True")
         if self.tolerance is not None:
             _check_number(self, "tolerance", lambda x: x >= 0, "None or a finite number >= 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchedPGS(PGS):
+    """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
+
+    order: "levels" keeps the order of the contacts, so that it is PGS up to rounding; "colours" changes it (see
+    `deep_contact.physics.colours`). threads: at most so many, for "colours" only; they change no bit of the result.
+    The other options are those of `PGS`. Position correction goes in the same batches.
+
+    It costs a third of PGS a sweep, and some nanoseconds a contact and step to find the batches, so it pays from a
+    handful of sweeps on. Where contacts hang in a chain, as in a column, a level is one contact and a tile of eight is
+    wasted on it. Colouring is less hurt by that, but its order takes other ways than the numbering of the circles.
+    """
+
+    order: str = "levels"
+    threads: int = 1
+
+    def __post_init__(self):
+        super().__post_init__()
+        if self.order not in ORDERS:
+            raise ValueError(f"order: expected one of {', '.join(ORDERS)}, got {self.order!r}")
+        _check_counts(self, "threads", least=1)
+        if self.threads > 1 and self.order != "colours":
+            raise ValueError(f"threads: expected 1 with order={self.order!r}, got {self.threads}")
+
+
+ORDERS = ("levels", "colours")
+"""Ways to put contacts into batches."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,8 +109,7 @@ class PSOR(PGS):
     def __post_init__(self):
         super().__post_init__()
         _check_number(self, "omega", lambda x: 0 < x < 2, "a number between 0 and 2")
-        if not isinstance(self.adaptive, (bool, np.bool_)):
-            raise ValueError(f"adaptive: expected True or False, got {self.adaptive!r}")
+        _check_flag(self, "adaptive")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,6 +132,20 @@ class NNCG(PGS):
     Its θ does not fall with every sweep: a budget of a handful of sweeps may end on a bad one, where PGS is the safer
     choice. What it combines assumes that the set of sticking, slipping and open contacts stands still; while a pile
     is falling apart it restarts often and is PGS at a higher price. With friction convergence is not proven.
+    """
+
+
+@dataclass(frozen=True, kw_only=True)
+class NesterovPGS(PGS):
+    """Projected Gauss-Seidel with Nesterov's momentum (Soviet Mathematics Doklady 27, 1983), restarted by the gradient
+    scheme of O'Donoghue and Candès (Foundations of Computational Mathematics 15, 2015) and bound where it shakes.
+
+    Options of `PGS`. Each sweep starts ahead of where the last one ended, on the way that it took.
+
+    The momentum is bound by what the last sweeps were seen to do, so it learns late where contacts open and slip: for
+    some sweeps the error may grow. A budget of less than ten sweeps gains little. With friction convergence is not
+    proven, and θ does not fall with every sweep. Of the error that as many sweeps of PGS leave, it left in the mean
+    0.44, 0.28 and 0.24 after 40, 100 and 200 sweeps on falling and settling piles of 1,000, NNCG 0.74, 0.64 and 0.57.
     """
 
 
@@ -159,7 +208,8 @@ class SoftSteps:
         return 0
 
 
-METHODS = {method.__name__: method for method in (PGS, PSOR, SymmetricPGS, NNCG, APGD, SoftSteps)}
+_ALL = (PGS, BatchedPGS, PSOR, SymmetricPGS, NNCG, NesterovPGS, APGD, SoftSteps)
+METHODS = {method.__name__: method for method in _ALL}
 """Name in a state file -> options class."""
 
 
@@ -193,6 +243,12 @@ def _check_counts(solver, *names: str, least: int = 0) -> None:
             raise ValueError(f"{name}: expected an integer >= {least}, got {value!r}")
         if value > MOST_SWEEPS:
             raise ValueError(f"{name}: expected an integer <= {MOST_SWEEPS}, got {value!r}")
+
+
+def _check_flag(solver, name: str) -> None:
+    value = getattr(solver, name)
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"{name}: expected True or False, got {value!r}")
 
 
 def _check_number(solver, name: str, fits, expected: str) -> None:

@@ -17,7 +17,10 @@ from numba import njit
 from numba.extending import overload
 
 from deep_contact.physics import methods
+from deep_contact.physics.colours import BatchSettings, relax_in_batches
 from deep_contact.physics.contact_solver import CONTRACT, Rows, sweep
+from deep_contact.physics.convergence import is_over, tell_divergence
+from deep_contact.physics.islands import make_islands_room, sort_by_island
 
 _SUMS = {"contract", "reassoc"}
 """For sums over all rows: several at once, in an order that the compiler picks and keeps."""
@@ -25,6 +28,12 @@ _SUMS = {"contract", "reassoc"}
 
 class PGSSettings(NamedTuple):
     """Of `PGS`. tolerance: θ at which to stop, N·s; a negative one is never met."""
+
+    tolerance: float
+
+
+class IslandsSettings(NamedTuple):
+    """Of `PGS` with islands, likewise."""
 
     tolerance: float
 
@@ -49,6 +58,12 @@ class NNCGSettings(NamedTuple):
     tolerance: float
 
 
+class NesterovSettings(NamedTuple):
+    """Of `NesterovPGS`, likewise."""
+
+    tolerance: float
+
+
 class APGDSettings(NamedTuple):
     """Of `APGD`, likewise."""
 
@@ -59,6 +74,7 @@ _SETTINGS = {
     methods.PGS: PGSSettings,
     methods.SymmetricPGS: SymmetricSettings,
     methods.NNCG: NNCGSettings,
+    methods.NesterovPGS: NesterovSettings,
     methods.APGD: APGDSettings,
 }
 
@@ -68,28 +84,66 @@ def settings_of(solver) -> NamedTuple:
     tolerance = methods.tolerance_argument(solver)
     if isinstance(solver, methods.PSOR):
         return PSORSettings(tolerance, float(solver.omega), bool(solver.adaptive))
+    if isinstance(solver, methods.BatchedPGS):
+        return BatchSettings(tolerance, solver.order == "colours")
+    if solver.islands:
+        return IslandsSettings(tolerance)
     return _SETTINGS[type(solver)](tolerance)
 
 
-def relax(settings, rows, friction, moving, theta):
-    """Relax all contacts, in place, by the method of the settings. Returns the number of sweeps.
+WITHOUT_TANGENTS = (PGSSettings, IslandsSettings, PSORSettings, SymmetricSettings, NNCGSettings, NesterovSettings)
+"""Settings of the methods that can do without tangent rows: those that relax by `contact_solver.sweep` alone."""
 
-    rows: `Rows`. moving: (n + 4, 4). theta: room for the θ of each sweep, which is also how many there may be.
+
+def make_scratch(settings, rows, moving):
+    """What the method wants beside rows and velocities of that size, to be made once a run; None where nothing.
+
     For compiled callers only.
+    """
+    raise NotImplementedError("make_scratch: expected to be called from a compiled function")
+
+
+@overload(make_scratch)
+def _make_scratch(settings, rows, moving):
+    make = _SCRATCH.get(settings.instance_class)
+    if make is None:
+        return lambda settings, rows, moving: None
+    return lambda settings, rows, moving: make(rows, moving)
+
+
+def relax(settings, rows, friction, moving, theta, scratch):
+    """Relax all contacts, in place, by the method of the settings. Returns the number of sweeps, and of relaxations.
+
+    rows: `Rows`. friction: μ, or None for rows without tangents. moving: (n + 4, 4). theta: room for the θ of each
+    sweep, which is also how many there may be. scratch: of `make_scratch`. Relaxations are counted by contacts: all of
+    them in each sweep, or, with islands, those of the islands that are still swept. For compiled callers only.
     """
     raise NotImplementedError("relax: expected to be called from a compiled function")
 
 
 @overload(relax)
-def _relax(settings, rows, friction, moving, theta):
+def _relax(settings, rows, friction, moving, theta, scratch):
     relax_by = _RELAX[settings.instance_class]
+    if settings.instance_class is IslandsSettings:
 
-    def relax_contacts(settings, rows, friction, moving, theta):
-        sweeps = relax_by(settings, rows, friction, moving, theta)
-        # A maximum does not show what is not a number, so θ is told: once, at the end.
-        if sweeps > 0 and not all_finite(moving):
-            theta[sweeps - 1] = np.nan
-        return sweeps
+        def relax_contacts(settings, rows, friction, moving, theta, scratch):
+            sweeps, relaxations = relax_by(settings, rows, friction, moving, theta, scratch)
+            tell_divergence(moving, theta, sweeps)
+            return sweeps, relaxations
+
+    elif settings.instance_class in _SCRATCH:
+
+        def relax_contacts(settings, rows, friction, moving, theta, scratch):
+            sweeps = relax_by(settings, rows, friction, moving, theta, scratch)
+            tell_divergence(moving, theta, sweeps)
+            return sweeps, sweeps * rows.body.shape[0]
+
+    else:
+
+        def relax_contacts(settings, rows, friction, moving, theta, scratch):
+            sweeps = relax_by(settings, rows, friction, moving, theta)
+            tell_divergence(moving, theta, sweeps)
+            return sweeps, sweeps * rows.body.shape[0]
 
     return relax_contacts
 
@@ -105,6 +159,33 @@ def relax_pgs(settings, rows, friction, moving, theta):
 
 
 @njit(cache=True)
+def relax_islands(settings, rows, friction, moving, theta, scratch):
+    """Projected Gauss-Seidel, one island after the other, each to its own end. Returns (sweeps, relaxations).
+
+    Sweeps are those of the island that needs most. θ of a sweep is the largest over the islands that did it, so the
+    last one tells, as ever, whether all are within the tolerance.
+    """
+    if rows.body.shape[0] > scratch.order.shape[0]:
+        scratch = make_islands_room(rows, moving)
+    islands, by_island = sort_by_island(rows, scratch)
+    most = relaxations = 0
+    for i in range(islands):
+        first, end = scratch.start[i], scratch.start[i + 1]
+        part = Rows(by_island.body[first:end], by_island.data[first:end], by_island.impulse[first:end])
+        for k in range(theta.shape[0]):
+            largest = sweep(part, friction, moving)
+            relaxations += end - first
+            theta[k] = max(theta[k], largest) if k < most else largest
+            most = max(most, k + 1)
+            if is_over(largest, settings.tolerance):
+                break
+    for i in range(rows.body.shape[0]):
+        for c in range(rows.impulse.shape[1]):
+            rows.impulse[scratch.order[i], c] = by_island.impulse[i, c]
+    return most, relaxations
+
+
+@njit(cache=True)
 def relax_psor(settings, rows, friction, moving, theta):
     """Projected successive over-relaxation: every change of an impulse is ω times what would solve its row.
 
@@ -112,14 +193,14 @@ def relax_psor(settings, rows, friction, moving, theta):
     change at most. Adaptive: see `better_omega`.
     """
     omega = settings.omega
-    scale_masses(rows, omega)
+    scale_masses(rows, omega, friction)
     for k in range(theta.shape[0]):
         theta[k] = sweep(rows, friction, moving) / omega
         if is_over(theta[k], settings.tolerance):
             return k + 1
         if settings.adaptive and (k + 1) % OMEGA_WINDOW == 0:
             better = better_omega(theta, k, omega)
-            scale_masses(rows, better / omega)
+            scale_masses(rows, better / omega, friction)
             omega = better
     return theta.shape[0]
 
@@ -154,11 +235,12 @@ def better_omega(theta, k, omega):
 
 
 @njit(cache=True)
-def scale_masses(rows, factor):
+def scale_masses(rows, factor, friction):
     """Multiply the effective masses of all rows, in place."""
     for i in range(rows.data.shape[0]):
         rows.data[i, 2] *= factor
-        rows.data[i, 3] *= factor
+        if friction is not None:
+            rows.data[i, 3] *= factor
 
 
 @njit(cache=True)
@@ -175,8 +257,24 @@ def relax_symmetric(settings, rows, friction, moving, theta):
     return theta.shape[0]
 
 
+class Directions(NamedTuple):
+    """Room for `relax_nncg` and `relax_nesterov`: of the sweep before, and directions, over all rows and bodies."""
+
+    last_impulse: np.ndarray
+    along: np.ndarray
+    last_velocity: np.ndarray
+    velocity_along: np.ndarray
+
+
 @njit(cache=True)
-def relax_nncg(settings, rows, friction, moving, theta):
+def make_directions(rows, moving):
+    """Room for directions over so many rows."""
+    size, width, dtype = rows.impulse.size, moving.size, moving.dtype
+    return Directions(np.empty(size, dtype), np.empty(size, dtype), np.empty(width, dtype), np.empty(width, dtype))
+
+
+@njit(cache=True)
+def relax_nncg(settings, rows, friction, moving, theta, scratch):
     """Nonsmooth nonlinear conjugate gradient: what a sweep changes is taken for the descent direction −∇f.
 
     After each sweep, λ ← λ + β p and p ← β p − ∇f with β = ‖∇f‖² / ‖∇f of the sweep before‖² (Fletcher-Reeves), and
@@ -185,8 +283,12 @@ def relax_nncg(settings, rows, friction, moving, theta):
     """
     # Flat, so that what goes over all of them is a loop over neighbours in memory.
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), moving.reshape(moving.size)
-    last_impulse, last_velocity = impulse.copy(), velocity.copy()
-    along, velocity_along = np.zeros_like(impulse), np.zeros_like(velocity)
+    if impulse.size > scratch.last_impulse.size:
+        scratch = make_directions(rows, moving)
+    last_impulse, along = scratch.last_impulse[: impulse.size], scratch.along[: impulse.size]
+    last_velocity, velocity_along = scratch.last_velocity, scratch.velocity_along
+    forget(impulse, last_impulse, along)
+    forget(velocity, last_velocity, velocity_along)
     last_size = np.inf
     for k in range(theta.shape[0]):
         theta[k] = sweep(rows, friction, moving)
@@ -203,6 +305,83 @@ def relax_nncg(settings, rows, friction, moving, theta):
             extrapolate(impulse, last_impulse, along, beta)
             extrapolate(velocity, last_velocity, velocity_along, beta)
     return theta.shape[0]
+
+
+FIRST_LEAD, LARGEST_LEAD = 0.9, 0.99
+"""Largest share of the last change that `relax_nesterov` goes on by: at first, and ever."""
+
+LEAD_WINDOW = 5
+"""Sweeps over which it is seen whether that share is too large."""
+
+SUDDEN_GROWTH = 1.2
+"""And where a sweep changes more than the last one did by this factor (of sums of squares), it is at once."""
+
+
+@njit(cache=True)
+def relax_nesterov(settings, rows, friction, moving, theta, scratch):
+    """Projected Gauss-Seidel with Nesterov's momentum: each sweep starts from λ + β (λ − λ of the sweep before).
+
+    β = (t − 1) / t⁺ with t⁺ = (1 + √(1 + 4 t²)) / 2, from t = 1 and again from there where the step goes uphill: where
+    what the sweep changed points against where λ went (gradient scheme of O'Donoghue and Candès 2015). That alone
+    circles around the solution for ever where there is friction, so β is bound: the least 1 − β doubles whenever the
+    sum of squared changes has grown from one window to the next, or suddenly, and falls by a fifth with every other
+    window.
+    As in `relax_nncg`, velocities are led on with the impulses, and the last sweep is not.
+    """
+    impulse, velocity = rows.impulse.reshape(rows.impulse.size), moving.reshape(moving.size)
+    if impulse.size > scratch.last_impulse.size:
+        scratch = make_directions(rows, moving)
+    last_impulse, begun, last_velocity = scratch.last_impulse[: impulse.size], scratch.along, scratch.last_velocity
+    begun = begun[: impulse.size]
+    last_impulse[:] = impulse
+    begun[:] = impulse
+    last_velocity[:] = velocity
+    momentum, most = 1.0, FIRST_LEAD
+    last_size, before, now = np.inf, np.inf, 0.0
+    for k in range(theta.shape[0]):
+        theta[k] = sweep(rows, friction, moving)
+        if is_over(theta[k], settings.tolerance) or k + 1 == theta.shape[0]:
+            return k + 1
+        size, downhill = step_and_slope(impulse, begun, last_impulse)
+        now += size
+        if size > SUDDEN_GROWTH * last_size:
+            most = max(0.0, 2.0 * most - 1.0)
+        if (k + 1) % LEAD_WINDOW == 0:
+            most = max(0.0, 2.0 * most - 1.0) if now > before else min(LARGEST_LEAD, 0.2 + 0.8 * most)
+            before, now = now, 0.0
+        last_size = size
+        share = 0.0
+        if downhill < 0.0:
+            momentum = 1.0
+        else:
+            after = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * momentum * momentum))
+            share = min((momentum - 1.0) / after, most)
+            momentum = after
+        lead_on(impulse, last_impulse, share)
+        lead_on(velocity, last_velocity, share)
+        begun[:] = impulse
+    return theta.shape[0]
+
+
+@njit(cache=True, fastmath=_SUMS)
+def step_and_slope(x, begun, last):
+    """Σ (x − begun)² and Σ (x − begun) (x − last), summed in float64."""
+    size = slope = 0.0
+    for i in range(x.shape[0]):
+        change = np.float64(x[i] - begun[i])
+        size += change * change
+        slope += change * np.float64(x[i] - last[i])
+    return size, slope
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def lead_on(x, last, share):
+    """x ← x + share (x − last), and last ← the x of the right-hand sides. In place."""
+    share = x.dtype.type(share)
+    for i in range(x.shape[0]):
+        new = x[i]
+        x[i] = new + share * (new - last[i])
+        last[i] = new
 
 
 @njit(cache=True, fastmath=_SUMS)
@@ -233,8 +412,27 @@ def forget(x, last, along):
     last[:] = x
 
 
+class Points(NamedTuple):
+    """Room for `relax_apgd`: the extrapolated impulses y, those of before, their velocities, and a change of those."""
+
+    y: np.ndarray
+    before: np.ndarray
+    velocity_y: np.ndarray
+    velocity_before: np.ndarray
+    change: np.ndarray
+
+
 @njit(cache=True)
-def relax_apgd(settings, rows, friction, moving, theta):
+def make_points(rows, moving):
+    """Room for points over so many rows."""
+    return Points(
+        np.empty_like(rows.impulse), np.empty_like(rows.impulse),
+        np.empty_like(moving), np.empty_like(moving), np.empty_like(moving),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def relax_apgd(settings, rows, friction, moving, theta, scratch):
     """Accelerated projected gradient descent (Nesterov) with backtracking and restarts, in impulses scaled by mass.
 
     Each evaluation: from the extrapolated point y, λ ← Π(y − g / L) with the row's velocity g times its effective
@@ -243,8 +441,15 @@ def relax_apgd(settings, rows, friction, moving, theta):
     extrapolation goes uphill and starts anew. θ is L times the largest change: a full Jacobi step's.
     """
     impulse = rows.impulse
-    y, before = impulse.copy(), impulse.copy()
-    velocity_y, velocity_before, change = moving.copy(), moving.copy(), np.zeros_like(moving)
+    if impulse.shape[0] > scratch.y.shape[0]:
+        scratch = make_points(rows, moving)
+    y, before = scratch.y[: impulse.shape[0]], scratch.before[: impulse.shape[0]]
+    velocity_y, velocity_before, change = scratch.velocity_y, scratch.velocity_before, scratch.change
+    for i in range(impulse.shape[0]):
+        for c in range(impulse.shape[1]):
+            y[i, c] = before[i, c] = impulse[i, c]
+    velocity_y[:] = moving
+    velocity_before[:] = moving
     lipschitz, momentum = 2.0, 1.0
     k = 0
     while k < theta.shape[0]:
@@ -334,27 +539,20 @@ def lead(x, before, y, share):
             before[i, c] = x[i, c]
 
 
-@njit(cache=True)
-def all_finite(moving):
-    """Whether all velocities are finite."""
-    total = 0.0
-    for i in range(moving.shape[0]):
-        for c in range(3):
-            # 0 times an infinite number is none.
-            total += 0.0 * moving[i, c]
-    return total == 0.0
-
-
-@njit(cache=True)
-def is_over(theta, tolerance):
-    """Whether sweeping ends: θ is within the tolerance, or not a number any more."""
-    return theta <= tolerance or not math.isfinite(theta)
-
+_SCRATCH = {
+    IslandsSettings: make_islands_room,
+    NNCGSettings: make_directions,
+    NesterovSettings: make_directions,
+    APGDSettings: make_points,
+}
 
 _RELAX = {
     PGSSettings: relax_pgs,
+    IslandsSettings: relax_islands,
+    BatchSettings: relax_in_batches,
     PSORSettings: relax_psor,
     SymmetricSettings: relax_symmetric,
     NNCGSettings: relax_nncg,
+    NesterovSettings: relax_nesterov,
     APGDSettings: relax_apgd,
 }

@@ -1,0 +1,112 @@
+"""Islands: circles that touch each other, directly or through others. Walls connect nothing, for they never move.
+
+What happens in one island leaves every other as it is, so each can be solved, and stopped, on its own
+(`relaxation.relax_islands`), or put to sleep (`sleeping`). Measured on a falling thesis scene (100 circles, 600 steps,
+θ < 6e-5): islands save 0.4 % of the relaxations, because nearly all of them are spent after the circles have landed in
+one pile. Rows inside of an island that nothing near them has changed could be passed over as well: with an exact bound
+of what each would change, kept row by row, that left 0.6 of the relaxations, at a bookkeeping dearer than a relaxation.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.contact_solver import Rows
+from deep_contact.state import State
+
+
+class IslandsRoom(NamedTuple):
+    """Room for the islands of n circles, and for the rows of m contacts sorted by island.
+
+    | field  | meaning                                                                              | shape   |
+    |--------|--------------------------------------------------------------------------------------|---------|
+    | parent | of each circle in the forest of the union-find; roots are their own                  | (n,)    |
+    | start  | rows `start[k]` to `start[k + 1]` of the sorted ones belong to the k-th island       | (n + 1,)|
+    | order  | where each sorted row was before                                                     | (m,)    |
+    | rows   | `Rows` sorted by island, and within it as they were                                  |         |
+    """
+
+    parent: np.ndarray
+    start: np.ndarray
+    order: np.ndarray
+    rows: Rows
+
+
+@njit(cache=True)
+def make_islands_room(rows, moving):
+    """Room for as many contacts as there are rows, and for the circles of the moving velocities, (n + 4, 4)."""
+    n, m = moving.shape[0] - 4, rows.body.shape[0]
+    copies = Rows(np.empty_like(rows.body), np.empty_like(rows.data), np.empty_like(rows.impulse))
+    return IslandsRoom(np.empty(n, np.int64), np.empty(n + 1, np.int64), np.empty(m, np.int64), copies)
+
+
+@njit(cache=True)
+def root_of(parent, i):
+    """The root of circle i; paths are halved on the way, in place (Tarjan and van Leeuwen, J. ACM 31, 1984)."""
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@njit(cache=True)
+def unite(body_a, body_b, parent):
+    """Union-find over contacts. Fills parent, (n,): afterwards every root is the smallest circle of its island."""
+    n = parent.shape[0]
+    for i in range(n):
+        parent[i] = i
+    for k in range(body_a.shape[0]):
+        if body_b[k] < n:
+            one, other = root_of(parent, np.int64(body_a[k])), root_of(parent, np.int64(body_b[k]))
+            parent[max(one, other)] = min(one, other)
+
+
+@njit(cache=True)
+def sort_by_island(rows, room):
+    """Counting sort of rows by island, islands by their smallest circle; fills the room. Returns (islands, rows)."""
+    parent, start, order = room.parent, room.start, room.order
+    n, m = parent.shape[0], rows.body.shape[0]
+    unite(rows.body[:, 0], rows.body[:, 1], parent)
+    start[:] = 0
+    for i in range(m):
+        start[root_of(parent, np.int64(rows.body[i, 0])) + 1] += 1
+    for c in range(n):
+        start[c + 1] += start[c]
+    # Filled from the back, which leaves start[root + 1] where the island begins.
+    for i in range(m - 1, -1, -1):
+        root = root_of(parent, np.int64(rows.body[i, 0]))
+        start[root + 1] -= 1
+        order[start[root + 1]] = i
+    count = 0
+    for c in range(n):
+        end = start[c + 2] if c + 2 <= n else m
+        if end > start[c + 1]:
+            start[count] = start[c + 1]
+            count += 1
+    start[count] = m
+    found = Rows(room.rows.body[:m], room.rows.data[:m], room.rows.impulse[:m])
+    for i in range(m):
+        copy_row(rows, order[i], found, i)
+    return count, found
+
+
+@njit(cache=True)
+def copy_row(rows, i, others, j):
+    """Write row i into row j of others, in place."""
+    others.body[j, 0], others.body[j, 1] = rows.body[i, 0], rows.body[i, 1]
+    for c in range(rows.data.shape[1]):
+        others.data[j, c] = rows.data[i, c]
+    for c in range(rows.impulse.shape[1]):
+        others.impulse[j, c] = rows.impulse[i, c]
+
+
+def islands_of(state: State) -> np.ndarray:
+    """The island of each circle, (n,): the smallest index of a circle in it. Raises ValueError without contacts."""
+    if state.contacts is None:
+        raise ValueError("contacts: expected a state whose contacts have been found, got None")
+    parent = np.empty(state.bodies.count, np.int64)
+    unite(state.contacts.body_a, state.contacts.body_b, parent)
+    return np.array([root_of(parent, i) for i in range(parent.size)], np.int64)

@@ -1,0 +1,177 @@
+"""What a run of a scene uses and what it leaves out: `plan`, made to be printed.
+
+The choices are those that `simulate` makes from the scene and the options. What each is worth is read from what
+`scripts/figure_6_7_scene_requirements.py` measured, which comes with the package.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from deep_contact import results
+from deep_contact.physics.engine import advance_of, required_arguments
+from deep_contact.physics.islands import islands_of
+from deep_contact.physics.methods import SoftSteps, describe
+from deep_contact.simulation import checked_solver, ready
+from deep_contact.state import State
+from deep_contact.warm_start import Builtin, NoStart, warm_start_of
+
+TABLE = Path(__file__).parent / "reference" / "figure_6_7.json"
+"""Results of Figure 6.7, shipped with the package."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A part of the model: whether a run uses it, why, and what it was measured to cost or to save."""
+
+    part: str
+    used: bool
+    why: str
+    saving: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """What a run does with a scene. `print` tells all of it.
+
+    scene: its name. n_bodies: circles. solver: options of `physics.methods`. warm_start: name of the start.
+    choices: `Choice` of every part. cpu: processor that the savings were measured on.
+    """
+
+    scene: str
+    n_bodies: int
+    solver: object
+    warm_start: str
+    choices: tuple[Choice, ...]
+    cpu: str
+
+    def __getitem__(self, part: str) -> Choice:
+        """The choice of a part, by name. Raises KeyError naming the parts."""
+        found = {choice.part: choice for choice in self.choices}
+        if part not in found:
+            raise KeyError(f"expected one of {', '.join(found)}, got {part!r}")
+        return found[part]
+
+    def __str__(self) -> str:
+        width = max(len(choice.part) for choice in self.choices)
+        lines = [f"{self.scene}: {self.n_bodies:,} circles, {describe(self.solver)} from {self.warm_start}"]
+        for choice in self.choices:
+            lines.append(f"  {choice.part:{width}s}  {'used' if choice.used else 'left out':8s}  {choice.why}")
+            lines.append(f"  {'':{width}s}            {choice.saving}")
+        lines.append(f"  Savings: Figure 6.7, {self.cpu}")
+        return "\n".join(lines)
+
+
+def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False, table: Mapping | None = None) -> Plan:
+    """What `simulate` would use for a scene with these options, and what it would leave out, with the savings.
+
+    Nothing is simulated; contacts are looked for where the scene has none. Arguments as in `simulate`. table: results
+    of Figure 6.7; by default those in the package.
+    Raises ValueError on arguments that do not hold together, FileNotFoundError where no results are installed.
+    """
+    scene = ready(scene)
+    solver = checked_solver(solver, scene)
+    start = warm_start_of(warm_start)
+    _, (settings, _) = advance_of(solver, sleep)
+    found = table if table is not None else installed_results()
+    savings = found["data"]["savings"]
+    tangents = required_arguments(scene, settings, scene.contacts.tangent_start)[2] is not None
+    choices = (
+        _tangents(scene, solver, tangents, savings),
+        _islands(scene, solver, savings),
+        _sleeping(sleep, savings),
+        _position_correction(solver, savings),
+        _double_precision(solver, savings),
+        _calls(start, savings),
+        _network(warm_start, found["data"]["jobs"]),
+    )
+    name = warm_start if isinstance(warm_start, str) else type(start).__name__
+    return Plan(
+        scene=scene.name,
+        n_bodies=scene.bodies.count,
+        solver=solver,
+        warm_start=name,
+        choices=choices,
+        cpu=found["provenance"]["cpu"],
+    )
+
+
+@functools.cache
+def installed_results() -> dict:
+    """The results file in the package, checked. Raises FileNotFoundError saying how it is made."""
+    if not TABLE.exists():
+        raise FileNotFoundError(
+            f"{TABLE.parent.name}/{TABLE.name}: expected the results of Figure 6.7 in the package, got no file; run "
+            f"scripts/figure_6_7_scene_requirements.py and copy its results there"
+        )
+    return results.read_results(TABLE)
+
+
+def _share(one: Mapping) -> str:
+    """What is left of the cost, with its quartiles, "51 % (50 to 53 %)"."""
+    return f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
+
+
+def _tangents(scene: State, solver, used: bool, savings: Mapping) -> Choice:
+    if scene.world.friction > 0:
+        why = f"friction is {scene.world.friction:g}"
+    elif not used:
+        why = "friction is 0, so nothing turns a circle"
+    elif scene.contacts.tangent_start.any():
+        why = "friction is 0, but the state starts from tangent impulses"
+    else:
+        why = f"friction is 0, but {type(solver).__name__} has no rows without them"
+    saving = f"without them a sweep costs {_share(savings['frictionless'])}"
+    return Choice(part="tangent rows and spin", used=used, why=why, saving=saving)
+
+
+def _islands(scene: State, solver, savings: Mapping) -> Choice:
+    used = bool(getattr(solver, "islands", False))
+    count = len(np.unique(islands_of(scene)[scene.contacts.body_a]))
+    why = f"{'asked for' if used else 'not asked for'}; {count} of them touch something now"
+    one, many = savings["islands, one pile"], savings["islands, heaps"]
+    saving = f"with them sweeps × contacts are {_share(one)} in one pile, {_share(many)} in scattered heaps"
+    return Choice(part="islands", used=used, why=why, saving=saving)
+
+
+def _sleeping(sleep: bool, savings: Mapping) -> Choice:
+    all_of_it, most = savings["asleep"], savings["asleep but for one"]
+    saving = f"asleep a step costs {_share(all_of_it)}, with one circle awake {_share(most)}"
+    return Choice(part="sleeping", used=bool(sleep), why="asked for" if sleep else "not asked for", saving=saving)
+
+
+def _position_correction(solver, savings: Mapping) -> Choice:
+    if isinstance(solver, SoftSteps):
+        used, why = False, "soft contacts push out of penetration"
+    else:
+        used, why = solver.position_sweeps > 0, f"at most {solver.position_sweeps} sweeps, none where nothing is deep"
+    saving = f"without it a step of a resting pile costs {_share(savings['no position correction'])}"
+    return Choice(part="position correction", used=used, why=why, saving=saving)
+
+
+def _double_precision(solver, savings: Mapping) -> Choice:
+    saving = f"without it a sweep costs {_share(savings['single'])}"
+    why = f"precision is {solver.precision}"
+    return Choice(part="double precision", used=solver.precision == "double", why=why, saving=saving)
+
+
+def _calls(start, savings: Mapping) -> Choice:
+    used = not isinstance(start, (Builtin, NoStart))
+    why = "the start is asked at every step" if used else "the start needs none, unless on_step does"
+    saving = f"without them a step costs {_share(savings['no call between steps'])}"
+    return Choice(part="calls between steps", used=used, why=why, saving=saving)
+
+
+def _network(warm_start, jobs: Mapping) -> Choice:
+    used = warm_start in ("cnn", "guarded")
+    why = "the start predicts" if used else "nothing is predicted by name, so TensorFlow is not loaded"
+    one, other = jobs["simulate"], jobs["predict"]
+    saving = f"a first step after {one['seconds']:.2g} s instead of a first prediction after {other['seconds']:.2g} s"
+    if one["memory_mb"] and other["memory_mb"]:
+        saving += f", in {one['memory_mb']:.0f} instead of {other['memory_mb']:.0f} MB"
+    return Choice(part="network", used=used, why=why, saving=saving)

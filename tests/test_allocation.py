@@ -1,0 +1,53 @@
+"""Memory inside a run: rooms are made before the first step, and no step after it takes more.
+
+Numba's runtime counts what compiled code allocates. A run allocates its rooms and its results, however long it is.
+"""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+RUNS = {
+    "PGS": "dict(solver=dc.PGS(sweeps=20))",
+    "PGS without friction": "dict(solver=dc.PGS(sweeps=20), friction=0.0)",
+    "PGS with islands": "dict(solver=dc.PGS(sweeps=20, islands=True))",
+    "PGS with sleeping": "dict(solver=dc.PGS(sweeps=20), sleep=True)",
+    "NNCG": "dict(solver=dc.NNCG(sweeps=20))",
+    "APGD": "dict(solver=dc.APGD(sweeps=20))",
+}
+
+CODE = f"""
+import json
+from numba.core.runtime import rtsys
+import deep_contact as dc
+
+def allocations(friction=0.5, **options):
+    scene = dc.lattice_in_box(60, seed=1, friction=friction)
+    start = dc.simulate(scene, steps=150, **options).state
+    found = []
+    for steps in (1, 1, 100):
+        before = rtsys.get_allocation_stats().alloc
+        run = dc.simulate(start, steps=steps, **options)
+        found.append(rtsys.get_allocation_stats().alloc - before)
+    return found, int(run.contacts[0])
+
+print(json.dumps({{{", ".join(f"{name!r}: allocations(**{options})" for name, options in RUNS.items())}}}))
+"""
+
+
+@pytest.fixture(scope="module")
+def allocations():
+    """Name of a run -> (allocations in two runs of one step and one of a hundred, contacts of a step)."""
+    environment = {**os.environ, "NUMBA_NRT_STATS": "1"}
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True, env=environment)
+    return json.loads(done.stdout)
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_no_step_after_the_first_allocates(name, allocations):
+    (first, second, hundred), contacts = allocations[name]
+    assert contacts > 50
+    assert 0 < first == second == hundred

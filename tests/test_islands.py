@@ -1,0 +1,149 @@
+"""Islands: found as components of the contact graph, solved and stopped each on its own."""
+
+import numpy as np
+import pytest
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+import deep_contact as dc
+from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.islands import islands_of
+from deep_contact.state import make_bodies
+
+WIDE = {"size": (300.0, 30.0), "sigma_coef": 5.0}
+"""A box in which circles fall into many heaps."""
+
+
+def components(state):
+    """Number of components, and that of each circle, by SciPy."""
+    n = state.bodies.count
+    a, b = state.contacts.body_a, state.contacts.body_b
+    circles = b < n
+    graph = coo_array((np.ones(circles.sum()), (a[circles], b[circles])), (n, n))
+    return connected_components(graph, directed=False)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_islands_are_the_components_of_the_contact_graph(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(1, 200))
+    side = rng.choice([10.0, 30.0, 100.0])
+    state = dc.single_body().replace(bodies=make_bodies(rng.uniform(0, side, (n, 2)), radius=rng.uniform(0.2, 1.5, n)))
+    state = state.replace(contacts=contacts_of(state))
+    count, label = components(state)
+    island = islands_of(state)
+    assert len(set(island)) == count == len(set(zip(island, label)))
+    for number in set(island):
+        assert number == np.flatnonzero(island == number)[0]
+
+
+def test_walls_connect_nothing():
+    state = dc.single_body().replace(bodies=make_bodies([[5.0, 1.0], [20.0, 1.0], [22.0, 1.0]]))
+    state = state.replace(contacts=contacts_of(state))
+    np.testing.assert_array_equal(islands_of(state), [0, 1, 1])
+
+
+@pytest.mark.parametrize("friction", [0.5, 0.0])
+def test_without_a_tolerance_islands_change_not_a_bit(friction):
+    scene = dc.circles_in_box(60, seed=2, friction=friction, **WIDE)
+    one, other = (
+        dc.simulate(scene, steps=300, solver=dc.PGS(sweeps=20, tolerance=None, islands=islands))
+        for islands in (False, True)
+    )
+    assert len(set(islands_of(one.state))) > 5
+    for a, b in zip(one.state.bodies + one.state.contacts, other.state.bodies + other.state.contacts):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(one.relaxations, other.relaxations)
+
+
+def states_with_islands():
+    states = []
+    scene = dc.circles_in_box(60, seed=3, **WIDE)
+    dc.simulate(scene, steps=400, on_step=lambda state, record: states.append(state))
+    return [state for state in states[::10] if state.contacts.count]
+
+
+def alone(state, island, number):
+    """The state with one island of it alone."""
+    keep = np.flatnonzero(island == number)
+    bodies = state.bodies._make(field[keep] for field in state.bodies)
+    contacts = state.contacts
+    mine = np.isin(contacts.body_a, keep)
+    a, b = contacts.body_a[mine], contacts.body_b[mine]
+    moved = np.where(b < state.bodies.count, np.searchsorted(keep, b), b - state.bodies.count + keep.size)
+    contacts = contacts._make(field[mine] for field in contacts)
+    return state.replace(bodies=bodies, contacts=contacts._replace(body_a=np.searchsorted(keep, a), body_b=moved)), mine
+
+
+def test_an_island_is_solved_as_if_it_were_alone():
+    solver = dc.PGS(islands=True)
+    for state in states_with_islands()[::4]:
+        found = dc.solve_contacts(state, solver=solver)
+        island = islands_of(state)
+        longest = 0
+        for number in set(island[state.contacts.body_a]):
+            part, mine = alone(state, island, number)
+            by_itself = dc.solve_contacts(part, solver=dc.PGS())
+            np.testing.assert_array_equal(found.normal_impulses[mine], by_itself.normal_impulses)
+            np.testing.assert_array_equal(found.velocities[island == number], by_itself.velocities)
+            longest = max(longest, by_itself.record.sweeps)
+        assert found.record.sweeps == longest
+
+
+def test_islands_reach_the_tolerance_with_less_work():
+    # 6e-5 N·s is the change that a sweep may still make; what is left after it, slower, is no more than ten of those.
+    less = 0
+    for state in states_with_islands():
+        one, other = (dc.simulate(state, steps=1, solver=dc.PGS(islands=islands)) for islands in (False, True))
+        assert other.theta[0] <= 6e-5 or other.sweeps[0] == 3000
+        assert other.relaxations[0] <= one.relaxations[0]
+        less += other.relaxations[0] < one.relaxations[0]
+        np.testing.assert_allclose(other.state.bodies.velocity, one.state.bodies.velocity, atol=10 * 6e-5)
+    assert less > 5
+
+
+def test_theta_is_the_largest_of_the_islands_still_swept():
+    state = states_with_islands()[-1]
+    found = dc.solve_contacts(state, solver=dc.PGS(islands=True, tolerance=1e-9), start="none").record
+    together = dc.solve_contacts(state, solver=dc.PGS(tolerance=1e-9), start="none").record
+    assert (found.status, found.sweeps) == ("converged", together.sweeps)
+    assert found.theta[0] == together.theta[0]
+    np.testing.assert_array_equal(found.theta <= together.theta, True)
+
+
+def test_islands_of_more_contacts_than_the_room_are_solved():
+    # Forty circles in one place: 780 pairs, where there is room for 224.
+    state = dc.single_body().replace(bodies=make_bodies(np.full((40, 2), 15.0) + 1e-3 * np.arange(80).reshape(40, 2)))
+    one, other = (
+        dc.simulate(state, steps=2, solver=dc.PGS(sweeps=5, tolerance=None, islands=islands))
+        for islands in (False, True)
+    )
+    assert one.contacts[0] == 780
+    np.testing.assert_array_equal(one.state.bodies.position, other.state.bodies.position)
+
+
+def test_a_scene_without_contacts_has_no_islands_to_solve():
+    run = dc.simulate(dc.single_body(height=10.0), steps=3, solver=dc.PGS(islands=True))
+    assert (run.relaxations.sum(), run.status[0]) == (0, "no_contacts")
+
+
+@pytest.mark.parametrize("method", [dc.BatchedPGS, dc.PSOR, dc.SymmetricPGS, dc.NNCG, dc.APGD])
+def test_other_methods_refuse_islands(method):
+    with pytest.raises(ValueError, match=f"islands: expected False, since {method.__name__} sweeps them together"):
+        method(islands=True)
+
+
+def test_islands_is_a_flag():
+    with pytest.raises(ValueError, match="islands: expected True or False, got 2"):
+        dc.PGS(islands=2)
+
+
+def test_islands_travel_in_state_files(tmp_path):
+    scene = dc.column(3).replace(solver=dc.PGS(islands=True))
+    dc.write_state(tmp_path / "state.xml", scene)
+    assert dc.read_state(tmp_path / "state.xml").solver == scene.solver
+
+
+def test_islands_of_a_state_without_contacts_are_refused():
+    with pytest.raises(ValueError, match="contacts: expected a state whose contacts have been found, got None"):
+        islands_of(dc.column(2))

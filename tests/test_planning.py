@@ -1,0 +1,139 @@
+"""Plans: what a run uses and leaves out, said as `simulate` does it, with the savings read from Figure 6.7's file."""
+
+import importlib.util
+import shutil
+from pathlib import Path
+
+import pytest
+
+import deep_contact as dc
+from deep_contact import figures, planning
+
+
+def one(ratio, spread=0.0):
+    return {"ratio": ratio, "low": ratio - spread, "high": ratio + spread, "general": 1.0, "special": 1.0 / ratio}
+
+
+RATIOS = {
+    "frictionless": 1.9, "single": 1.01, "asleep": 300.0, "asleep but for one": 20.0, "no position correction": 1.1,
+    "no call between steps": 4.0, "islands, one pile": 1.02, "islands, heaps": 4.6,
+}  # fmt: skip
+JOBS = {
+    "simulate": {"seconds": 1.5, "memory_mb": 150.0},
+    "predict": {"seconds": 9.0, "memory_mb": 900.0},
+}
+TABLE = {
+    "data": {"savings": {name: one(ratio, 0.1) for name, ratio in RATIOS.items()}, "jobs": JOBS},
+    "provenance": {"cpu": "a processor"},
+}
+
+
+def plan(scene, **options):
+    return dc.plan(scene, table=TABLE, **options)
+
+
+@pytest.mark.parametrize(
+    ("friction", "solver", "used", "why"),
+    [
+        (0.5, dc.PGS(), True, "friction is 0.5"),
+        (0.0, dc.PGS(), False, "friction is 0, so nothing"),
+        (0.0, dc.NNCG(), False, "friction is 0, so nothing"),
+        (0.0, dc.APGD(), True, "APGD has no rows without them"),
+        (0.0, dc.SoftSteps(), True, "SoftSteps has no rows without them"),
+    ],
+)
+def test_tangent_rows_are_planned_as_they_are_built(friction, solver, used, why):
+    found = plan(dc.column(3, friction=friction), solver=solver)["tangent rows and spin"]
+    assert (found.used, found.saving) == (used, "without them a sweep costs 52.6 % (50 to 55.6 %)")
+    assert why in found.why
+
+
+def test_a_start_with_tangents_keeps_the_rows():
+    state = dc.simulate(dc.column(3), steps=3).state
+    contacts = state.contacts._replace(tangent_start=state.contacts.tangent_start + 1e-3)
+    state = state.replace(contacts=contacts, world=dc.World(friction=0.0))
+    assert "starts from tangent impulses" in plan(state)["tangent rows and spin"].why
+
+
+def test_options_that_are_asked_for_are_used():
+    chosen = plan(
+        dc.column(3),
+        solver=dc.PGS(islands=True, precision="single", position_sweeps=0),
+        warm_start=lambda state, solver: None,
+        sleep=True,
+    )
+    used = {choice.part for choice in chosen.choices if choice.used}
+    assert used == {"tangent rows and spin", "islands", "sleeping", "calls between steps"}
+    default = {choice.part for choice in plan(dc.column(3)).choices if choice.used}
+    assert default == {"tangent rows and spin", "position correction", "double precision"}
+
+
+def test_islands_are_counted_where_the_scene_is():
+    assert "1 of them touch" in plan(dc.simulate(dc.column(5), steps=20).state)["islands"].why
+    assert "0 of them touch" in plan(dc.single_body(height=5.0))["islands"].why
+
+
+def test_only_starts_that_predict_load_the_network():
+    assert [plan(dc.column(2), warm_start=name)["network"].used for name in ("guarded", "builtin", None)] == [
+        True, False, False,
+    ]  # fmt: skip
+
+
+def test_a_plan_prints_every_choice_its_reason_and_its_saving():
+    found = plan(dc.circles_in_box(20, seed=1, friction=0.0), solver=dc.PGS(sweeps=10))
+    text = str(found)
+    assert text.startswith("circles_20: 20 circles, PGS(sweeps=10) from builtin\n")
+    for choice in found.choices:
+        assert f"{choice.part:21s}  {'used' if choice.used else 'left out'}" in text
+        assert choice.why in text
+        assert choice.saving in text
+    assert text.endswith("Figure 6.7, a processor")
+
+
+def test_the_results_in_the_package_are_told():
+    table = planning.installed_results()
+    ratio = table["data"]["savings"]["frictionless"]["ratio"]
+    assert f"a sweep costs {100 / ratio:.3g} %" in str(dc.plan(dc.column(2)))
+    assert table["provenance"]["cpu"] in str(dc.plan(dc.column(2)))
+
+
+def test_the_figure_draws_and_judges_the_results_in_the_package(tmp_path):
+    path = Path(__file__).resolve().parent.parent / "scripts" / "figure_6_7_scene_requirements.py"
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    script = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(script)
+    shutil.copy(planning.TABLE, tmp_path)
+    assert figures.main(script.FIGURE, ["--replot", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "figure_6_7.png").stat().st_size > 10_000
+    stored = planning.installed_results()
+    assert [claim.holds for claim in script.claims(stored["data"])] == [one["holds"] for one in stored["claims"]]
+
+
+def test_plan_stays_a_function_after_its_module_is_loaded():
+    assert dc.plan is planning.plan
+
+
+def test_missing_results_say_how_they_are_made(monkeypatch, tmp_path):
+    monkeypatch.setattr(planning, "TABLE", tmp_path / "reference" / "figure_6_7.json")
+    with pytest.raises(FileNotFoundError, match=r"reference/figure_6_7.json: expected .* run scripts/figure_6_7"):
+        planning.installed_results.__wrapped__()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"solver": "PGS"}, "solver: expected options such as PGS"),
+        ({"warm_start": "best"}, "warm_start: expected one of none"),
+        ({"sleep": 1}, "sleep: expected True or False, got 1"),
+        ({"sleep": True, "solver": dc.SoftSteps()}, "sleep: expected False with SoftSteps"),
+    ],
+)
+def test_what_simulate_refuses_is_refused(options, message):
+    for refuse in (plan, lambda scene, **given: dc.simulate(scene, steps=1, **given)):
+        with pytest.raises(ValueError, match=message):
+            refuse(dc.column(2), **options)
+
+
+def test_an_unknown_part_names_the_known_ones():
+    with pytest.raises(KeyError, match="expected one of tangent rows and spin, islands"):
+        plan(dc.column(2))["gravity"]

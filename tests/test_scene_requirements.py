@@ -1,0 +1,103 @@
+"""Only what a scene requires: without friction the rows have no tangents, and the result is that of μ = 0."""
+
+import numpy as np
+import pytest
+from conftest import kinetic_energy, momentum
+
+import deep_contact as dc
+from deep_contact import simulation
+from deep_contact.physics import engine, relaxation
+from deep_contact.physics.contact_solver import contact_rows, integrate_velocities, make_rows, sweep
+
+
+def spinning_scene(**options):
+    """A frictionless scene whose circles differ, bounce and spin."""
+    scene = dc.circles_in_box(40, friction=0.0, restitution=0.3, radius=(0.7, 1.3), seed=3, **options)
+    return scene.replace(bodies=scene.bodies._replace(spin=np.linspace(-3.0, 3.0, 40)))
+
+
+@pytest.fixture
+def general(monkeypatch):
+    """A run with tangent rows, whatever the friction."""
+
+    def run(scene, **options):
+        with monkeypatch.context() as patch:
+            patch.setattr(simulation, "required_arguments", lambda state, *_: engine.world_arguments(state))
+            return dc.simulate(scene, **options)
+
+    return run
+
+
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.PSOR(adaptive=True)])
+def test_frictionless_runs_are_those_of_the_general_rows_bit_for_bit(solver, general):
+    one, other = (run(spinning_scene(), steps=200, solver=solver) for run in (dc.simulate, general))
+    assert one.contacts.max() > 25
+    for a, b in zip(one.state.bodies + one.state.contacts, other.state.bodies + other.state.contacts):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(one.theta, other.theta)
+
+
+def test_frictionless_nncg_solves_the_same_problem(frictionless_states):
+    # Its β are sums over all rows, which round differently, so that runs part; both reach the solution.
+    for state in frictionless_states:
+        found = dc.solve_contacts(state, solver=dc.NNCG(sweeps=20_000, tolerance=1e-12), start="none")
+        expected = dc.solve_contacts(state, solver=dc.PGS(sweeps=200_000, tolerance=1e-13), start="none")
+        np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-8)
+
+
+def test_frictionless_rows_have_no_tangents():
+    state = simulation.ready(dc.column(3, friction=0.0))
+    settings = relaxation.settings_of(dc.PGS())
+    assert engine.required_arguments(state, settings, np.zeros(3))[2] is None
+    rows = make_rows(3, np.float64, None)
+    assert (rows.data.shape, rows.impulse.shape) == ((3, 4), (3, 1))
+
+
+@pytest.mark.parametrize(("friction", "start"), [(0.5, 0.0), (1e-9, 0.0), (0.0, 1e-3)])
+def test_friction_or_a_start_with_tangents_requires_them(friction, start):
+    state = simulation.ready(dc.column(3, friction=friction))
+    for solver in (dc.PGS(), dc.NNCG()):
+        world = engine.required_arguments(state, relaxation.settings_of(solver), np.full(3, start))
+        assert world == engine.world_arguments(state)
+
+
+def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_states):
+    state = frictionless_states[-1]
+    m = state.contacts.count
+    found = dc.solve_contacts(state, solver=dc.PGS(sweeps=5), start=(np.zeros(m), np.ones(m)))
+    np.testing.assert_array_equal(found.tangent_impulses, 0.0)
+    assert found.record.theta[0] >= 1.0
+
+
+@pytest.mark.parametrize("solver", [dc.APGD(), dc.SoftSteps()])
+def test_methods_that_need_tangent_rows_keep_them(solver):
+    state = simulation.ready(dc.column(3, friction=0.0))
+    _, (settings, _) = engine.advance_of(solver)
+    assert engine.required_arguments(state, settings, np.zeros(3))[2] == 0.0
+
+
+def test_nothing_turns_without_friction():
+    scene = spinning_scene()
+    run = dc.simulate(scene, steps=150)
+    # ω r and back by r rounds once a step.
+    np.testing.assert_allclose(run.state.bodies.spin, scene.bodies.spin, rtol=150 * 2**-52)
+    np.testing.assert_array_equal(run.state.contacts.tangent_impulse, 0.0)
+
+
+def test_frictionless_impacts_keep_momentum_and_the_energy_of_newtons_law():
+    # Head-on at ±1 m/s: v' = ∓e v, so that e² of the energy is left.
+    scene = dc.two_bodies(speed=2.0, friction=0.0, restitution=0.5)
+    after = dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=1e-15)).state.bodies
+    np.testing.assert_allclose(momentum(after), 0.0, atol=1e-14)
+    np.testing.assert_allclose(kinetic_energy(after), 0.25 * kinetic_energy(scene.bodies), rtol=1e-12)
+
+
+def test_a_frictionless_sweep_relaxes_each_normal_row():
+    # One contact: λ_n = max(0, −k v_n), Eq 2.29, with k = m / 2 for two equal circles.
+    state = simulation.ready(dc.two_bodies(speed=2.0, friction=0.0))
+    moving = engine.moving_room(2, dc.PGS())
+    integrate_velocities(state.bodies, (0.0, 0.0), 0.01, moving)
+    rows, _ = contact_rows(state.bodies, state.contacts, moving, 0.0, make_rows(1, moving.dtype, None), None)
+    theta = sweep(rows, None, moving)
+    np.testing.assert_allclose([theta, rows.impulse[0, 0]], np.pi * 2.0 / 2, rtol=1e-15)
+    np.testing.assert_allclose(moving[:2, :2], 0.0, atol=1e-15)

@@ -1,0 +1,128 @@
+"""Sleeping: the rule of Box2D 2.3 (0.5 s below 0.01 m/s and 2°/s, whole islands, woken by touch)."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.sleeping import wake_and_put_to_sleep
+from deep_contact.state import World, make_bodies
+
+RESTING = dc.PGS(sweeps=200, tolerance=1e-9)
+
+
+def floor_scene(*centres, velocity=0.0, **world):
+    """Circles of radius 1 at the given centres; 1.01 is the height on the floor."""
+    return dc.single_body().replace(bodies=make_bodies(centres, velocity=velocity), world=World(**world))
+
+
+def test_a_resting_column_falls_asleep_after_half_a_second():
+    # Box2D: a step whose circles are still adds Δt; at 0.5 s they sleep, so 50 steps of 0.01 s are solved (51 if 50
+    # times 0.01 rounds to less).
+    resting = dc.simulate(dc.column(5), steps=100, solver=RESTING).state
+    run = dc.simulate(resting, steps=100, sleep=True)
+    solved = np.count_nonzero(run.relaxations)
+    assert solved in (50, 51)
+    np.testing.assert_array_equal(run.contacts[solved:], 0)
+    np.testing.assert_array_equal(run.state.bodies.velocity, 0.0)
+    assert set(run.status[solved:]) == {"no_contacts"}
+
+
+def test_what_sleeps_does_not_move_and_keeps_its_impulses():
+    early, late = (dc.simulate(dc.column(5), steps=steps, solver=RESTING, sleep=True).state for steps in (60, 500))
+    np.testing.assert_array_equal(early.bodies.position, late.bodies.position)
+    # k m g Δt in the contact below k circles.
+    expected = np.sort(np.arange(1, 6) * np.pi * 9.81 * 0.01)
+    np.testing.assert_allclose(np.sort(late.contacts.normal_impulse), expected, rtol=1e-6)
+
+
+def test_until_the_first_island_sleeps_the_run_is_the_same_bit_for_bit():
+    scene = dc.circles_in_box(40, seed=1)
+    one, other = (dc.simulate(scene, steps=150, sleep=sleep) for sleep in (False, True))
+    for a, b in zip(one.state.bodies + one.state.contacts, other.state.bodies + other.state.contacts):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(one.theta, other.theta)
+
+
+def test_islands_sleep_on_their_own():
+    # One rests on the floor, the other falls beside it from 10 m: 1.43 s.
+    scene = floor_scene([5.0, 1.01], [20.0, 11.01])
+    run = dc.simulate(scene, steps=120, solver=RESTING, sleep=True)
+    np.testing.assert_allclose(run.state.bodies.velocity[1, 1], -9.81 * 1.2, rtol=1e-12)
+    assert np.count_nonzero(run.contacts) in (50, 51)
+
+
+def test_a_touch_wakes_the_whole_island():
+    # Three in a row on the floor sleep; a fourth comes rolling in and pushes them on.
+    scene = floor_scene(
+        [10.0, 1.01], [12.0, 1.01], [14.0, 1.01], [3.0, 1.01], velocity=[[0, 0], [0, 0], [0, 0], [2.0, 0]], friction=0.0
+    )
+    asleep, moved = (dc.simulate(scene, steps=n, solver=RESTING, sleep=True).state.bodies for n in (200, 300))
+    np.testing.assert_array_equal(asleep.position[:3], scene.bodies.position[:3])
+    # Without friction and restitution all four go on with a quarter of the momentum.
+    np.testing.assert_allclose(moved.velocity[:, 0], 0.5, rtol=1e-6)
+
+
+def test_nothing_falls_asleep_in_flight():
+    # At the top of its flight a circle is slow for 2 v / g = 2 ms only; this one is back on the floor after 2.04 s.
+    run = dc.simulate(floor_scene([15.0, 5.0], velocity=[0.0, 8.0]), steps=300, sleep=True)
+    np.testing.assert_allclose(run.state.bodies.position[0, 1], 1.01, atol=0.01)
+
+
+def test_nothing_sleeps_while_it_penetrates():
+    scene = floor_scene([5.0, 0.9], gravity=(0.0, 0.0))
+    contacts = contacts_of(scene)
+    rest, room = np.array([10.0]), np.empty(1)
+    assert wake_and_put_to_sleep(scene.bodies, contacts, 0.01, np.empty(1, np.int64), room, rest) == 1
+    assert rest[0] == 10.01
+
+
+@pytest.mark.parametrize(
+    ("velocity", "spin", "awake"), [(0.0099, 0.0, 0), (0.0101, 0.0, 1), (0.0, 0.034, 0), (0.0, 0.036, 1)]
+)
+def test_the_tolerances_are_those_of_box2d(velocity, spin, awake):
+    # 2° a second are 0.0349 rad/s.
+    bodies = make_bodies([[5.0, 5.0]], velocity=[velocity, 0.0], spin=spin)
+    rest = np.array([1.0])
+    scene = dc.single_body().replace(bodies=bodies)
+    found = wake_and_put_to_sleep(bodies, contacts_of(scene), 0.01, np.empty(1, np.int64), np.empty(1), rest)
+    assert (found, np.isinf(rest[0])) == (awake, not awake)
+
+
+def test_calls_between_steps_change_nothing():
+    scene = dc.column(4)
+    plain = dc.simulate(scene, steps=80, solver=RESTING, sleep=True)
+    seen = []
+    told = dc.simulate(scene, steps=80, solver=RESTING, sleep=True, on_step=lambda s, r: seen.append(r.status))
+    np.testing.assert_array_equal(plain.state.bodies.position, told.state.bodies.position)
+    np.testing.assert_array_equal(plain.state.contacts.normal_impulse, told.state.contacts.normal_impulse)
+    assert seen[-1] == "no_contacts"
+
+
+def test_a_resumed_run_starts_awake(tmp_path):
+    state = dc.simulate(dc.column(3), steps=80, solver=RESTING, sleep=True).state
+    dc.write_state(tmp_path / "state.xml", state)
+    run = dc.simulate(dc.read_state(tmp_path / "state.xml"), steps=80, sleep=True)
+    assert run.relaxations[0] > 0
+    np.testing.assert_allclose(run.state.bodies.position, state.bodies.position, atol=1e-6)
+    pushed = state.replace(bodies=state.bodies._replace(velocity=np.tile([1.0, 0.0], (3, 1))))
+    assert dc.simulate(pushed, steps=10, sleep=True).state.bodies.position[0, 0] > 15.01
+
+
+def test_a_pile_sleeps_where_it_would_have_stayed_awake():
+    # What may be lost is the rest of a motion below 0.01 m/s.
+    slept = dc.simulate(dc.circles_in_box(40, seed=2), steps=1500, sleep=True)
+    assert slept.relaxations[-1] == 0
+    awake = dc.simulate(slept.state, steps=200).state
+    np.testing.assert_allclose(slept.state.bodies.position, awake.bodies.position, atol=2.0 * 0.01)
+
+
+@pytest.mark.parametrize("solver", [dc.SoftSteps(), dc.BatchedPGS()])
+def test_methods_with_steps_of_their_own_do_not_sleep(solver):
+    with pytest.raises(ValueError, match=f"sleep: expected False with {type(solver).__name__}, got True"):
+        dc.simulate(dc.column(2), steps=1, sleep=True, solver=solver)
+
+
+def test_sleep_is_a_flag():
+    with pytest.raises(ValueError, match="sleep: expected True or False, got 1"):
+        dc.simulate(dc.column(2), steps=1, sleep=1)
