@@ -21,10 +21,11 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.constants import LINEAR_SLOP, WALL_SKIN
 from deep_contact.physics.engine import contacts_of, solve
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.methods import METHODS, PGS, PRECISIONS
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
+from deep_contact.warm_start import STARTS
 
 SAFE, DEGRADED, FAILED, REFUSED, ABSENT = VERDICTS = ("safe", "degraded", "failed", "refused", "absent")
 ENGINES = ("ours", "Box2D 2.3", "pymunk")
@@ -109,6 +110,8 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
             watch.see(bodies)
     except ImportError as error:
         return watch.outcome(ABSENT, str(error))
+    except FileNotFoundError:
+        return watch.outcome(ABSENT, "the model file is not there")
     except (ValueError, AssertionError, ArithmeticError) as error:
         # Before the first step a scene is refused; later, numbers have become what no state may hold.
         return watch.outcome(REFUSED if watch.steps == 0 else FAILED, str(error).strip().splitlines()[-1], finite=False)
@@ -569,6 +572,23 @@ def run_case(case: Case) -> dict:
     return measure(trial, case.engine)
 
 
+SOLVERS = (
+    *(f"method {name}, {precision}" for name in METHODS for precision in PRECISIONS),
+    *(f"start {name}" for name in STARTS),
+)
+"""Every method in both precisions and every start, for `run_solver`."""
+
+
+def run_solver(name: str, steps: int = 150) -> dict:
+    """`measure` of `small_pile` by one of `SOLVERS`; {"name": …, …}. Absent is a start whose network is not there."""
+    kind, _, name_of_kind = name.partition(" ")
+    options = {"solver": PGS(), "warm_start": name_of_kind}
+    if kind == "method":
+        method, _, precision = name_of_kind.partition(", ")
+        options = {"solver": METHODS[method](precision=precision)}
+    return {"name": name, **measure(Trial(scene=small_pile(), steps=steps, **options))}
+
+
 def spans(values, verdicts) -> list[tuple[str, float, float]]:
     """(verdict, first value, last value) of every run of neighbouring values with one verdict."""
     found = []
@@ -605,14 +625,20 @@ def stand(scene: State, engine: str, *, solver, seconds: float) -> dict:
     return {"penetration": depth, "speed": speed, "settled": max(depth[len(depth) // 2 :])}
 
 
-def leaning_silo(n: int, ratio: float = 1.0) -> State:
-    """`loaded_silo` with room of a twentieth of a circle, in which the circles stand in zigzag."""
-    scene = loaded_silo(n, ratio)
+PRESSED = 1e-4
+"""Overlap of contacts that are to exist in every engine, m: what touches exactly, rounding to float32 decides."""
+
+
+def leaning_silo(n: int, *, lean: float = 0.05) -> State:
+    """`silo` with room, `lean` m, in which the circles stand in zigzag, each pressed into the next and into a wall."""
+    scene = silo(n)
     x_min, y_min, x_max, y_max = scene.world.box
-    lean = 0.05
-    position = scene.bodies.position.copy()
-    position[:, 0] += 0.5 * lean * (1 + (-1.0) ** np.arange(n)) + 0.0
-    rise = np.sqrt(4.0 - lean**2)
-    position[:, 1] = position[0, 1] + rise * np.arange(n)
-    world = replace(scene.world, box=(x_min, y_min, x_max + lean, y_max))
-    return with_bodies(scene, position=position).replace(world=world)
+    across, reach = lean + 2 * PRESSED, 2.0 - PRESSED
+    wall = WALL_SKIN + 1.0 - PRESSED
+    order = np.arange(n)
+    position = np.column_stack(
+        [x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order]
+    )
+    return with_bodies(scene, position=position).replace(
+        world=replace(scene.world, box=(x_min, y_min, x_max + lean, y_max))
+    )

@@ -16,22 +16,22 @@ from __future__ import annotations
 
 import argparse
 import json
-import multiprocessing
 import os
 import re
 import signal
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import Executor
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from deep_contact import plotting, results
+from deep_contact import executors, plotting, results
 from deep_contact.results import Claim
 
 __all__ = ["Claim", "Figure", "cell", "main", "override", "parallel_map", "produce", "progress_bar", "seeds"]
@@ -53,8 +53,8 @@ class Figure:
     value (numbers, text, None, or lists of these). quick: what `--quick` changes of them. seed: default of
     `--seed`. digits: significant digits kept of float arrays in the data, None for all.
 
-    compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `progress` takes
-    what `progress_bar` takes.
+    compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `jobs` is for
+    `parallel_map`, `progress` takes what `progress_bar` takes.
     claims(data) -> list of `Claim`; table(data) -> rows to print, head first. Both see the stored data.
     draw(data, options) -> matplotlib figure. A table without `draw` gets a picture of its rows.
 
@@ -95,8 +95,9 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     """Run a script's command line; its exit status.
 
     0: files written, or up to date. 1: something that has to be there first is not, such as a trained network
-    (FileNotFoundError, whose message is printed). 2: bad arguments, or a ValueError of the figure's own functions
-    under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, without a traceback and without half-written files.
+    (FileNotFoundError) or a cluster (ClusterError), whose message is printed. 2: bad arguments, or a ValueError of
+    the figure's own functions under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, without a traceback and
+    without half-written files.
     Any other error in the figure's own functions is raised.
     """
     parser = _parser(figure)
@@ -110,6 +111,10 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     if given.replot and (given.set or given.quick or given.resume or given.seed is not None):
         parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
     try:
+        _prepare_folder(given.out)
+    except OSError as error:
+        parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
+    try:
         with _exit_on_sigterm():
             if given.replot:
                 return _replot(figure, given.out, parser)
@@ -118,12 +123,13 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
             if given.resume and _is_up_to_date(figure, path, options, seed):
                 print(f"{figure.stem}: up to date")
                 return 0
-            produce(figure, options=options, seed=seed, out=given.out, jobs=given.jobs)
+            with executors.opened(given.jobs, given.scheduler) as jobs:
+                produce(figure, options=options, seed=seed, out=given.out, jobs=jobs)
             return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except FileNotFoundError as error:
+    except (FileNotFoundError, executors.ClusterError) as error:
         print(f"{figure.stem}: {error}", file=sys.stderr)
         return 1
     except ValueError as error:
@@ -138,16 +144,16 @@ def produce(
     options: dict | None = None,
     seed: int | None = None,
     out: str | os.PathLike = "figures",
-    jobs: int = 1,
+    jobs: int | Executor = 1,
     progress: Callable | None = None,
     echo: Callable[[str], None] = print,
 ) -> dict:
     """Compute, store, draw and report a figure; the stored results.
 
     options: changes to the figure's own, by name. out: folder of the files. jobs: processes that may be
-    used; the numbers do not depend on it. progress: see `progress_bar`, the default. echo: takes the
-    report's lines. The results are stored before they are drawn, so that a mistake in `draw` does not cost
-    a long computation. Raises ValueError for an unknown option.
+    used, or an executor (`executors.finished`); the numbers do not depend on it. progress: see `progress_bar`,
+    the default. echo: takes the report's lines. The results are stored before they are drawn, so that a mistake
+    in `draw` does not cost a long computation. Raises ValueError for an unknown option.
     """
     _refuse_unknown(options or {}, figure.options, "options")
     options = results.plain({**figure.options, **(options or {})}, where="options")
@@ -169,6 +175,13 @@ def produce(
     _draw(figure, found, out)
     _report(figure, found, echo)
     return found
+
+
+def _prepare_folder(out: str | os.PathLike) -> None:
+    """Make the folder of the files. Raises OSError where it cannot be written: now, and not after the work is done."""
+    Path(out).mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=out):
+        pass
 
 
 def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
@@ -279,6 +292,7 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--seed", type=_integer_from(0), help=f"of everything random (default: {figure.seed})")
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
     add("--jobs", type=_integer_from(1), default=_cores(), help="processes (default: one for each core)")
+    add("--scheduler", metavar="ADDRESS", help=executors.SCHEDULER_HELP)
     add("--replot", action="store_true", help="draw again from the stored results alone")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting; can be repeated")
@@ -380,50 +394,22 @@ def parallel_map(
     function: Callable,
     items: Iterable,
     *,
-    jobs: int = 1,
+    jobs: int | Executor = 1,
     progress: Callable | None = None,
     text: str = "",
 ) -> list:
-    """[function(item) for item in items], in that order, by up to `jobs` processes.
+    """[function(item) for item in items], in that order, by `jobs`: see `executors.finished`.
 
     The result does not depend on `jobs` as long as `function` depends on its item alone: give every item
-    its own seed (`seeds`). With one job, or one item, everything happens in this process. Processes are
-    spawned, so `function` has to be found by import, and items and results have to be picklable. The first
-    error ends the map and is raised; an interrupt ends the processes too.
+    its own seed (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
     """
-    if not isinstance(jobs, int) or jobs < 1:
-        raise ValueError(f"jobs: expected an integer >= 1, got {jobs!r}")
     items = list(items)
     progress = progress or (lambda iterable, **_: iterable)
-    if jobs == 1 or len(items) < 2:
-        return [function(item) for item in progress(items, total=len(items), text=text)]
-    others = set(multiprocessing.active_children())
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(items)), mp_context=context) as executor:
-        try:
-            with _interrupts_held_back():
-                futures = [executor.submit(function, item) for item in items]
-            for future in progress(as_completed(futures), total=len(futures), text=text):
-                future.result()
-        except BaseException:
-            executor.shutdown(wait=False, cancel_futures=True)
-            for process in set(multiprocessing.active_children()) - others:
-                process.terminate()
-            raise
-        return [future.result() for future in futures]
-
-
-@contextmanager
-def _interrupts_held_back():
-    """Ctrl-C waits until this is over. Processes started within never get it: the parent ends them."""
-    if not hasattr(signal, "pthread_sigmask"):
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    found = [None] * len(items)
+    with closing(executors.finished(function, items, jobs=jobs)) as done:
+        for i, result in progress(done, total=len(items), text=text):
+            found[i] = result
+    return found
 
 
 @contextmanager

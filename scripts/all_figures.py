@@ -1,4 +1,4 @@
-"""python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] [--seed S]
+"""python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] [--scheduler A] [--seed S]
 
 Runs every scripts/figure_*.py and scripts/table_*.py, in the order of their numbers. One that fails does not
 stop the others; a summary comes last, and all results of the folder become one page, <out>/index.html, that can
@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from deep_contact import report, results
+from deep_contact import executors, report, results
 from deep_contact.figures import INTERRUPTED
 
 HERE = Path(__file__).resolve().parent
@@ -60,10 +60,11 @@ def parse(arguments):
         parser.add_argument(name, action="store_true")
     for name in ("--jobs", "--seed"):
         parser.add_argument(name, type=int)
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=executors.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
     passed_on = ["--out", given.out]
     passed_on += [f"--{name}" for name in ("quick", "resume", "replot") if getattr(given, name)]
-    for name in ("jobs", "seed"):
+    for name in ("jobs", "seed", "scheduler"):
         if getattr(given, name) is not None:
             passed_on += [f"--{name}", str(getattr(given, name))]
     return given, passed_on

@@ -19,9 +19,16 @@ SILOS = {
     "straight, 1000:1 on top, most accurate": (extremes.loaded_silo, {"ratio": 1000.0}, ACCURATE),
 }
 
+RESTING = {
+    "straight, 10 sweeps": "one circle wide at 10 sweeps",
+    "leaning, 10 sweeps": "in which it leans from wall to wall at 10 sweeps",
+    "straight, 1000:1 on top, most accurate": "with 1000 times its mass on top, most accurately solved,",
+}
+"""Those of `SILOS` that have to come to rest -> how a claim says it."""
+
 
 def compute(options, seed, jobs, progress):
-    """Every value of every quantity in every engine; and columns in a silo that have to rest."""
+    """Every value of every quantity in every engine; columns in a silo that have to rest; every method and start."""
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
     found = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
     cells = [
@@ -36,8 +43,11 @@ def compute(options, seed, jobs, progress):
         silos[name] = {
             engine: extremes.stand(scene, engine, solver=solver, seconds=options["seconds"]) for engine in engines
         }
-    return {"units": {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}, "cells": cells,
-            "silos": silos}  # fmt: skip
+    units = {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}
+    solvers = figures.parallel_map(
+        extremes.run_solver, options["solvers"], jobs=jobs, progress=progress, text="methods and starts"
+    )
+    return {"units": units, "cells": cells, "silos": silos, "solvers": solvers}
 
 
 def ours(data, *quantities):
@@ -87,11 +97,15 @@ def claims(data):
         speed = max(cell["speed"] for cell in parted)
         text = "circles that overlap, up to the whole diameter, are parted without giving them any speed"
         found.append(Claim(text, None, speed == 0.0, {"largest speed (m/s)": speed}))
-    for name, setting in (("straight, 10 sweeps", "10 sweeps"), ("straight, 1000:1 on top, most accurate", None)):
+    tried = [solver for solver in data["solvers"] if solver["verdict"] != ABSENT]
+    if tried:
+        unsafe = [f"{solver['name']}: {solver['verdict']}" for solver in tried if solver["verdict"] != SAFE]
+        text = "a falling pile is safe with every method in both precisions, and from every start"
+        found.append(Claim(text, None, not unsafe, {"tried": len(tried), "not safe": unsafe or "none"}))
+    for name, what in RESTING.items():
         silo = data["silos"][name]["ours"]
         depth, speed = silo["settled"] / LINEAR_SLOP, silo["speed"][-1]
-        what = f"at {setting}" if setting else "with 1000 times its mass on top, most accurately solved,"
-        text = f"a column in a silo one circle wide {what} rests, its penetration below 2 slops"
+        text = f"a column in a silo {what} rests, its penetration below 2 slops"
         found.append(Claim(text, None, depth < 2.0 and speed < 1e-3, {"slops": depth, "speed (m/s)": speed}))
     return found
 
@@ -128,6 +142,10 @@ def table(data):
         settled = {e: found["settled"] / LINEAR_SLOP for e, found in engines.items() if "settled" in found}
         text = "; ".join(f"{engine} {depth:.3g}" for engine, depth in settled.items())
         rows.append([f"silo: {name}", "slops at rest", text, *[None] * 7])
+    for solver in data["solvers"]:
+        verdicts = [solver["name"] if solver["verdict"] == v else None for v in (SAFE, DEGRADED, FAILED, REFUSED)]
+        worst = None if solver["worst"] is None else solver["worst"] / LINEAR_SLOP
+        rows.append(["pile", "", *verdicts, worst, solver["recovered"], None, None])
     return rows
 
 
@@ -179,7 +197,14 @@ def draw(data, options):
 FIGURE = Figure(
     id="6.6",
     title="Stability at the extremes: what is safe, degraded, failed and refused",
-    options={"quantities": list(extremes.QUANTITIES), "few": False, "steps": 1000, "silo": 50, "seconds": 60},
+    options={
+        "quantities": list(extremes.QUANTITIES),
+        "solvers": list(extremes.SOLVERS),
+        "few": False,
+        "steps": 1000,
+        "silo": 50,
+        "seconds": 60,
+    },
     quick={"few": True, "steps": 300},
     compute=compute,
     claims=claims,

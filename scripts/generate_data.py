@@ -1,7 +1,7 @@
 """The data set: simulations of the thesis's scene with random numbers of circles, every solved state kept.
 
     python scripts/generate_data.py [--simulations 150] [--steps 600] [--bodies 70 110] [--seed 0]
-                                    [--out data/generated] [--jobs 2] [--xml] [--gzip] [--quick]
+                                    [--out data/generated] [--jobs 2] [--scheduler ADDRESS] [--xml] [--gzip] [--quick]
     python scripts/generate_data.py --sample [--out data/sample]
 
 Writes <out>/sim_0000.h5, …, one file a simulation, as `deep_contact.cnn.dataset` describes it (data/README.md). States
@@ -11,34 +11,40 @@ with the source.
 
 Simulation i depends on the seed and on i alone: the same bits whatever the number of simulations or jobs. It can be
 stopped at any moment and started again: what is finished stays, what is not leaves nothing behind.
+
+With --scheduler the workers of a Dask cluster simulate (`deep_contact.executors`). They need no file system of this
+machine: they return every simulation as the bytes of its file, which this process writes, and what a worker that dies
+was at is done by another. XML files are made of these files afterwards, by processes of this machine.
 """
 
 from __future__ import annotations
 
 import argparse
-import multiprocessing
 import os
 import re
 import shutil
-import signal
 import sys
 import time
+from concurrent.futures import Executor
+from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import constants
+from deep_contact import constants, executors, figures
 from deep_contact.cnn.dataset import (
     PHASES,
     DataFileError,
+    pack_simulation,
     phase,
     read_simulation,
+    simulation_file,
     simulation_info,
     simulation_path,
-    write_simulation,
 )
+from deep_contact.results import replacing
 from deep_contact.state_xml import state_path, write_state
 
 SWEEPS = 5000
@@ -76,15 +82,11 @@ class Job:
         return {"entropy": self.seed, "spawn_key": [self.number]}
 
 
-def make_simulation(job: Job) -> int:
-    """Make one simulation and its files, where they are missing. Returns its number of states."""
-    path = simulation_path(job.out, job.number)
-    if not path.exists():
-        states, sweeps, theta = simulate(job)
-        write_simulation(path, states, sweeps=sweeps, theta=theta, seed=job.origin, options=job.settings)
-    if job.xml and not xml_folder(job).exists():
-        write_xml(job, read_simulation(path))
-    return simulation_info(path).count
+def make_simulation(job: Job) -> bytes:
+    """The file of one simulation. Nothing is written here: a worker may be on another machine."""
+    states, sweeps, theta = simulate(job)
+    packed = pack_simulation(states, sweeps=sweeps, theta=theta, seed=job.origin, options=job.settings)
+    return simulation_file(packed)
 
 
 def simulate(job: Job) -> tuple[list, list, list]:
@@ -112,8 +114,9 @@ def xml_folder(job: Job) -> Path:
     return state_path(Path(job.out) / "xml", f"sim_{job.number:04d}", 0).parent
 
 
-def write_xml(job: Job, simulation) -> None:
-    """Write every state as XML, under a name of its own until the folder is complete."""
+def write_xml(job: Job) -> None:
+    """Write every state of the simulation's file as XML, under a name of its own until the folder is complete."""
+    simulation = read_simulation(simulation_path(job.out, job.number))
     final = xml_folder(job)
     unfinished = final.with_name(f".{final.name}.{os.getpid()}")
     shutil.rmtree(unfinished, ignore_errors=True)
@@ -129,7 +132,8 @@ def write_xml(job: Job, simulation) -> None:
 
 def make_sample(out: Path) -> None:
     """Two states of each phase of a full simulation as XML, and a short one of few circles as HDF5."""
-    make_simulation(Job(number=0, seed=SAMPLE_SEED, steps=QUICK["steps"], bodies=QUICK["bodies"], out=str(out)))
+    out.mkdir(parents=True, exist_ok=True)
+    run([Job(number=0, seed=SAMPLE_SEED, steps=QUICK["steps"], bodies=QUICK["bodies"], out=str(out))], 1)
     full = Job(number=1, seed=SAMPLE_SEED, steps=FULL["steps"], bodies=FULL["bodies"], out=str(out))
     states, _, _ = simulate(full)
     for name in PHASES:
@@ -178,34 +182,20 @@ def check_finished(jobs: list[Job]) -> int:
     return done
 
 
-def run(jobs: list[Job], processes: int) -> int:
-    """Do all jobs, with a progress bar. Returns the number of states."""
-    from tqdm import tqdm
-
-    bar = tqdm(total=len(jobs), unit="sim", desc="simulations", smoothing=0.1)
-    states = 0
-    with bar:
-        if processes == 1:
-            for job in jobs:
-                states += make_simulation(job)
-                bar.update()
-            return states
-        # Spawned, not forked: a fork would copy whatever threads the parent's libraries have in whatever state.
-        pool = multiprocessing.get_context("spawn").Pool(processes, ignore_interrupt)
-        try:
-            for count in pool.imap_unordered(make_simulation, jobs):
-                states += count
-                bar.update()
-            pool.close()
-        finally:
-            pool.terminate()
-            pool.join()
-    return states
+def run(jobs: list[Job], workers: int | Executor) -> None:
+    """Make the simulations that are missing, with a progress bar; every file is written here, as soon as it comes."""
+    missing = [job for job in jobs if not simulation_path(job.out, job.number).exists()]
+    with closing(executors.finished(make_simulation, missing, jobs=workers)) as made:
+        for i, data in figures.progress_bar(made, total=len(missing), text="simulations"):
+            with replacing(simulation_path(missing[i].out, missing[i].number)) as temporary:
+                temporary.write_bytes(data)
 
 
-def ignore_interrupt() -> None:
-    """Ctrl-C reaches the whole group; the parent alone answers it, by ending the workers."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+def export(jobs: list[Job], processes: int) -> None:
+    """Write the XML files of simulations, with a progress bar."""
+    with closing(executors.finished(write_xml, jobs, jobs=processes)) as written:
+        for _ in figures.progress_bar(written, total=len(jobs), text="XML"):
+            pass
 
 
 def parse(arguments=None) -> argparse.Namespace:
@@ -216,6 +206,7 @@ def parse(arguments=None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of the whole set (0)")
     parser.add_argument("--out", type=Path, help="folder (data/generated)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (2)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=executors.SCHEDULER_HELP)
     parser.add_argument("--xml", action="store_true", help="write every state as XML as well")
     parser.add_argument("--gzip", action="store_true", help="compress the XML files")
     parser.add_argument("--quick", action="store_true", help="a small set in <out>/quick, for a try")
@@ -255,14 +246,18 @@ def main(arguments=None) -> int:
         done = check_finished(jobs)
         if done:
             print(f"{done} of {len(jobs)} simulations are there already")
-        states = run(jobs, min(args.jobs, len(jobs)))
+        with executors.opened(args.jobs, args.scheduler) as workers:
+            run(jobs, workers)
+        export([job for job in jobs if job.xml and not xml_folder(job).exists()], args.jobs)
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
-    except ValueError as error:
+    except (ValueError, executors.ClusterError) as error:
         print(error, file=sys.stderr)
         return 1
-    size = sum(simulation_path(job.out, job.number).stat().st_size for job in jobs)
+    paths = [simulation_path(job.out, job.number) for job in jobs]
+    states = sum(simulation_info(path).count for path in paths)
+    size = sum(path.stat().st_size for path in paths)
     seconds = time.perf_counter() - begin
     print(f"{args.out}: {len(jobs)} simulations, {states} states, {size / 1e6:.1f} MB, {seconds:.1f} s")
     return 0

@@ -12,6 +12,7 @@ ABOUT = {
     "model.h5": "The model that `dc.load_model()` gives, the far-field network: it corrects Builtin's start by a "
     "coarse image of stress (`deep_contact/cnn/far_field.py`), in a box of any size, and was trained through the "
     'solver; `warm_start="guarded"` uses it where it helps.',
+    "small.h5": "The far-field network with a third of the features, for its time.",
     "compact.h5": "The thesis's way made small and fully convolutional: an image of bodies and contact rows in, an "
     "image of impulses out. Chapter 5 of the figures shows it.",
     "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",
@@ -23,8 +24,11 @@ Made by `python scripts/model_cards.py` from the files themselves. Every file op
 code from it. Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that
 were used neither for training nor for choosing the epoch; phases as in `data/README.md`.
 
-The data are those of `scripts/generate_data.py` as it was on the day of training. The engine's sweep has changed its
-order of operations since: the same command now gives runs that part from them by rounding, with another hash.
+The data of compact.h5 and thesis_factored.h5 are those of `scripts/generate_data.py` before the engine's sweep changed
+its order of operations: the same command now gives runs that part from them by rounding, with another hash. Those of
+the far-field networks are `python scripts/generate_data.py --simulations 400 --out data/generated/large`.
+
+`comparison/` holds networks that were trained on a small budget, alike but for one setting: Table 6.2, Figure 6.4.
 """
 
 

@@ -6,10 +6,12 @@
 
 A mutant is the package with one small fault in `physics/` or `sph/`: an operator or a comparison exchanged, a number
 changed, a minus or an `abs` dropped, `min` for `max`, `and` for `or`. The same seed makes the same mutants of the same
-sources. Beside the automatic ones stand those planted by hand (`PLANTED`). Each is put into a copy of the package, with
-no compiled code, and the tests of `TESTS` run until one fails; one that runs out of time is found, too. The record
-lists every mutant with its place, its fault and the test that found it. It is written after every mutant, so that a
-run that is stopped can go on with `--resume`.
+sources. Beside the automatic ones stand those planted by hand (`PLANTED`). Each is put into a copy of the package, and
+the tests of `TESTS` run until one fails, first those of the file that was changed; one that runs out of time is found,
+too. Compiled code is kept of those files that a mutant does not reach. The record lists every mutant with its place,
+its fault and the test that found it. It is written after every mutant, so that a run that is stopped can go on with
+`--resume`, which also tries again what has survived, and keeps in mind that it had. What survives and cannot be found
+is explained in `EQUIVALENT`.
 """
 
 from __future__ import annotations
@@ -20,7 +22,9 @@ import json
 import os
 import random
 import re
+import resource
 import shutil
+import signal
 import subprocess
 import sys
 import tempfile
@@ -28,12 +32,13 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from deep_contact import results
+from deep_contact import code_cache, results
 from deep_contact.figures import progress_bar
 
 ROOT = Path(__file__).resolve().parent.parent
-TIME = 900
-"""Seconds that the tests of one mutant may take; they take a fifth of it, most of that compiling."""
+TIME = 600
+"""Seconds of processor time that the tests of one mutant may take; they take a fifth of it, most of that compiling.
+Not of the clock: a busy machine is no fault that tests have found."""
 
 TESTS = {
     "physics": (
@@ -43,6 +48,26 @@ TESTS = {
     "sph": ("test_kernels", "test_grid", "test_kernels_extremes", "test_warm_start"),
 }
 """Folder -> its test files, those that find most first."""
+
+FIRST = {
+    "collision": ("test_collision",),
+    "convergence": ("test_contact_solver", "test_methods"),
+    "engine": ("test_engine", "test_extremes"),
+    "errors": ("test_errors",),
+    "kernels": ("test_kernels",),
+    "lcp": ("test_contact_solver", "test_methods"),
+    "methods": ("test_methods",),
+    "neighbours": ("test_grid",),
+    "newton": ("test_errors",),
+    "relaxation": ("test_methods",),
+    "scenes": ("test_scenes", "test_properties"),
+    "soft_steps": ("test_methods",),
+    "grid": ("test_grid",),
+}
+"""Module -> test files that run before the others of its folder."""
+
+NOT_TRIED = "guarded"
+"""Tests of this name are left out: that start loads a network, which takes longer than all that a mutant changes."""
 
 COMPARISONS = {"<": "<=", "<=": "<", ">": ">=", ">=": ">", "==": "!=", "!=": "=="}
 OPERATORS = {"+": "-", "-": "+", "*": "/", "/": "*", "//": "*", "%": "*", "**": "*", "&": "|", "|": "&"}
@@ -137,6 +162,19 @@ PLANTED = (
     ),
 )
 """Faults of the kinds that matter most, planted by hand."""
+
+
+EQUIVALENT = {
+    (
+        "physics/collision.py",
+        "columns = int((x_max - x_min) * per_metre) + 2",
+    ): "one more column of cells, an empty one",
+    ("physics/relaxation.py", "if beta >= 1.0:"): "differs only where a change is exactly as large as the one before",
+    ("physics/soft_steps.py", "if restitution >= 0.0:"): "without restitution nothing bounces: the pass is idle",
+    ("sph/grid.py", "return _DONE, 1"): "which particle a success is about, nobody reads",
+    ("sph/neighbours.py", "nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-2, 2)"): "any negative size will do",
+}
+"""(File, the line as it is with the mutant in it) -> why no test can tell it from the original."""
 
 
 # ---- mutants ----
@@ -260,17 +298,19 @@ class _Finder(ast.NodeVisitor):
 
 
 def choose(package: Path, count: int, seed: int) -> list[Mutant]:
-    """`count` mutants, drawn from the files in turn, so that no file is left out; all if there are no more."""
+    """`count` mutants, of every file by its share and two at least; all if there are no more.
+
+    In an order of chance: a run that is stopped has then tried some of every file.
+    """
     rng = random.Random(seed)
     pools = {}
     for path in sources(package):
         pools[path] = mutants_of(path, package)
         rng.shuffle(pools[path])
     total = sum(map(len, pools.values()))
-    # Every file by its share, at least two.
     chosen = [mutant for pool in pools.values() for mutant in pool[: max(2, round(count * len(pool) / max(1, total)))]]
     rng.shuffle(chosen)
-    return sorted(chosen[:count], key=lambda mutant: (mutant.file, mutant.start))
+    return chosen[:count]
 
 
 def planted_mutant(planted: Planted, package: Path) -> Mutant:
@@ -305,39 +345,92 @@ def make_copy(folder: Path) -> None:
             shutil.copy(ROOT / name, folder / name)
 
 
+def reached(package: Path, file: str) -> set[str]:
+    """A file and all those of the package that import it, directly or not: whose compiled code it may be part of."""
+    importers = {}
+    for path in package.rglob("*.py"):
+        name = path.relative_to(package).as_posix()
+        for node in ast.walk(ast.parse(path.read_bytes())):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == package.name:
+                module = "/".join(node.module.split(".")[1:])
+                for imported in (module, *(f"{module}/{alias.name}".lstrip("/") for alias in node.names)):
+                    for source in (f"{imported}.py", f"{imported}/__init__.py"):
+                        importers.setdefault(source, set()).add(name)
+    found, waiting = set(), [file]
+    while waiting:
+        name = waiting.pop()
+        if name not in found:
+            found.add(name)
+            waiting.extend(importers.get(name, ()))
+    return found
+
+
+def keep_code(folder: Path, file: str) -> None:
+    """Let the package in a copy take the compiled code of the tests without a mutant, but not where the file reaches.
+
+    The package deletes all of it once any source has changed (`code_cache`), so that is done before, and then undone.
+    """
+    package, warm = folder / "deep_contact", folder / "warm"
+    code_cache.drop_stale_code(package)
+    stale = {Path(name).with_suffix("").as_posix() for name in reached(package, file)}
+    for path in warm.rglob("*.nb?"):
+        place = path.relative_to(warm)
+        if (place.parent.parent / place.name.split(".")[0]).as_posix() not in stale:
+            (package / place.parent).mkdir(exist_ok=True)
+            shutil.copy2(path, package / place)
+
+
+def _limit_time() -> None:
+    """In the process of the tests, before they run."""
+    resource.setrlimit(resource.RLIMIT_CPU, (TIME, TIME + 10))
+
+
 def try_mutant(mutant: Mutant | None, folder: Path) -> dict:
     """Run the tests in a copy with a mutant in it; {"found": bool, "by": the test, or "time", or None}.
 
-    Without a mutant it says whether the tests pass at all.
+    Without a mutant it says whether the tests pass at all, and puts the code that they compile into `warm`.
     """
     folders = TESTS if mutant is None else [mutant.file.split("/")[0]]
-    tests = dict.fromkeys(f"tests/{name}.py" for key in folders for name in TESTS[key])
-    tests = [test for test in tests if (folder / test).exists()]
-    path = None
+    names = [name for key in folders for name in TESTS[key]]
+    package, path = folder / "deep_contact", None
     if mutant is not None:
-        path = folder / "deep_contact" / mutant.file
+        names = [*FIRST.get(Path(mutant.file).stem, ()), *names]
+        path = package / mutant.file
         original = path.read_bytes()
         if original[mutant.start : mutant.end].decode() != mutant.old:
             raise ValueError(f"{mutant.file}:{mutant.line}: expected {mutant.old!r}: the source has changed")
         path.write_bytes(original[: mutant.start] + mutant.new.encode() + original[mutant.end :])
-    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", *tests]
+        keep_code(folder, mutant.file)
+    tests = [test for name in dict.fromkeys(names) if (folder / (test := f"tests/{name}.py")).exists()]
+    command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", "-rfE"]
+    command += ["-k", f"not {NOT_TRIED}", *tests]
     # The copy comes first on the path, so that an installed package does not stand in for it.
     environment = {**os.environ, "PYTHONPATH": str(folder), "PYTHONDONTWRITEBYTECODE": "1", "OMP_NUM_THREADS": "1"}
     try:
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, timeout=TIME)
-    except subprocess.TimeoutExpired:
-        return {"found": True, "by": "time"}
+        done = subprocess.run(
+            command, cwd=folder, env=environment, capture_output=True, text=True, preexec_fn=_limit_time
+        )
     finally:
         if path is not None:
             path.write_bytes(original)
     if done.returncode == 0:
+        if mutant is None:
+            shutil.copytree(package, folder / "warm", ignore=shutil.ignore_patterns("*.py", "*.json", "*.sums"))
         return {"found": False, "by": None}
+    if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
+        return {"found": True, "by": "time"}
     failed = re.search(r"^(?:FAILED|ERROR) (?:tests/)?(\S+)", done.stdout, re.MULTILINE)
     return {"found": True, "by": failed[1] if failed else f"the process ended with {done.returncode}"}
 
 
 def run(mutants: list[Mutant], *, jobs: int, record: dict, path: Path) -> None:
     """Try all mutants that the record does not know, in `jobs` copies, and write the record after each."""
+    survived = {identity(entry) for entry in record["mutants"] if not (entry["found"] or entry["equivalent"])}
+    record["mutants"] = [entry for entry in record["mutants"] if identity(entry) not in survived]
+    known = {identity(entry) for entry in record["mutants"]}
+    waiting = [mutant for mutant in mutants if identity(asdict(mutant)) not in known]
+    if not waiting:
+        return
     with tempfile.TemporaryDirectory() as temporary:
         free = []
         for number in range(jobs):
@@ -345,18 +438,18 @@ def run(mutants: list[Mutant], *, jobs: int, record: dict, path: Path) -> None:
             folder.mkdir()
             make_copy(folder)
             free.append(folder)
-        if not record["mutants"] and try_mutant(None, free[0])["found"]:
-            raise SystemExit("mutate.py: the tests fail without any mutant; mutants would tell nothing")
+        for folder in free:
+            if (failed := try_mutant(None, folder))["found"]:
+                raise SystemExit(f"mutate.py: {failed['by']} fails without any mutant; mutants would tell nothing")
 
         def one(mutant):
             folder = free.pop()
             try:
-                return {**asdict(mutant), **try_mutant(mutant, folder)}
+                tried = try_mutant(mutant, folder)
             finally:
                 free.append(folder)
+            return {**asdict(mutant), **tried, "survived_before": identity(asdict(mutant)) in survived}
 
-        known = {identity(entry) for entry in record["mutants"]}
-        waiting = [mutant for mutant in mutants if identity(asdict(mutant)) not in known]
         with ThreadPoolExecutor(jobs) as pool, progress_bar(total=len(waiting), text="mutants") as bar:
             for found in pool.map(one, waiting):
                 record["mutants"].append(found)
@@ -365,17 +458,29 @@ def run(mutants: list[Mutant], *, jobs: int, record: dict, path: Path) -> None:
                 bar.update()
 
 
+def mutated_line(entry: dict, package: Path) -> str:
+    """The source line with the mutant of an entry in it."""
+    text, start = (package / entry["file"]).read_bytes(), entry["start"]
+    before, after = text[:start].decode(), entry["new"] + text[entry["end"] :].decode()
+    return before.rpartition("\n")[2].lstrip() + after.partition("\n")[0]
+
+
 def identity(entry: dict) -> tuple:
     """What makes a mutant the same in another run: place, and what is replaced by what."""
     return entry["file"], entry["line"], entry["start"], entry["old"], entry["new"]
 
 
 def summarise(record: dict) -> None:
-    """Fill in how many mutants were found."""
-    automatic = [entry for entry in record["mutants"] if not entry["kind"].startswith("planted")]
-    planted = [entry for entry in record["mutants"] if entry["kind"].startswith("planted")]
-    record["automatic"] = {"tried": len(automatic), "found": sum(entry["found"] for entry in automatic)}
-    record["planted"] = {"tried": len(planted), "found": sum(entry["found"] for entry in planted)}
+    """Fill in how many mutants were tried, found, and not found because they are none: `EQUIVALENT`."""
+    for entry in record["mutants"]:
+        if not entry["found"]:
+            entry["equivalent"] = EQUIVALENT.get((entry["file"], mutated_line(entry, ROOT / "deep_contact")))
+    for name in ("automatic", "planted"):
+        entries = [e for e in record["mutants"] if e["kind"].startswith("planted") == (name == "planted")]
+        found, equivalent, late = (
+            sum(bool(e.get(key)) for e in entries) for key in ("found", "equivalent", "survived_before")
+        )
+        record[name] = {"tried": len(entries), "found": found, "equivalent": equivalent, "survived_at_first": late}
 
 
 def write_record(path: Path, record: dict) -> None:
@@ -403,18 +508,19 @@ def main(arguments=None) -> int:
         survived = {identity(e) for e in json.loads(given.again.read_text())["mutants"] if not e["found"]}
         mutants = [mutant for mutant in mutants if identity(asdict(mutant)) in survived]
     if given.list:
-        for mutant in mutants:
+        for mutant in sorted(mutants, key=lambda mutant: (mutant.file, mutant.start)):
             print(f"{mutant.file}:{mutant.line} {mutant.function}: {mutant.kind}: {mutant.old!r} -> {mutant.new!r}")
         return 0
     record = {"seed": given.seed, "provenance": results.provenance(seed=given.seed), "tests": TESTS, "mutants": []}
     if given.resume and given.out.exists():
         record["mutants"] = json.loads(given.out.read_text())["mutants"]
+        summarise(record)
     run(mutants, jobs=given.jobs, record=record, path=given.out)
     summarise(record)
     for entry in record["mutants"]:
         word = "found" if entry["found"] else "SURVIVED"
         print(f"{word:9}{entry['file']}:{entry['line']} {entry['kind']}: {entry['old']!r} -> {entry['new']!r}  "
-              f"{entry['by'] or ''}")  # fmt: skip
+              f"{entry['by'] or entry.get('equivalent') or ''}")  # fmt: skip
     print(f"automatic: {record['automatic']}, planted: {record['planted']}")
     return 0
 

@@ -7,6 +7,7 @@ exit status is 1 if a table is not what its results file says.
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import json
 import re
 import sys
@@ -28,8 +29,25 @@ _BLOCK = re.compile(r"(<!-- table: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re
 
 def markdown(rows: list[list]) -> str:
     """Rows, head first, as a Markdown table."""
-    cells = [[_number(value) if isinstance(value, float) else str(value) for value in row] for row in rows]
+    cells = [["–" if value is None else _text(value) for value in row] for row in rows]
     return "".join(f"| {' | '.join(row)} |\n" for row in (cells[0], ["---"] * len(cells[0]), *cells[1:]))
+
+
+def _text(value) -> str:
+    return _number(value) if isinstance(value, float) else str(value)
+
+
+def of_script(stem: str) -> Callable[[], str]:
+    """The table of a figure's script from its results file: of figure_6_9, say."""
+
+    def table() -> str:
+        (path,) = (ROOT / "scripts").glob(f"{stem}_[a-z]*.py")
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return markdown(module.FIGURE.table(read_results(REFERENCE / f"{stem}.json")["data"]))
+
+    return table
 
 
 def _number(value: float, digits: int = 3) -> str:
@@ -202,6 +220,12 @@ TABLES: dict[str, Callable[[], str]] = {
     "pushed": pushed,
     "columns": columns,
     "tried": tried,
+    "inputs": of_script("table_6_2"),
+    "size": of_script("figure_6_4"),
+    "scaling": of_script("figure_6_5"),
+    "requires": of_script("figure_6_7"),
+    "beyond": of_script("figure_6_9"),
+    "break even": of_script("figure_6_10"),
     "claims": claims,
     "goals": goals,
     "errata": errata.markdown,

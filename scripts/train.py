@@ -5,6 +5,8 @@
     python scripts/train.py --architecture thesis --out runs/thesis --epochs 10
     python scripts/train.py --architecture "far field"       # the far-field network, through the solver
 
+With --devices N, TensorFlow shares every batch among N of its devices, the same step but for rounding.
+
 Started again with the same flags, a run goes on where it was stopped. At the end <out>/model.h5 is a model file with
 its card, and <out>/history.png the learning curve; --model copies both to where they are wanted.
 """
@@ -31,6 +33,7 @@ def arguments(config_class) -> argparse.ArgumentParser:
     parser.add_argument("--out", default=None, help="folder of the run; by default runs/<architecture>")
     parser.add_argument("--model", default=None, metavar="PATH", help="copy the finished model file there too")
     parser.add_argument("--threads", type=int, default=1, help="of TensorFlow")
+    parser.add_argument("--devices", type=int, default=1, metavar="N", help="GPUs that share every batch (1)")
     parser.add_argument("--held-out", type=int, default=300, metavar="N", help="test states for the card")
     parser.add_argument("--tensorboard", default=None, metavar="DIR", help="write event files there")
     settings = parser.add_argument_group("settings (defaults by architecture)")
@@ -92,8 +95,8 @@ def main() -> int:
     from deep_contact.cnn.training import TrainingConfig, far_field_config, thesis_config, train
 
     given = vars(arguments(TrainingConfig).parse_args())
-    names = ("data", "out", "model", "threads", "held_out", "tensorboard")
-    data, out, model, threads, held_out, tensorboard = (given.pop(name) for name in names)
+    names = ("data", "out", "model", "threads", "devices", "held_out", "tensorboard")
+    data, out, model, threads, devices, held_out, tensorboard = (given.pop(name) for name in names)
     given["options"] = dict(given.get("options") or [])
     configs = {"thesis": thesis_config, "far field": far_field_config}
     config = configs.get(given.get("architecture"), TrainingConfig)(**given)
@@ -103,6 +106,7 @@ def main() -> int:
         data,
         out,
         threads=threads,
+        devices=devices,
         held_out=held_out,
         tensorboard=tensorboard,
         command=shlex.join(["python", "scripts/train.py", *sys.argv[1:]]),

@@ -83,6 +83,18 @@ def test_walls_in_a_corner_are_two_contacts():
     np.testing.assert_allclose(contacts.separation, [-WALL_SKIN, -0.005 - WALL_SKIN], atol=1e-15)
 
 
+@pytest.mark.parametrize(
+    ("centre", "wall", "gap"),
+    [((0.0, 7.5), 0, 0.5), ((11.25, 20.0), 1, 0.75), ((3.0, 39.0), 2, 1.0), ((-3.25, 20.0), 3, -0.25)],
+)
+def test_every_wall_is_felt_at_its_own_side_of_the_box(centre, wall, gap):
+    # A box of which no two coordinates are alike.
+    contacts = contacts_of(state_of([centre], 1.0, box=(-3.0, 7.0, 12.0, 40.0)))
+    assert list(contacts.body_b) == [1 + wall]
+    np.testing.assert_array_equal(contacts.normal[0], [[0, -1], [1, 0], [0, 1], [-1, 0]][wall])
+    np.testing.assert_allclose(contacts.separation, gap - 1.0 - WALL_SKIN, rtol=1e-14)
+
+
 def test_coinciding_centres_have_a_normal():
     contacts = contacts_of(state_of([[5.0, 5.0], [5.0, 5.0]], 1.0))
     np.testing.assert_array_equal(contacts.normal, [[1.0, 0.0]])

@@ -34,15 +34,14 @@ def in_a_process_with_two_devices(folder, out):
 
     found = {"steps": {name: one_step(TrainingConfig(**settings), folder) for name, settings in NETWORKS.items()}}
 
-    def history(name, *, devices, epochs):
+    def history(name, epochs):
         config = TrainingConfig(**RUN, epochs=epochs)
-        run = train(config, folder, f"{out}/{name}", threads=1, devices=devices, held_out=10, log=lambda line: None)
+        run = train(config, folder, f"{out}/{name}", threads=1, devices=2, held_out=10, log=lambda line: None)
         return [{key: value for key, value in line.items() if key != "seconds"} for line in run.history]
 
-    found["one"] = history("one", devices=1, epochs=3)
-    found["two"] = history("two", devices=2, epochs=3)
-    history("resumed", devices=2, epochs=1)
-    found["resumed"] = history("resumed", devices=2, epochs=3)
+    found["undisturbed"] = history("undisturbed", 2)
+    history("resumed", 1)
+    found["resumed"] = history("resumed", 2)
     print(json.dumps(found))
 
 
@@ -105,13 +104,9 @@ def test_the_gradient_is_clipped_as_a_whole(found):
     assert found["steps"]["clipped gradient"]["size"] == pytest.approx(1e-3, rel=1e-3)
 
 
-def test_a_run_on_two_devices_learns_the_same(found):
-    for one, two in zip(found["one"], found["two"], strict=True):
-        assert two == pytest.approx(one, rel=2e-2)  # Adam makes much of the rounding of small gradients
-
-
 def test_a_run_on_two_devices_goes_on_where_it_was(found):
-    assert found["resumed"] == found["two"]
+    assert found["resumed"] == found["undisturbed"]
+    assert len(found["resumed"]) == 2
 
 
 @pytest.mark.parametrize(

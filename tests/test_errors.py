@@ -11,6 +11,7 @@ from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.newton import newton_solution
 from deep_contact.physics.scenes import single_body
 from deep_contact.simulation import ready
+from deep_contact.state import State, World, make_bodies
 
 
 def rows_of(state, solution):
@@ -40,6 +41,18 @@ def test_residual_is_the_natural_map(falling_states):
     scaled = solution.tangent_impulses * diagonal[:, 1]
     tangent = np.abs(scaled - np.clip(scaled - u[:, 1], -bound, bound))
     np.testing.assert_allclose(errors.residual(state, solution), max(normal.max(), tangent.max()), rtol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [-5.0, 5.0])
+def test_residual_sees_friction_that_is_missing(speed):
+    # Two circles on the floor carry their weight; one of them slides without friction: what is missing there is
+    # μ λ_n over the row's mass m / 3 (a disc), and nothing else is wrong.
+    world = World(friction=0.3)
+    bodies = make_bodies([[10.0, 1.01], [20.0, 1.01]], velocity=[[speed, 0.0], [0.0, 0.0]])
+    state = ready(State(name="sliding", world=world, bodies=bodies))
+    weight = bodies.mass * 9.81 * 0.01
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=(weight, np.zeros(2)))
+    np.testing.assert_allclose(errors.residual(state, solution), 0.3 * 9.81 * 0.01 * 3, rtol=1e-12)
 
 
 def test_a_circle_that_was_not_stopped():
@@ -150,6 +163,13 @@ def test_errors_of_a_run_at_rest():
     assert abs(found.height_drift) < LINEAR_SLOP
     # What it loses in height it loses in energy, at g per kg.
     np.testing.assert_allclose(found.energy_drift, 9.81 * found.height_drift, atol=1e-6)
+
+
+def test_drifts_of_a_run_are_those_from_its_first_state_to_its_last():
+    # Heights by hand, at rest in each, so that no two states are alike: 3 m lost, and g of energy per metre and kg.
+    found = errors.run_errors([single_body(height=height) for height in (5.0, 4.0, 2.0)])
+    np.testing.assert_allclose(found.height_drift, -3.0, rtol=1e-12)
+    np.testing.assert_allclose(found.energy_drift, -3.0 * 9.81, rtol=1e-12)
 
 
 def test_runs_are_together_until_they_are_not():

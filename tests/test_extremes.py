@@ -1,6 +1,9 @@
 """The extremes (Figure 6.6): what is refused, what stays bounded, what rests."""
 
 import importlib.util
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +17,7 @@ from deep_contact.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Tri
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.methods import METHODS
 from deep_contact.simulation import ready
-from deep_contact.state import LIMITS, State, World, make_bodies
+from deep_contact.state import LIMITS, Bodies, Contacts, State, World, make_bodies
 from deep_contact.warm_start import STARTS
 
 TEN = dc.PGS(sweeps=10, tolerance=None)
@@ -56,6 +59,56 @@ def test_at_a_limit_all_stays_finite_and_is_accepted_again(name):
         for _ in range(20):
             state = dc.step(state, solver=TEN)  # every step looks at the state again
         assert all(np.isfinite(field).all() for field in (*state.bodies, *state.contacts))
+
+
+FIELDS = [(owner, name) for owner, kind in (("bodies", Bodies), ("contacts", Contacts)) for name in kind._fields]
+
+
+@pytest.mark.parametrize(("owner", "name"), FIELDS)
+def test_a_field_of_the_wrong_length_is_refused_by_name(owner, name):
+    # The compiled steps index without looking; arrays of the engine's own kind take a shorter way to them.
+    state = ready(extremes.silo(3))
+    part = getattr(state, owner)
+    array = getattr(part, name)
+    wrong = [np.ascontiguousarray(array[:-1]), np.concatenate([array, array[-1:]])]
+    if array.ndim == 2:
+        wrong.append(np.ascontiguousarray(np.column_stack([array, array[:, 0]])))
+    for values in wrong:
+        with pytest.raises(ValueError, match=rf"{owner}\.\w+: expected "):
+            ready(state.replace(**{owner: part._replace(**{name: values})}))
+
+
+@pytest.mark.parametrize(("owner", "name"), FIELDS)
+def test_a_field_that_is_not_finite_is_refused_by_name(owner, name):
+    state = ready(extremes.silo(3))
+    part = getattr(state, owner)
+    for value in (np.nan, np.inf, -np.inf) if getattr(part, name).dtype == float else ():
+        array = getattr(part, name).copy()
+        array.flat[-1] = value
+        with pytest.raises(ValueError, match=rf"{owner}\.{name}\[.*: expected "):
+            ready(state.replace(**{owner: part._replace(**{name: array})}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"body_a": -1}, r"body_a\[1\]: expected a circle, 0 to 2"),
+        ({"body_a": 3, "body_b": 4}, r"body_a\[1\]: expected a circle, 0 to 2"),
+        ({"body_b": 0}, r"body_b\[1\]: expected a body after body_a"),
+        ({"body_b": 7}, r"body_b\[1\]: expected a body after body_a, up to 6"),
+        ({"body_a": 0, "body_b": 1}, r"the pair \(body_a 0, body_b 1\) appears twice"),
+        ({"normal": (0.7, 0.7)}, r"normal\[1\]: expected a unit vector"),
+        ({"normal_impulse": -1e-9}, r"normal_impulse\[1\]: expected a number >= 0"),
+    ],
+)
+def test_contacts_that_do_not_hold_together_are_refused(change, message):
+    state = ready(extremes.silo(3))
+    contacts = Contacts(*(field.copy() for field in state.contacts))
+    assert (contacts.body_a[0], contacts.body_b[0]) == (0, 1)
+    for name, value in change.items():
+        getattr(contacts, name)[1] = value
+    with pytest.raises(ValueError, match=rf"contacts.*{message}"):
+        ready(state.replace(contacts=contacts))
 
 
 @pytest.mark.parametrize("kind", ["normal", "tangent"])
@@ -222,6 +275,29 @@ def test_circles_wedged_in_a_corner_come_back(depth):
     assert outcome["speed"] == 0.0
 
 
+CHECKED = """
+import sys
+import deep_contact as dc
+from deep_contact import extremes
+from deep_contact.physics.methods import METHODS
+solver = METHODS[sys.argv[1]]
+solver = solver() if solver is dc.SoftSteps else solver(sweeps=20)
+for scene in (extremes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.shifted(extremes.silo(5), 1e6),
+              extremes.bed_under(1e3), extremes.channel(1e6), dc.lattice_in_box(200, radius=(1e-3, 1.0)),
+              dc.single_body(height=3.0), extremes.small_pile(friction=1e6, restitution=1.0)):
+    dc.simulate(scene, steps=60, solver=solver)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_no_index_leaves_its_array(method, tmp_path):
+    # Compiled code does not look at its indices; here it does, in a cache of its own.
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", CHECKED, method], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 # ---- what `measure` says of a scene ----
 
 
@@ -304,6 +380,7 @@ def test_the_figure_holds_its_claims_on_a_few_quantities(script, tmp_path):
     from deep_contact import figures
 
     options = {"quantities": ["mass", "overlap", "time step"], "few": True, "steps": 60, "silo": 20, "seconds": 10}
+    options["solvers"] = ["method NNCG, single", "start bad"]
     found = figures.produce(script.FIGURE, options=options, out=tmp_path, echo=lambda line: None)
     assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
     rows = {row[0]: row for row in script.table(found["data"])}
@@ -315,7 +392,17 @@ def test_the_figure_reports_a_rise_of_the_energy(script):
     cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
     cell |= {"energy": 0.1, "correction": 0.02, "speed": 0.0}
     silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
-    data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo)}
+    data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": []}
     broken = [claim for claim in script.claims(data) if not claim.holds]
     assert len(broken) == 1
     assert broken[0].measured["largest rise"] == pytest.approx(0.08)
+
+
+def test_the_figure_reports_a_method_that_is_not_safe(script):
+    silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
+    cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
+    cell |= {"energy": 0.0, "correction": 0.0, "speed": 0.0}
+    solvers = [{"name": "method A", "verdict": DEGRADED}, {"name": "method B", "verdict": SAFE}]
+    data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": solvers}
+    broken = [claim for claim in script.claims(data) if not claim.holds]
+    assert [claim.measured["not safe"] for claim in broken] == [["method A: degraded"]]

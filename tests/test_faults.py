@@ -1,12 +1,16 @@
 """Faults from outside: killed processes, full disks, folders that cannot be written, damaged compiled code,
 two processes in one folder, clocks that go back. Nothing corrupt stays, and nothing is lost beyond the unit in flight.
 
-A killed data generation is in `test_dataset.py`, an interrupted figure in `test_figures.py`.
+A killed data generation is in `test_dataset.py`, a killed training in `test_training.py`, an interrupted figure in
+`test_figures.py`, a worker that dies in `test_cluster.py`.
 """
 
+import ast
+import importlib.util
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -14,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lxml import etree
 
 import deep_contact as dc
 from deep_contact import code_cache, figures, results
@@ -72,13 +77,17 @@ KILLED_FIGURE = """
 import os, signal, sys
 from deep_contact import figures, results
 
+def die(when):
+    if sys.argv[3:] == [when]:
+        os.kill(os.getpid(), signal.SIGKILL)
+
 def compute(options, seed, jobs, progress):
+    die("computing")
     return {"x": [1.0]}
 
 def draw(data, options):
     from deep_contact import plotting
-    if len(sys.argv) > 3:
-        os.kill(os.getpid(), signal.SIGKILL)
+    die("drawing")
     return plotting.subplots()[0]
 
 FIGURE = figures.Figure(id="9.8", title="Killed", compute=compute, table=lambda data: [["x"]], draw=draw)
@@ -87,8 +96,18 @@ raise SystemExit(figures.main(FIGURE, sys.argv[1:3]))
 
 
 @POSIX
+@pytest.mark.parametrize("before", [[], ["figure_9_8.json", "figure_9_8.png"]], ids=["first", "again"])
+def test_a_figure_killed_while_it_computes_leaves_what_was_there(tmp_path, before):
+    if before:
+        assert run(KILLED_FIGURE, "--out", tmp_path).returncode == 0
+    whole = {name: (tmp_path / name).read_bytes() for name in before}
+    assert run(KILLED_FIGURE, "--out", tmp_path, "computing").returncode == -signal.SIGKILL
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == whole
+
+
+@POSIX
 def test_a_figure_killed_while_it_draws_keeps_its_numbers_and_draws_again(tmp_path):
-    assert run(KILLED_FIGURE, "--out", tmp_path, "die").returncode == -signal.SIGKILL
+    assert run(KILLED_FIGURE, "--out", tmp_path, "drawing").returncode == -signal.SIGKILL
     assert visible(tmp_path) == ["figure_9_8.json"]
     assert results.read_results(tmp_path / "figure_9_8.json")["data"] == {"x": [1.0]}
     assert run(KILLED_FIGURE, "--out", tmp_path).returncode == 0
@@ -147,6 +166,14 @@ def test_an_output_that_cannot_be_written_is_named(tmp_path, state):
     assert (tmp_path / "taken").read_text() == "a file"
 
 
+def test_a_figure_refuses_a_folder_that_cannot_be_written_before_it_computes(tmp_path, capsys):
+    (tmp_path / "taken").write_text("a file")
+    never = figures.Figure(id="T 9.6", title="Never", compute=lambda *_: pytest.fail("computed"), table=lambda data: [])
+    with pytest.raises(SystemExit, match="2"):
+        figures.main(never, ["--out", str(tmp_path / "taken" / "figures")])
+    assert "--out: expected a folder that can be written, got" in capsys.readouterr().err
+
+
 @pytest.mark.skipif(hasattr(os, "getuid") and os.getuid() == 0, reason="nothing is read-only to root")
 def test_a_read_only_folder_is_a_permission_error_without_leftovers(tmp_path, state):
     folder = tmp_path / "locked"
@@ -169,6 +196,49 @@ def test_a_move_that_is_refused_leaves_the_old_file_and_nothing_else(tmp_path, s
         write_state(tmp_path / "state.xml", state.replace(step=99))
     assert (tmp_path / "state.xml").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["state.xml"]
+
+
+@POSIX
+@pytest.mark.slow
+def test_training_survives_a_full_disk_and_two_processes_in_one_folder(tmp_path):
+    import resource
+
+    generate = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "130", "--bodies", "8", "9", "--jobs", "1"]
+    subprocess.run([*generate, "--simulations", "5", "--out", tmp_path / "data"], check=True, capture_output=True)
+    tiny = [
+        "--batch-size",
+        "8",
+        "--fractions",
+        "0.6",
+        "0.2",
+        "0.2",
+        "--held-out",
+        "5",
+        "--threads",
+        "1",
+        "--rate",
+        "0.01",
+    ]
+    tiny += ["--options", "stem=2", "width=4", "decoder=2", "dilations=1,1", "--data", tmp_path / "data"]
+
+    def train(out, epochs, **options):
+        command = [sys.executable, SCRIPTS / "train.py", "--out", tmp_path / out, "--epochs", epochs, *tiny]
+        return subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True, **options)
+
+    def epochs_of(out):
+        return [line.split(",")[:3] for line in (tmp_path / out / "history.csv").read_text().splitlines()]
+
+    assert train("alone", 3).wait(300) == 0
+    assert train("run", 1).wait(300) == 0
+    before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    full = train("run", 3, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)))
+    message = full.communicate(timeout=300)[1]
+    assert full.returncode != 0
+    assert "File too large" in message
+    assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
+    both = [train("run", 3), train("run", 3)]
+    assert [process.wait(300) for process in both] == [0, 0]
+    assert epochs_of("run") == epochs_of("alone")
 
 
 # ---- compiled code ----
@@ -279,6 +349,31 @@ def test_two_processes_that_write_one_file_leave_one_whole(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["state.xml"]
 
 
+SCRIPTS = Path(__file__).resolve().parent.parent / "scripts"
+
+
+def test_two_processes_that_generate_into_one_folder_make_what_one_makes(tmp_path):
+    command = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "150", "--bodies", "8", "9", "--jobs", "1"]
+    command += ["--simulations", "3", "--out"]
+    subprocess.run([*command, tmp_path / "alone"], check=True, timeout=600, capture_output=True)
+    both = [subprocess.Popen([*command, tmp_path / "both"], stderr=subprocess.DEVNULL) for _ in range(2)]
+    assert [process.wait(600) for process in both] == [0, 0]
+    alone, found = ({p.name: p.read_bytes() for p in (tmp_path / k).iterdir()} for k in ("alone", "both"))
+    assert found == alone
+
+
+@pytest.mark.parametrize("path", sorted([*PACKAGE.rglob("*.py"), *SCRIPTS.glob("*.py")]), ids=lambda path: path.stem)
+def test_nothing_asks_what_time_of_day_it_is(path):
+    # A clock that is set back then makes no difference: durations are taken from clocks that cannot be set.
+    clocks = {("time", "time"), ("time", "time_ns"), ("datetime", "now"), ("datetime", "today"), ("date", "today")}
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, (ast.Name, ast.Attribute)):
+            owner = node.value.id if isinstance(node.value, ast.Name) else node.value.attr
+            assert (owner, node.attr) not in clocks, f"line {node.lineno}"
+        elif isinstance(node, ast.ImportFrom) and node.module == "time":
+            assert {alias.name for alias in node.names}.isdisjoint({"time", "time_ns"}), f"line {node.lineno}"
+
+
 def test_a_clock_set_back_during_a_figure_makes_no_negative_time(tmp_path, monkeypatch):
     clock = iter(np.arange(1e9, 0, -1e6))
     monkeypatch.setattr(time, "time", lambda: next(clock))
@@ -288,6 +383,25 @@ def test_a_clock_set_back_during_a_figure_makes_no_negative_time(tmp_path, monke
 
 
 # ---- loaders ----
+
+
+def test_the_fuzzer_notices_files_and_connections_above_and_below_python(tmp_path):
+    # Its million inputs raise no alarm (data/reference/fuzz_state_xml.json); this shows that they could.
+    spec = importlib.util.spec_from_file_location("fuzz_state_xml", SCRIPTS / "fuzz_state_xml.py")
+    fuzz = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(fuzz)
+    watch = fuzz.Watch(tmp_path)
+    fuzz.read(fuzz.seed_files()[0], None, watch)
+    assert watch.caught() == {}
+    watch.looking = True
+    (tmp_path / "fuzz.txt").write_text("another file")
+    socket.create_connection(watch.port.getsockname()).close()
+    watch.looking = False
+    assert watch.caught().keys() >= {"open", "socket.connect", "connection to the bait"}
+    if sys.platform.startswith("linux"):
+        with pytest.raises(etree.XMLSyntaxError):
+            etree.parse(str(watch.bait))  # libxml2 opens files itself, and tells Python nothing
+        assert "opening of the bait" in watch.caught()
 
 
 @pytest.mark.slow

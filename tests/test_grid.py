@@ -93,6 +93,8 @@ def test_grid_refuses(change, message):
         ((0, 0, 0, 1), 0.5, "box"),
         ((0, 0, 1), 0.5, "box"),
         ((0, 0, math.inf, 1), 0.5, "box.*inf"),
+        ((-1e308, 0, 1e308, 1), 0.5, "box: expected finite"),  # an extent beyond all numbers
+        ((0, -1e308, 1, 1e308), 0.5, "box: expected finite"),
         ((0, 0, 1, 1), 0, "spacing.*0"),
         ((0, 0, 1, 1), 1e-12, "spacing: expected at most"),
     ],
@@ -450,6 +452,17 @@ def test_splat_refuses(change, message):
 def test_gather_refuses(change, message):
     with pytest.raises(ValueError, match=message):
         sph.gather(THESIS, **({"image": np.zeros((61, 61)), "position": [[1.0, 1.0]]} | change))
+
+
+@pytest.mark.parametrize("one_query", [False, True])
+def test_the_tree_adds_nothing_for_a_particle_whose_nodes_lie_at_exactly_h(one_query):
+    """Half a metre to either node, all exact in binary: W(h) = 0, and 0 / 0 would spread from there."""
+    grid = sph.Grid(origin=(0, 0), spacing=1.0, shape=(3, 3))
+    image = splat_by_tree(grid, [[0.5, 0.0], [2.0, 2.0]], [[1.0], [3.0]], h=0.5, normalization="particle",
+                          one_query=one_query)  # fmt: skip
+    expected = np.zeros((3, 3, 1))
+    expected[2, 2] = 3.0
+    np.testing.assert_array_equal(image, expected)
 
 
 def test_tree_refuses_what_it_cannot_do():

@@ -381,6 +381,19 @@ def test_soft_pile_comes_to_rest():
     assert errors.penetration(state) < 3 * LINEAR_SLOP
 
 
+def test_a_soft_bounce_keeps_momentum_along_any_normal():
+    # Without friction and with e = 1 nothing of the energy is lost: circles of 1 and 3 kg along (0.6, 0.8).
+    bodies = make_bodies([[10.0, 10.0], [11.2, 11.6]], velocity=[[2.0, 3.0], [-1.0, 0.5]], spin=1.0, mass=[1.0, 3.0])
+    world = World(gravity=(0, 0), friction=0.0, restitution=1.0)
+    scene = State(name="oblique", world=world, bodies=bodies)
+    solution = dc.solve_contacts(scene, solver=dc.SoftSteps(), start=None)
+    after = bodies._replace(velocity=solution.velocities, spin=solution.angular_velocities)
+    np.testing.assert_allclose(momentum(after), momentum(bodies), rtol=1e-12)
+    np.testing.assert_allclose(kinetic_energy(after), kinetic_energy(bodies), rtol=1e-12)
+    change = after.velocity[1] - bodies.velocity[1]
+    np.testing.assert_allclose(change / np.hypot(*change), [0.6, 0.8], rtol=1e-9)
+
+
 SPRING = soft_steps.SoftSettings(substeps=4, hertz=30.0, damping_ratio=0.7, push_speed=1e9)
 
 

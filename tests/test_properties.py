@@ -10,6 +10,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
+from deep_contact import constants
 from deep_contact.extremes import mechanical_energy
 from deep_contact.simulation import ready
 from deep_contact.state import LIMITS, Bodies, State, World, check_state
@@ -171,6 +172,30 @@ def test_a_random_scene_fits_or_says_how_many_did(n, low, ratio, size, sigma, se
     else:
         assert ready(scene).contacts.separation.min(initial=0.0) >= 0
         assert scene.bodies.count == n
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    n=st.integers(1, 60),
+    columns=st.none() | st.integers(1, 20),
+    low=st.floats(1e-3, 2.0),
+    ratio=st.floats(1.0, 10.0),
+    gap=st.floats(1e-3, 2.0),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_lattice_fills_its_box_and_nothing_overlaps(n, columns, low, ratio, gap, seed):
+    scene = dc.lattice_in_box(n, columns=columns, radius=(low, low * ratio), gap=gap, seed=seed)
+    position, radius = scene.bodies.position, scene.bodies.radius[:, None]
+    box = np.array(scene.world.box)
+    assert (position - radius >= box[:2]).all()
+    assert (position + radius <= box[2:]).all()
+    # Circle i in the cell of column i mod columns and row i // columns, and no more cells than that takes.
+    pitch = 2 * low * ratio * (1 + gap)
+    cells = np.floor((position - constants.WALL_SKIN) / pitch)
+    columns = columns or int(np.ceil(np.sqrt(n)))
+    np.testing.assert_array_equal(cells, np.column_stack([np.arange(n) % columns, np.arange(n) // columns]))
+    np.testing.assert_allclose((box[2:] - 2 * constants.WALL_SKIN) / pitch, [columns, cells[-1, 1] + 1], rtol=1e-9)
+    assert ready(scene).contacts.separation.min(initial=0.0) >= -2 * constants.WALL_SKIN
 
 
 @pytest.mark.parametrize("seed", range(3))

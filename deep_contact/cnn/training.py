@@ -632,7 +632,7 @@ class _FarFieldRun(_Run):
                 parts = np.split(values, np.cumsum([len(start) for start in starts])[:-1])
                 starts = [corrected(description, part) for description, part in zip(descriptions, parts)]
             found += [errors_after(problem, start, sweeps) for problem, start in zip(problems, starts)]
-        return np.array(found)[:, -len(self.config.sweeps) - 1 :]
+        return np.array(found)[:, [0, *(sweeps.index(k) for k in self.config.sweeps)]]
 
     def validate(self) -> dict[str, float]:
         """Loss on the validation states, and the mean velocity error before any sweep and after the last."""
