@@ -20,18 +20,18 @@ def compute(options, seed, jobs, progress):
 def one_scene(task):
     """Errors of all starts on one scene of 70 to 110 circles, in a process of its own."""
     from deep_contact.cnn.evaluation import errors_on_scene
-    from deep_contact.cnn.inference import Cnn, Guarded, limit_threads
+    from deep_contact.cnn.inference import Guarded, network_start
     from deep_contact.warm_start import Builtin, NoStart
 
-    limit_threads(1)
+    network = network_start(task["model"])
     rng = np.random.default_rng(task["seed"])
     scene = dc.circles_in_box(int(rng.integers(70, 111)), seed=rng)
     starts = {
         "none": NoStart(),
         "builtin": Builtin(),
-        "cnn": Cnn(task["compact"]),
-        "far field": Cnn(task["model"]),
-        "guarded": Guarded(task["model"]),
+        "cnn": network_start(task["compact"]),
+        "far field": network,
+        "guarded": Guarded(network.model),
     }
     return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
 

@@ -32,10 +32,9 @@ def compute(options, seed, jobs, progress):
 def one_scene(task):
     """Errors of all starts on one scene, in a process of its own."""
     from deep_contact.cnn.evaluation import errors_on_scene
-    from deep_contact.cnn.inference import Cnn, Guarded, load_model, network_file, one_thread
+    from deep_contact.cnn.inference import Guarded, network_start
     from deep_contact.warm_start import Builtin
 
-    one_thread()
     kind = {**TRAINED, **task["kind"]}
     rng = np.random.default_rng(task["seed"])
     count = int(rng.integers(kind["circles"][0], kind["circles"][1] + 1))
@@ -44,8 +43,8 @@ def one_scene(task):
         scene = dc.lattice_in_box(count, columns=kind["columns"], gap=0.3, seed=rng, **look)
     else:
         scene = dc.circles_in_box(count, seed=rng, **look)
-    model = load_model(network_file(task["model"]))
-    starts = dict(zip(STARTS, (Builtin(), Cnn(model), Guarded(model))))
+    network = network_start(task["model"])
+    starts = dict(zip(STARTS, (Builtin(), network, Guarded(network.model))))
     scene = scene.replace(dt=kind["dt"])
     # As much time as the runs of the other kinds have.
     steps = round(task["steps"] * TRAINED["dt"] / kind["dt"])
@@ -124,7 +123,7 @@ FIGURE = Figure(
     id="6.9",
     title="The learned start beyond what it was trained on",
     options={
-        "scenes": 6,
+        "scenes": 3,
         "steps": 600,
         "states": 60,
         "after": [0, 3, 10, 30],

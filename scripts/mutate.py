@@ -385,10 +385,11 @@ def _limit_time() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (TIME, TIME + 10))
 
 
-def try_mutant(mutant: Mutant | None, folder: Path) -> dict:
+def try_mutant(mutant: Mutant | None, folder: Path, tests: list[str]) -> dict:
     """Run the tests in a copy with a mutant in it; {"found": bool, "by": the test, or "time", or None}.
 
-    Without a mutant it says whether the tests pass at all, and puts the code that they compile into `warm`.
+    Without a mutant it says whether the tests pass at all, and puts the code that they compile into `warm`. tests: as
+    pytest takes them; by default those of `TESTS`.
     """
     folders = TESTS if mutant is None else [mutant.file.split("/")[0]]
     names = [name for key in folders for name in TESTS[key]]
@@ -401,7 +402,7 @@ def try_mutant(mutant: Mutant | None, folder: Path) -> dict:
             raise ValueError(f"{mutant.file}:{mutant.line}: expected {mutant.old!r}: the source has changed")
         path.write_bytes(original[: mutant.start] + mutant.new.encode() + original[mutant.end :])
         keep_code(folder, mutant.file)
-    tests = [test for name in dict.fromkeys(names) if (folder / (test := f"tests/{name}.py")).exists()]
+    tests = tests or [file for name in dict.fromkeys(names) if (folder / (file := f"tests/{name}.py")).exists()]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", "-rfE"]
     command += ["-k", f"not {NOT_TRIED}", *tests]
     # The copy comes first on the path, so that an installed package does not stand in for it.
@@ -423,7 +424,7 @@ def try_mutant(mutant: Mutant | None, folder: Path) -> dict:
     return {"found": True, "by": failed[1] if failed else f"the process ended with {done.returncode}"}
 
 
-def run(mutants: list[Mutant], *, jobs: int, record: dict, path: Path) -> None:
+def run(mutants: list[Mutant], *, jobs: int, record: dict, path: Path, tests: list[str]) -> None:
     """Try all mutants that the record does not know, in `jobs` copies, and write the record after each."""
     survived = {identity(entry) for entry in record["mutants"] if not (entry["found"] or entry["equivalent"])}
     record["mutants"] = [entry for entry in record["mutants"] if identity(entry) not in survived]
@@ -439,13 +440,13 @@ def run(mutants: list[Mutant], *, jobs: int, record: dict, path: Path) -> None:
             make_copy(folder)
             free.append(folder)
         for folder in free:
-            if (failed := try_mutant(None, folder))["found"]:
+            if (failed := try_mutant(None, folder, tests))["found"]:
                 raise SystemExit(f"mutate.py: {failed['by']} fails without any mutant; mutants would tell nothing")
 
         def one(mutant):
             folder = free.pop()
             try:
-                tried = try_mutant(mutant, folder)
+                tried = try_mutant(mutant, folder, tests)
             finally:
                 free.append(folder)
             return {**asdict(mutant), **tried, "survived_before": identity(asdict(mutant)) in survived}
@@ -498,6 +499,7 @@ def main(arguments=None) -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "data" / "reference" / "mutants.json")
     parser.add_argument("--resume", action="store_true", help="keep what --out has, and try the rest")
     parser.add_argument("--again", type=Path, help="only the mutants that survived in this record")
+    parser.add_argument("--tests", nargs="+", default=[], help="these alone, such as those written for the survivors")
     parser.add_argument("--list", action="store_true", help="only print the mutants")
     given = parser.parse_args(arguments)
     if given.mutants < 0 or given.jobs < 1:
@@ -515,7 +517,7 @@ def main(arguments=None) -> int:
     if given.resume and given.out.exists():
         record["mutants"] = json.loads(given.out.read_text())["mutants"]
         summarise(record)
-    run(mutants, jobs=given.jobs, record=record, path=given.out)
+    run(mutants, jobs=given.jobs, record=record, path=given.out, tests=given.tests)
     summarise(record)
     for entry in record["mutants"]:
         word = "found" if entry["found"] else "SURVIVED"

@@ -60,13 +60,12 @@ def budgets(folder):
 def one_scene(task):
     """Errors from all starts on one scene, in a process of its own."""
     from deep_contact.cnn.evaluation import errors_on_scene
-    from deep_contact.cnn.inference import Cnn, one_thread
+    from deep_contact.cnn.inference import network_start
     from deep_contact.warm_start import Builtin
 
-    one_thread()
     rng = np.random.default_rng(task["seed"])
     scene = dc.circles_in_box(int(rng.integers(70, 111)), seed=rng)
-    starts = {"builtin": Builtin()} | {name: Cnn(path) for name, path in models(task["folder"]).items()}
+    starts = {"builtin": Builtin()} | {name: network_start(path) for name, path in models(task["folder"]).items()}
     return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
 
 
