@@ -579,7 +579,7 @@ SOLVERS = (
 """Every method in both precisions and every start, for `run_solver`."""
 
 
-def run_solver(name: str, steps: int = 150) -> dict:
+def run_solver(name: str, steps: int = 600) -> dict:
     """`measure` of `small_pile` by one of `SOLVERS`; {"name": …, …}. Absent is a start whose network is not there."""
     kind, _, name_of_kind = name.partition(" ")
     options = {"solver": PGS(), "warm_start": name_of_kind}

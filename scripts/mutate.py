@@ -167,8 +167,8 @@ PLANTED = (
 EQUIVALENT = {
     (
         "physics/collision.py",
-        "columns = int((x_max - x_min) * per_metre) + 2",
-    ): "one more column of cells, an empty one",
+        "rows = int((y_max - y_min) * per_metre) + 2",
+    ): "one more row of cells, an empty one",
     ("physics/relaxation.py", "if beta >= 1.0:"): "differs only where a change is exactly as large as the one before",
     ("physics/soft_steps.py", "if restitution >= 0.0:"): "without restitution nothing bounces: the pass is idle",
     ("sph/grid.py", "return _DONE, 1"): "which particle a success is about, nobody reads",
