@@ -152,7 +152,7 @@ FIGURE = Figure(
     title="Size of the far-field network: error and time",
     options={
         "folder": "models/comparison",
-        "scenes": 10,
+        "scenes": 20,
         "steps": 600,
         "every": 5,
         "after": [3, 10, 30],

@@ -123,7 +123,7 @@ FIGURE = Figure(
     id="6.9",
     title="The learned start beyond what it was trained on",
     options={
-        "scenes": 3,
+        "scenes": 6,
         "steps": 600,
         "states": 60,
         "after": [0, 3, 10, 30],

@@ -100,7 +100,7 @@ def table(data):
 FIGURE = Figure(
     id="T 6.2",
     title="Inputs and losses of the far-field network on equal budgets",
-    options={"scenes": 10, "steps": 600, "every": 5, "after": [0, 3, 10, 30], "folder": "models/comparison"},
+    options={"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30], "folder": "models/comparison"},
     quick={"scenes": 2, "every": 15, "steps": 300},
     compute=compute,
     claims=claims,
