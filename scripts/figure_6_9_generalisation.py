@@ -39,7 +39,7 @@ def one_scene(task):
     rng = np.random.default_rng(task["seed"])
     count = int(rng.integers(kind["circles"][0], kind["circles"][1] + 1))
     look = {"radius": kind["radius"], "friction": kind["friction"]}
-    if count > 150 or kind["radius"][1] > 1.0 or kind["columns"]:
+    if count > 120 or kind["radius"][1] > 1.0 or kind["columns"]:
         scene = dc.lattice_in_box(count, columns=kind["columns"], gap=0.3, seed=rng, **look)
     else:
         scene = dc.circles_in_box(count, seed=rng, **look)
@@ -128,7 +128,7 @@ FIGURE = Figure(
         "states": 60,
         "after": [0, 3, 10, 30],
         "beyond": {
-            "circles": [[20, 40], [130, 150], [300, 300], [1000, 1000]],
+            "circles": [[20, 40], [150, 150], [300, 300], [1000, 1000]],
             "radius": [[0.5, 0.5], [0.75, 1.25], [0.5, 2.0]],
             "friction": [0.0, 0.1, 0.6, 1.0],
             "dt": [0.002, 0.005, 0.02, 0.03],
