@@ -68,7 +68,7 @@ def ratio(data, circles, kind, start, solver, error):
     """Median over states of the time from a learned start over the time from Builtin; None where neither gets there."""
     one, other = (seconds_to(data, circles, kind, name, solver, error) for name in (start, "builtin"))
     done = np.isfinite(one) | np.isfinite(other)
-    return float(np.median(one[done] / other[done])) if done.mean() > 0.5 else None
+    return float(np.median(one[done] / other[done])) if 2 * done.sum() > done.size else None
 
 
 def counts_of(data):
@@ -149,12 +149,13 @@ def table(data):
 
 def draw(data, options):
     """Above: error against wall time with PGS, by number of circles. Below: the break-even maps."""
-    kind = kinds_of(data)[-1]
     counts = counts_of(data)
     figure, axes = plotting.subplots(2, max(len(counts), 2), size=(3.6 * max(len(counts), 2), 6.6))
     styles = plotting.styles_of(list(STARTS))
     for axis, count in zip(axes[0], counts):
-        piles = [p for p in data["piles"] if p["circles"] == count and p["kind"] == kind]
+        # A pile of ten thousand may have no solution within reach to hold errors against.
+        kind = [p["kind"] for p in data["piles"] if p["circles"] == count and p["errors"]][-1]
+        piles = [p for p in data["piles"] if p["circles"] == count and p["kind"] == kind and p["errors"]]
         for start in STARTS:
             errors = np.array([found[start]["PGS"] for p in piles for found in p["errors"]])
             first = np.median([p["start_seconds"][start][i] for p in piles for i in p["used"]])
@@ -171,11 +172,12 @@ def draw(data, options):
         plotting.label_axes(axis, "wall time", "relative velocity error", x_unit="ms", title=f"{count} circles, {kind}")
     axes[0, 0].legend()
     for axis, solver in zip(axes[1], SOLVERS):
-        values = np.array(break_even(data, TOLERANCES)[kind][solver]["small"], dtype=np.float64)
+        values = np.array(break_even(data, TOLERANCES)[kinds_of(data)[0]][solver]["small"], dtype=np.float64)
         picture = axis.imshow(np.log10(values), cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(values):
-            text = "–" if np.isnan(value) else f"{value:.2g}"
-            axis.text(column, row, text, ha="center", va="center", fontsize=7)
+            text = "–" if np.isnan(value) else f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+            color = "white" if abs(np.log10(value)) > 0.7 else "black"
+            axis.text(column, row, text, ha="center", va="center", fontsize=7, color=color)
         axis.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES])
         axis.set_yticks(range(len(counts)), [str(count) for count in counts])
         axis.grid(False)
