@@ -123,12 +123,12 @@ FIGURE = Figure(
     id="6.9",
     title="The learned start beyond what it was trained on",
     options={
-        "scenes": 6,
+        "scenes": 3,
         "steps": 600,
-        "states": 60,
+        "states": 40,
         "after": [0, 3, 10, 30],
         "beyond": {
-            "circles": [[20, 40], [150, 150], [300, 300], [1000, 1000]],
+            "circles": [[20, 40], [150, 150], [300, 300]],
             "radius": [[0.5, 0.5], [0.75, 1.25], [0.5, 2.0]],
             "friction": [0.0, 0.1, 0.6, 1.0],
             "dt": [0.002, 0.005, 0.02, 0.03],
