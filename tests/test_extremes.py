@@ -380,7 +380,7 @@ def test_the_figure_holds_its_claims_on_a_few_quantities(script, tmp_path):
     from deep_contact import figures
 
     options = {"quantities": ["mass", "overlap", "time step"], "few": True, "steps": 60, "silo": 20, "seconds": 10}
-    options["solvers"] = ["method NNCG, single", "start bad"]
+    options["solvers"] = ["method NNCG, single", "start builtin"]
     found = figures.produce(script.FIGURE, options=options, out=tmp_path, echo=lambda line: None)
     assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
     rows = {row[0]: row for row in script.table(found["data"])}
