@@ -24,6 +24,7 @@ from deep_contact.experiments import scene_of, solved_states, sweeps_to, swept_o
 from deep_contact.figures import Claim, parallel_map
 from deep_contact.physics.engine import solve
 from deep_contact.physics.methods import PGS
+from deep_contact.physics.scenes import circles_in_box
 from deep_contact.state import State
 from deep_contact.warm_start import Sph, WarmStart
 
@@ -600,6 +601,18 @@ def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
 
 OFF = 0.05
 """Error of Builtin's own start above which a state counts as one where there is something to win."""
+
+
+def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
+    """`errors_on_scene` of one scene of as many circles as the training data have, 70 to 110.
+
+    task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are taken.
+    """
+    from deep_contact.cnn.evaluation import errors_on_scene
+
+    rng = np.random.default_rng(task["seed"])
+    scene = circles_in_box(int(rng.integers(70, 111)), seed=rng)
+    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
 
 
 def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:

@@ -70,8 +70,8 @@ def recommend(scene: State, *, velocity_error: float = 1e-2, table: Mapping | No
 
     scene: a `State`; its number of circles picks the piles of the study nearest in size (by ratio), and its mean mass,
     gravity and Δt scale the tolerance. velocity_error: relative, see `physics.errors.nearest_velocity_error`; it holds
-    for 95 % of the states of each kind of pile, divided by the study's margin: that with which it was met in 95 % of
-    the states of other scenes too (`scripts/tradeoff.py --verify`).
+    for 95 % of the states of each kind of pile, divided by the study's margin, where it has one: that with which it
+    was met in 95 % of the states of other scenes too (`scripts/tradeoff.py --verify --install`).
     table: results of `scripts/tradeoff.py`; by default the ones in the package.
     Radii that differ widely, mass ratios and tall columns make a scene harder than the piles of the study.
     Raises ValueError on a velocity error out of (0, 1] and FileNotFoundError where no study has been installed.

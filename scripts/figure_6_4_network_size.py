@@ -12,7 +12,7 @@ import numpy as np
 import deep_contact as dc
 from deep_contact import figures, plotting
 from deep_contact.figures import Claim, Figure
-from deep_contact.learned_experiments import mean_errors, networks_info, ratios_to_builtin
+from deep_contact.learned_experiments import errors_on_thesis_scene, mean_errors, networks_info, ratios_to_builtin
 
 SHIPPED = "models/model.h5"
 
@@ -45,14 +45,11 @@ def files(folder):
 
 def one_scene(task):
     """Errors of all starts on one scene of 70 to 110 circles, in a process of its own."""
-    from deep_contact.cnn.evaluation import errors_on_scene
     from deep_contact.cnn.inference import network_start
     from deep_contact.warm_start import Builtin
 
-    rng = np.random.default_rng(task["seed"])
-    scene = dc.circles_in_box(int(rng.integers(70, 111)), seed=rng)
     starts = {"builtin": Builtin()} | {name: network_start(path) for name, path in task["networks"].items()}
-    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
+    return errors_on_thesis_scene(starts, task)
 
 
 def settled():

@@ -2,10 +2,9 @@
 
 import numpy as np
 
-import deep_contact as dc
 from deep_contact import figures, plotting
 from deep_contact.figures import Claim, Figure
-from deep_contact.learned_experiments import OFF, mean_errors, ratios_to_builtin
+from deep_contact.learned_experiments import OFF, errors_on_thesis_scene, mean_errors, ratios_to_builtin
 
 TENTHS = 10
 
@@ -19,21 +18,18 @@ def compute(options, seed, jobs, progress):
 
 def one_scene(task):
     """Errors of all starts on one scene of 70 to 110 circles, in a process of its own."""
-    from deep_contact.cnn.evaluation import errors_on_scene
     from deep_contact.cnn.inference import Guarded, network_start
     from deep_contact.warm_start import Builtin, NoStart
 
     network = network_start(task["model"])
-    rng = np.random.default_rng(task["seed"])
-    scene = dc.circles_in_box(int(rng.integers(70, 111)), seed=rng)
     starts = {
         "none": NoStart(),
         "builtin": Builtin(),
-        "cnn": network_start(task["compact"]),
+        "compact": network_start(task["compact"]),
         "far field": network,
         "guarded": Guarded(network.model),
     }
-    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
+    return errors_on_thesis_scene(starts, task)
 
 
 def by_tenth(data, name):
@@ -97,7 +93,7 @@ def table(data):
         for name in data["scenes"][0]["errors"]:
             found = mean_errors(data["scenes"], name, where).mean(axis=0)
             rows.append([name, text, *(float(v) for v in found), mean_sweeps(data, name) if where == "all" else None])
-    for name in ("cnn", "far field", "guarded"):
+    for name in ("compact", "far field", "guarded"):
         cells = [f"{r:.3f} ({low:.3f}–{high:.3f})" for r, low, high in ratios_to_builtin(data["scenes"], name, "off")]
         rows.append([f"{name} / builtin", "Builtin off", *cells, None])
     return rows

@@ -34,6 +34,8 @@ def markdown(rows: list[list]) -> str:
 
 
 def _text(value) -> str:
+    if isinstance(value, list):
+        return "–".join(map(_text, value))
     return _number(value) if isinstance(value, float) else str(value)
 
 
@@ -222,7 +224,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "tried": tried,
     "inputs": of_script("table_6_2"),
     "size": of_script("figure_6_4"),
-    "scaling": of_script("figure_6_5"),
     "requires": of_script("figure_6_7"),
     "beyond": of_script("figure_6_9"),
     "break even": of_script("figure_6_10"),

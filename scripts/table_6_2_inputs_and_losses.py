@@ -3,12 +3,9 @@
 The networks of models/comparison were trained alike but for the one setting that names them; this needs no training.
 """
 
-import numpy as np
-
-import deep_contact as dc
 from deep_contact import figures
 from deep_contact.figures import Claim, Figure
-from deep_contact.learned_experiments import ratios_to_builtin
+from deep_contact.learned_experiments import errors_on_thesis_scene, ratios_to_builtin
 
 NETWORKS = {
     "width_24": ("bodies and contact rows", "velocities after 3, 10, 30 sweeps"),
@@ -59,14 +56,11 @@ def budgets(folder):
 
 def one_scene(task):
     """Errors from all starts on one scene, in a process of its own."""
-    from deep_contact.cnn.evaluation import errors_on_scene
     from deep_contact.cnn.inference import network_start
     from deep_contact.warm_start import Builtin
 
-    rng = np.random.default_rng(task["seed"])
-    scene = dc.circles_in_box(int(rng.integers(70, 111)), seed=rng)
     starts = {"builtin": Builtin()} | {name: network_start(path) for name, path in models(task["folder"]).items()}
-    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
+    return errors_on_thesis_scene(starts, task)
 
 
 def claims(data):

@@ -1,18 +1,7 @@
 """The solvers a user can choose, as frozen options, each with what it is good for and where it fails.
 
-What they do to a contact problem is in `relaxation` (all but `SoftSteps`) and `soft_steps`. Measured on 272 transient
-states of twelve thesis scenes of 70 to 110 circles, from Builtin to θ < 6e-5 N·s, at most 20,000 sweeps, and the
-nanoseconds a contact and sweep of a settled pile of 1,000:
-
-| method                | mean sweeps | median | not done | ns  |
-|-----------------------|-------------|--------|----------|-----|
-| PGS                   | 896         | 342    | 2        | 5.2 |
-| PSOR, ω = 1.3         | 584         | 211    | 1        | 5.3 |
-| PSOR, ω = 1.5         | 1258        | 171    | 11       | 5.3 |
-| PSOR, adaptive from 1 | 726         | 157    | 5        | 5.3 |
-| SymmetricPGS          | 1425        | 550    | 2        | 5.4 |
-| NNCG                  | 521         | 140    | 3        | 6.2 |
-| APGD                  | 1209        | 459    | 4        | 8.8 |
+What they do to a contact problem is in `relaxation` (all but `SoftSteps`) and `soft_steps`. How many sweeps each needs,
+and what a sweep costs, is measured by `scripts/tradeoff.py` (data/reference/tradeoff.json).
 """
 
 from __future__ import annotations
@@ -40,8 +29,8 @@ class PGS:
     With islands, circles that touch each other, directly or through others, are swept on their own and stop on their
     own, so that one impact does not keep piles at rest elsewhere iterating. It does not pay for one pile, nor without a
     tolerance, where it only sorts; the other methods are not offered with it.
-    Single precision leaves a velocity error of about 1e-5 and buys little: a sweep waits for the one operation that
-    the next contact needs, not for memory (0 to 2 % for PGS, 5 to 10 % for NNCG). A tight tolerance is never met in it.
+    Single precision buys little: a sweep waits for the one operation that the next contact needs, not for memory
+    (Figure 6.7). A tight tolerance is never met in it.
     """
 
     sweeps: int = 3000
@@ -144,8 +133,7 @@ class NesterovPGS(PGS):
 
     The momentum is bound by what the last sweeps were seen to do, so it learns late where contacts open and slip: for
     some sweeps the error may grow. A budget of less than ten sweeps gains little. With friction convergence is not
-    proven, and θ does not fall with every sweep. Of the error that as many sweeps of PGS leave, it left in the mean
-    0.44, 0.28 and 0.24 after 40, 100 and 200 sweeps on falling and settling piles of 1,000, NNCG 0.74, 0.64 and 0.57.
+    proven, and θ does not fall with every sweep.
     """
 
 

@@ -426,9 +426,12 @@ class Points(NamedTuple):
 def make_points(rows, moving):
     """Room for points over so many rows."""
     return Points(
-        np.empty_like(rows.impulse), np.empty_like(rows.impulse),
-        np.empty_like(moving), np.empty_like(moving), np.empty_like(moving),
-    )  # fmt: skip
+        np.empty_like(rows.impulse),
+        np.empty_like(rows.impulse),
+        np.empty_like(moving),
+        np.empty_like(moving),
+        np.empty_like(moving),
+    )
 
 
 @njit(cache=True)
