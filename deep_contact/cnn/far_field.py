@@ -33,7 +33,7 @@ from numba import njit
 
 from deep_contact.physics.contact_solver import apply_impulses, contact_rows, integrate_velocities, make_rows
 from deep_contact.physics.engine import world_arguments
-from deep_contact.sph import Grid, splat
+from deep_contact.sph import Grid
 from deep_contact.sph.grid import ROUNDING
 from deep_contact.state import State
 
@@ -181,23 +181,20 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description
         raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
-    mirrored, turns = symmetry >= 4, symmetry % 4
-    found = _describe(state.bodies, state.contacts, world_arguments(state), state.dt, mirrored, turns)
-    point, contact_values, centre, body_values, features, start, scale, unsolved = found
-    grid = spec.window(point.min(axis=0), point.max(axis=0), state.bodies.radius.mean())
-    # Every particle counts, if only at the node next to it; circles beyond the window touch nothing.
-    options = {"h": spec.support * grid.spacing[0] / spec.spacing, "normalization": "particle", "unreached": "nearest"}
-    if spec.inputs == "bodies":
-        image = splat(grid, centre, body_values[:, : len(spec.channels)], outside="ignore", **options)
-    elif spec.inputs == "contacts":
-        image = splat(grid, point, contact_values, **options)
-    else:
-        image = np.empty((*grid.shape, len(spec.channels)), np.float32)
-        image[:, :, : len(CONTACT_CHANNELS)] = splat(grid, point, contact_values, **options)
-        image[:, :, len(CONTACT_CHANNELS) :] = splat(grid, centre, body_values, outside="ignore", **options)
-    if not spec.correction:
-        start = np.zeros_like(start)
-    return Description(image.astype(np.float32, copy=False), grid, point, features, start, scale, unsolved)
+    found = _measure(state.bodies, state.contacts, world_arguments(state), state.dt, symmetry >= 4, symmetry % 4)
+    # NumPy takes several at a time.
+    np.arcsinh(found.contact_sizes, out=found.contact_sizes)
+    np.arcsinh(found.body_sizes, out=found.body_sizes)
+    grid = spec.window(found.low, found.high, found.mean_radius)
+    image = np.zeros((*grid.shape, len(INPUTS["all"])), np.float32)
+    geometry = *grid.origin, *grid.spacing
+    support = spec.support * grid.spacing[0] / spec.spacing
+    particles = found.point, found.normal, found.contact_sizes, found.residual, found.wall
+    _paint(image, geometry, support, *particles, found.centre, found.body_sizes)
+    if spec.inputs != "all":
+        image = np.ascontiguousarray(image[:, :, [INPUTS["all"].index(name) for name in spec.channels]])
+    start = found.start if spec.correction else np.zeros_like(found.start)
+    return Description(image, grid, found.point, found.features, start, found.scale, found.unsolved)
 
 
 def correct(image: np.ndarray, description: Description, spec: FarFieldSpec) -> np.ndarray:
@@ -259,9 +256,28 @@ def _relative_velocities(rows, moving, i):
     return v_x * n_x + v_y * n_y - rows.data[i, 6], v_x * n_y - v_y * n_x + turn
 
 
+class _Measured(NamedTuple):
+    """What `describe` needs of a state, turned and divided by its scale; sizes without bound are not compressed yet."""
+
+    point: np.ndarray  # (m, 2)
+    normal: np.ndarray  # (m, 2)
+    contact_sizes: np.ndarray  # (m, 4): approach, slip, λ_n, λ_t
+    residual: np.ndarray  # (m, 2)
+    wall: np.ndarray  # (m,)
+    centre: np.ndarray  # (n, 2)
+    body_sizes: np.ndarray  # (n, 6): velocity and spin, without impulses and with Builtin's
+    features: np.ndarray  # (m, 12, 2)
+    start: np.ndarray  # (m, 2)
+    scale: float
+    unsolved: float
+    low: tuple[float, float]
+    high: tuple[float, float]
+    mean_radius: float
+
+
 @njit(cache=True, error_model="numpy")
-def _describe(bodies, contacts, world, dt, mirrored, turns):
-    """Turned points and channels of contacts and bodies, features, start, scale, unsolved (`Description`)."""
+def _measure(bodies, contacts, world, dt, mirrored, turns):
+    """`_Measured` of a state with contacts."""
     box, gravity, friction, restitution = world
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     free = np.empty((n + 4, 4))
@@ -293,30 +309,26 @@ def _describe(bodies, contacts, world, dt, mirrored, turns):
         c, s = -s, c
     sign = -1.0 if mirrored else 1.0
     x_m, y_m = 0.5 * (box[0] + box[2]), 0.5 * (box[1] + box[3])
-    point, values = np.empty((m, 2)), np.empty((m, 22))
+    point, normal, sizes, wall = np.empty((m, 2)), np.empty((m, 2)), np.empty((m, 4)), np.empty(m)
     features = np.zeros((m, 12, 2))
+    x_low, x_high, y_low, y_high = np.inf, -np.inf, np.inf, -np.inf
     for i in range(m):
         n_x, n_y = sign * rows.data[i, 0], rows.data[i, 1]
         n_x, n_y = c * n_x - s * n_y, s * n_x + c * n_y
         x, y = sign * (contacts.position[i, 0] - x_m), contacts.position[i, 1] - y_m
-        point[i, 0], point[i, 1] = x_m + c * x - s * y, y_m + s * x + c * y
-        xx, xy = n_x * n_x - n_y * n_y, 2.0 * n_x * n_y
+        x, y = x_m + c * x - s * y, y_m + s * x + c * y
+        x_low, x_high, y_low, y_high = min(x_low, x), max(x_high, x), min(y_low, y), max(y_high, y)
+        point[i, 0], point[i, 1] = x, y
+        normal[i, 0], normal[i, 1] = n_x, n_y
         k_n, k_t = rows.data[i, 2], rows.data[i, 3]
         v_n, v_t = _relative_velocities(rows, free, i)
-        r_n, r_t = residual[i, 0] / scale, sign * residual[i, 1] / scale
         p_n, p_t = rows.impulse[i, 0], sign * rows.impulse[i, 1]
-        values[i, 0], values[i, 1], values[i, 2] = 1.0, xx, xy
-        normal = (np.arcsinh(v_n / scale), r_n, np.arcsinh(p_n / (k_n * scale)))
-        tangent = (np.arcsinh(sign * v_t / scale), r_t, np.arcsinh(p_t / (k_n * scale)))
-        for j in range(3):
-            values[i, 3 + 6 * j] = normal[j]
-            values[i, 4 + 6 * j] = normal[j] * xx
-            values[i, 5 + 6 * j] = normal[j] * xy
-            # t ⊗ n with t = (n_y, -n_x): its symmetric part has xx = 2 n_x n_y, xy = n_y² − n_x².
-            values[i, 6 + 6 * j] = tangent[j]
-            values[i, 7 + 6 * j] = tangent[j] * xy
-            values[i, 8 + 6 * j] = -tangent[j] * xx
-        values[i, 21] = 1.0 if rows.body[i, 1] >= n else 0.0
+        sizes[i, 0], sizes[i, 1] = v_n / scale, sign * v_t / scale
+        sizes[i, 2], sizes[i, 3] = p_n / (k_n * scale), p_t / (k_n * scale)
+        r_n, r_t = residual[i, 0] / scale, sign * residual[i, 1] / scale
+        residual[i, 0], residual[i, 1] = r_n, r_t
+        wall[i] = 1.0 if rows.body[i, 1] >= n else 0.0
+        xx, xy = n_x * n_x - n_y * n_y, 2.0 * n_x * n_y
         unit = k_n * scale
         F = features[i]
         F[0, 0] = unit
@@ -331,15 +343,82 @@ def _describe(bodies, contacts, world, dt, mirrored, turns):
         for j in range(12):
             F[j, 1] *= sign
 
-    centre, moving = np.empty((n, 2)), np.empty((n, 7))
+    centre, moving = np.empty((n, 2)), np.empty((n, 6))
+    radius = 0.0
     for i in range(n):
+        radius += bodies.radius[i] / n
         x, y = sign * (bodies.position[i, 0] - x_m), bodies.position[i, 1] - y_m
         centre[i, 0], centre[i, 1] = x_m + c * x - s * y, y_m + s * x + c * y
-        moving[i, 0] = 1.0
         for j in range(2):
             velocity = free if j == 0 else after
             v_x, v_y = sign * velocity[i, 0], velocity[i, 1]
-            moving[i, 1 + 3 * j] = np.arcsinh((c * v_x - s * v_y) / scale)
-            moving[i, 2 + 3 * j] = np.arcsinh((s * v_x + c * v_y) / scale)
-            moving[i, 3 + 3 * j] = np.arcsinh(sign * velocity[i, 2] / scale)
-    return point, values, centre, moving, features, rows.impulse.copy(), scale, unsolved / max(carried, 1e-300)
+            moving[i, 3 * j] = (c * v_x - s * v_y) / scale
+            moving[i, 1 + 3 * j] = (s * v_x + c * v_y) / scale
+            moving[i, 2 + 3 * j] = sign * velocity[i, 2] / scale
+    low, high = (x_low, y_low), (x_high, y_high)
+    start, unsolved = rows.impulse.copy(), unsolved / max(carried, 1e-300)
+    return _Measured(
+        point, normal, sizes, residual, wall, centre, moving, features, start, scale, unsolved, low, high, radius
+    )
+
+
+@njit(cache=True, error_model="numpy")
+def _paint(image, geometry, h, point, normal, sizes, residual, wall, centre, moving):
+    """Splat `CONTACT_CHANNELS` and `BODY_CHANNELS` as `sph.splat` with poly6 and the normalization "particle" does.
+
+    A particle with no node within h goes to the nearest one; a circle outside of the image is left out, for it touches
+    nothing.
+    """
+    n_y, n_x, channels = image.shape
+    first = len(CONTACT_CHANNELS)
+    weights = np.empty((int(2.0 * h / geometry[2]) + 2) ** 2)
+    values = np.empty(channels, np.float32)
+    for k in range(point.shape[0]):
+        xx = normal[k, 0] * normal[k, 0] - normal[k, 1] * normal[k, 1]
+        xy = 2.0 * normal[k, 0] * normal[k, 1]
+        values[0], values[1], values[2] = 1.0, xx, xy
+        for j in range(3):
+            # What there is of approach and slip, of the residuals, and of Builtin's impulses.
+            along = residual[k, 0] if j == 1 else sizes[k, j]
+            across = residual[k, 1] if j == 1 else sizes[k, j + 1]
+            values[3 + 6 * j], values[4 + 6 * j], values[5 + 6 * j] = along, along * xx, along * xy
+            # t ⊗ n with t = (n_y, -n_x): its symmetric part has xx = 2 n_x n_y, xy = n_y² − n_x².
+            values[6 + 6 * j], values[7 + 6 * j], values[8 + 6 * j] = across, across * xy, -across * xx
+        values[first - 1] = wall[k]
+        _add(image, geometry, h, point[k, 0], point[k, 1], values, 0, first, weights)
+    x_last, y_last = geometry[0] + geometry[2] * (n_x - 1), geometry[1] + geometry[3] * (n_y - 1)
+    for k in range(centre.shape[0]):
+        x, y = centre[k, 0], centre[k, 1]
+        if geometry[0] <= x <= x_last and geometry[1] <= y <= y_last:
+            values[first] = 1.0
+            for j in range(6):
+                values[first + 1 + j] = moving[k, j]
+            _add(image, geometry, h, x, y, values, first, channels, weights)
+
+
+@njit(cache=True, error_model="numpy")
+def _add(image, geometry, h, x, y, values, begin, end, weights):
+    """Add a particle's values, the channels from `begin` to `end`."""
+    u, v = (x - geometry[0]) / geometry[2], (y - geometry[1]) / geometry[3]
+    reach, closer = h / geometry[2], (geometry[2] / h) ** 2
+    i0, i1 = max(math.ceil(u - reach), 0), min(math.floor(u + reach), image.shape[1] - 1) + 1
+    j0, j1 = max(math.ceil(v - reach), 0), min(math.floor(v + reach), image.shape[0] - 1) + 1
+    total, n = 0.0, 0
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            # poly6 but for its factor, which is divided out.
+            inside = max(1.0 - closer * ((u - i) ** 2 + (v - j) ** 2), 0.0)
+            weights[n] = inside * inside * inside
+            total += weights[n]
+            n += 1
+    if not total > 0.0:
+        i0, j0 = int(min(max(u + 0.5, 0.0), image.shape[1] - 1.0)), int(min(max(v + 0.5, 0.0), image.shape[0] - 1.0))
+        i1, j1, total, weights[0] = i0 + 1, j0 + 1, 1.0, 1.0
+    n = 0
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            w = np.float32(weights[n] / total)
+            n += 1
+            if w > 0.0:
+                for c in range(begin, end):
+                    image[j, i, c] += w * values[c]

@@ -13,7 +13,9 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+from numba import njit
 
+from deep_contact.cnn.convolution import Program, supports
 from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_model
@@ -106,7 +108,7 @@ class LearnedModel:
         if key not in self._compiled:
             shape = rows, columns, image.shape[2]
             self._compiled[key] = compiled(self.keras, shape, one_program=one_program)
-        return self._compiled[key](image[None])[0]
+        return self._compiled[key](image)
 
     def check_scene(self, state: State) -> None:
         """Raise ModelFileError naming the field unless the network can work on this scene."""
@@ -127,8 +129,16 @@ class LearnedModel:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
 
 
+@dataclass(frozen=True, kw_only=True)
 class FarFieldModel(LearnedModel):
-    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds."""
+    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
+
+    It runs in Numba (`cnn.convolution`), with the weights that it has when it meets a size of window for the first
+    time; other layers than those of `architectures.far_field` run in TensorFlow.
+    threads: at most so many work on it in Numba; the number changes no bit.
+    """
+
+    threads: int = 1
 
     def predict(self, state: State) -> tuple[np.ndarray, np.ndarray]:
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s: not projected."""
@@ -145,7 +155,10 @@ class FarFieldModel(LearnedModel):
 
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to coefficients (rows, columns, 12), float32."""
-        # Small enough for the calls between its layers to count: one program takes three quarters of the time.
+        rows, columns = padded_shape(image.shape[:2], self.coarsening)
+        if (rows, columns) not in self._compiled and supports(self.keras):
+            self._compiled[rows, columns] = Program(self.keras, (rows, columns), threads=self.threads)
+        # In TensorFlow one program takes three quarters of the time that one call for each layer does.
         return self._padded(image, one_program=True)
 
     def check_scene(self, state: State) -> None:
@@ -158,14 +171,14 @@ def padded_shape(shape: tuple[int, int], coarsening: int) -> tuple[int, int]:
 
 
 def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -> Callable[[np.ndarray], np.ndarray]:
-    """The network for one image of this shape as a function of a NumPy array (1, n_y, n_x, c), float32.
+    """The network for one image of this shape as a function of a NumPy array (n_y, n_x, c), float32.
 
     one_program: compiled by XLA as a whole, which takes about a second.
     """
     import keras
 
     if keras.backend.backend() != "tensorflow":
-        return lambda image: keras.ops.convert_to_numpy(model(image, training=False))
+        return lambda image: keras.ops.convert_to_numpy(model(image[None], training=False))[0]
     import tensorflow as tf
 
     signature = [tf.TensorSpec((1, *shape), tf.float32)]
@@ -173,7 +186,7 @@ def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -
     jit = {"jit_compile": True} if one_program else {}
     function = tf.function(lambda image: model(image, training=False), input_signature=signature, **jit)
     concrete = function.get_concrete_function()
-    return lambda image: concrete(tf.constant(image)).numpy()
+    return lambda image: concrete(tf.constant(image[None])).numpy()[0]
 
 
 @dataclass(frozen=True)
@@ -195,10 +208,14 @@ class Cnn:
         return projected(*self.model.predict(state), state.world.friction)
 
 
-def projected(normal: np.ndarray, tangent: np.ndarray, friction: float) -> tuple[np.ndarray, np.ndarray]:
+@njit(cache=True)
+def projected(normal, tangent, friction):
     """Impulses (m,) with the normal ones cut at 0 and the tangent ones at the friction cone, as a sweep would."""
-    normal = np.maximum(normal, 0.0)
-    return normal, np.clip(tangent, -friction * normal, friction * normal)
+    p_n, p_t = np.empty_like(normal), np.empty_like(tangent)
+    for i in range(normal.shape[0]):
+        p_n[i] = max(normal[i], 0.0)
+        p_t[i] = max(-friction * p_n[i], min(tangent[i], friction * p_n[i]))
+    return p_n, p_t
 
 
 @dataclass(frozen=True)

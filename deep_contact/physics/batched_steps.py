@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import contextmanager
+
 import numpy as np
 from numba import config, get_num_threads, njit, set_num_threads
 
@@ -59,16 +61,22 @@ def advance_in_batches(bodies, contacts, world, dt, settings, position_sweeps, w
     return own_contacts(solved), own_contacts(contacts)
 
 
+@contextmanager
+def at_most_threads(count: int):
+    """Let Numba's parallel functions use so many threads, or as many as there are cores, which it insists on."""
+    before = get_num_threads()
+    set_num_threads(min(count, config.NUMBA_NUM_THREADS))
+    try:
+        yield
+    finally:
+        set_num_threads(before)
+
+
 def advance_side_by_side(threads: int):
     """`advance_in_batches` with the blocks of a phase on at most so many threads: the same bits."""
 
     def advance(bodies, contacts, world, dt, settings, *others):
-        before = get_num_threads()
-        # Numba refuses more threads than there are cores.
-        set_num_threads(min(threads, config.NUMBA_NUM_THREADS))
-        try:
+        with at_most_threads(threads):
             return advance_in_batches(bodies, contacts, world, dt, ThreadSettings(*settings), *others)
-        finally:
-            set_num_threads(before)
 
     return advance

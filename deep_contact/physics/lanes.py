@@ -17,24 +17,24 @@ from numba import types
 from numba.extending import intrinsic, models, overload, register_model
 
 WIDTH = 8
-"""Numbers in `Lanes`."""
+"""Numbers in `Lanes`, unless it says otherwise."""
 
 _INT32, _INT64 = ir.IntType(32), ir.IntType(64)
 _CONTRACT = ("contract",)
 
 
 class Lanes(types.Type):
-    """Type of `WIDTH` numbers of a kind."""
+    """Type of so many numbers of a kind."""
 
-    def __init__(self, dtype):
-        self.dtype = dtype
-        super().__init__(name=f"Lanes({dtype})")
+    def __init__(self, dtype, width=WIDTH):
+        self.dtype, self.width = dtype, width
+        super().__init__(name=f"Lanes({dtype}, {width})")
 
 
 @register_model(Lanes)
 class _LanesModel(models.PrimitiveModel):
     def __init__(self, manager, lanes):
-        super().__init__(manager, lanes, ir.VectorType(manager.lookup(lanes.dtype).get_value_type(), WIDTH))
+        super().__init__(manager, lanes, ir.VectorType(manager.lookup(lanes.dtype).get_value_type(), lanes.width))
 
 
 def _arithmetic(symbol, emit):
@@ -92,7 +92,7 @@ def root(context, x):
 
     def emit(context, builder, signature, values):
         (x,) = values
-        name = f"llvm.sqrt.v{WIDTH}f{signature.return_type.dtype.bitwidth}"
+        name = f"llvm.sqrt.v{x.type.count}f{signature.return_type.dtype.bitwidth}"
         function = builder.module.globals.get(name)
         if function is None:
             function = ir.Function(builder.module, ir.FunctionType(x.type, [x.type]), name)
@@ -105,19 +105,30 @@ def root(context, x):
 def spread(context, number):
     """The same number in all lanes."""
     lanes = Lanes(number)
+    return lanes(number), lambda context, builder, signature, values: _spread(context, builder, lanes, values[0])
+
+
+@intrinsic
+def spread_like(context, like, number):
+    """The same number in as many lanes as there are in `like`."""
+    return like(like, number), lambda context, builder, signature, values: _spread(context, builder, like, values[1])
+
+
+@intrinsic
+def doubled(context, x):
+    """Twice as many lanes, the numbers of x in both halves."""
+    lanes = Lanes(x.dtype, 2 * x.width)
 
     def emit(context, builder, signature, values):
-        undefined = ir.Constant(context.get_value_type(lanes), ir.Undefined)
-        first = builder.insert_element(undefined, values[0], _INT32(0))
-        return _shuffle(builder, first, first, [0] * WIDTH)
+        return _shuffle(builder, values[0], values[0], [*range(x.width)] * 2)
 
-    return lanes(number), emit
+    return lanes(x), emit
 
 
 @intrinsic
 def widened(context, x):
     """The same numbers in float64."""
-    lanes = Lanes(types.float64)
+    lanes = Lanes(types.float64, x.width)
 
     def emit(context, builder, signature, values):
         kind = context.get_value_type(lanes)
@@ -149,8 +160,19 @@ def load(context, array, i):
 
 
 @intrinsic
+def load_like(context, like, array, i):
+    """As many numbers of a contiguous array as there are in `like`, from the i-th eight on."""
+
+    def emit(context, builder, signature, values):
+        pointer = _pointer(context, builder, array, values[1], values[2], WIDTH)
+        return _load(builder, pointer, context.get_value_type(like), array)
+
+    return like(like, array, types.int64), emit
+
+
+@intrinsic
 def store(context, array, i, x):
-    """Write the i-th eight numbers of a contiguous array."""
+    """Write the numbers of x to a contiguous array, from its i-th eight on."""
 
     def emit(context, builder, signature, values):
         pointer = _pointer(context, builder, array, values[0], values[1], WIDTH)
@@ -208,6 +230,12 @@ def lowest_zero(context, mask):
         return builder.cttz(builder.not_(values[0]), ir.IntType(1)(0))
 
     return types.int64(types.uint64), emit
+
+
+def _spread(context, builder, lanes, number):
+    undefined = ir.Constant(context.get_value_type(lanes), ir.Undefined)
+    first = builder.insert_element(undefined, number, _INT32(0))
+    return _shuffle(builder, first, first, [0] * lanes.width)
 
 
 def _shuffle(builder, one, other, mask):

@@ -1,0 +1,313 @@
+"""The far-field network without a framework: its convolutions in Numba, as one compiled call.
+
+A layer is a table: where each output node's first tap lies in its input, and weights in groups of eight features, or
+sixteen. Eight nodes of a group are eight vectors that stay in registers while all taps go by, so that nearly every
+operation multiplies and adds as many numbers as the processor can at a time. A transposed convolution is four such
+layers, one for the even and odd rows and columns of its output, so that no zero is multiplied. Images are stored with
+one node of zeros around them, the one at the end of a row being that at the beginning of the next, and each as it is
+and with ReLU taken, since a residual block needs both.
+
+The same in TensorFlow is compiled for every size of image, which takes a second, and runs at half the speed; see
+`scripts/figure_6_4_network_size.py`. Training uses Keras: this is for inference (`cnn.inference`).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from llvmlite.binding import get_host_cpu_features
+from numba import njit, prange, uint64
+
+from deep_contact.physics.batched_steps import at_most_threads
+from deep_contact.physics.lanes import WIDTH, doubled, load_like, most, spread, spread_like, store
+
+BLOCKS = ("second", "fourth", "eighth", "far", "fourth_back", "second_back")
+"""The residual blocks of `architectures.far_field`; its other layers with weights are in `LAYERS`."""
+
+LAYERS = {
+    *(f"{block}_{turn}" for block in BLOCKS for turn in (1, 2)),
+    *(f"to_{name}" for name in ("second", "fourth", "eighth")),
+    *(f"back_to_{name}" for name in ("fourth", "second")),
+    "coefficients",
+}
+
+_WIDEST = 2 if get_host_cpu_features().get("avx512f") else 1
+"""Vectors of `WIDTH` that a register of the processor holds."""
+
+
+class Layer(NamedTuple):
+    """One row of the program. Places count in vectors of `WIDTH` numbers in the workspace; -1 is nowhere.
+
+    | field    | meaning                                                              |
+    |----------|----------------------------------------------------------------------|
+    | first    | of its nodes in `Program.nodes`                                      |
+    | blocks   | how many times `WIDTH` nodes                                         |
+    | pitch    | numbers from a row of taps to the next in the input                  |
+    | rows     | of taps                                                              |
+    | run      | numbers in a row of taps                                             |
+    | weights  | first vector in `Program.weights`: bias, then taps, group by group   |
+    | groups   | of features                                                          |
+    | vectors  | of `WIDTH` features in a group, 1 or 2                               |
+    | skip     | image that is added                                                  |
+    | out      | image that is written                                                |
+    | positive | image of the same with negative numbers cut                          |
+    """
+
+    first: int
+    blocks: int
+    pitch: int
+    rows: int
+    run: int
+    weights: int
+    groups: int
+    vectors: int
+    skip: int
+    out: int
+    positive: int
+
+
+class Image(NamedTuple):
+    """An image in the workspace: height and width in nodes, numbers in a node, and its first number's place."""
+
+    height: int
+    width: int
+    numbers: int
+    place: int
+
+    @property
+    def pitch(self) -> int:
+        """Numbers from a row to the next."""
+        return (self.width + 1) * self.numbers
+
+    def nodes(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Place of each of these rows' and columns' nodes, row by row; -1 is the margin."""
+        return (((rows[:, None] + 1) * (self.width + 1) + columns + 1) * self.numbers).ravel()
+
+
+class Program:
+    """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8), with its present weights.
+
+    threads: at most so many work on a layer; the number changes no bit of the result.
+    Not to be called from several threads at a time: they would share a workspace.
+    Raises ValueError where the model has other layers (see `supports`).
+    """
+
+    def __init__(self, model, shape: tuple[int, int], *, threads: int = 1):
+        if not supports(model):
+            raise ValueError(f"model: expected the layers of architectures.far_field, got {model.name!r}")
+        self._weights_of = {name: model.get_layer(name).get_weights() for name in LAYERS}
+        self._threads = threads
+        self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
+        self._build(*shape)
+        self.layers = np.array(self._layers, np.int64)
+        self.nodes = np.concatenate(self._nodes)
+        self.weights = np.concatenate(self._weights)
+        self.workspace = _aligned(self._size)
+        del self._weights_of, self._layers, self._nodes, self._weights
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """Coefficients (rows, columns, outputs) of an image of this shape, both float32."""
+        rows, columns, outputs = self.shape
+        found = np.empty((rows * columns, outputs), np.float32)
+        given = image, self.input, self.layers, self.nodes, self.weights, self.workspace, self.output, found
+        if self._threads == 1:
+            _run(*given)
+        else:
+            with at_most_threads(self._threads):
+                _run_side_by_side(*given)
+        return found.reshape(self.shape)
+
+    def _build(self, n_y, n_x):
+        width = self._weights_of["to_second"][0].shape[3]
+        channels = self._weights_of["to_second"][0].shape[2]
+        image = self._image(n_y, n_x, channels)
+        self.input = image.place, image.pitch
+        sides = [((n_y - 1) // k + 1, (n_x - 1) // k + 1) for k in (2, 4, 8)]
+        features = (width, 2 * width, 2 * width)
+        second = self._block("second", self._down("to_second", image, *sides[0], features[0]))
+        fourth = self._block("fourth", self._down("to_fourth", second[0], *sides[1], features[1]))
+        eighth = self._block("eighth", self._down("to_eighth", fourth[0], *sides[2], features[2]))
+        eighth = self._block("far", eighth)
+        fourth = self._block("fourth_back", self._up("back_to_fourth", eighth[0], fourth[0]))
+        second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
+        outputs = self._weights_of["coefficients"][0].shape[3]
+        last = self._image(*sides[0], outputs)
+        rows, columns = (np.arange(n) for n in sides[0])
+        self._layer("coefficients", second[1].nodes(rows, columns), second[1], last.nodes(rows, columns), out=last)
+        self.shape = (*sides[0], outputs)
+        self.output = last.place, last.pitch, last.numbers
+
+    def _image(self, height, width, features) -> Image:
+        """Room for an image, zero as the margin has to be."""
+        numbers = features if self._size == 0 else -(-features // WIDTH) * WIDTH
+        image = Image(height, width, numbers, self._size)
+        size = ((height + 2) * (width + 1) + 1) * numbers
+        self._size += -(-size // WIDTH) * WIDTH
+        return image
+
+    def _pair(self, height, width, features):
+        """Room for an image as it is and with ReLU."""
+        return self._image(height, width, features), self._image(height, width, features)
+
+    def _down(self, name, image, height, width, features):
+        made = self._pair(height, width, features)
+        rows, columns = np.arange(height), np.arange(width)
+        self._layer(name, image.nodes(2 * rows - 1, 2 * columns - 1), image, made[0].nodes(rows, columns), *made)
+        return made
+
+    def _block(self, name, images):
+        """A residual block: x + conv(ReLU(conv(ReLU(x))))."""
+        raw, positive = images
+        rows, columns = np.arange(raw.height), np.arange(raw.width)
+        features = self._weights_of[f"{name}_1"][0].shape[3]
+        between = self._image(raw.height, raw.width, features)
+        made = self._pair(raw.height, raw.width, features)
+        here = raw.nodes(rows, columns)
+        self._layer(f"{name}_1", positive.nodes(rows - 1, columns - 1), positive, here, positive=between)
+        self._layer(f"{name}_2", between.nodes(rows - 1, columns - 1), between, here, *made, skip=raw)
+        return made
+
+    def _up(self, name, image, skip):
+        """Twice the nodes less one: a transposed convolution without its outer nodes, to which an image is added."""
+        made = self._pair(skip.height, skip.width, self._weights_of[name][0].shape[2])
+        for odd_row in (0, 1):
+            for odd_column in (0, 1):
+                rows, columns = np.arange(image.height - odd_row), np.arange(image.width - odd_column)
+                here = made[0].nodes(2 * rows + odd_row, 2 * columns + odd_column)
+                # Even nodes meet the middle of the kernel; odd ones its end at the node before, its start at the next.
+                taps = [(1,), (2, 0)][odd_row], [(1,), (2, 0)][odd_column]
+                self._layer(name, image.nodes(rows, columns), image, here, *made, skip=skip, taps=taps)
+        return made
+
+    def _layer(self, name, nodes, image, here, out=None, positive=None, *, skip=None, taps=None):
+        """Add a layer: what the nodes at `here` are from the taps that begin at `nodes` of the image."""
+        kernel, bias = self._weights_of[name]
+        if taps is not None:
+            kernel = kernel.transpose(0, 1, 3, 2)[np.ix_(*taps)]
+        rows, columns, channels, features = kernel.shape
+        every = -(-features // WIDTH)
+        # A row of vectors for the bias, then one for each tap and channel.
+        wide = np.zeros((1 + rows * columns * image.numbers, every, WIDTH), np.float32)
+        wide[0].ravel()[:features] = bias
+        wide[1:].reshape(rows, columns, image.numbers, -1)[:, :, :channels, :features] = kernel
+        # Nodes that are left in the last block do the last one again.
+        count = -(-len(nodes) // WIDTH) * WIDTH
+        places = np.stack([nodes + image.place, here // WIDTH]).astype(np.uint32)
+        places = np.pad(places, ((0, 0), (0, count - len(nodes))), mode="edge")
+        first = sum(part.shape[0] for part in self._nodes)
+        self._nodes.append(np.ascontiguousarray(places.T))
+        begin = 0
+        for vectors in (_WIDEST, 1):
+            groups = (every - begin) // vectors
+            if groups == 0:
+                continue
+            pieces = [-1 if image is None else image.place // WIDTH + begin for image in (skip, out, positive)]
+            row = (first, count // WIDTH, image.pitch, rows, columns * image.numbers)
+            self._layers.append(Layer(*row, self._filled, groups, vectors, *pieces))
+            packed = wide[:, begin : begin + groups * vectors].reshape(len(wide), groups, -1).swapaxes(0, 1)
+            self._weights.append(packed.ravel())
+            self._filled += packed.size // WIDTH
+            begin += groups * vectors
+
+
+def supports(model) -> bool:
+    """Whether a Keras model has the layers of `architectures.far_field`, and no others with weights."""
+    return {layer.name for layer in model.layers if layer.weights} == LAYERS
+
+
+def _aligned(size: int) -> np.ndarray:
+    """Zeros, so many float32 numbers, the first at the beginning of a cache line."""
+    line = 64
+    room = np.zeros(size + line // 4, np.float32)
+    return room[(-room.ctypes.data % line) // 4 :][:size]
+
+
+# Unsigned indices spare Numba the test for counting from the end.
+@njit(cache=True, error_model="numpy")
+def _convolve(layer, b, nodes, weights, space, zero):
+    """Block b of a layer: `WIDTH` nodes, all groups of features, each of as many as `zero` has lanes."""
+    first, rows, run, pitch = layer[0] + b * WIDTH, layer[3], layer[4], uint64(layer[2])
+    vectors, skip, out, positive = layer[7], layer[8], layer[9], layer[10]
+    i, j = uint64(first), uint64(1)
+    x0, x1, x2, x3 = nodes[i, 0], nodes[i + j, 0], nodes[i + 2 * j, 0], nodes[i + 3 * j, 0]
+    x4, x5, x6, x7 = nodes[i + 4 * j, 0], nodes[i + 5 * j, 0], nodes[i + 6 * j, 0], nodes[i + 7 * j, 0]
+    w, next_w = uint64(layer[5]), uint64(vectors)
+    for g in range(layer[6]):
+        a0 = load_like(zero, weights, w)
+        w += next_w
+        a1, a2, a3, a4, a5, a6, a7 = a0, a0, a0, a0, a0, a0, a0
+        for r in range(rows):
+            o = uint64(r) * pitch
+            for _ in range(run):
+                c = load_like(zero, weights, w)
+                a0 = a0 + c * spread_like(zero, space[x0 + o])
+                a1 = a1 + c * spread_like(zero, space[x1 + o])
+                a2 = a2 + c * spread_like(zero, space[x2 + o])
+                a3 = a3 + c * spread_like(zero, space[x3 + o])
+                a4 = a4 + c * spread_like(zero, space[x4 + o])
+                a5 = a5 + c * spread_like(zero, space[x5 + o])
+                a6 = a6 + c * spread_like(zero, space[x6 + o])
+                a7 = a7 + c * spread_like(zero, space[x7 + o])
+                w += next_w
+                o += j
+        k = 0
+        for a in (a0, a1, a2, a3, a4, a5, a6, a7):
+            place = np.int64(nodes[first + k, 1]) + g * vectors
+            if skip >= 0:
+                a = a + load_like(zero, space, skip + place)
+            if out >= 0:
+                store(space, out + place, a)
+            if positive >= 0:
+                store(space, positive + place, most(a, zero))
+            k += 1
+
+
+@njit(cache=True, error_model="numpy")
+def _block(layer, b, nodes, weights, space):
+    zero = spread(np.float32(0.0))
+    if layer[7] == 2:
+        _convolve(layer, b, nodes, weights, space, doubled(zero))
+    else:
+        _convolve(layer, b, nodes, weights, space, zero)
+
+
+@njit(cache=True, error_model="numpy")
+def _put(image, place, space):
+    """Copy an image into the workspace, a node from its margin."""
+    first, pitch = place
+    numbers = image.shape[2]
+    for y in range(image.shape[0]):
+        row = first + (y + 1) * pitch + numbers
+        for x in range(image.shape[1]):
+            for c in range(numbers):
+                space[row + x * numbers + c] = image[y, x, c]
+
+
+@njit(cache=True, error_model="numpy")
+def _take(space, place, columns, found):
+    """Copy an image out of the workspace; found: (nodes, outputs)."""
+    first, pitch, numbers = place
+    for i in range(found.shape[0]):
+        node = first + (i // columns + 1) * pitch + (i % columns + 1) * numbers
+        for c in range(found.shape[1]):
+            found[i, c] = space[node + c]
+
+
+@njit(cache=True, error_model="numpy")
+def _run(image, inlet, layers, nodes, weights, space, outlet, found):
+    _put(image, inlet, space)
+    for layer in layers:
+        for b in range(layer[1]):
+            _block(layer, b, nodes, weights, space)
+    _take(space, outlet, (image.shape[1] + 1) // 2, found)
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def _run_side_by_side(image, inlet, layers, nodes, weights, space, outlet, found):
+    _put(image, inlet, space)
+    for i in range(layers.shape[0]):
+        layer = layers[i]
+        for b in prange(layer[1]):
+            _block(layer, b, nodes, weights, space)
+    _take(space, outlet, (image.shape[1] + 1) // 2, found)

@@ -1,0 +1,96 @@
+"""The far-field network in Numba against the same in Keras, and its splat against `sph.splat`."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact import sph
+from deep_contact.cnn import far_field
+from deep_contact.physics.engine import world_arguments
+
+CHANNELS, OUTPUTS = 29, 12
+
+
+@pytest.fixture(scope="module")
+def architectures():
+    pytest.importorskip("keras")
+    from deep_contact.cnn import architectures
+
+    return architectures
+
+
+def network(architectures, width):
+    """A far-field network none of whose weights is zero."""
+    model = architectures.far_field(channels=CHANNELS, outputs=OUTPUTS, width=width)
+    rng = np.random.default_rng(width)
+    model.set_weights([rng.normal(0.0, 0.1, w.shape) for w in model.get_weights()])
+    return model
+
+
+def image(shape):
+    return np.random.default_rng(1).normal(size=(*shape, CHANNELS)).astype(np.float32)
+
+
+# Features: fewer than a vector has, one vector, and what takes both widths of vector at a time.
+@pytest.mark.parametrize("width", [3, 8, 16, 24])
+@pytest.mark.parametrize("shape", [(9, 9), (9, 17), (25, 33), (49, 9)])
+def test_the_program_computes_what_keras_computes(width, shape, architectures):
+    from deep_contact.cnn.convolution import Program
+
+    model, given = network(architectures, width), image(shape)
+    expected = np.asarray(model(given[None], training=False))[0]
+    found = Program(model, shape)(given)
+    # Sums of some thousand products in another order, in single precision.
+    np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())
+
+
+def test_a_second_image_finds_nothing_of_the_first(architectures):
+    from deep_contact.cnn.convolution import Program
+
+    model, given = network(architectures, 8), image((17, 9))
+    program = Program(model, (17, 9))
+    first = program(given)
+    program(100.0 * given[::-1])
+    np.testing.assert_array_equal(program(given), first)
+
+
+def test_threads_change_no_bit(architectures):
+    from deep_contact.cnn.convolution import Program
+
+    model, given = network(architectures, 24), image((33, 49))
+    np.testing.assert_array_equal(Program(model, (33, 49), threads=2)(given), Program(model, (33, 49))(given))
+
+
+def test_a_network_of_other_layers_is_refused_here_and_runs_in_tensorflow(architectures):
+    import keras
+
+    from deep_contact.cnn.convolution import Program
+    from deep_contact.cnn.inference import FarFieldModel
+
+    given = keras.Input((None, None, CHANNELS))
+    model = keras.Model(given, keras.layers.Conv2D(OUTPUTS, 3, strides=2, padding="same", name="to_second")(given))
+    with pytest.raises(ValueError, match=r"model: expected the layers of architectures\.far_field"):
+        Program(model, (9, 9))
+    expected = np.asarray(model(image((9, 9))[None]))[0]
+    found = FarFieldModel(keras=model, spec=far_field.FarFieldSpec(), coarsening=8).run(image((9, 9)))
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("support", [0.4, 1.0, 1.7])
+def test_the_image_is_the_splat_of_the_contacts_and_of_the_circles(support):
+    spec = far_field.FarFieldSpec(support=support)
+    state = dc.simulate(dc.circles_in_box(60, seed=2), steps=180, solver=dc.PGS(sweeps=30)).state
+    found = far_field.describe(state, spec)
+    measured = far_field._measure(state.bodies, state.contacts, world_arguments(state), state.dt, False, 0)
+    options = {"h": support * found.grid.spacing[0], "normalization": "particle", "unreached": "nearest"}
+    first = len(far_field.CONTACT_CHANNELS)
+    walls = state.contacts.body_b >= state.bodies.count
+    expected = sph.splat(found.grid, found.point, np.column_stack([np.ones(len(walls)), walls]), **options)
+    np.testing.assert_allclose(found.image[:, :, [0, first - 1]], expected, atol=1e-6)
+    spin = np.arcsinh(measured.body_sizes[:, 5])
+    expected = sph.splat(found.grid, measured.centre, spin, outside="ignore", **options)
+    np.testing.assert_allclose(found.image[:, :, -1], expected, atol=1e-6 * max(1.0, np.abs(expected).max()))
+    along, n = np.arcsinh(measured.contact_sizes[:, 0]), measured.normal
+    expected = sph.splat(found.grid, found.point, along * (n[:, 0] ** 2 - n[:, 1] ** 2), **options)
+    approach = far_field.CONTACT_CHANNELS.index("approach_xx")
+    np.testing.assert_allclose(found.image[:, :, approach], expected, atol=1e-5 * max(1.0, np.abs(expected).max()))
