@@ -135,15 +135,15 @@ class Sph:
 
 
 def _cnn() -> WarmStart:
-    from deep_contact.cnn.inference import Cnn  # TensorFlow, for those who predict
+    from deep_contact.cnn.inference import Cnn, known_model  # TensorFlow, for those who predict
 
-    return Cnn()
+    return Cnn(known_model())
 
 
 def _guarded() -> WarmStart:
-    from deep_contact.cnn.inference import Guarded
+    from deep_contact.cnn.inference import Guarded, known_model
 
-    return Guarded()
+    return Guarded(known_model())
 
 
 STARTS: dict[str, Callable[[], WarmStart]] = {

@@ -1,6 +1,7 @@
 """Model files, inference and the Cnn start (section 5.4, Algorithm 7)."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from deep_contact.cnn.evaluation import held_out_errors, velocity_errors
 from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec, input_image, read_back
 from deep_contact.cnn.inference import Cnn, LearnedModel, load_model, padded_shape, projected
 from deep_contact.cnn.model_file import METADATA, ModelFileError, read_metadata, save_model
-from deep_contact.warm_start import Copy, NoStart
+from deep_contact.warm_start import Copy, NoStart, warm_start_of
 
 SPEC = ImageSpec(transfer="consistent", channels=SOLVER_CHANNELS, scale_free=True, target_scales=(2.0, 0.5))
 CARD = {"seed": 3, "command": "python scripts/train.py"}
@@ -307,3 +308,13 @@ def test_held_out_errors_count_every_state(falling_states):
 
 def test_metadata_carry_the_spec(file):
     assert ImageSpec.from_dict(read_metadata(file)["spec"]) == SPEC
+
+
+def test_a_start_by_name_reads_the_model_again_only_if_the_file_changes(tmp_path, monkeypatch):
+    path = tmp_path / "model.h5"
+    shutil.copy(inference.default_model_path(), path)
+    monkeypatch.setattr(inference, "default_model_path", lambda: path)
+    first, again = (warm_start_of("guarded").model for _ in range(2))
+    assert warm_start_of("cnn").model is first is again
+    os.utime(path, ns=(0, 0))
+    assert warm_start_of("cnn").model is not first

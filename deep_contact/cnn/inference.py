@@ -280,14 +280,21 @@ def one_thread() -> None:
 
 
 def network_start(model: str) -> Cnn:
-    """The start by the network of a file (Algorithm 7), read once in a process and working on one thread.
+    """The start by the network of a file (Algorithm 7), working on one thread, read again only if the file changes.
 
     Raises FileNotFoundError where there is no such file, `ModelFileError` where it is damaged.
     """
-    return _loaded_start(str(network_file(model)))
+    one_thread()
+    return Cnn(known_model(network_file(model)))
+
+
+def known_model(path: Path | None = None) -> LearnedModel:
+    """`load_model`, but a file that this process has read and that has not changed since is not read again."""
+    path = default_model_path() if path is None else path
+    status = path.stat()
+    return _read_once(path.resolve(), status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=8)
-def _loaded_start(path: str) -> Cnn:
-    one_thread()
-    return Cnn(path)
+def _read_once(path: Path, changed_ns: int, size: int) -> LearnedModel:
+    return load_model(path)
