@@ -239,10 +239,10 @@ def main(arguments=None) -> int:
     if args.sample:
         make_sample(args.out)
         return 0
-    args.out.mkdir(parents=True, exist_ok=True)
-    remove_unfinished(args.out)
     begin = time.perf_counter()
     try:
+        args.out.mkdir(parents=True, exist_ok=True)
+        remove_unfinished(args.out)
         done = check_finished(jobs)
         if done:
             print(f"{done} of {len(jobs)} simulations are there already")
@@ -252,8 +252,9 @@ def main(arguments=None) -> int:
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
-    except (ValueError, executors.ClusterError) as error:
-        print(error, file=sys.stderr)
+    except (OSError, RuntimeError, ValueError, executors.ClusterError) as error:
+        # A full disk is an OSError or, from within HDF5, a RuntimeError.
+        print(f"{args.out}: {error}", file=sys.stderr)
         return 1
     paths = [simulation_path(job.out, job.number) for job in jobs]
     states = sum(simulation_info(path).count for path in paths)

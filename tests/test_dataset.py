@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import shutil
 import signal
 import subprocess
@@ -615,3 +616,16 @@ def test_the_tracked_sample_is_what_its_readme_says():
     assert phases == [path.name.split("_")[0] for path in files if path.name.endswith(".xml.gz")]
     assert sorted(phases) == sorted(2 * PHASES)
     assert len(Store(ROOT / "data" / "sample")) == 81
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits as POSIX has them")
+def test_a_full_disk_ends_the_generation_with_one_line_and_without_half_a_file(tmp_path):
+    # A limit on the size of files stands for the disk, set after compilation, whose cache is larger.
+    prepare = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))"
+    code = f"import sys, runpy; {prepare}; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    arguments = [str(SCRIPT), "--out", str(tmp_path / "full"), "--simulations", "1", *SMALL, "--jobs", "1"]
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert str(tmp_path / "full") in done.stderr.splitlines()[-1]
+    assert not list((tmp_path / "full").glob("*.h5"))

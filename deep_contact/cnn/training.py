@@ -80,7 +80,8 @@ class TrainingConfig:
     The far-field network has images of its own (`inputs`, `correction`: of `FarFieldSpec`), and losses of its own: on
     the errors after `sweeps` sweeps "through solver", on what one more sweep would change then ("residual through
     solver", without labels), or on "impulses".
-    channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`.
+    channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`; the first two of
+    the `FarFieldSpec` for the far-field network.
     measure_scales: divide each channel by its root mean square on the training side; if not, by 1.
     loss: "appendix b" (masked, on images), or one of `CONTACT_LOSSES` ("velocity" …).
     optimizer: "adam" or "sgd". momentum: of SGD. clip: largest norm of a gradient, or None.
@@ -190,7 +191,8 @@ def thesis_config(**changes) -> TrainingConfig:
 
 def far_field_config(**changes) -> TrainingConfig:
     """The settings of the far-field network, trained through the solver."""
-    return TrainingConfig(**({"architecture": "far field", "loss": "through solver", "rate": 1.5e-3} | changes))
+    settings = {"architecture": "far field", "loss": "through solver", "rate": 1.5e-3, "spacing": 1.0, "support": 1.0}
+    return TrainingConfig(**(settings | changes))
 
 
 class Training(NamedTuple):
@@ -273,7 +275,8 @@ def train(
     settings = json.loads(json.dumps({**asdict(config), "data": data_hash(store, sims)}))
     saved = _read_checkpoint(out / "last.npz", settings)
     if config.architecture == "far field":
-        run = _FarFieldRun(config, store, split, FarFieldSpec(inputs=config.inputs, correction=config.correction))
+        options = {name: getattr(config, name) for name in ("spacing", "support", "inputs", "correction")}
+        run = _FarFieldRun(config, store, split, FarFieldSpec(**options))
     else:
         spec = saved.spec if saved is not None else config.spec()
         if saved is None and config.measure_scales:
