@@ -17,28 +17,28 @@ from deep_contact.physics.engine import solve
 from deep_contact.physics.methods import NNCG, PGS
 from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
-from deep_contact.tradeoff import ENOUGH
+from deep_contact.tradeoff import references_from
 
 SOLVERS = {"PGS": PGS, "NNCG": NNCG}
 """Name -> method of the sweeps after the start."""
 
 
 def errors_by_sweeps(
-    state: State, starts: Mapping[str, object], *, sweeps: Sequence[int], past_need: int
+    state: State, starts: Mapping[str, object], *, sweeps: Sequence[int], past_need: int, exact: bool
 ) -> dict[str, dict[str, list[float]]]:
     """Errors of every start with every solver, {start: {solver: (len(sweeps),)}}, on a state with contacts.
 
-    starts: name -> callable of `deep_contact.warm_start`. An error is the distance from the nearest of the solutions
-    that the solvers come to from each start in `past_need` sweeps, since with friction there are many
-    (`physics.errors`); those whose residual is not within `tradeoff.ENOUGH` are left out. Without any, {} is returned.
+    starts: name -> callable of `deep_contact.warm_start`. An error is the distance from the nearest of the references
+    to which the courses of the solvers from each start lead, of `past_need` sweeps (`tradeoff.references_from`).
+    Without any, {} is returned.
     """
     impulses = {name: start(state, PGS()) for name, start in starts.items()}
-    references = []
-    for start in impulses.values():
-        for method in SOLVERS.values():
-            solution = solve(state, method(sweeps=past_need, tolerance=1e-9), *start)
-            if errors.residual(state, solution) < ENOUGH:
-                references.append(solution)
+    ends = [
+        solve(state, method(sweeps=past_need, tolerance=1e-9), *start)
+        for start in impulses.values()
+        for method in SOLVERS.values()
+    ]
+    references = references_from(state, ends, exact=exact)
     if not references:
         return {}
     found = {}

@@ -5,15 +5,16 @@ every budget, a number of sweeps or a tolerance; its errors are held against ref
 that depends on the machine or on what else it does. What a budget costs in time is measured apart, one thing at a
 time on a quiet machine, as overhead + cost a contact and sweep.
 Tolerances are in units of a mean circle's impulse of weight, m g Δt, so that they mean the same in another scene.
-With friction a pile of a thousand circles has many solutions, and which one is found depends on the method
-(`physics.errors`). So every setting is run far past need once, which gives a reference and its θ by sweep, from which
-follows when it meets a tolerance; an error is the distance from the nearest of the references.
+With friction a pile has many solutions, and which one is found depends on the method (`physics.errors`). So every
+setting is run far past need once, which gives its θ by sweep, from which follows when it meets a tolerance. Where it
+ends is no solution yet in a pile of a thousand circles that settles, so it is led on to one exactly (`physics.exact`);
+an error is the distance from the nearest of these references. For larger piles the ends have to do (`ENOUGH`).
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
@@ -21,6 +22,7 @@ from deep_contact import peers
 from deep_contact.experiments import solved_states
 from deep_contact.physics import errors
 from deep_contact.physics.engine import ContactSolution
+from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.methods import NNCG, PGS, SoftSteps, describe
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.recommendation import recommend, solver_of, weight_impulse
@@ -29,7 +31,7 @@ from deep_contact.state import State
 
 KINDS = ("falling", "settling", "resting")
 ENOUGH = 1e-3
-"""Residual within which a solution is taken for a reference, m/s: a hundredth of what gravity does in a step."""
+"""Residual within which an end is taken for a reference without more, m/s: a hundredth of gravity's doing in a step."""
 
 SETTLING_SPEED, RESTING_SPEED = 0.5, 0.05
 """Root mean square speeds below which a pile settles and rests, m/s."""
@@ -81,19 +83,34 @@ def states_of(start: State, *, count: int, every: int = 4) -> list[State]:
     return found[every - 1 :: every]
 
 
-def references_of(state: State, sweeps: int, names: Sequence[str] | None = None) -> dict[str, ContactSolution]:
-    """Setting -> what it finds with so many sweeps, far past need: each setting of double precision, or those named.
+REFERENCES = ("PGS", "NNCG", "NesterovPGS")
+"""Settings whose ends are references where those of all settings cost too much."""
 
-    Those whose residual is not within `ENOUGH` are no references, but their θ by sweep is as good: see `accepted`.
-    """
+
+def courses(state: State, sweeps: int, names: Sequence[str] | None = None) -> dict[str, ContactSolution]:
+    """Setting -> what it finds with so many sweeps, far past need: each setting of double precision, or those named."""
     if names is None:
         names = [name for name, setting in SETTINGS.items() if setting.get("precision", "double") == "double"]
     return {name: _solved(state, SETTINGS[name], sweeps, tolerance=1e-9) for name in names}
 
 
-def accepted(state: State, found: dict[str, ContactSolution]) -> list[ContactSolution]:
-    """The solutions that may serve as references, which can be none."""
-    return [solution for solution in found.values() if errors.residual(state, solution) < ENOUGH]
+def references_from(state: State, ends: Iterable[ContactSolution], *, exact: bool) -> list[ContactSolution]:
+    """What errors are measured from, which can be nothing: exact solutions come to from the ends of courses.
+
+    Not exact: those of the ends themselves whose residual is within `ENOUGH`.
+    """
+    if not exact:
+        return [end for end in ends if errors.residual(state, end) < ENOUGH]
+    found: list[ContactSolution] = []
+    for end in ends:
+        led = solve_exactly(state, end.normal_impulses, end.tangent_impulses)
+        if led.converged and all(errors.velocity_error(state, led.solution, other) > _SAME for other in found):
+            found.append(led.solution)
+    return found
+
+
+_SAME = 1e-6
+"""Velocity error within which two references are one."""
 
 
 def solution_errors(
@@ -105,9 +122,11 @@ def solution_errors(
     sweeps: Sequence[int],
     tolerances: Sequence[float],
     past_need: int,
+    exact: bool,
 ) -> dict:
-    """Errors of every setting with every budget on states of one pile; past_need: sweeps of the references.
+    """Errors of every setting with every budget on states of one pile.
 
+    past_need: sweeps of the courses whose ends are references, or, if exact, lead to them (`references_from`).
     Returns {"kind", "n_bodies", "seed", "contacts": mean, "states", "left_out": those without a reference, "spread":
     [how far the references lie apart, state by state], "settings": {name: {"sweeps": […], "tolerance": […]}}} where
     each item of a list holds a budget and, state by state, the errors and the sweeps done.
@@ -117,8 +136,8 @@ def solution_errors(
     items = {name: [budget | {key: [] for key in _MEASURED} for budget in budgets] for name in SETTINGS}
     contacts, spread = [], []
     for state in states_of(pile(kind, n_bodies, seed), count=states):
-        far = references_of(state, past_need)
-        references = accepted(state, far)
+        far = courses(state, past_need, None if exact else REFERENCES)
+        references = references_from(state, far.values(), exact=exact)
         if not references:
             continue
         contacts.append(state.contacts.count)
@@ -202,6 +221,22 @@ def costs(n_bodies: int, seed: int, *, repeats: int) -> dict:
     return {"n_bodies": n_bodies, "contacts": m, "overhead_us": overhead, "sweep_ns": sweep_ns}
 
 
+def exact_solutions(kind: str, n_bodies: int, seed: int, *, states: int) -> dict:
+    """What an exact solution takes on states of one pile, from where 3,000 sweeps of NesterovPGS end, these included.
+
+    Returns {"kind", "n_bodies", "seed", "seconds", "residual", "pivots", "factorizations": (states,) each}. Nothing
+    else should run meanwhile.
+    """
+    rows = []
+    for state in states_of(pile(kind, n_bodies, seed), count=states):
+        begin = time.perf_counter()
+        found = solve_exactly(state)
+        seconds = time.perf_counter() - begin
+        rows.append((seconds, found.residual, found.pivots, found.factorizations))
+    names = ("seconds", "residual", "pivots", "factorizations")
+    return {"kind": kind, "n_bodies": n_bodies, "seed": seed, **dict(zip(names, map(list, zip(*rows))))}
+
+
 RUNS = {
     "PGS": [PGS(sweeps=k, tolerance=None) for k in (4, 10, 30, 100)],
     "NNCG": [NNCG(sweeps=k, tolerance=None) for k in (4, 10, 30, 100)],
@@ -244,10 +279,6 @@ SOLVES_AT_NEW_POSITIONS = ("pymunk",)
 """Engines that move the bodies first, so that a step solves contacts at the positions which it leaves behind."""
 
 
-PEER_REFERENCES = ("PGS", "NNCG", "NesterovPGS")
-"""Settings whose solutions the steps of other engines are held against."""
-
-
 def peer_errors(
     name: str,
     n_bodies: int,
@@ -256,6 +287,7 @@ def peer_errors(
     budgets: Sequence[int],
     samples: int,
     past_need: int,
+    exact: bool,
     dt: float = 0.01,
     warm_up: int = 10,
 ) -> list[dict]:
@@ -274,7 +306,8 @@ def peer_errors(
             before = world.bodies()
             world.step(dt, budget, 10)
             if step >= warm_up and step % 4 == 0:
-                error = _step_error(start, before, world.bodies(), dt, past_need, name in SOLVES_AT_NEW_POSITIONS)
+                at_new = name in SOLVES_AT_NEW_POSITIONS
+                error = _step_error(start, before, world.bodies(), dt, at_new, past_need, exact)
                 if error is not None:
                     found.append(error)
         rows.append({"engine": name, "n_bodies": n_bodies, "budget": budget, "velocity": found})
@@ -300,7 +333,9 @@ def peer_times(
     return rows
 
 
-def _step_error(start: State, before, after, dt: float, past_need: int, at_new_positions: bool) -> float | None:
+def _step_error(
+    start: State, before, after, dt: float, at_new_positions: bool, past_need: int, exact: bool
+) -> float | None:
     """Velocity error of a step that made `after` of `before`; None where there is nothing to hold it against."""
     bodies = before._replace(position=after.position) if at_new_positions else before
     state = ready(start.replace(bodies=bodies, contacts=None, dt=dt))
@@ -310,7 +345,7 @@ def _step_error(start: State, before, after, dt: float, past_need: int, at_new_p
     guess = solve_contacts(state, solver=PGS(sweeps=300, tolerance=None), start=None)
     starts = {"normal_start": guess.normal_impulses, "tangent_start": guess.tangent_impulses}
     state = state.replace(contacts=state.contacts._replace(**starts))
-    references = accepted(state, references_of(state, past_need, PEER_REFERENCES))
+    references = references_from(state, courses(state, past_need, REFERENCES).values(), exact=exact)
     if not references:
         return None
     left = references[0]._replace(velocities=after.velocity, angular_velocities=after.spin)
@@ -326,6 +361,7 @@ def recommended_errors(
     asked: Sequence[float],
     margins: Sequence[float],
     past_need: int,
+    exact: bool,
     table: dict,
 ) -> list[dict]:
     """What the recommendations of a study (`table`) leave on states of a pile, by the error asked for and the margin.
@@ -340,7 +376,8 @@ def recommended_errors(
             common = {"kind": kind, "n_bodies": n_bodies, "asked": float(error), "margin": float(margin)}
             rows.append((common | {"reached": found.reached, "us": found.us, "velocity": []}, found))
     for state in states_of(start, count=states):
-        references = accepted(state, references_of(state, past_need))
+        far = courses(state, past_need, None if exact else REFERENCES)
+        references = references_from(state, far.values(), exact=exact)
         measured: dict = {}
         for row, found in rows if references else ():
             key = (found.solver, found.warm_start)

@@ -41,7 +41,8 @@ def make_starts(model, small):
 def one_pile(circles, kind, seed, starts, options):
     """Errors of every start by sweeps on states of one pile, and what starts and sweeps cost."""
     states = states_of(pile(kind, circles, seed), count=options["states"], every=options["every"])
-    found = [errors_by_sweeps(s, starts, sweeps=options["sweeps"], past_need=options["past_need"]) for s in states]
+    settings = {name: options[name] for name in ("sweeps", "past_need")} | {"exact": circles in options["exact"]}
+    found = [errors_by_sweeps(state, starts, **settings) for state in states]
     return {
         "circles": circles,
         "kind": kind,
@@ -195,13 +196,14 @@ FIGURE = Figure(
     id="6.10",
     title="When the learned start pays for itself",
     options={
-        "counts": [100, 1000, 10000],
+        "counts": [100, 300, 1000, 3000, 10000],
         "kinds": ["settling", "falling"],
-        "piles": {"100": 10, "1000": 3, "10000": 1},
+        "piles": {"100": 10, "300": 6, "1000": 4, "3000": 2, "10000": 1},
         "states": 5,
         "every": 4,
         "sweeps": [0, 1, 2, 3, 5, 7, 10, 14, 20, 30, 45, 70, 100, 150, 220, 330, 500, 750, 1100, 1700, 2500, 4000],
         "past_need": 20_000,
+        "exact": [100, 300, 1000],
         "repeats": 7,
         "model": "models/model.h5",
         "small": "models/small.h5",

@@ -32,7 +32,7 @@ def compute(options, seed, jobs, progress):
         piles = [
             tradeoff.solution_errors(
                 kind, options["n_bodies"], seed, states=options["states"], sweeps=options["sweeps"],
-                tolerances=options["tolerances"], past_need=options["past_need"],
+                tolerances=options["tolerances"], past_need=options["past_need"], exact=True,
             )
             for kind in progress(options["kinds"], text="piles")
         ]  # fmt: skip

@@ -1,6 +1,7 @@
-"""python scripts/figure_6_4_network_size.py: what a larger far-field network gains, and what it costs.
+"""python scripts/figure_6_4_network_size.py: what a larger far-field network, or a coarser image, gains and costs.
 
-One network a file, models/comparison/width_<features>.h5, all trained alike; where there are none, the shipped one.
+One network a file, all trained alike: models/comparison/width_<features>.h5, and spacing_<d>.h5 with as many features
+as width_24.h5 on images whose nodes lie d mean radii apart. Where there are none, the shipped one.
 """
 
 import re
@@ -24,10 +25,13 @@ def compute(options, seed, jobs, progress):
     scenes = figures.parallel_map(one_scene, tasks, jobs=jobs, progress=progress, text="scenes")
     info = networks_info(networks)
     us = {name: inference_us(path, options["repeats"]) for name, path in networks.items()}
-    found = [{"name": name, "weights": info[name]["parameters"], "us": us[name]} for name in networks]
+    found = [
+        {"name": name, "weights": info[name]["parameters"], "us": us[name], "spacing": spacing_of(name)}
+        for name in networks
+    ]
     return {
         "after": options["after"],
-        "networks": sorted(found, key=lambda network: network["weights"]),
+        "networks": sorted(found, key=lambda network: (network["spacing"], network["weights"])),
         "scenes": scenes,
         "sweep_us": sweep_us(options["repeats"]),
     }
@@ -36,11 +40,16 @@ def compute(options, seed, jobs, progress):
 def files(folder):
     """Name -> model file of every network of the folder, or of the shipped one if it has none."""
     root = Path(__file__).resolve().parents[1]
-    found = [path for path in (root / folder).glob("width_*.h5") if re.fullmatch(r"width_\d+", path.stem)]
+    found = [path for path in (root / folder).glob("*.h5") if re.fullmatch(r"width_\d+|spacing_[\d.]+", path.stem)]
     if not found:
         return {"shipped": SHIPPED}
-    found.sort(key=lambda path: int(path.stem.split("_")[1]))
-    return {path.stem.replace("_", " "): str(Path(folder) / path.name) for path in found}
+    return {path.stem.replace("_", " "): str(Path(folder) / path.name) for path in sorted(found)}
+
+
+def spacing_of(name):
+    """Of the nodes of the network's images, in mean radii."""
+    kind, _, number = name.partition(" ")
+    return float(number) if kind == "spacing" else 1.0
 
 
 def one_scene(task):
@@ -86,22 +95,29 @@ def least_us(work, repeats):
 
 def claims(data):
     """Whether size pays, in error and in time."""
-    small, large = data["networks"][0], data["networks"][-1]
     found = []
     for network in data["networks"]:
         ratio = ratios_to_builtin(data["scenes"], network["name"], "all")[:, 0]
         network["ratio"] = {f"after {k}": float(value) for k, value in zip(data["after"], ratio)}
     at = "after 10" if 10 in data["after"] else f"after {data['after'][-1]}"
-    measured = {f"{network['weights']:,} weights": network["ratio"][at] for network in data["networks"]}
+    sizes = [network for network in data["networks"] if network["spacing"] == 1]
+    small, large = sizes[0], sizes[-1]
+    measured = {f"{network['weights']:,} weights": network["ratio"][at] for network in sizes}
     ratios = list(measured.values())
     text = f"every larger network leaves less error {at} sweeps than the one before"
     found.append(Claim(text, None, bool(len(ratios) > 1 and (np.diff(ratios) < 0).all()), measured))
-    half = [network for network in data["networks"] if network["weights"] <= large["weights"] / 4]
+    half = [network for network in sizes if network["weights"] <= large["weights"] / 4]
     if half:
         gain = {"a quarter of the weights": half[-1]["ratio"][at], "all": large["ratio"][at]}
         text = f"the largest network leaves at most 0.9 of the error {at} sweeps of one with a quarter of its weights"
         found.append(Claim(text, None, gain["all"] <= 0.9 * gain["a quarter of the weights"], gain))
-    cost = {f"{network['weights']:,} weights, μs": network["us"] for network in data["networks"]}
+    for coarse in (network for network in data["networks"] if network["spacing"] > 1):
+        rivals = [network for network in sizes if network["us"] <= coarse["us"]]
+        text = f"nodes {coarse['spacing']:g} mean radii apart leave less error {at} sweeps than those as fast at 1"
+        least = min((network["ratio"][at] for network in rivals), default=np.inf)
+        measured = {"coarse": coarse["ratio"][at], "μs": coarse["us"], "fine": least if rivals else None}
+        found.append(Claim(text, None, coarse["ratio"][at] < least, measured))
+    cost = {f"{network['weights']:,} weights, μs": network["us"] for network in sizes}
     text = "even the smallest network costs more time than thirty sweeps of PGS"
     found.append(Claim(text, None, small["us"] > 30 * data["sweep_us"], cost | {"a sweep, μs": data["sweep_us"]}))
     return found
@@ -122,16 +138,29 @@ def table(data):
 def draw(data, options):
     """Left: error over Builtin's by weights, with intervals. Right: time by weights, and what it is in sweeps."""
     figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.0))
-    weights = [network["weights"] for network in data["networks"]]
-    every = np.array([ratios_to_builtin(data["scenes"], network["name"], "all") for network in data["networks"]])
+    sizes = [network for network in data["networks"] if network["spacing"] == 1]
+    coarse = [network for network in data["networks"] if network["spacing"] > 1]
+    weights = [network["weights"] for network in sizes]
+    every, others = (
+        np.array([ratios_to_builtin(data["scenes"], network["name"], "all") for network in group])
+        for group in (sizes, coarse)
+    )
     for i, k in enumerate(data["after"]):
         line = left.plot(weights, every[:, i, 0], marker="o", markersize=4, label=f"after {k} sweeps")
         left.fill_between(weights, every[:, i, 1], every[:, i, 2], color=line[0].get_color(), alpha=0.15, linewidth=0)
+        for network, ratios in zip(coarse, others):
+            marker = f"${network['spacing']:g}$"
+            left.plot(network["weights"], ratios[i, 0], marker=marker, color=line[0].get_color(), linestyle="none")
     left.axhline(1.0, color=plotting.GREY, linewidth=1.0)
     left.set_ylim(0, 1.2)
     plotting.label_axes(left, "weights", "velocity error / Builtin's", title="a) error on held-out scenes, all steps")
     left.legend()
-    right.plot(weights, [network["us"] for network in data["networks"]], marker="o", color=plotting.BLUE)
+    right.plot(weights, [network["us"] for network in sizes], marker="o", color=plotting.BLUE)
+    for network in coarse:
+        marker, text = f"${network['spacing']:g}$", f"nodes {network['spacing']:g} mean radii apart"
+        right.plot(network["weights"], network["us"], marker=marker, color=plotting.BLUE, linestyle="none", label=text)
+    if coarse:
+        right.legend()
     right.set_yscale("log")
     sweeps = right.secondary_yaxis(
         "right", functions=(lambda us: us / data["sweep_us"], lambda count: count * data["sweep_us"])

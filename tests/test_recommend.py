@@ -8,6 +8,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import recommendation as advice
 from deep_contact import tradeoff
+from deep_contact.physics import errors
 from deep_contact.physics.methods import describe
 
 
@@ -130,7 +131,9 @@ def test_condensed_rows_cost_overhead_and_sweeps():
 
 def test_small_study_of_a_pile(monkeypatch):
     monkeypatch.setattr(tradeoff, "SETTINGS", {name: tradeoff.SETTINGS[name] for name in ("PGS", "NNCG")})
-    found = tradeoff.solution_errors("falling", 40, 1, states=1, sweeps=[2, 200], tolerances=[1e-3], past_need=5000)
+    found = tradeoff.solution_errors(
+        "falling", 40, 1, states=1, sweeps=[2, 200], tolerances=[1e-3], past_need=5000, exact=True
+    )
     assert found["states"] + found["left_out"] == 1
     few, many = found["settings"]["PGS"]["sweeps"]
     assert np.median(many["velocity"]) < 0.2 * np.median(few["velocity"])
@@ -140,7 +143,9 @@ def test_small_study_of_a_pile(monkeypatch):
 def test_a_tolerance_ends_where_its_theta_says(monkeypatch):
     # The course far past need tells after how many sweeps a tolerance is met: the solver stops there by itself.
     monkeypatch.setattr(tradeoff, "SETTINGS", {"NNCG": tradeoff.SETTINGS["NNCG"]})
-    found = tradeoff.solution_errors("settling", 40, 1, states=2, sweeps=[300], tolerances=[0.1, 1e-9], past_need=5000)
+    found = tradeoff.solution_errors(
+        "settling", 40, 1, states=2, sweeps=[300], tolerances=[0.1, 1e-9], past_need=5000, exact=True
+    )
     states = tradeoff.states_of(tradeoff.pile("settling", 40, 1), count=2)
     loose, tight = found["settings"]["NNCG"]["tolerance"]
     for k, state in enumerate(states):
@@ -171,7 +176,14 @@ def test_the_least_margin_that_keeps_the_promise():
 
 def test_recommendations_are_judged_on_other_scenes(monkeypatch):
     monkeypatch.setattr(tradeoff, "SETTINGS", {name: tradeoff.SETTINGS[name] for name in ("PGS", "NNCG")})
-    options = {"states": 1, "asked": [0.05, 1e-6], "margins": [1.0, 2.0], "past_need": 5000, "table": TABLE}
+    options = {
+        "states": 1,
+        "asked": [0.05, 1e-6],
+        "margins": [1.0, 2.0],
+        "past_need": 5000,
+        "exact": True,
+        "table": TABLE,
+    }
     rows = tradeoff.recommended_errors("resting", 40, 3, **options)
     assert [(row["asked"], row["margin"], row["reached"]) for row in rows] == [
         (0.05, 1.0, True), (0.05, 2.0, True), (1e-6, 1.0, False), (1e-6, 2.0, False)
@@ -189,3 +201,22 @@ def test_a_preset_that_the_study_does_not_reach_warns(monkeypatch):
     monkeypatch.setattr(recommendation, "preset", lambda *_: dataclasses.replace(found, reached=False))
     with pytest.warns(UserWarning, match="accuracy='fast': no setting of the study reached a velocity error of"):
         dc.simulate(scene, steps=1, accuracy="fast")
+
+
+def test_references_solve_the_problem_and_differ():
+    state = tradeoff.states_of(tradeoff.pile("settling", 150, 2), count=1)[0]
+    ends = tradeoff.courses(state, 300, tradeoff.REFERENCES)
+    assert max(errors.residual(state, end) for end in ends.values()) > 1e-6
+    found = tradeoff.references_from(state, ends.values(), exact=True)
+    assert 1 <= len(found) <= 3
+    assert max(errors.residual(state, solution) for solution in found) <= 1e-8
+    twice = tradeoff.references_from(state, [found[0], found[0]], exact=True)
+    assert len(twice) == 1
+
+
+def test_ends_that_are_not_solved_are_no_references():
+    state = tradeoff.states_of(tradeoff.pile("falling", 40, 2), count=1)[0]
+    ends = [dc.solve_contacts(state, solver=dc.PGS(sweeps=k, tolerance=None)) for k in (1, 5000)]
+    assert errors.residual(state, ends[0]) > tradeoff.ENOUGH
+    found = tradeoff.references_from(state, ends, exact=False)
+    assert [solution is ends[1] for solution in found] == [True]

@@ -80,8 +80,8 @@ class TrainingConfig:
     The far-field network has images of its own (`inputs`, `correction`: of `FarFieldSpec`), and losses of its own: on
     the errors after `sweeps` sweeps "through solver", on what one more sweep would change then ("residual through
     solver", without labels), or on "impulses".
-    channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`; the first two of
-    the `FarFieldSpec` for the far-field network.
+    channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`; for the
+    far-field network, the first two of its `FarFieldSpec`.
     measure_scales: divide each channel by its root mean square on the training side; if not, by 1.
     loss: "appendix b" (masked, on images), or one of `CONTACT_LOSSES` ("velocity" …).
     optimizer: "adam" or "sgd". momentum: of SGD. clip: largest norm of a gradient, or None.
