@@ -103,6 +103,8 @@ def references_from(state: State, ends: Iterable[ContactSolution], *, exact: boo
         return [end for end in ends if errors.residual(state, end) < ENOUGH]
     found: list[ContactSolution] = []
     for end in ends:
+        if not np.isfinite(errors.residual(state, end)):
+            continue
         led = solve_exactly(state, end.normal_impulses, end.tangent_impulses)
         if led.converged and all(errors.velocity_error(state, led.solution, other) > _SAME for other in found):
             found.append(led.solution)

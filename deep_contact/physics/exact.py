@@ -37,19 +37,25 @@ from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.lcp import ContactProblem, contact_problem
 from deep_contact.physics.methods import PGS, NesterovPGS
-from deep_contact.state import State
+from deep_contact.state import LARGEST_START, State
 
 OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)
 """States of a contact: λ = 0; u = 0; u_n = 0 and λ_t = μ λ_n, where u_t <= 0; λ_t = −μ λ_n, where u_t >= 0."""
 
-FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-7, 0.1
-"""ε to start with, and its bounds, in diagonals of A."""
+FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-9, 0.1
+"""ε to start with, and its bounds. A drift of λ costs a residual of ε times it: the least ε lets it reach its end."""
+
+FIRST_SWEEPS = NesterovPGS(sweeps=3000, tolerance=None)
+"""What is done to the impulses that a state holds, before the first step."""
+
+EASY, FAIR = 10, 25
+"""Pivots up to which a step lets the next one have a fifth, or a half, of its ε."""
 
 MOST_PIVOTS, MOST_TURNS = 120, 30
 """A step is given up after so many pivots, or so many with t growing: a larger ε is cheaper than a long path."""
 
-NUDGE = 1e-9
-"""Velocity, m/s, by which contacts part or slip where a path starts, so that they do not all change at once."""
+MOST_IDLE = 100
+"""It ends after so many easy steps in a row without a smaller residual: rounding lets it no further."""
 
 
 class ExactSolution(NamedTuple):
@@ -71,6 +77,7 @@ class ExactSolution(NamedTuple):
     pivots: int
 
 
+@np.errstate(all="ignore")  # Sweeps may grow beyond all numbers where friction is large; the residual refuses them.
 def solve_exactly(
     state: State,
     normal_start: np.ndarray | None = None,
@@ -81,21 +88,23 @@ def solve_exactly(
 ) -> ExactSolution:
     """A solution of the state's contact problem to `errors.residual` <= residual, m/s, where one is found.
 
-    normal_start, tangent_start: impulses to start from, (m,) each, N·s; by default what 3,000 sweeps of NesterovPGS
-    make of those that the state holds as its start. most_pivots: it ends after so many pivots and factorisations
-    together; the solution of least residual so far is returned, in the friction cone, and `converged` says how it went.
+    normal_start, tangent_start: impulses to start from, (m,) each, N·s; by default those that the state holds as its
+    start, or what 3,000 sweeps of NesterovPGS make of them where that has the smaller residual. most_pivots: it ends
+    after so many pivots and factorisations together; the solution of least residual so far is returned, in the friction
+    cone, and `converged` says how it went.
     The same arguments give the same solution. See the module on the method, its costs and where it fails.
     Raises ValueError if the contacts have not been found, and on arguments that do not hold together.
     """
     problem = contact_problem(state)
-    if isinstance(residual, bool) or not np.isscalar(residual) or not (np.isfinite(residual) and residual > 0):
+    number = isinstance(residual, (int, float, np.integer, np.floating)) and not isinstance(residual, bool)
+    if not (number and 0 < residual < np.inf):
         raise ValueError(f"residual: expected a finite number > 0, got {residual!r}")
     if isinstance(most_pivots, bool) or not isinstance(most_pivots, (int, np.integer)) or most_pivots < 0:
         raise ValueError(f"most_pivots: expected an integer >= 0, got {most_pivots!r}")
     solution = _admissible(state, _start(state, normal_start, tangent_start))
     best, least = solution, errors.residual(state, solution)
-    epsilon, factorizations, pivots = FIRST_EPSILON, 0, 0
-    while least > residual and pivots + factorizations < most_pivots:
+    epsilon, factorizations, pivots, idle = FIRST_EPSILON, 0, 0, 0
+    while least > residual and pivots + factorizations < most_pivots and idle < MOST_IDLE:
         limit = min(MOST_PIVOTS, most_pivots - pivots - factorizations)
         impulse = np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
         found, done = _proximal_step(problem, state.world.friction, impulse, epsilon, limit)
@@ -105,12 +114,15 @@ def solve_exactly(
             epsilon, sweeps = min(LARGEST_EPSILON, 4 * epsilon), 200
         else:
             impulse, sweeps = found, 1
-            epsilon = max(LEAST_EPSILON, epsilon / (5 if done <= 10 else 2 if done <= 25 else 1))
+            epsilon = max(LEAST_EPSILON, epsilon / (5 if done <= EASY else 2 if done <= FAIR else 1))
         swept = solve(state, PGS(sweeps=sweeps, tolerance=None), *_in_cone(state, impulse[::2], impulse[1::2]))
         solution = _admissible(state, swept)
         wrong = errors.residual(state, solution)
+        idle = 0 if done > EASY or wrong < least else idle + 1
         if wrong < least:
             best, least = solution, wrong
+        elif not np.isfinite(wrong):
+            solution = best
     converged = bool(least <= residual)
     status = "no_contacts" if state.contacts.count == 0 else "converged" if converged else "max_sweeps"
     best = best._replace(record=ConvergenceRecord(np.empty(0), 0, status))
@@ -118,16 +130,21 @@ def solve_exactly(
 
 
 def _start(state: State, normal, tangent) -> ContactSolution:
-    """The solution that the given impulses are, or that NesterovPGS finds if there are none."""
+    """The solution that the given impulses are; without, the better of what the state holds and what sweeps find."""
     contacts = state.contacts
     if normal is None and tangent is None:
-        return solve(state, NesterovPGS(sweeps=3000, tolerance=None), contacts.normal_start, contacts.tangent_start)
+        held = contacts.normal_start, contacts.tangent_start
+        plain, swept = (solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS))
+        return swept if errors.residual(state, swept) < errors.residual(state, plain) else plain
     start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
         array = np.array(np.nan if value is None else value, dtype=np.float64)
-        if array.shape != (contacts.count,) or not np.isfinite(array).all():
-            got = "None" if value is None else f"shape {array.shape}: {value}"
-            raise ValueError(f"{name}: expected {contacts.count} finite numbers, one a contact, got {got}")
+        bad = array[~(np.abs(array) <= LARGEST_START)]
+        if array.shape != (contacts.count,) or bad.size:
+            got = "None" if value is None else f"shape {array.shape}" if not bad.size else f"{bad[0]}"
+            raise ValueError(
+                f"{name}: expected {contacts.count} numbers, one a contact, up to {LARGEST_START:g} N·s, got {got}"
+            )
         start.append(array)
     return solve(state, PGS(sweeps=0), *_in_cone(state, *start))
 
@@ -146,7 +163,7 @@ def _admissible(state: State, solution: ContactSolution) -> ContactSolution:
 def _proximal_step(problem: ContactProblem, friction: float, impulse: np.ndarray, epsilon: float, limit: int):
     """Solve the contact problem with ε diag(A) (λ − c) added to its velocities. Returns (λ or None, pivots).
 
-    c: `impulse`, (2 m,), as are λ and all vectors here, put on the bounds of its states. None: given up.
+    c: `impulse`, in the cone, put on the bounds of the states it shows; (2 m,), as all vectors here. None: given up.
     """
     A, diagonal = problem.A, problem.A.diagonal()
     states = _states(impulse, A @ impulse + problem.b, diagonal, friction)
@@ -155,34 +172,28 @@ def _proximal_step(problem: ContactProblem, friction: float, impulse: np.ndarray
     u = _complementary(states, before)
     q = u - before
     A = A + sparse.diags_array(epsilon * diagonal, format="csr")
-    rows = _Rows(A, -q, friction)
-    try:
-        system = _ChangingSystem(*rows.all(states), most_changes=2 * limit)
-    except RuntimeError:  # exactly singular
-        return None, 0
     t, sign, last, previous, pivots, turns = 1.0, -1.0, -1, OPEN, 0, 0
-    while True:
-        # How λ and u change as t grows.
-        dx = system.solve()
-        du = A @ dx + q
-        if not np.isfinite(du).all():
-            return None, pivots
-        if pivots:
-            # The contact has to go on into its new state, whichever way that makes t go.
-            sign = 1.0 if _slack(states[last], previous, friction, dx, du, last) > 0 else -1.0
-            turns += sign > 0
-        length, contact, new = _first_change(states, friction, x, u, dx, du, sign, last, previous)
-        if sign < 0 and length >= t:
-            return x - t * dx, pivots
-        if contact < 0 or pivots == limit or turns > MOST_TURNS:
-            return None, pivots
-        x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
-        last, previous = contact, states[contact]
-        if previous == OPEN:
-            new = SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
-        states[contact] = new
-        for row in (2 * contact, 2 * contact + 1):
-            system.change(row, *rows.one(row, new))
+    try:
+        system = _System(A, -q, friction, states, most_changes=2 * limit)
+        while True:
+            # How λ and u change as t grows.
+            dx = system.solve()
+            du = A @ dx + q
+            if pivots:
+                # The contact has to go on into its new state, whichever way that makes t go.
+                sign = 1.0 if _slack(states[last], previous, friction, dx, du, last) > 0 else -1.0
+                turns += sign > 0
+            length, contact, new = _first_change(states, friction, x, u, dx, du, sign)
+            if sign < 0 and length >= t and np.isfinite(du).all():
+                return x - t * dx, pivots
+            if contact < 0 or pivots == limit or turns > MOST_TURNS:
+                return None, pivots
+            x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
+            last, previous = contact, states[contact]
+            states[contact] = new if previous != OPEN else SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
+            system.change(contact, states[contact])
+    except np.linalg.LinAlgError:
+        return None, pivots
 
 
 def _states(impulse: np.ndarray, u: np.ndarray, diagonal: np.ndarray, friction: float) -> np.ndarray:
@@ -192,31 +203,23 @@ def _states(impulse: np.ndarray, u: np.ndarray, diagonal: np.ndarray, friction: 
     states = np.where(free[1::2] > bound, SLIP_UP, np.where(free[1::2] < -bound, SLIP_DOWN, STICK))
     if friction == 0:
         states[:] = SLIP_UP  # which says λ_t = 0, and is never left for another way
-    states[(free[::2] <= 0) | (impulse[::2] <= 0)] = OPEN
+    states[free[::2] <= 0] = OPEN
     return states
 
 
 def _on_bounds(states: np.ndarray, impulse: np.ndarray, friction: float) -> np.ndarray:
-    """The impulses that satisfy what the states say of them, nearest in λ_t."""
+    """The impulses, in the cone, made to satisfy what the states say of them, nearest in each row."""
     normal = np.where(states == OPEN, 0.0, impulse[::2])
-    inside = (1 - 1e-9) * friction * normal  # A contact that sticks on the very edge would slip at once.
-    tangent = np.select(
-        [states == STICK, states == SLIP_UP, states == SLIP_DOWN],
-        [np.clip(impulse[1::2], -inside, inside), friction * normal, -friction * normal],
-        0.0,
-    )
+    bound = friction * normal
+    tangent = np.choose(states, [0.0, impulse[1::2], bound, -bound])
     return np.column_stack([normal, tangent]).ravel()
 
 
 def _complementary(states: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """The velocities that satisfy what the states say of them, as near as `NUDGE` allows."""
-    normal, tangent = u[::2], u[1::2]
-    normal = np.where(states == OPEN, np.maximum(normal, NUDGE), 0.0)
-    tangent = np.select(
-        [states == STICK, states == SLIP_UP, states == SLIP_DOWN],
-        [0.0, np.minimum(tangent, -NUDGE), np.maximum(tangent, NUDGE)],
-        tangent,
-    )
+    """The velocities that satisfy what the states say of them, nearest in each row."""
+    normal = np.where(states == OPEN, np.maximum(u[::2], 0.0), 0.0)
+    tangent = u[1::2]
+    tangent = np.choose(states, [tangent, 0.0, np.minimum(tangent, 0.0), np.maximum(tangent, 0.0)])
     return np.column_stack([normal, tangent]).ravel()
 
 
@@ -234,24 +237,22 @@ def _slack(state, to, friction, x, u, contact):
 
 
 @njit(cache=True)
-def _first_change(states, friction, x, u, dx, du, sign, last, previous):
+def _first_change(states, friction, x, u, dx, du, sign):
     """The first contact to leave its state along sign (dx, du). Returns (length, contact or −1, its new state).
 
     A contact that closes is said to slip up: which way it slips is told by u_t there. The contact that changed last
-    does not go back where it came from: it stands on that bound, and would by rounding.
+    does not go straight back, though it stands on that bound: the sign is such that it leaves it.
     """
     least, contact, new = np.inf, -1, OPEN
     for i in range(states.shape[0]):
         for to in range(4):
             if states[i] == OPEN:
-                leads = to == SLIP_UP and i != last
+                leads = to == SLIP_UP
             elif states[i] == STICK:
                 leads = to >= SLIP_UP
             else:
                 leads = to == OPEN or (to == STICK and friction > 0)
-            if not leads or (i == last and to == previous):
-                continue
-            rate = sign * _slack(states[i], to, friction, dx, du, i)
+            rate = sign * _slack(states[i], to, friction, dx, du, i) if leads else 0.0
             if rate < 0:
                 length = max(_slack(states[i], to, friction, x, u, i), 0.0) / -rate
                 if length < least:
@@ -259,28 +260,44 @@ def _first_change(states, friction, x, u, dx, du, sign, last, previous):
     return least, contact, new
 
 
-class _Rows:
-    """The equations that states are: B x = y, whose rows are those of A where u is 0, and bounds of λ elsewhere.
+class _System:
+    """The equations B x = y that states are: rows of A λ = y where u is 0, and bounds of λ elsewhere.
 
+    B is factorised once; rows that change are dealt with by Woodbury's formula. With C = B⁻¹ E the columns of the
+    inverse for the changed rows and D what was added to these rows, x = z − C (I + D C)⁻¹ D z, where z = B⁻¹ y.
     Bounds are scaled by the diagonal of A, so that all rows are of one size whatever the masses.
     """
 
-    def __init__(self, A, right: np.ndarray, friction: float):
-        self.A, self.right, self.friction = A, right, friction
-        self.scale = A.diagonal()
-
-    def all(self, states: np.ndarray):
-        """(B, sparse (CSR); y)."""
+    def __init__(self, A, right: np.ndarray, friction: float, states: np.ndarray, *, most_changes: int):
+        self.A, self.right, self.friction, self.scale = A, right, friction, A.diagonal()
         still = np.column_stack([states != OPEN, states == STICK]).ravel()
         slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
-        ratio = np.where(states[slips // 2] == SLIP_UP, -self.friction, self.friction)
-        edges = sparse.coo_array((ratio * self.scale[slips], (slips, slips - 1)), shape=self.A.shape)
+        ratio = np.where(states[slips // 2] == SLIP_UP, -friction, friction)
+        edges = sparse.coo_array((ratio * self.scale[slips], (slips, slips - 1)), shape=A.shape)
         bounds = sparse.diags_array(np.where(still, 0.0, self.scale), format="csr")
-        B = sparse.diags_array(still.astype(np.float64)) @ self.A + bounds + edges.tocsr()
-        return B, np.where(still, self.right, 0.0)
+        self.B = sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges.tocsr()
+        self.y = np.where(still, right, 0.0)
+        try:
+            # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
+            self.factors = splu(
+                self.B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True}
+            )
+        except RuntimeError as error:
+            raise np.linalg.LinAlgError(str(error)) from error
+        self.z = self.factors.solve(self.y, trans="T")
+        self.changed: list[int] = []
+        self.columns = np.empty((most_changes, self.y.size))
+        self.added = np.zeros((most_changes, self.y.size))
+        self.added_columns = np.empty((most_changes, most_changes))
+        self.right_added = np.zeros(most_changes)
 
-    def one(self, row: int, state: int):
-        """(columns, entries, y) of a row, whose contact is in that state."""
+    def change(self, contact: int, state: int) -> None:
+        """Let the contact have another state."""
+        for row in (2 * contact, 2 * contact + 1):
+            self._change(row, *self._row(row, state))
+
+    def _row(self, row: int, state: int):
+        """(columns, entries, y) of a row whose contact is in that state."""
         if state != OPEN and (row % 2 == 0 or state == STICK):
             inside = slice(self.A.indptr[row], self.A.indptr[row + 1])
             return self.A.indices[inside], self.A.data[inside], self.right[row]
@@ -289,54 +306,27 @@ class _Rows:
         ratio = -self.friction if state == SLIP_UP else self.friction
         return np.array([row - 1, row]), self.scale[row] * np.array([ratio, 1.0]), 0.0
 
-
-class _ChangingSystem:
-    """B x = y, of which rows are changed: B is factorised once, and solved by Woodbury's formula from then on.
-
-    With C = B⁻¹ E the columns of the inverse for the changed rows and D what was added to these rows, the solution is
-    x = z − C (I + D C)⁻¹ D z, z = B⁻¹ y. Raises RuntimeError where B is exactly singular.
-    """
-
-    def __init__(self, B, y: np.ndarray, *, most_changes: int):
-        self.B, self.y = B, y
-        # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
-        self.factors = splu(
-            B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True}
-        )
-        self.z = self._inverse(y)
-        self.changed: list[int] = []
-        self.columns = np.empty((most_changes, y.size))
-        self.added = np.zeros((most_changes, y.size))
-        self.product = np.empty((most_changes, most_changes))
-        self.right = np.zeros(most_changes)
-
-    def _inverse(self, y: np.ndarray) -> np.ndarray:
-        return self.factors.solve(y, trans="T")
-
-    def change(self, row: int, columns: np.ndarray, entries: np.ndarray, right: float) -> None:
-        """Give the row new entries and a new right-hand side."""
+    def _change(self, row: int, columns: np.ndarray, entries: np.ndarray, right: float) -> None:
+        count = len(self.changed)
+        k = self.changed.index(row) if row in self.changed else count
         inside = slice(self.B.indptr[row], self.B.indptr[row + 1])
-        k = self.changed.index(row) if row in self.changed else len(self.changed)
         self.added[k] = 0.0
         self.added[k, columns] = entries
         self.added[k, self.B.indices[inside]] -= self.B.data[inside]
-        self.right[k] = right - self.y[row]
-        if k == len(self.changed):
+        self.right_added[k] = right - self.y[row]
+        if k == count:
             if not self.added[k].any():
-                return
+                return  # A normal row stays as it is where its contact begins or ends to slip.
             self.changed.append(row)
             unit = np.zeros(self.y.size)
             unit[row] = 1.0
-            self.columns[k] = self._inverse(unit)
-            self.product[:k, k] = self.added[:k] @ self.columns[k]
-        self.product[k, : len(self.changed)] = self.columns[: len(self.changed)] @ self.added[k]
+            self.columns[k] = self.factors.solve(unit, trans="T")
+            self.added_columns[:k, k] = self.added[:k] @ self.columns[k]
+        self.added_columns[k, : len(self.changed)] = self.columns[: len(self.changed)] @ self.added[k]
 
     def solve(self) -> np.ndarray:
-        """x, (2 m,); not finite where the matrix is singular."""
+        """x, (2 m,). Raises LinAlgError where B is singular."""
         k = len(self.changed)
-        z = self.z + self.right[:k] @ self.columns[:k]
-        try:
-            weights = np.linalg.solve(np.eye(k) + self.product[:k, :k], self.added[:k] @ z)
-        except np.linalg.LinAlgError:
-            return np.full_like(z, np.nan)
+        z = self.z + self.right_added[:k] @ self.columns[:k]
+        weights = np.linalg.solve(np.eye(k) + self.added_columns[:k, :k], self.added[:k] @ z)
         return z - weights @ self.columns[:k]
