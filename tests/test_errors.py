@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from scipy import optimize
 
 import deep_contact as dc
 from deep_contact.constants import LINEAR_SLOP
 from deep_contact.physics import errors
+from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
-from deep_contact.physics.newton import newton_solution
 from deep_contact.physics.scenes import single_body
 from deep_contact.simulation import ready
 from deep_contact.state import State, World, make_bodies
@@ -59,7 +58,7 @@ def test_a_circle_that_was_not_stopped():
     # One step of gravity, no impulse: it still approaches at g Δt, and that is all that is wrong, or all that is done.
     state = ready(single_body())
     falling = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=None)
-    held = errors.reference_solution(state)
+    held = solve_exactly(state)
     np.testing.assert_allclose(errors.approach(state, falling), 0.0981, rtol=1e-12)
     np.testing.assert_allclose(errors.residual(state, falling), 0.0981, rtol=1e-12)
     np.testing.assert_allclose(errors.velocity_error(state, falling, held.solution), 1.0, rtol=1e-12)
@@ -68,7 +67,7 @@ def test_a_circle_that_was_not_stopped():
 
 def test_velocity_error_is_one_for_doing_nothing_and_falls_with_sweeps(falling_states):
     for state in falling_states[::4]:
-        reference = errors.reference_solution(state).solution
+        reference = solve_exactly(state).solution
         found = []
         for sweeps in (0, 5, 50, 2000):
             solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=sweeps, tolerance=None), start=None)
@@ -83,39 +82,6 @@ def test_energy_norm_is_twice_the_kinetic_energy():
     velocity, spin = rng.normal(size=(5, 2)), rng.normal(size=5)
     twice = sum(m * v @ v + 0.5 * m * r**2 * w**2 for m, r, v, w in zip(bodies.mass, bodies.radius, velocity, spin))
     np.testing.assert_allclose(errors.energy_norm(bodies, velocity, spin) ** 2, twice, rtol=1e-13)
-
-
-def test_reference_equals_nnls_without_friction(frictionless_states):
-    state = frictionless_states[4]
-    problem = contact_problem(state, friction=False)
-    root = np.sqrt(problem.inverse_mass)
-    expected, _ = optimize.nnls(
-        root[:, None] * problem.jacobian.T.toarray(), -problem.free_velocity / root, maxiter=100_000
-    )
-    reference = errors.reference_solution(state, uncertainty=True)
-    velocity = problem.velocities(expected).reshape(-1, 3)[:, :2]
-    np.testing.assert_allclose(reference.solution.velocities, velocity, atol=1e-8)
-    assert reference.residual < 1e-8
-    assert reference.uncertainty < 1e-7  # unique velocities, so the start does not matter
-
-
-def test_newton_finds_the_same_solution_another_way(falling_states):
-    # From the solution's neighbourhood, where its sets of contacts are near; two exact solutions may differ.
-    agree, converged = 0, 0
-    for state in falling_states:
-        newton = newton_solution(state)
-        if newton.record.status == "converged":
-            converged += 1
-            assert errors.residual(state, newton) < 1e-10
-            agree += errors.velocity_error(state, newton, errors.reference_solution(state).solution) < 1e-7
-    assert converged >= 0.8 * len(falling_states)
-    assert agree >= 0.8 * converged
-
-
-def test_newton_takes_few_steps_and_says_when_it_fails(falling_states):
-    state = falling_states[5]
-    assert newton_solution(state).record.sweeps < 15  # Newton: sweeps of PGS would be hundreds
-    assert newton_solution(state, iterations=0, sweeps=3).record.status == "max_sweeps"
 
 
 def test_friction_leaves_impulses_open_and_now_and_then_velocities(falling_states):
@@ -140,7 +106,7 @@ def test_small_theta_is_no_small_error():
     found = {}
     for n in (2, 30):
         state = dc.simulate(dc.column(n), steps=3, solver=dc.NNCG(tolerance=1e-9, sweeps=50_000)).state
-        reference = errors.reference_solution(state).solution
+        reference = solve_exactly(state).solution
         solution = dc.solve_contacts(state, solver=dc.PGS(tolerance=1e-3, sweeps=100_000), start=None)
         assert solution.record.status == "converged"
         found[n] = errors.velocity_error(state, solution, reference)
@@ -194,7 +160,6 @@ def test_runs_are_together_until_they_are_not():
         (lambda: errors.run_errors([]), "states: expected at least two, got 0"),
         (lambda: errors.distances([single_body()], []), "states: expected 0, as the reference has, got 1"),
         (lambda: errors.distances([dc.column(2)], [dc.column(3)]), r"states\[0\]: expected 3 circles at 0.0 s"),
-        (lambda: errors.reference_solution(single_body()), "state.contacts: expected the contacts to have been found"),
     ],
 )
 def test_errors_refuse_what_does_not_fit(call, message):

@@ -2,8 +2,8 @@
 
 θ is a stopping rule, not an error: it is the size of the last step, and a method that creeps takes small steps far
 from the solution. Below, a solution is held against the contact problem itself (`residual`, `approach`: what is left
-unsolved) and against a solution solved far past need (`velocity_error`). Impulses are not compared: with friction a
-pile has many that give the same velocities.
+unsolved) and against a solution, as `physics.exact` finds them (`velocity_error`). Impulses are not compared: with
+friction a pile has many that give the same velocities.
 """
 
 from __future__ import annotations
@@ -14,8 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.constants import RESTITUTION_THRESHOLD
-from deep_contact.physics.engine import ContactSolution, contacts_of, solve
-from deep_contact.physics.methods import NNCG, PGS, PSOR
+from deep_contact.physics.engine import ContactSolution, contacts_of
 from deep_contact.state import Bodies, State
 
 
@@ -32,23 +31,6 @@ class SolutionErrors(NamedTuple):
     velocity: float
     residual: float
     approach: float
-
-
-class Reference(NamedTuple):
-    """A solution far past need, and how far it can be trusted.
-
-    | field       | meaning                                                                              | unit |
-    |-------------|--------------------------------------------------------------------------------------|------|
-    | solution    | `ContactSolution`                                                                    |      |
-    | solver      | options of the method that found it                                                  |      |
-    | residual    | its `residual`                                                                       | m/s  |
-    | uncertainty | `velocity_error` of the solution found from zero impulses; None if not asked for     | –    |
-    """
-
-    solution: ContactSolution
-    solver: object
-    residual: float
-    uncertainty: float | None
 
 
 class RunErrors(NamedTuple):
@@ -105,8 +87,8 @@ def velocity_error(state: State, solution: ContactSolution, reference: ContactSo
 def nearest_velocity_error(state: State, solution: ContactSolution, references: Sequence[ContactSolution]) -> float:
     """`velocity_error` against the nearest of several references.
 
-    With friction a large pile has many solutions, and each method comes to its own: on settling piles of 1,000 circles
-    they lie 1e-2 apart. What is to be known of a solution is how far it is from one, not from a certain one.
+    With friction a large pile has many solutions, and each method comes near to its own (`physics.exact` tells how far
+    they lie apart). What is to be known of a solution is how far it is from one, not from a certain one.
     Raises ValueError without references.
     """
     if not references:
@@ -184,43 +166,6 @@ def solution_errors(state: State, solution: ContactSolution, reference: ContactS
     return SolutionErrors(
         velocity_error(state, solution, reference), residual(state, solution), approach(state, solution)
     )
-
-
-def reference_solution(
-    state: State, *, tolerance: float = 1e-10, sweeps: int = 200_000, uncertainty: bool = False
-) -> Reference:
-    """A solution of the state's contact problem, solved far past need: θ <= tolerance, N·s.
-
-    It starts from the impulses that the state holds as its start, by NNCG, and where that does not converge by PSOR
-    and by PGS; if none does, the one of least residual is returned, so look at `residual`.
-    Without friction its velocities are the only ones. With friction neither impulses nor velocities need be unique
-    (Coulomb's law is no minimum principle; a wedge may hold or let go): uncertainty=True solves a second time from
-    zero impulses, and says how far apart the velocities end. On 91 transient states of the thesis's scenes, most
-    residuals were about 1e-10 m/s, and the uncertainty was below 3e-9 in half of them, above 4e-4 in a quarter and
-    above 2e-2 in a tenth. Where it is large, an error below it means nothing.
-    Raises ValueError if the contacts have not been found.
-    """
-    if state.contacts is None:
-        raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
-    zero = np.zeros(state.contacts.count)
-    held = (state.contacts.normal_start, state.contacts.tangent_start)
-    solution, solver, wrong = _solved_past_need(state, held, tolerance, sweeps)
-    spread = None
-    if uncertainty:
-        other, _, _ = _solved_past_need(state, (zero, zero), tolerance, sweeps)
-        spread = velocity_error(state, other, solution)
-    return Reference(solution, solver, wrong, spread)
-
-
-def _solved_past_need(state: State, start, tolerance: float, sweeps: int):
-    found = []
-    for method in (NNCG, PSOR, PGS):
-        solver = method(tolerance=tolerance, sweeps=sweeps)
-        solution = solve(state, solver, *start)
-        found.append((solution, solver, residual(state, solution)))
-        if solution.record.status != "max_sweeps":
-            break
-    return min(found, key=lambda item: item[2])
 
 
 def run_errors(states: Sequence[State]) -> RunErrors:
