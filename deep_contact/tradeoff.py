@@ -33,6 +33,9 @@ KINDS = ("falling", "settling", "resting")
 ENOUGH = 1e-3
 """Residual within which an end is taken for a reference without more, m/s: a hundredth of gravity's doing in a step."""
 
+EXACT = 1e-8
+"""Residual of what `physics.exact` calls a solution, m/s."""
+
 SETTLING_SPEED, RESTING_SPEED = 0.5, 0.05
 """Root mean square speeds below which a pile settles and rests, m/s."""
 
@@ -105,7 +108,7 @@ def references_from(state: State, ends: Iterable[ContactSolution], *, exact: boo
     for end in ends:
         if not np.isfinite(errors.residual(state, end)):
             continue
-        led = solve_exactly(state, end.normal_impulses, end.tangent_impulses)
+        led = solve_exactly(state, end.normal_impulses, end.tangent_impulses, residual=EXACT)
         if led.converged and all(errors.velocity_error(state, led.solution, other) > _SAME for other in found):
             found.append(led.solution)
     return found
@@ -232,7 +235,7 @@ def exact_solutions(kind: str, n_bodies: int, seed: int, *, states: int) -> dict
     rows = []
     for state in states_of(pile(kind, n_bodies, seed), count=states):
         begin = time.perf_counter()
-        found = solve_exactly(state)
+        found = solve_exactly(state, residual=EXACT)
         seconds = time.perf_counter() - begin
         rows.append((seconds, found.residual, found.pivots, found.factorizations))
     names = ("seconds", "residual", "pivots", "factorizations")
@@ -490,3 +493,19 @@ def fastest_within(rows: Sequence[dict], error: float, quantile: str = "p95") ->
     """The row of least time whose error is at most the given one; None if there is none."""
     within = [row for row in rows if row["velocity"][quantile] <= error]
     return min(within, key=lambda row: row["us"]) if within else None
+
+
+def best_within(data: dict, n_bodies: int, kind: str, error: float) -> dict | None:
+    """What solves piles of a kind fastest to a median velocity error: {"setting", "us", "error"}, or None.
+
+    data: of the study. The setting is one of `SETTINGS`, or "exact" (`exact_solutions`), where all were solved.
+    """
+    rows = [row for row in data["rows"] if (row["n_bodies"], row["kind"]) == (n_bodies, kind)]
+    row = fastest_within(rows, error, "p50")
+    found = [] if row is None else [{"setting": row["setting"], "us": row["us"], "error": row["velocity"]["p50"]}]
+    parts = [part for part in data["exact"] if (part["n_bodies"], part["kind"]) == (n_bodies, kind)]
+    if parts and max(residual for part in parts for residual in part["residual"]) <= EXACT:
+        overhead = next(cost["overhead_us"] for cost in data["costs"] if cost["n_bodies"] == n_bodies)
+        seconds = [seconds for part in parts for seconds in part["seconds"]]
+        found.append({"setting": "exact", "us": float(1e6 * np.median(seconds) + overhead), "error": 0.0})
+    return min(found, key=lambda one: one["us"], default=None)

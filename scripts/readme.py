@@ -20,7 +20,7 @@ from deep_contact.constants import LINEAR_SLOP
 from deep_contact.extremes import spans
 from deep_contact.figures import cell
 from deep_contact.results import read_results, replacing
-from deep_contact.tradeoff import fastest_within
+from deep_contact.tradeoff import best_within, fastest_within
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"
@@ -164,7 +164,7 @@ def trade() -> str:
             if row["n_bodies"] == 1000 and kind == "settling" and row["velocity"]
         ]
         for error in (0.3, 0.1, 0.03, 0.01, 0.001):
-            best = fastest_within(mine, error, "p50")
+            best = best_within(data, 1000, kind, error)
             cells = [best["setting"] if best else "none", best["us"] if best else "–"]
             for rivals in (
                 [r for r in mine if r["setting"] == "PGS"],
@@ -173,7 +173,7 @@ def trade() -> str:
             ):
                 found = fastest_within(rivals, error, "p50")
                 if found is None:
-                    cells.append("not reached" if rivals else "–")
+                    cells.append(f"not in {_number(max(row['us'] for row in rivals))}" if rivals else "–")
                 else:
                     name = f"{found['setting']}, " if rivals is peers else ""
                     over = f" ({found['us'] / best['us']:.1f}×)" if best else ""

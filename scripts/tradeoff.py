@@ -182,7 +182,7 @@ def claims(data: dict) -> list[results.Claim]:
     n = max(row["n_bodies"] for row in data["rows"] if row["n_bodies"] <= 1000)
     found = []
     for error, over_pgs, over_peers in ((1e-1, 1.0, 1.0), (1e-2, 1.0, 5.0), (1e-3, 3.0, 1.0)):
-        best = best_of(data, n, error)
+        best = tradeoff.best_within(data, n, "settling", error)
         rivals = [(rival_of(pgs_of(data, n), error), "PGS from Builtin", over_pgs)]
         peers = [peers_of(data, n, name) for name in sorted({row["engine"] for row in data["peers"]})]
         if any(peers):
@@ -196,19 +196,6 @@ def claims(data: dict) -> list[results.Claim]:
             holds = best is not None and rival["us"] >= factor * best["us"]
             found.append(results.Claim(text, None, holds, measured))
     return found
-
-
-def best_of(data: dict, n: int, error: float) -> dict | None:
-    """The setting of least time within a median error on settling piles, or the exact solver if that is faster."""
-    settling = [row for row in data["rows"] if (row["n_bodies"], row["kind"]) == (n, "settling")]
-    row = tradeoff.fastest_within(settling, error, "p50")
-    found = [] if row is None else [{"setting": row["setting"], "us": row["us"], "error": row["velocity"]["p50"]}]
-    parts = [part for part in data["exact"] if (part["n_bodies"], part["kind"]) == (n, "settling")]
-    if parts and max(r for part in parts for r in part["residual"]) <= 1e-8:
-        overhead = next(cost["overhead_us"] for cost in data["costs"] if cost["n_bodies"] == n)
-        us = 1e6 * median([seconds for part in parts for seconds in part["seconds"]]) + overhead
-        found.append({"setting": "exact", "us": us, "error": 0.0})
-    return min(found, key=lambda one: one["us"], default=None)
 
 
 def pgs_of(data: dict, n: int) -> list[dict]:

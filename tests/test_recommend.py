@@ -220,3 +220,17 @@ def test_ends_that_are_not_solved_are_no_references():
     assert errors.residual(state, ends[0]) > tradeoff.ENOUGH
     found = tradeoff.references_from(state, ends, exact=False)
     assert [solution is ends[1] for solution in found] == [True]
+
+
+def test_the_exact_solver_is_best_where_sweeps_do_not_get_there():
+    def row(us, p50):
+        return {"n_bodies": 9, "kind": "settling", "setting": "PGS", "us": us, "velocity": {"p50": p50, "p95": p50}}
+
+    exact = {"n_bodies": 9, "kind": "settling", "seconds": [2e-4, 1e-4, 3e-4], "residual": [1e-9, 0.0, 1e-9]}
+    data = {"rows": [row(50.0, 0.1), row(900.0, 0.01)], "exact": [exact]}
+    data["costs"] = [{"n_bodies": 9, "overhead_us": 5.0}]
+    assert tradeoff.best_within(data, 9, "settling", 0.1) == {"setting": "PGS", "us": 50.0, "error": 0.1}
+    assert tradeoff.best_within(data, 9, "settling", 0.01) == {"setting": "exact", "us": 205.0, "error": 0.0}
+    exact["residual"][1] = 1e-3
+    assert tradeoff.best_within(data, 9, "settling", 0.01)["setting"] == "PGS"
+    assert tradeoff.best_within(data, 9, "settling", 0.001) is None
