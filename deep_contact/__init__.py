@@ -30,6 +30,7 @@ _HOME = {
         "SoftSteps",
         "SymmetricPGS",
     ),
+    "deep_contact.physics.exact": ("solve_exactly",),
     "deep_contact.cnn.inference": ("load_model",),
     "deep_contact.planning": ("plan",),
     "deep_contact.recommendation": ("recommend",),

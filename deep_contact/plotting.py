@@ -39,7 +39,7 @@ START_STYLE = {
     "cnn thesis": {"color": PURPLE, "linestyle": "--", "marker": "P", "label": "CNN, thesis network"},
     "far field": {"color": PURPLE, "linestyle": "-.", "marker": "p", "label": "CNN, far field"},
     "compact": {"color": PURPLE, "linestyle": "-", "marker": "o", "label": "CNN, image of impulses"},
-    "small": {"color": PURPLE, "linestyle": ":", "marker": "h", "label": "CNN, far field, small"},
+    "coarse": {"color": PURPLE, "linestyle": ":", "marker": "h", "label": "CNN, far field, coarse"},
     "guarded": {"color": ORANGE, "linestyle": "-", "marker": "*", "label": "Guarded"},
     "random": {"color": GREY, "linestyle": ":", "marker": "+", "label": "Random"},
     "bad": {"color": GREY, "linestyle": "--", "marker": "1", "label": "Bad"},

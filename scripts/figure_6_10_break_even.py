@@ -7,7 +7,7 @@ from deep_contact.break_even import SOLVERS, errors_by_sweeps, start_times, swee
 from deep_contact.figures import Claim, Figure
 from deep_contact.tradeoff import pile, states_of
 
-STARTS = ("builtin", "far field", "small", "guarded")
+STARTS = ("builtin", "far field", "coarse", "guarded")
 LEARNED = STARTS[1:]
 TIE = 0.02
 """Share of Builtin's time within which two starts tie."""
@@ -21,21 +21,21 @@ def compute(options, seed, jobs, progress):
         for kind in options["kinds"]
         for s in figures.seeds(seed + 20_000, options["piles"][str(count)])
     ]
-    starts = make_starts(options["model"], options["small"])
+    starts = make_starts(options["model"], options["coarse"])
     return {
         "sweeps": options["sweeps"],
         "piles": [one_pile(*task, starts, options) for task in progress(tasks, text="piles")],
     }
 
 
-def make_starts(model, small):
-    """Name -> start; the guarded one asks the small network."""
+def make_starts(model, coarse):
+    """Name -> start; the guarded one asks the coarse network."""
     from deep_contact.cnn.inference import Cnn, Guarded, load_model, network_file, one_thread
     from deep_contact.warm_start import Builtin
 
     one_thread()
-    network, small = (load_model(network_file(path)) for path in (model, small))
-    return dict(zip(STARTS, (Builtin(), Cnn(network), Cnn(small), Guarded(small))))
+    network, coarse = (load_model(network_file(path)) for path in (model, coarse))
+    return dict(zip(STARTS, (Builtin(), Cnn(network), Cnn(coarse), Guarded(coarse))))
 
 
 def one_pile(circles, kind, seed, starts, options):
@@ -111,7 +111,7 @@ def claims(data):
                         if value is not None and value < 1 - TIE:
                             wins.append({"pile": kind, "solver": solver, "start": start, "circles": count})
                             wins[-1] |= {"error": error, "ratio": value}
-    cost = {name: {} for name in ("far field", "small")}
+    cost = {name: {} for name in ("far field", "coarse")}
     for name, by_count in cost.items():
         for count in counts_of(data):
             piles = [p for p in data["piles"] if p["circles"] == count]
@@ -173,7 +173,7 @@ def draw(data, options):
         plotting.label_axes(axis, "wall time", "relative velocity error", x_unit="ms", title=f"{count} circles, {kind}")
     axes[0, 0].legend()
     for axis, solver in zip(axes[1], SOLVERS):
-        values = np.array(break_even(data, TOLERANCES)[kinds_of(data)[0]][solver]["small"], dtype=np.float64)
+        values = np.array(break_even(data, TOLERANCES)[kinds_of(data)[0]][solver]["coarse"], dtype=np.float64)
         picture = axis.imshow(np.log10(values), cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(values):
             text = "–" if np.isnan(value) else f"{value:.0f}" if value >= 10 else f"{value:.2g}"
@@ -183,7 +183,7 @@ def draw(data, options):
         axis.set_yticks(range(len(counts)), [str(count) for count in counts])
         axis.grid(False)
         plotting.label_axes(
-            axis, "velocity error asked for", "circles", title=f"small network: time over Builtin's, {solver}"
+            axis, "velocity error asked for", "circles", title=f"coarse network: time over Builtin's, {solver}"
         )
         bar = figure.colorbar(picture, ax=axis, ticks=[-1, 0, 1])
         bar.set_ticklabels(["0.1", "1", "10"])
@@ -206,7 +206,7 @@ FIGURE = Figure(
         "exact": [100, 300, 1000],
         "repeats": 7,
         "model": "models/model.h5",
-        "small": "models/small.h5",
+        "coarse": "models/coarse.h5",
     },
     quick={
         "counts": [100, 1000],

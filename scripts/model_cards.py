@@ -12,7 +12,7 @@ ABOUT = {
     "model.h5": "The model that `dc.load_model()` gives, the far-field network: it corrects Builtin's start by a "
     "coarse image of stress (`deep_contact/cnn/far_field.py`), in a box of any size, and was trained through the "
     'solver; `warm_start="guarded"` uses it where it helps.',
-    "small.h5": "The far-field network with half of the features, for its time.",
+    "coarse.h5": "The far-field network on images half as fine, for its time.",
     "compact.h5": "The thesis's way made small and fully convolutional: an image of bodies and contact rows in, an "
     "image of impulses out. Chapter 5 of the figures shows it.",
     "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",

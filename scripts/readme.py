@@ -39,15 +39,16 @@ def _text(value) -> str:
     return _number(value) if isinstance(value, float) else str(value)
 
 
-def of_script(stem: str) -> Callable[[], str]:
-    """The table of a figure's script from its results file: of figure_6_9, say."""
+def of_script(stem: str, *, having: str | None = None) -> Callable[[], str]:
+    """The table of a figure's script from its results file, of figure_6_9, say; or its rows with a certain cell."""
 
     def table() -> str:
         (path,) = (ROOT / "scripts").glob(f"{stem}_[a-z]*.py")
         spec = importlib.util.spec_from_file_location(path.stem, path)
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
-        return markdown(module.FIGURE.table(read_results(REFERENCE / f"{stem}.json")["data"]))
+        head, *rows = module.FIGURE.table(read_results(REFERENCE / f"{stem}.json")["data"])
+        return markdown([head, *(row for row in rows if having is None or having in row)])
 
     return table
 
@@ -226,7 +227,8 @@ TABLES: dict[str, Callable[[], str]] = {
     "size": of_script("figure_6_4"),
     "requires": of_script("figure_6_7"),
     "beyond": of_script("figure_6_9"),
-    "break even": of_script("figure_6_10"),
+    "runtimes": of_script("table_6_3"),
+    "break even": of_script("figure_6_10", having="settling"),
     "claims": claims,
     "goals": goals,
     "errata": errata.markdown,
