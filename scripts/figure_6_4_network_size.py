@@ -16,6 +16,10 @@ from deep_contact.figures import Claim, Figure
 from deep_contact.learned_experiments import errors_on_thesis_scene, mean_errors, networks_info, ratios_to_builtin
 
 SHIPPED = "models/model.h5"
+MARKERS = "^sDv"
+"""Of networks on coarser images, in the order of their spacing."""
+
+HOLLOW = {"linestyle": "none", "markerfacecolor": "white", "markersize": 7, "zorder": 3}
 
 
 def compute(options, seed, jobs, progress):
@@ -148,17 +152,17 @@ def draw(data, options):
     for i, k in enumerate(data["after"]):
         line = left.plot(weights, every[:, i, 0], marker="o", markersize=4, label=f"after {k} sweeps")
         left.fill_between(weights, every[:, i, 1], every[:, i, 2], color=line[0].get_color(), alpha=0.15, linewidth=0)
-        for network, ratios in zip(coarse, others):
-            marker = f"${network['spacing']:g}$"
-            left.plot(network["weights"], ratios[i, 0], marker=marker, color=line[0].get_color(), linestyle="none")
+        for network, ratios, marker in zip(coarse, others, MARKERS):
+            look = HOLLOW | {"marker": marker, "color": line[0].get_color()}
+            left.plot(network["weights"], ratios[i, 0], **look)
     left.axhline(1.0, color=plotting.GREY, linewidth=1.0)
     left.set_ylim(0, 1.2)
     plotting.label_axes(left, "weights", "velocity error / Builtin's", title="a) error on held-out scenes, all steps")
     left.legend()
     right.plot(weights, [network["us"] for network in sizes], marker="o", color=plotting.BLUE)
-    for network in coarse:
-        marker, text = f"${network['spacing']:g}$", f"nodes {network['spacing']:g} mean radii apart"
-        right.plot(network["weights"], network["us"], marker=marker, color=plotting.BLUE, linestyle="none", label=text)
+    for network, marker in zip(coarse, MARKERS):
+        look = HOLLOW | {"marker": marker, "color": plotting.BLUE}
+        right.plot(network["weights"], network["us"], **look, label=f"nodes {network['spacing']:g} mean radii apart")
     if coarse:
         right.legend()
     right.set_yscale("log")
