@@ -234,3 +234,13 @@ def test_the_exact_solver_is_best_where_sweeps_do_not_get_there():
     exact["residual"][1] = 1e-3
     assert tradeoff.best_within(data, 9, "settling", 0.01)["setting"] == "PGS"
     assert tradeoff.best_within(data, 9, "settling", 0.001) is None
+
+
+def test_out_of_reach_the_fastest_near_the_best_is_taken_by_what_half_of_the_states_keep():
+    def candidate(us, worst, median):
+        return {"us": us, "worst": worst, "median": median}
+
+    rough, near = candidate(1, 0.5, 0.1), candidate(2, 0.14, 0.1)
+    halfway, best = candidate(5, 0.14, 0.01), candidate(9, 0.1, 0.001)
+    assert advice._nearly([rough, near, halfway, best], 0.02) == [halfway, best]
+    assert advice._nearly([rough, near, halfway, best], 1e-4) == [near, halfway, best]
