@@ -258,6 +258,13 @@ def test_projection_is_on_the_friction_cone():
     np.testing.assert_array_equal(tangent, [0.0, -1.0, 0.5])
 
 
+def test_projection_takes_a_friction_for_each_contact_and_keeps_the_precision():
+    impulses = np.array([[2.0, 5.0], [2.0, -5.0]], np.float32)
+    normal, tangent = projected(*impulses.T, np.array([0.5, 1.0], np.float32))
+    assert normal.dtype == tangent.dtype == np.float32
+    np.testing.assert_array_equal(tangent, [1.0, -2.0])
+
+
 def test_cnn_start_is_the_prediction_projected(file, falling_states):
     start, state = Cnn(file), falling_states[5]
     normal, tangent = start(state, state.solver)
