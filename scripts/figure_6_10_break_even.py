@@ -168,7 +168,10 @@ def table(data):
 
 
 def draw(data, options):
-    """Above: error against wall time with PGS, by number of circles. Below: the break-even maps."""
+    """Above: error against wall time with PGS, by number of circles. Below: the break-even maps.
+
+    They are grey where there are fewer than `FEWEST` states.
+    """
     counts = counts_of(data)
     figure, axes = plotting.subplots(2, max(len(counts), 2), size=(3.6 * max(len(counts), 2), 6.6))
     styles = plotting.styles_of(list(STARTS))
@@ -193,17 +196,20 @@ def draw(data, options):
     axes[0, 0].legend()
     maps = list(product(("coarse", "far field"), SOLVERS))
     for axis, (start, solver) in zip(axes[1], maps):
-        values = np.array(break_even(data, TOLERANCES)[kinds_of(data)[0]][solver][start], dtype=np.float64)
-        picture = axis.imshow(np.log10(np.maximum(values, 0.1)), cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
+        kind = kinds_of(data)[0]
+        values = np.array(break_even(data, TOLERANCES)[kind][solver][start], dtype=np.float64)
+        states = [[ratios(data, c, kind, start, solver, e).size for e in TOLERANCES] for c in counts]
+        told = np.where(np.array(states) >= FEWEST, np.log10(np.maximum(values, 0.1)), np.nan)
+        picture = axis.imshow(told, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(values):
             text = "–" if np.isnan(value) else f"{value:.0f}" if value >= 10 else f"{value:.2g}"
-            color = "white" if not 0.2 < value < 5 else "black"
+            color = plotting.GREY if np.isnan(told[row, column]) else "white" if not 0.2 < value < 5 else "black"
             axis.text(column, row, text, ha="center", va="center", fontsize=7, color=color)
-        axis.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES])
+        axis.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES], fontsize=7)
         axis.set_yticks(range(len(counts)), [str(count) for count in counts])
         axis.grid(False)
         plotting.label_axes(
-            axis, "velocity error asked for", "circles", title=f"{start}: time over Builtin's, {solver}"
+            axis, "velocity error asked for", "circles", title=f"{start}, {kind}: time over Builtin's, {solver}"
         )
         bar = figure.colorbar(picture, ax=axis, ticks=[-1, 0, 1])
         bar.set_ticklabels(["0.1", "1", "10"])

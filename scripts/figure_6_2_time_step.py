@@ -63,7 +63,7 @@ def draw(data, options):
         plotting.label_axes(ax, "time of a simulated second", name.replace("_", " "), x_unit="μs", y_unit=unit)
         ax.set_xscale("log")
         ax.set_yscale("log")
-    panels[0].legend(fontsize=6)
+    panels[-1].legend(fontsize=6, loc="upper right")
     return figure
 
 
