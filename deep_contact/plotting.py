@@ -38,7 +38,12 @@ START_STYLE = {
     "cnn": {"color": PURPLE, "linestyle": "-", "marker": "o", "label": "CNN"},
     "cnn thesis": {"color": PURPLE, "linestyle": "--", "marker": "P", "label": "CNN, thesis network"},
     "far field": {"color": PURPLE, "linestyle": "-.", "marker": "p", "label": "CNN, far field"},
-    "compact": {"color": PURPLE, "linestyle": "-", "marker": "o", "label": "CNN, image of impulses"},
+    "compact": {
+        "color": PURPLE,
+        "linestyle": (0, (3, 1, 1, 1, 1, 1)),
+        "marker": "X",
+        "label": "CNN, image of impulses",
+    },
     "coarse": {"color": PURPLE, "linestyle": ":", "marker": "h", "label": "CNN, far field, coarse"},
     "guarded": {"color": ORANGE, "linestyle": "-", "marker": "*", "label": "Guarded"},
     "random": {"color": GREY, "linestyle": ":", "marker": "+", "label": "Random"},

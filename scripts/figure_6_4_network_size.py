@@ -5,15 +5,16 @@ as width_24.h5 on images whose nodes lie d mean radii apart. Where there are non
 """
 
 import re
-import time
 from pathlib import Path
 
 import numpy as np
 
 import deep_contact as dc
 from deep_contact import figures, plotting
+from deep_contact.break_even import sweep_times
 from deep_contact.figures import Claim, Figure
 from deep_contact.learned_experiments import errors_on_thesis_scene, mean_errors, networks_info, ratios_to_builtin
+from deep_contact.scaling import fastest
 
 SHIPPED = "models/model.h5"
 MARKERS = "^sDv"
@@ -37,7 +38,7 @@ def compute(options, seed, jobs, progress):
         "after": options["after"],
         "networks": sorted(found, key=lambda network: (network["spacing"], network["weights"])),
         "scenes": scenes,
-        "sweep_us": sweep_us(options["repeats"]),
+        "sweep_us": 1e6 * sweep_times(settled(), repeats=options["repeats"])["PGS"],
     }
 
 
@@ -75,26 +76,7 @@ def inference_us(path, repeats):
     from deep_contact.cnn.inference import network_start
 
     start, state = network_start(path), settled()
-    return least_us(lambda: start(state, dc.PGS()), repeats)
-
-
-def sweep_us(repeats):
-    """Time of a sweep of PGS on the same state, μs, from the difference of a thousand sweeps and none."""
-    state = settled()
-    few, many = (dc.PGS(sweeps=k, tolerance=None) for k in (1, 1001))
-    both = [least_us(lambda solver=solver: dc.solve_contacts(state, solver=solver), repeats) for solver in (few, many)]
-    return (both[1] - both[0]) / 1000
-
-
-def least_us(work, repeats):
-    """The least time of several, after one that compiles, μs."""
-    work()
-    least = np.inf
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        work()
-        least = min(least, time.perf_counter() - begin)
-    return least * 1e6
+    return fastest(lambda: start(state, dc.PGS()), repeats)
 
 
 def claims(data):

@@ -1,14 +1,15 @@
 """python scripts/table_6_3_runtimes.py: what runs the far-field network fastest, and what the rest of a start takes."""
 
 import multiprocessing
-import time
 from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 
 import deep_contact as dc
 from deep_contact import figures
+from deep_contact.break_even import sweep_times
 from deep_contact.figures import Claim, Figure
+from deep_contact.scaling import fastest
 from deep_contact.tradeoff import pile, states_of
 
 RUNTIMES = ("Numba", "XLA", "TensorFlow")
@@ -48,7 +49,7 @@ def one_window(task):
         for batch in task["batches"]:
             images = np.repeat(image[None], batch, axis=0)
             for runtime, run in runtimes(model.keras, images.shape, task["threads"]).items():
-                us = least_us(lambda: run(images), task["repeats"]) / batch  # noqa: B023
+                us = fastest(lambda: run(images), task["repeats"]) / batch  # noqa: B023
                 times.append(common | {"runtime": runtime, "batch": batch, "us": us})
     return {"times": times, "stages": stages}
 
@@ -84,26 +85,13 @@ def one_start(model, state, repeats):
         impulses = correct(coefficients, description, model.spec)
         return projected(impulses[:, 0], impulses[:, 1], state.world.friction)
 
-    few, many = (dc.PGS(sweeps=k, tolerance=None) for k in (1, 401))
-    both = [least_us(lambda solver=solver: dc.solve_contacts(state, solver=solver), repeats) for solver in (few, many)]
     return {
-        "image": least_us(lambda: describe(state, model.spec), repeats),
-        "run": least_us(lambda: model.run(description.image), repeats),
-        "read": least_us(read, repeats),
-        "all": least_us(lambda: start(state, dc.PGS()), repeats),
-        "sweep": (both[1] - both[0]) / 400,
+        "image": fastest(lambda: describe(state, model.spec), repeats),
+        "run": fastest(lambda: model.run(description.image), repeats),
+        "read": fastest(read, repeats),
+        "all": fastest(lambda: start(state, dc.PGS()), repeats),
+        "sweep": 1e6 * sweep_times(state, repeats=repeats)["PGS"],
     }
-
-
-def least_us(work, repeats):
-    """The least time of several, after one that compiles, μs."""
-    work()
-    least = np.inf
-    for _ in range(repeats):
-        begin = time.perf_counter()
-        work()
-        least = min(least, time.perf_counter() - begin)
-    return least * 1e6
 
 
 def claims(data):
