@@ -5,9 +5,10 @@ impacts, though no higher or faster. So what no simulation enters has to be equa
 factor that is stated here with its reason.
 """
 
-import importlib.util
+import importlib
 import json
 import re
+import sys
 from functools import cache
 from pathlib import Path
 
@@ -39,11 +40,10 @@ MADE_BY_QUICK_RUNS = {"6.6"}
 
 @cache
 def figure_of(id):
-    """The `Figure` of the script of this number."""
-    spec = importlib.util.spec_from_file_location(SCRIPTS[id].stem, SCRIPTS[id])
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.FIGURE
+    """The `Figure` of the script of this number, imported by its name so that its processes find it."""
+    if str(ROOT / "scripts") not in sys.path:
+        sys.path.append(str(ROOT / "scripts"))
+    return importlib.import_module(SCRIPTS[id].stem).FIGURE
 
 
 @cache
@@ -51,9 +51,7 @@ def run_of(id, quick, folder):
     """Results of a run made now, drawn as well."""
     figure = figure_of(id)
     options = figure.quick if quick else {}
-    return figures.produce(
-        figure, options=options, out=folder, jobs=1, progress=lambda items, **_: items, echo=lambda line: None
-    )
+    return figures.produce(figure, options=options, out=folder, jobs=1, echo=lambda line: None)
 
 
 @pytest.fixture(scope="module")
@@ -180,16 +178,26 @@ UNDECIDED = {
     "5.6": FEW_SCENES,
     "5.9": FEW_SCENES,
     "5.10": "times, of a smaller pile",
+    "6.1": "a pile of 60, which every method solves soon",
+    "6.4": FEW_SCENES,
+    "6.7": "fewer steps, after which solutions have parted less",
+    "T 6.3": "one scene of 100 circles, where TensorFlow is behind",
     "6.8": FEW_SCENES,
     "T 6.1": "a training of seconds",
 }
 """Figures whose quick runs may find other claims to hold, and why."""
 
 
+def of_any_size(text):
+    """A claim without its number of circles."""
+    return re.sub(r"\d+ circles", "circles", text)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("id", STORED)
 def test_a_quick_run_finds_the_same_claims_to_hold(id, folder):
     found, stored = verdicts(run_of(id, True, folder)), verdicts(STORED[id])
-    assert found.keys() <= stored.keys()  # fewer where a quick run has fewer networks
+    # Fewer where a quick run has fewer networks, of fewer circles where it has smaller piles.
+    assert {of_any_size(text) for text in found} <= {of_any_size(text) for text in stored}
     if id not in UNDECIDED:
         assert found == {text: stored[text] for text in found}
