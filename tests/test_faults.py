@@ -203,7 +203,7 @@ def test_a_move_that_is_refused_leaves_the_old_file_and_nothing_else(tmp_path, s
 def test_training_survives_a_full_disk_and_two_processes_in_one_folder(tmp_path):
     import resource
 
-    generate = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "130", "--bodies", "8", "9", "--jobs", "1"]
+    generate = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "170", "--bodies", "8", "9", "--jobs", "1"]
     subprocess.run([*generate, "--simulations", "5", "--out", tmp_path / "data"], check=True, capture_output=True)
     tiny = [
         "--batch-size",
