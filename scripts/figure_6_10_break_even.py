@@ -194,12 +194,12 @@ def draw(data, options):
         axis.set_yscale("log")
         plotting.label_axes(axis, "wall time", "relative velocity error", x_unit="ms", title=f"{count} circles, {kind}")
     axes[0, 0].legend()
-    maps = list(product(("coarse", "far field"), SOLVERS))
+    maps, kind = list(product(("coarse", "far field"), SOLVERS)), kinds_of(data)[0]
     for axis, (start, solver) in zip(axes[1], maps):
-        kind = kinds_of(data)[0]
-        values = np.array(break_even(data, TOLERANCES)[kind][solver][start], dtype=np.float64)
-        states = [[ratios(data, c, kind, start, solver, e).size for e in TOLERANCES] for c in counts]
-        told = np.where(np.array(states) >= FEWEST, np.log10(np.maximum(values, 0.1)), np.nan)
+        cells = [[(data, c, kind, start, solver, e) for e in TOLERANCES] for c in counts]
+        values = np.array([[ratio(*case) for case in row] for row in cells], dtype=np.float64)
+        states = np.array([[ratios(*case).size for case in row] for row in cells])
+        told = np.where(states >= FEWEST, np.log10(np.maximum(values, 0.1)), np.nan)
         picture = axis.imshow(told, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(values):
             text = "–" if np.isnan(value) else f"{value:.0f}" if value >= 10 else f"{value:.2g}"

@@ -7,8 +7,8 @@ layers, one for the even and odd rows and columns of its output, so that no zero
 one node of zeros around them, the one at the end of a row being that at the beginning of the next, and each as it is
 and with ReLU taken, since a residual block needs both.
 
-The same in TensorFlow is compiled for every size of image, which takes a second, and runs at half the speed; see
-`scripts/figure_6_4_network_size.py`. Training uses Keras: this is for inference (`cnn.inference`).
+TensorFlow compiles the same for every size of image; what each takes is in Table 6.3 (`scripts/table_6_3_runtimes.py`).
+Training uses Keras: this is for inference (`cnn.inference`).
 """
 
 from __future__ import annotations

@@ -13,12 +13,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from deep_contact.cnn.convolution import Program, supports
 from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_model
+from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve
 from deep_contact.physics.methods import PGS
 from deep_contact.state import State
@@ -206,23 +206,6 @@ class Cnn:
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
         return projected(*self.model.predict(state), state.world.friction)
-
-
-def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:
-    """Impulses (m,) with the normal ones cut at 0 and the tangent ones at the friction cone, as a sweep would.
-
-    friction: one number, or one a contact.
-    """
-    return _projected(normal, tangent, np.broadcast_to(friction, normal.shape))
-
-
-@njit(cache=True)
-def _projected(normal, tangent, friction):
-    p_n, p_t = np.empty_like(normal), np.empty_like(tangent)
-    for i in range(normal.shape[0]):
-        p_n[i] = max(normal[i], 0.0)
-        p_t[i] = max(-friction[i] * p_n[i], min(tangent[i], friction[i] * p_n[i]))
-    return p_n, p_t
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ class TrainingConfig:
     the errors after `sweeps` sweeps "through solver", on what one more sweep would change then ("residual through
     solver", without labels), or on "impulses".
     channels: one of `CHANNEL_SETS`. spacing, support, kernel, transfer, scale_free: of the `ImageSpec`; for the
-    far-field network, the first two of its `FarFieldSpec`.
+    far-field network, the first two of its `FarFieldSpec`. None: 0.5 m, or 1 mean radius.
     measure_scales: divide each channel by its root mean square on the training side; if not, by 1.
     loss: "appendix b" (masked, on images), or one of `CONTACT_LOSSES` ("velocity" …).
     optimizer: "adam" or "sgd". momentum: of SGD. clip: largest norm of a gradient, or None.
@@ -95,8 +95,8 @@ class TrainingConfig:
     architecture: str = "compact"
     options: dict = field(default_factory=dict)
     channels: str = "bodies and solver"
-    spacing: float = 0.5
-    support: float = 0.5
+    spacing: float | None = None
+    support: float | None = None
     kernel: str = "poly6"
     transfer: str = "consistent"
     scale_free: bool = True
@@ -122,6 +122,9 @@ class TrainingConfig:
     seed: int = 0
 
     def __post_init__(self):
+        for name in ("spacing", "support"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, 1.0 if self.architecture == "far field" else 0.5)
         for name, known in (
             ("architecture", architectures.ARCHITECTURES),
             ("channels", CHANNEL_SETS),
@@ -191,8 +194,7 @@ def thesis_config(**changes) -> TrainingConfig:
 
 def far_field_config(**changes) -> TrainingConfig:
     """The settings of the far-field network, trained through the solver."""
-    settings = {"architecture": "far field", "loss": "through solver", "rate": 1.5e-3, "spacing": 1.0, "support": 1.0}
-    return TrainingConfig(**(settings | changes))
+    return TrainingConfig(**({"architecture": "far field", "loss": "through solver", "rate": 1.5e-3} | changes))
 
 
 class Training(NamedTuple):

@@ -311,3 +311,20 @@ def correct_positions(bodies, contacts, box, sweeps):
             deepest = min(deepest, separation)
         if deepest >= -POSITION_TOLERANCE:
             break
+
+
+def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:
+    """Impulses (m,) with the normal ones cut at 0 and the tangent ones at the friction cone, as a sweep would.
+
+    friction: one number, or one a contact.
+    """
+    return _projected(normal, tangent, np.broadcast_to(friction, normal.shape))
+
+
+@njit(cache=True)
+def _projected(normal, tangent, friction):
+    p_n, p_t = np.empty_like(normal), np.empty_like(tangent)
+    for i in range(normal.shape[0]):
+        p_n[i] = max(normal[i], 0.0)
+        p_t[i] = max(-friction[i] * p_n[i], min(tangent[i], friction[i] * p_n[i]))
+    return p_n, p_t

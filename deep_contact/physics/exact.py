@@ -4,7 +4,7 @@ Why sweeps do not. A pile has more impulses than it needs (it is hyperstatic): �
 A = J M⁻¹ Jᵀ at no change of the velocities. While a pile settles, sweeps let λ drift there, slowly and steadily, until
 some row reaches its bound: a contact opens or starts to slip. With that row at its bound the remaining problem, which
 with sliding friction is neither symmetric nor monotone, may have a mode that sweeps make grow instead of decay: the
-residual jumps, and the drift starts anew elsewhere. So θ stands on plateaus between jumps for 100,000s of sweeps.
+residual jumps, and the drift starts anew elsewhere. After 100,000 sweeps no method is at an end (Figure 6.1).
 
 What is done instead. A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, c being the last
 impulses: it takes the null space away and has the solutions of the contact problem as its fixed points. Each step is
@@ -33,6 +33,7 @@ from scipy import sparse
 from scipy.sparse.linalg import splu
 
 from deep_contact.physics import errors
+from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.lcp import ContactProblem, contact_problem
@@ -115,7 +116,9 @@ def solve_exactly(
         else:
             impulse, sweeps = found, 1
             epsilon = max(LEAST_EPSILON, epsilon / (5 if done <= EASY else 2 if done <= FAIR else 1))
-        swept = solve(state, PGS(sweeps=sweeps, tolerance=None), *_in_cone(state, impulse[::2], impulse[1::2]))
+        swept = solve(
+            state, PGS(sweeps=sweeps, tolerance=None), *projected(impulse[::2], impulse[1::2], state.world.friction)
+        )
         solution = _admissible(state, swept)
         wrong = errors.residual(state, solution)
         idle = 0 if done > EASY or wrong < least else idle + 1
@@ -146,18 +149,14 @@ def _start(state: State, normal, tangent) -> ContactSolution:
                 f"{name}: expected {contacts.count} numbers, one a contact, up to {LARGEST_START:g} N·s, got {got}"
             )
         start.append(array)
-    return solve(state, PGS(sweeps=0), *_in_cone(state, *start))
-
-
-def _in_cone(state: State, normal: np.ndarray, tangent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The impulses with λ_n cut to 0 and above, then λ_t to ±μ λ_n."""
-    normal = np.maximum(normal, 0.0)
-    return normal, np.clip(tangent, -state.world.friction * normal, state.world.friction * normal)
+    return solve(state, PGS(sweeps=0), *projected(*start, state.world.friction))
 
 
 def _admissible(state: State, solution: ContactSolution) -> ContactSolution:
     """The solution with its impulses in the cone, which those of a sweep leave by what λ_n fell in it."""
-    return solve(state, PGS(sweeps=0), *_in_cone(state, solution.normal_impulses, solution.tangent_impulses))
+    return solve(
+        state, PGS(sweeps=0), *projected(solution.normal_impulses, solution.tangent_impulses, state.world.friction)
+    )
 
 
 def _proximal_step(problem: ContactProblem, friction: float, impulse: np.ndarray, epsilon: float, limit: int):
