@@ -35,19 +35,29 @@ _HOME = {
     "deep_contact.planning": ("plan",),
     "deep_contact.recommendation": ("recommend",),
     "deep_contact.simulation": ("simulate", "solve_contacts", "step"),
-    "deep_contact.state_xml": ("read_state", "write_state"),
+    "deep_contact.io.state_xml": ("read_state", "write_state"),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
-_SUBPACKAGES = ("cnn", "experiments", "figures", "peers", "physics", "plotting", "results", "sph", "warm_start")
+_MODULES = {
+    "cnn": "deep_contact.cnn",
+    "experiments": "deep_contact.studies.comparison",
+    "figures": "deep_contact.reporting.figures",
+    "peers": "deep_contact.studies.peers",
+    "physics": "deep_contact.physics",
+    "plotting": "deep_contact.reporting.plotting",
+    "results": "deep_contact.reporting.results",
+    "sph": "deep_contact.sph",
+    "warm_start": "deep_contact.warm_start",
+}
 
-__all__ = [*_MODULE_OF, *_SUBPACKAGES, "__version__"]
+__all__ = [*_MODULE_OF, *_MODULES, "__version__"]
 
 
 def __getattr__(name: str):
     if name in _MODULE_OF:
         return getattr(importlib.import_module(_MODULE_OF[name]), name)
-    if name in _SUBPACKAGES:
-        return importlib.import_module(f"deep_contact.{name}")
+    if name in _MODULES:
+        return importlib.import_module(_MODULES[name])
     raise AttributeError(f"module 'deep_contact' has no attribute {name!r}")
 
 

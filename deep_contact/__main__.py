@@ -37,7 +37,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _view(given) -> int:
     import deep_contact as dc
     from deep_contact import viewer
-    from deep_contact.figures import progress_bar
+    from deep_contact.reporting.figures import progress_bar
 
     scene = _scene(given)
     solver = None if given.sweeps is None else dc.PGS(sweeps=given.sweeps)

@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import results
 from deep_contact.physics.engine import advance_of, required_arguments
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.methods import SoftSteps, describe
+from deep_contact.reporting import results
 from deep_contact.simulation import checked_solver, ready
 from deep_contact.state import State
 from deep_contact.warm_start import Builtin, NoStart, warm_start_of

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import results
 from deep_contact.physics.methods import METHODS, describe
+from deep_contact.reporting import results
 from deep_contact.state import State
 
 TABLE = Path(__file__).parent / "reference" / "tradeoff.json"

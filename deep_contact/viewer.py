@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact import plotting
 from deep_contact.physics.convergence import ConvergenceRecord
+from deep_contact.reporting import plotting
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 

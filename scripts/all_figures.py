@@ -14,8 +14,9 @@ import sys
 import time
 from pathlib import Path
 
-from deep_contact import executors, report, results
-from deep_contact.figures import INTERRUPTED
+from deep_contact import parallel
+from deep_contact.reporting import page, results
+from deep_contact.reporting.figures import INTERRUPTED
 
 HERE = Path(__file__).resolve().parent
 SCRIPT = re.compile(r"(figure|table)_([0-9]+)_([0-9]+)(_\w+)?\.py")
@@ -43,8 +44,8 @@ def main(arguments=None, folder=HERE):
         if status in (INTERRUPTED, -2):
             break
     if Path(given.out).is_dir():
-        page = report.write_report(given.out, expected=[name.replace("T", "T ") for name in scripts])
-        print(f"\nall results as one page: {page}")
+        index = page.write_report(given.out, expected=[name.replace("T", "T ") for name in scripts])
+        print(f"\nall results as one page: {index}")
     summarise(done)
     if any(status in (INTERRUPTED, -2) for _, status, *_ in done):
         return INTERRUPTED
@@ -60,7 +61,7 @@ def parse(arguments):
         parser.add_argument(name, action="store_true")
     for name in ("--jobs", "--seed"):
         parser.add_argument(name, type=int)
-    parser.add_argument("--scheduler", metavar="ADDRESS", help=executors.SCHEDULER_HELP)
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
     passed_on = ["--out", given.out]
     passed_on += [f"--{name}" for name in ("quick", "resume", "replot") if getattr(given, name)]

@@ -7,7 +7,7 @@ there are as many contacts as circles, about half of what there will be; "settle
 engine steps it with 3 sweeps of position correction, where it has them (ours, Box2D 2.3), in four blocks of
 steps: of 10, 100, 100 and 10 velocity sweeps, so that what changes while a pile falls cancels out. Ours is
 timed as users run it, one `dc.simulate` a block, and once more by one `dc.step` a step, which validates the
-state every time; the others by their step functions through `deep_contact.peers`.
+state every time; the others by their step functions through `deep_contact.studies.peers`.
 
 An engine does the same work every time it starts from the same pile, so the run is repeated, engines taking
 turns, and block by block the fastest of the repeats counts. A pass that is not timed counts the contacts of
@@ -35,8 +35,9 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import peers, results
+from deep_contact.reporting import results
 from deep_contact.state import State, World, make_bodies
+from deep_contact.studies import peers
 
 TIME_STEP = 0.01
 FEW, MANY = 10, 100
@@ -83,7 +84,7 @@ class OursByStep(Ours):
 
 
 class Peer:
-    """An adapter of `deep_contact.peers`, with the methods of `Ours`."""
+    """An adapter of `deep_contact.studies.peers`, with the methods of `Ours`."""
 
     def __init__(self, adapter):
         self.adapter = adapter

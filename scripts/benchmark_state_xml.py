@@ -18,9 +18,9 @@ from pathlib import Path
 
 import numpy as np
 
+from deep_contact.io.state_xml import read_state, write_state
 from deep_contact.physics.methods import PGS
 from deep_contact.state import Contacts, State, World, make_bodies
-from deep_contact.state_xml import read_state, write_state
 
 
 def example_state(circles: int = 100, contacts: int = 170, seed: int = 0) -> State:

@@ -3,8 +3,9 @@
 import numpy as np
 from scipy.integrate import quad
 
-from deep_contact import figures, plotting, sph
-from deep_contact.figures import Claim, Figure
+from deep_contact import sph
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
 
 SHELLS = {"the plane": lambda r: 2 * np.pi * r, "space": lambda r: 4 * np.pi * r**2}
 DIMENSIONS = {"3": "in space, the constants of Eq 3.8 and 3.11", "2": "on the plane, as the simulation is"}

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from deep_contact import figures, plotting, sph
-from deep_contact.figures import Claim, Figure
+from deep_contact import sph
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
 
 
 def compute(options, seed, jobs, progress):

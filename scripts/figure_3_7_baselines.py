@@ -1,19 +1,20 @@
 """python scripts/figure_3_7_baselines.py: mean θ by sweep from None, Builtin and Copy."""
 
-from deep_contact import experiments, figures
-from deep_contact.figures import Claim
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim
+from deep_contact.studies import comparison
 
 STARTS = {"none": "none", "builtin": "builtin", "copy": "copy"}
 
 
 def compute(options, seed, jobs, progress):
     """The three starts on the thesis's falling pile."""
-    return experiments.compare_starts(STARTS, seed=seed, jobs=jobs, progress=progress, **options)
+    return comparison.compare_starts(STARTS, seed=seed, jobs=jobs, progress=progress, **options)
 
 
 def claims(data):
     """The conclusions under Figure 3.7."""
-    sweeps = {name: experiments.mean_sweeps(data, name, "independent") for name in STARTS}
+    sweeps = {name: comparison.mean_sweeps(data, name, "independent") for name in STARTS}
     like = 0.8 < sweeps["builtin"] / sweeps["none"] < 1.25
     return [
         Claim(
@@ -34,11 +35,11 @@ def claims(data):
             bool(like),
             {"builtin / none": sweeps["builtin"] / sweeps["none"]},
         ),
-        experiments.faster(data, "copy", "builtin", text="Builtin is far slower than Copy", thesis="L669"),
+        comparison.faster(data, "copy", "builtin", text="Builtin is far slower than Copy", thesis="L669"),
     ]
 
 
-FIGURE = experiments.convergence_figure(
+FIGURE = comparison.convergence_figure(
     id="3.7", title="Convergence from None, Builtin and Copy", compute=compute, claims=claims
 )
 

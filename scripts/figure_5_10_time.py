@@ -4,10 +4,11 @@ The experiment that the thesis announces after Figure 5.9 (L1343) and does not p
 """
 
 import deep_contact as dc
-from deep_contact import experiments, figures, plotting
-from deep_contact import learned_experiments as learned
 from deep_contact.cnn.model_file import ModelFileError
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import comparison
+from deep_contact.studies import learned as learned
 
 STARTS = {
     "none": "none",
@@ -27,7 +28,7 @@ def compute(options, seed, jobs, progress):
     """The thesis's scene, and a larger one in a box of another size; one process, since it is the time that counts."""
     about = learned.networks_info(options["networks"])
     networks = {name: learned.network_start(path) for name, path in options["networks"].items()}
-    starts = {name: experiments.start_of(description) for name, description in STARTS.items()}
+    starts = {name: comparison.start_of(description) for name, description in STARTS.items()}
     scenes = {
         f"{options['few']} circles": dc.circles_in_box(options["few"], seed=seed),
         f"{options['many']} circles": dc.lattice_in_box(options["many"], seed=seed),
@@ -44,7 +45,7 @@ def compute(options, seed, jobs, progress):
                 fitting[name] = start
             except ModelFileError as error:
                 refused[name] = str(error)
-        chosen = starts | fitting | {"copy": experiments.start_of("copy")}
+        chosen = starts | fitting | {"copy": comparison.start_of("copy")}
         found[title] = learned.time_to_thresholds(
             states, chosen, most=options["most"][number], repeats=options["repeats"], progress=progress
         )

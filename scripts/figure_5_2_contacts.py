@@ -3,16 +3,17 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import experiments, figures, plotting
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import comparison
 
 
 def compute(options, seed, jobs, progress):
     """Count the contacts of every step of a run, and time the solution of some steps with a fixed number of sweeps."""
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    states = experiments.solved_states(scene, steps=options["steps"], contacts_only=False)
+    states = comparison.solved_states(scene, steps=options["steps"], contacts_only=False)
     timed = [state for state in states[:: options["every"]] if state.contacts.count]
-    times = [experiments.contact_time(s, sweeps=options["sweeps"]) for s in progress(timed, text="timing")]
+    times = [comparison.contact_time(s, sweeps=options["sweeps"]) for s in progress(timed, text="timing")]
     return {
         "step": [state.step for state in states],
         "contacts": [state.contacts.count for state in states],

@@ -3,8 +3,9 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import figures, plotting, sph
-from deep_contact.figures import Claim, Figure
+from deep_contact import sph
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
 
 SMALLEST = 0.5**0.5
 """The thesis's lower bound for h / d, L1102."""

@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from deep_contact import experiments, figures
-from deep_contact.figures import Claim
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim
+from deep_contact.studies import comparison
 
 
 def claims(data):
     """What the thesis concludes from Figure 5.5, in runs of each start's own, as it did."""
-    by_h = {name: experiments.mean_sweeps(data["h"], name, "independent") for name in data["h"]["independent"]}
-    by_d = {name: experiments.mean_sweeps(data["d"], name, "independent") for name in data["d"]["independent"]}
+    by_h = {name: comparison.mean_sweeps(data["h"], name, "independent") for name in data["h"]["independent"]}
+    by_d = {name: comparison.mean_sweeps(data["d"], name, "independent") for name in data["d"]["independent"]}
     rises = {name: rise(found["theta"]) for name, found in data["d"]["independent"].items()}
     return [
         Claim(
@@ -44,7 +45,7 @@ def rise(theta):
     return float(np.maximum(np.diff(np.log10(theta)), 0).sum())
 
 
-FIGURE = experiments.study_figure(id="5.5", kernel="spiky", claims=claims)
+FIGURE = comparison.study_figure(id="5.5", kernel="spiky", claims=claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -1,6 +1,7 @@
 """python scripts/figure_5_6_kernels.py: poly6 at d = h = 0.5 against spiky at d = h = 0.25."""
 
-from deep_contact import experiments, figures
+from deep_contact.reporting import figures
+from deep_contact.studies import comparison
 
 POLY6, SPIKY = "poly6, d = h = 0.5 m", "spiky, d = h = 0.25 m"
 
@@ -12,15 +13,15 @@ def compute(options, seed, jobs, progress):
         POLY6: {"kernel": "poly6", "spacing": 0.5, "transfer": transfer},
         SPIKY: {"kernel": "spiky", "spacing": 0.25, "transfer": transfer},
     }
-    return experiments.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **options)
+    return comparison.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **options)
 
 
 def claims(data):
     """The thesis chooses poly6."""
-    return [experiments.faster(data, POLY6, SPIKY, text="poly6 performs better", thesis="L1129")]
+    return [comparison.faster(data, POLY6, SPIKY, text="poly6 performs better", thesis="L1129")]
 
 
-FIGURE = experiments.convergence_figure(
+FIGURE = comparison.convergence_figure(
     id="5.6", title="Convergence with poly6 and spiky", compute=compute, claims=claims, sweeps=5000, transfer="thesis"
 )
 

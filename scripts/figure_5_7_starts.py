@@ -1,6 +1,7 @@
 """python scripts/figure_5_7_starts.py: None, Builtin, SPH at d = h = 0.5 and Copy."""
 
-from deep_contact import experiments, figures
+from deep_contact.reporting import figures
+from deep_contact.studies import comparison
 
 STARTS = {
     "none": "none",
@@ -12,13 +13,13 @@ STARTS = {
 
 def compute(options, seed, jobs, progress):
     """The four starts on the thesis's falling pile."""
-    return experiments.compare_starts(STARTS, seed=seed, jobs=jobs, progress=progress, **options)
+    return comparison.compare_starts(STARTS, seed=seed, jobs=jobs, progress=progress, **options)
 
 
 def claims(data):
     """SPH is said to converge much faster than all others; Copy is the bound it cannot pass (L673)."""
     return [
-        experiments.near(
+        comparison.near(
             data,
             "sph",
             "none",
@@ -27,7 +28,7 @@ def claims(data):
             thesis="L1131",
             mode="independent",
         ),
-        experiments.near(
+        comparison.near(
             data,
             "sph",
             "builtin",
@@ -36,7 +37,7 @@ def claims(data):
             thesis="L1131",
             mode="independent",
         ),
-        experiments.near(
+        comparison.near(
             data,
             "builtin",
             "sph",
@@ -45,11 +46,11 @@ def claims(data):
             thesis="L1396",
             mode="independent",
         ),
-        experiments.faster(data, "copy", "sph", text="Copy stays faster than SPH", thesis="L673"),
+        comparison.faster(data, "copy", "sph", text="Copy stays faster than SPH", thesis="L673"),
     ]
 
 
-FIGURE = experiments.convergence_figure(
+FIGURE = comparison.convergence_figure(
     id="5.7", title="Convergence with None, Builtin, SPH and Copy", compute=compute, claims=claims
 )
 

@@ -2,9 +2,9 @@
 
 import math
 
-from deep_contact import figures, plotting
-from deep_contact import learned_experiments as learned
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import learned as learned
 
 COLOURS = {
     "Input": "#DDDDDD",

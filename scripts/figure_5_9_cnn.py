@@ -1,8 +1,9 @@
 """python scripts/figure_5_9_cnn.py: the CNN start beside all others, on scenes that no network was trained on."""
 
-from deep_contact import experiments, figures, plotting
-from deep_contact import learned_experiments as learned
-from deep_contact.figures import Figure
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Figure
+from deep_contact.studies import comparison
+from deep_contact.studies import learned as learned
 
 STARTS = {
     "none": "none",
@@ -21,7 +22,7 @@ def compute(options, seed, jobs, progress):
     about = learned.networks_info(networks)
     starts = STARTS | {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
     after = [sweeps for sweeps in learned.AFTER if sweeps < options["sweeps"]] + [options["sweeps"]]
-    data = experiments.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, velocity_sweeps=after, **options)
+    data = comparison.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, velocity_sweeps=after, **options)
     return data | {"networks": about}
 
 
@@ -34,7 +35,7 @@ def claims(data):
 
 def table(data):
     """θ by sweeps, both ways, and the velocity errors below."""
-    return experiments.table_of_starts(data, learned.AFTER) + learned.table_of_velocity(data)
+    return comparison.table_of_starts(data, learned.AFTER) + learned.table_of_velocity(data)
 
 
 def draw(data, options):
@@ -42,7 +43,7 @@ def draw(data, options):
     figure, (same, own, velocity) = plotting.subplots(1, 3, size=(13.5, 4.0))
     titles = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
     for ax, (mode, title) in zip((same, own), titles.items()):
-        experiments.draw_convergence(ax, data, mode, floor=1e-9)
+        comparison.draw_convergence(ax, data, mode, floor=1e-9)
         ax.get_legend().remove()
         ax.set_title(title)
     own.sharey(same)

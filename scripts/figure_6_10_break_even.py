@@ -4,10 +4,10 @@ from itertools import product
 
 import numpy as np
 
-from deep_contact import figures, plotting
-from deep_contact.break_even import SOLVERS, errors_by_sweeps, start_times, sweep_times, sweeps_to
-from deep_contact.figures import Claim, Figure
-from deep_contact.tradeoff import pile, states_of
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies.break_even import SOLVERS, errors_by_sweeps, start_times, sweep_times, sweeps_to
+from deep_contact.studies.tradeoff import pile, states_of
 
 STARTS = ("builtin", "far field", "coarse", "guarded")
 LEARNED = STARTS[1:]

@@ -2,8 +2,9 @@
 
 import numpy as np
 
-from deep_contact import figures, plotting, results, tradeoff
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import tradeoff
 
 LOOKS = {
     "PGS": (plotting.VERMILION, "-"),

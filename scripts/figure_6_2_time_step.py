@@ -1,7 +1,8 @@
 """python scripts/figure_6_2_time_step.py: runs of a pile at rest, by method, budget and time step."""
 
-from deep_contact import figures, plotting, results, tradeoff
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import tradeoff
 
 COLOURS = {"PGS": plotting.VERMILION, "NNCG": plotting.BLUE, "SoftSteps": plotting.GREEN}
 LINES = ("-", "--", ":")

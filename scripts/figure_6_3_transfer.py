@@ -3,8 +3,9 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import experiments, figures, plotting
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import comparison
 from deep_contact.warm_start import Sph
 
 SIBLING = {
@@ -29,7 +30,7 @@ WAYS = {
 
 def compute(options, seed, jobs, progress):
     """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii."""
-    isolated = experiments.isolated_contacts(options["isolated"], seed=seed)
+    isolated = comparison.isolated_contacts(options["isolated"], seed=seed)
     piles = {name: pile(options, radius, seed) for name, radius in RADII.items()}
     rows = []
     for kernel in progress(options["kernels"], text="kernels"):
@@ -39,13 +40,13 @@ def compute(options, seed, jobs, progress):
                 for name, (transfer, method) in WAYS.items():
                     start = Sph(spacing=d, support=h, kernel=kernel, transfer=transfer)
                     for what, states in (("isolated", isolated), ("pile", piles["equal"])):
-                        loss = experiments.transfer_loss(states, start, method=method)
+                        loss = comparison.transfer_loss(states, start, method=method)
                         losses[f"{what}, {name}"] = loss["relative error"]
                 rows.append(losses)
     by_spacing = {
         radii: {
             transfer: [
-                experiments.transfer_loss(states, Sph(spacing=d, transfer=transfer))["relative error"]
+                comparison.transfer_loss(states, Sph(spacing=d, transfer=transfer))["relative error"]
                 for d in options["charted"]
             ]
             for transfer in ("thesis", "consistent")
@@ -62,7 +63,7 @@ def pile(options, radius, seed):
     """Solved states of a falling and settling pile: the thesis's, and one of radii mixed from 0.5 to 2."""
     count = options["n_bodies"] if radius == RADII["equal"] else options["n_bodies"] // 2
     scene = dc.circles_in_box(count, radius=radius, seed=seed)
-    return experiments.solved_states(scene, steps=600, every=options["every"])
+    return comparison.solved_states(scene, steps=600, every=options["every"])
 
 
 def claims(data):

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import figures, plotting
-from deep_contact.break_even import sweep_times
-from deep_contact.figures import Claim, Figure
-from deep_contact.learned_experiments import errors_on_thesis_scene, mean_errors, networks_info, ratios_to_builtin
-from deep_contact.scaling import fastest
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies.break_even import sweep_times
+from deep_contact.studies.learned import errors_on_thesis_scene, mean_errors, networks_info, ratios_to_builtin
+from deep_contact.studies.scaling import fastest
 
 SHIPPED = "models/model.h5"
 MARKERS = "^sDv"

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import figures, plotting, scaling
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import scaling
 
 PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
 LOOKS = {

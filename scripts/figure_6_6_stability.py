@@ -1,10 +1,11 @@
 """python scripts/figure_6_6_stability.py: how far each quantity can be pushed, here and in two other engines."""
 
-from deep_contact import extremes, figures, plotting
 from deep_contact.constants import LINEAR_SLOP
-from deep_contact.extremes import ABSENT, ACCURATE, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
-from deep_contact.figures import Claim, Figure
 from deep_contact.physics.methods import PGS
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import extremes
+from deep_contact.studies.extremes import ABSENT, ACCURATE, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
 
 ROUNDING = 1e-9
 """Rise of the energy that rounding may cause, as a share of what there was."""

@@ -7,8 +7,10 @@ that are in `deep_contact/reference/figure_6_7.json`, a copy of this figure's re
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import constants, figures, plotting, savings
-from deep_contact.figures import Claim, Figure
+from deep_contact import constants
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import savings
 
 NAMES = {
     "frictionless": "no tangent rows, no spin: a sweep",

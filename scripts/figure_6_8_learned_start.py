@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from deep_contact import figures, plotting
-from deep_contact.figures import Claim, Figure
-from deep_contact.learned_experiments import OFF, errors_on_thesis_scene, mean_errors, ratios_to_builtin
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies.learned import OFF, errors_on_thesis_scene, mean_errors, ratios_to_builtin
 
 TENTHS = 10
 

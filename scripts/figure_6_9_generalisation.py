@@ -3,9 +3,9 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import figures, plotting
-from deep_contact.figures import Claim, Figure
-from deep_contact.learned_experiments import ratios_to_builtin
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies.learned import ratios_to_builtin
 
 STARTS = ("builtin", "far field", "guarded")
 FEW = (3, 10, 30)

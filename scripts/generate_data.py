@@ -12,7 +12,7 @@ with the source.
 Simulation i depends on the seed and on i alone: the same bits whatever the number of simulations or jobs. It can be
 stopped at any moment and started again: what is finished stays, what is not leaves nothing behind.
 
-With --scheduler the workers of a Dask cluster simulate (`deep_contact.executors`). They need no file system of this
+With --scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`). They need no file system of this
 machine: they return every simulation as the bytes of its file, which this process writes, and what a worker that dies
 was at is done by another. XML files are made of these files afterwards, by processes of this machine.
 """
@@ -33,7 +33,7 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import constants, executors, figures
+from deep_contact import constants, parallel
 from deep_contact.cnn.dataset import (
     PHASES,
     DataFileError,
@@ -44,8 +44,9 @@ from deep_contact.cnn.dataset import (
     simulation_info,
     simulation_path,
 )
-from deep_contact.results import replacing
-from deep_contact.state_xml import state_path, write_state
+from deep_contact.io.state_xml import state_path, write_state
+from deep_contact.reporting import figures
+from deep_contact.reporting.results import replacing
 
 SWEEPS = 5000
 """The most sweeps a step is given, as in the thesis's generator; those that need more are kept as they are."""
@@ -185,7 +186,7 @@ def check_finished(jobs: list[Job]) -> int:
 def run(jobs: list[Job], workers: int | Executor) -> None:
     """Make the simulations that are missing, with a progress bar; every file is written here, as soon as it comes."""
     missing = [job for job in jobs if not simulation_path(job.out, job.number).exists()]
-    with closing(executors.finished(make_simulation, missing, jobs=workers)) as made:
+    with closing(parallel.finished(make_simulation, missing, jobs=workers)) as made:
         for i, data in figures.progress_bar(made, total=len(missing), text="simulations"):
             with replacing(simulation_path(missing[i].out, missing[i].number)) as temporary:
                 temporary.write_bytes(data)
@@ -193,7 +194,7 @@ def run(jobs: list[Job], workers: int | Executor) -> None:
 
 def export(jobs: list[Job], processes: int) -> None:
     """Write the XML files of simulations, with a progress bar."""
-    with closing(executors.finished(write_xml, jobs, jobs=processes)) as written:
+    with closing(parallel.finished(write_xml, jobs, jobs=processes)) as written:
         for _ in figures.progress_bar(written, total=len(jobs), text="XML"):
             pass
 
@@ -206,7 +207,7 @@ def parse(arguments=None) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of the whole set (0)")
     parser.add_argument("--out", type=Path, help="folder (data/generated)")
     parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (2)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help=executors.SCHEDULER_HELP)
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     parser.add_argument("--xml", action="store_true", help="write every state as XML as well")
     parser.add_argument("--gzip", action="store_true", help="compress the XML files")
     parser.add_argument("--quick", action="store_true", help="a small set in <out>/quick, for a try")
@@ -246,13 +247,13 @@ def main(arguments=None) -> int:
         done = check_finished(jobs)
         if done:
             print(f"{done} of {len(jobs)} simulations are there already")
-        with executors.opened(args.jobs, args.scheduler) as workers:
+        with parallel.opened(args.jobs, args.scheduler) as workers:
             run(jobs, workers)
         export([job for job in jobs if job.xml and not xml_folder(job).exists()], args.jobs)
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
-    except (OSError, RuntimeError, ValueError, executors.ClusterError) as error:
+    except (OSError, RuntimeError, ValueError, parallel.ClusterError) as error:
         # A full disk is an OSError or, from within HDF5, a RuntimeError.
         print(f"{args.out}: {error}", file=sys.stderr)
         return 1

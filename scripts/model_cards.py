@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from deep_contact.cnn.model_file import read_metadata
-from deep_contact.results import replacing
+from deep_contact.reporting.results import replacing
 
 MODELS = Path(__file__).resolve().parent.parent / "models"
 ABOUT = {

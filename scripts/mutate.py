@@ -32,8 +32,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from deep_contact import code_cache, results
-from deep_contact.figures import progress_bar
+from deep_contact.compiled import code_cache
+from deep_contact.reporting import results
+from deep_contact.reporting.figures import progress_bar
 
 ROOT = Path(__file__).resolve().parent.parent
 TIME = 600

@@ -46,8 +46,8 @@ def contact_table(state, predicted, start) -> list[list]:
 def picture(state, model, image, start):
     """The state with its predicted start and, if it has one, its solution; beside them the images of the impulses,
     where the network predicts such images."""
-    from deep_contact import plotting
     from deep_contact.cnn.images import ImageSpec, label_image
+    from deep_contact.reporting import plotting
 
     drawn = state.contacts._replace(normal_impulse=start[0], tangent_impulse=start[1])
     shown = {"predicted": state.replace(contacts=drawn)} | ({"solved": state} if state.solved else {})
@@ -105,9 +105,9 @@ def report(state, model, predicted, start) -> list[str]:
 def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
     """Predict one state file, write what comes of it, and return the lines to print."""
     import deep_contact as dc
-    from deep_contact import plotting
     from deep_contact.cnn.inference import projected
-    from deep_contact.results import replacing
+    from deep_contact.reporting import plotting
+    from deep_contact.reporting.results import replacing
 
     state = dc.read_state(path)
     if state.contacts is None:

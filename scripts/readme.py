@@ -15,12 +15,12 @@ from collections.abc import Callable
 from pathlib import Path
 from statistics import median
 
-from deep_contact import errata
 from deep_contact.constants import LINEAR_SLOP
-from deep_contact.extremes import spans
-from deep_contact.figures import cell
-from deep_contact.results import read_results, replacing
-from deep_contact.tradeoff import best_within, fastest_within
+from deep_contact.reporting import errata
+from deep_contact.reporting.figures import cell
+from deep_contact.reporting.results import read_results, replacing
+from deep_contact.studies.extremes import spans
+from deep_contact.studies.tradeoff import best_within, fastest_within
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"

@@ -1,8 +1,8 @@
 """python scripts/table_5_1_layers.py: layers and shapes of the built thesis network beside the thesis's table."""
 
-from deep_contact import figures
-from deep_contact import learned_experiments as learned
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import learned as learned
 
 MISPRINTS = ["Input", "BatchNormalization"]
 """Layers of which the thesis's table is known to be wrong: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""

@@ -1,8 +1,8 @@
 """python scripts/table_5_2_hyperparameters.py: hyperparameters of the thesis's training, as printed and as built."""
 
-from deep_contact import figures
-from deep_contact import learned_experiments as learned
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import learned as learned
 
 KNOWN = {
     "Kernel size": "Appendix B: 3 × 3 in the first four convolutions, 2 × 2 in all others; its weights are 64,498,866"

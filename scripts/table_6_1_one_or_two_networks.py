@@ -10,10 +10,10 @@ import hashlib
 import json
 from pathlib import Path
 
-from deep_contact import figures
-from deep_contact import learned_experiments as learned
 from deep_contact.cnn.dataset import Store
-from deep_contact.figures import Claim, Figure
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import learned as learned
 
 ONE, DEEPER, EACH = learned.VARIANTS
 

@@ -3,9 +3,9 @@
 The networks of models/comparison were trained alike but for the one setting that names them; this needs no training.
 """
 
-from deep_contact import figures
-from deep_contact.figures import Claim, Figure
-from deep_contact.learned_experiments import errors_on_thesis_scene, ratios_to_builtin
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies.learned import errors_on_thesis_scene, ratios_to_builtin
 
 NETWORKS = {
     "width_24": ("bodies and contact rows", "velocities after 3, 10, 30 sweeps"),

@@ -6,11 +6,11 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import figures
-from deep_contact.break_even import sweep_times
-from deep_contact.figures import Claim, Figure
-from deep_contact.scaling import fastest
-from deep_contact.tradeoff import pile, states_of
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies.break_even import sweep_times
+from deep_contact.studies.scaling import fastest
+from deep_contact.studies.tradeoff import pile, states_of
 
 RUNTIMES = ("Numba", "XLA", "TensorFlow")
 """`cnn.convolution`; one program of TensorFlow's compiler; a call for each layer."""

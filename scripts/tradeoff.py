@@ -6,7 +6,7 @@
 
 Every part of the study is stored in the work folder as soon as it is done, so that a run that was interrupted goes on
 where it was; parts with other settings are left alone. Errors are measured by several processes, or by a Dask cluster
-(--scheduler, see `deep_contact.executors`), times afterwards by one process of this machine. The results file holds all
+(--scheduler, see `deep_contact.parallel`), times afterwards by one process of this machine. The results file holds all
 numbers; `scripts/figure_6_1_methods.py` and `figure_6_2_time_step.py` draw them, and `--install` hands the condensed
 part to the package, for `dc.recommend`; with --verify it hands over the margin. Quick form: 100 and 1,000 circles.
 """
@@ -22,8 +22,10 @@ from concurrent.futures import Executor
 from contextlib import closing
 from pathlib import Path
 
-from deep_contact import executors, figures, results, tradeoff
+from deep_contact import parallel
 from deep_contact.recommendation import TABLE
+from deep_contact.reporting import figures, results
+from deep_contact.studies import tradeoff
 
 FULL = {
     "sizes": [100, 1000, 10000],
@@ -141,7 +143,7 @@ def done(parts: list, *, work: Path, jobs: int | Executor, text: str) -> list:
         paths.append(work / f"{part[0]}_{part[1]['n_bodies']}_{digest}.json")
     missing = [i for i, path in enumerate(paths) if not path.exists()]
     work.mkdir(parents=True, exist_ok=True)
-    with closing(executors.finished(compute, [parts[i] for i in missing], jobs=jobs)) as found:
+    with closing(parallel.finished(compute, [parts[i] for i in missing], jobs=jobs)) as found:
         for k, result in figures.progress_bar(found, total=len(missing), text=text):
             with results.replacing(paths[missing[k]]) as temporary:
                 temporary.write_text(json.dumps(result, allow_nan=False), encoding="utf-8")
@@ -267,7 +269,7 @@ def main(arguments=None) -> int:
     parser.add_argument("--quick", action="store_true", help="a smaller study that ends within five minutes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2, help="processes for the errors (2)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help=executors.SCHEDULER_HELP + ", for the errors")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
     parser.add_argument("--out", type=Path, help="results file (data/reference/tradeoff.json; quick: runs/)")
     parser.add_argument("--work", type=Path, default=Path("runs/tradeoff"), help="folder of the finished parts")
     parser.add_argument("--install", action="store_true", help="make these the numbers that dc.recommend reads")
@@ -277,9 +279,9 @@ def main(arguments=None) -> int:
     given = parser.parse_args(arguments)
     begin = time.perf_counter()
     try:
-        with executors.opened(given.jobs, given.scheduler) as jobs:
+        with parallel.opened(given.jobs, given.scheduler) as jobs:
             file = _verification(given, jobs) if given.verify else _study(given, jobs)
-    except executors.ClusterError as error:
+    except parallel.ClusterError as error:
         print(error, file=sys.stderr)
         return 1
     if file is None:

@@ -73,7 +73,7 @@ def optional(kind):
 
 def learning_curve(history, path, last="impulses") -> None:
     """Loss and errors against the epoch. last: what the last column of errors is of."""
-    from deep_contact import plotting
+    from deep_contact.reporting import plotting
 
     with plotting.style():
         figure, (left, right) = plotting.subplots(1, 2, size=(8.4, 3.4))

@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import deep_contact as dc
+
+ROOT = Path(__file__).resolve().parents[1]
+SCRIPTS = ROOT / "scripts"
+
+
+def load_script(name):
+    """The script whose name begins so, "figure_6_6" or "train", as a module that pickles its functions by name."""
+    path = SCRIPTS / f"{name}.py"
+    if not path.exists():
+        (path,) = SCRIPTS.glob(f"{name}_*.py")
+    if path.stem not in sys.modules:
+        spec = importlib.util.spec_from_file_location(path.stem, path)
+        module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+    return sys.modules[path.stem]
 
 
 @pytest.fixture(scope="session")

@@ -7,7 +7,7 @@ import pytest
 
 import deep_contact as dc
 
-LIGHT = ("deep_contact.physics", "deep_contact.sph", "deep_contact.state", "deep_contact.state_xml")
+LIGHT = ("deep_contact.physics", "deep_contact.sph", "deep_contact.state", "deep_contact.io.state_xml")
 
 
 def modules_after(code):
@@ -32,7 +32,7 @@ def test_physics_and_transfer_never_reach_up(module):
         f"import importlib, pkgutil\nm = importlib.import_module('{module}')\n"
         "for s in pkgutil.iter_modules(getattr(m, '__path__', [])): importlib.import_module(m.__name__ + '.' + s.name)"
     )
-    assert not loaded & {"tensorflow", "keras", "matplotlib", "deep_contact.cnn", "deep_contact.plotting"}
+    assert not loaded & {"tensorflow", "keras", "matplotlib", "deep_contact.cnn", "deep_contact.reporting.plotting"}
 
 
 def test_every_public_name_is_there():

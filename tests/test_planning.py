@@ -1,13 +1,13 @@
 """Plans: what a run uses and leaves out, said as `simulate` does it, with the savings read from Figure 6.7's file."""
 
-import importlib.util
 import shutil
-from pathlib import Path
 
 import pytest
+from conftest import load_script
 
 import deep_contact as dc
-from deep_contact import figures, planning
+from deep_contact import planning
+from deep_contact.reporting import figures
 
 
 def one(ratio, spread=0.0):
@@ -98,10 +98,7 @@ def test_the_results_in_the_package_are_told():
 
 
 def test_the_figure_draws_and_judges_the_results_in_the_package(tmp_path):
-    path = Path(__file__).resolve().parent.parent / "scripts" / "figure_6_7_scene_requirements.py"
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    script = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(script)
+    script = load_script("figure_6_7_scene_requirements")
     shutil.copy(planning.TABLE, tmp_path)
     assert figures.main(script.FIGURE, ["--replot", "--out", str(tmp_path)]) == 0
     assert (tmp_path / "figure_6_7.png").stat().st_size > 10_000

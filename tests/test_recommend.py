@@ -7,9 +7,9 @@ import pytest
 
 import deep_contact as dc
 from deep_contact import recommendation as advice
-from deep_contact import tradeoff
-from deep_contact.physics import errors
+from deep_contact.physics import metrics
 from deep_contact.physics.methods import describe
+from deep_contact.studies import tradeoff
 
 
 def row(setting, kind, error, us, *, n_bodies=100, sweeps=10, tolerance=None):
@@ -206,10 +206,10 @@ def test_a_preset_that_the_study_does_not_reach_warns(monkeypatch):
 def test_references_solve_the_problem_and_differ():
     state = tradeoff.states_of(tradeoff.pile("settling", 150, 2), count=1)[0]
     ends = tradeoff.courses(state, 300, tradeoff.REFERENCES)
-    assert max(errors.residual(state, end) for end in ends.values()) > 1e-6
+    assert max(metrics.residual(state, end) for end in ends.values()) > 1e-6
     found = tradeoff.references_from(state, ends.values(), exact=True)
     assert 1 <= len(found) <= 3
-    assert max(errors.residual(state, solution) for solution in found) <= 1e-8
+    assert max(metrics.residual(state, solution) for solution in found) <= 1e-8
     twice = tradeoff.references_from(state, [found[0], found[0]], exact=True)
     assert len(twice) == 1
 
@@ -217,7 +217,7 @@ def test_references_solve_the_problem_and_differ():
 def test_ends_that_are_not_solved_are_no_references():
     state = tradeoff.states_of(tradeoff.pile("falling", 40, 2), count=1)[0]
     ends = [dc.solve_contacts(state, solver=dc.PGS(sweeps=k, tolerance=None)) for k in (1, 5000)]
-    assert errors.residual(state, ends[0]) > tradeoff.ENOUGH
+    assert metrics.residual(state, ends[0]) > tradeoff.ENOUGH
     found = tradeoff.references_from(state, ends, exact=False)
     assert [solution is ends[1] for solution in found] == [True]
 

@@ -41,7 +41,7 @@ def test_counts_below_one_are_refused_at_once(scene, name):
 
 
 def test_scales_never_shrink_from_frame_to_frame(scene):
-    from deep_contact import plotting
+    from deep_contact.reporting import plotting
 
     painter, limits = viewer.Painter(), []
     for frame in viewer.frames(scene, steps=30, every=10, solver=dc.PGS(sweeps=50)):
@@ -55,7 +55,7 @@ def test_scales_never_shrink_from_frame_to_frame(scene):
 
 
 def test_a_step_without_contacts_can_be_drawn():
-    from deep_contact import plotting
+    from deep_contact.reporting import plotting
 
     (frame,) = viewer.frames(dc.single_body(height=5.0), steps=1)
     _, axes = plotting.subplots(1, 2)

@@ -40,7 +40,7 @@ from deep_contact.cnn.images import (
     symmetries,
 )
 from deep_contact.physics.methods import METHODS
-from deep_contact.results import replacing
+from deep_contact.reporting.results import replacing
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 
 FORMAT = "deep-contact simulation"

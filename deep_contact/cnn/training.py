@@ -42,7 +42,7 @@ from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_mo
 from deep_contact.cnn.losses import CONTACT_LOSSES, ContactBatch
 from deep_contact.cnn.model_file import save_model
 from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
-from deep_contact.results import package_versions, processor, replacing
+from deep_contact.reporting.results import package_versions, processor, replacing
 from deep_contact.warm_start import Builtin, NoStart
 
 CHANNEL_SETS = {

@@ -23,11 +23,7 @@ import numpy as np
 from numba import njit, prange
 from numba.extending import overload
 
-from deep_contact.constants import BAUMGARTE, LINEAR_SLOP, MAX_CORRECTION, POSITION_TOLERANCE, WALL_SKIN
-from deep_contact.physics.collision import SMALLEST_DISTANCE
-from deep_contact.physics.contact_solver import CONTRACT
-from deep_contact.physics.convergence import is_over
-from deep_contact.physics.lanes import (
+from deep_contact.compiled.simd import (
     WIDTH,
     lane,
     least,
@@ -42,6 +38,10 @@ from deep_contact.physics.lanes import (
     where_less,
     widened,
 )
+from deep_contact.constants import BAUMGARTE, LINEAR_SLOP, MAX_CORRECTION, POSITION_TOLERANCE, WALL_SKIN
+from deep_contact.physics.collision import SMALLEST_DISTANCE
+from deep_contact.physics.contact_solver import CONTRACT
+from deep_contact.physics.convergence import is_over
 from deep_contact.state import RIGHT, TOP
 
 BLOCK = 1024

@@ -21,7 +21,7 @@ class ConvergenceRecord(NamedTuple):
     |        | tolerance was asked for; "diverged": it is not finite, and sweeping ended there;     |
     |        | "no_contacts": there was nothing to solve                                            |
 
-    θ is a stopping rule, not an error: slow convergence has small steps. For errors see `deep_contact.physics.errors`.
+    θ is a stopping rule, not an error: slow convergence has small steps. For errors see `deep_contact.physics.metrics`.
     """
 
     theta: np.ndarray

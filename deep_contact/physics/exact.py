@@ -32,7 +32,7 @@ from numba import njit
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from deep_contact.physics import errors
+from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
@@ -103,7 +103,7 @@ def solve_exactly(
     if isinstance(most_pivots, bool) or not isinstance(most_pivots, (int, np.integer)) or most_pivots < 0:
         raise ValueError(f"most_pivots: expected an integer >= 0, got {most_pivots!r}")
     solution = _admissible(state, _start(state, normal_start, tangent_start))
-    best, least = solution, errors.residual(state, solution)
+    best, least = solution, metrics.residual(state, solution)
     epsilon, factorizations, pivots, idle = FIRST_EPSILON, 0, 0, 0
     while least > residual and pivots + factorizations < most_pivots and idle < MOST_IDLE:
         limit = min(MOST_PIVOTS, most_pivots - pivots - factorizations)
@@ -120,7 +120,7 @@ def solve_exactly(
             state, PGS(sweeps=sweeps, tolerance=None), *projected(impulse[::2], impulse[1::2], state.world.friction)
         )
         solution = _admissible(state, swept)
-        wrong = errors.residual(state, solution)
+        wrong = metrics.residual(state, solution)
         idle = 0 if done > EASY or wrong < least else idle + 1
         if wrong < least:
             best, least = solution, wrong
@@ -138,7 +138,7 @@ def _start(state: State, normal, tangent) -> ContactSolution:
     if normal is None and tangent is None:
         held = contacts.normal_start, contacts.tangent_start
         plain, swept = (solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS))
-        return swept if errors.residual(state, swept) < errors.residual(state, plain) else plain
+        return swept if metrics.residual(state, swept) < metrics.residual(state, plain) else plain
     start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
         array = np.array(np.nan if value is None else value, dtype=np.float64)

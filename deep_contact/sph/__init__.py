@@ -5,7 +5,7 @@ Transfer: `Grid`, `splat`, `density`, `gather`. The slow witness, by k-d tree, i
 `deep_contact.sph.neighbours`.
 """
 
-from deep_contact.code_cache import drop_unfit_code
+from deep_contact.compiled.code_cache import drop_unfit_code
 
 drop_unfit_code()
 

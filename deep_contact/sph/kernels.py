@@ -2,8 +2,8 @@
 
 A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1,
 normalised to a unit integral; everything else (h, the gradient's direction, the Laplacian, r = 0, the edge)
-is done once for all. **To add one**, write that function and enter it in `_PROFILES`: `tests/test_kernels.py`
-takes it up by itself, and machine code that was compiled before is dropped (`deep_contact.code_cache`).
+is done once for all. **To add one**, write that function and enter it in `_PROFILES`: `tests/sph/test_kernels.py`
+takes it up by itself, and machine code that was compiled before is dropped (`deep_contact.compiled.code_cache`).
 
 What holds for every kernel:
 

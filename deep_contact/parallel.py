@@ -1,0 +1,208 @@
+"""Where independent tasks run: processes of this machine, or the workers of a Dask cluster.
+
+Both are behind the standard interface, `concurrent.futures.Executor`. Whatever takes `jobs` takes the number of local
+processes or an executor, such as `cluster`'s, and the results are the same bits:
+
+    with executors.cluster("tcp://10.0.0.1:8786") as workers:
+        figures.produce(FIGURE, jobs=workers)
+
+A cluster is started by Dask's own commands, in an environment where this package and the extra `cluster` are installed:
+`dask scheduler`, and on every machine `dask worker ADDRESS --nworkers auto --nthreads 1`. Workers need no file system
+of the client: a task is sent to them, and what comes back is what it returns. A task that reads a file, such as a
+network of `models/`, reads the worker's own, below the folder in which the worker was started.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import multiprocessing
+import os
+import platform
+import signal
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from functools import cache
+from pathlib import Path
+
+from deep_contact.reporting import results
+from deep_contact.version import VERSION
+
+TIMEOUT = 10.0
+"""Seconds within which a scheduler has to answer."""
+
+SCHEDULER_HELP = "a Dask cluster, such as tcp://10.0.0.1:8786, in place of local processes"
+"""Of the option `--scheduler`."""
+
+_PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow")
+"""Packages on whose versions results depend."""
+
+_one_task = threading.Lock()
+
+
+class ClusterError(RuntimeError):
+    """A cluster that cannot be used; names the address or the worker, what was expected and what was found."""
+
+
+def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -> Iterator[tuple[int, object]]:
+    """(i, function(item i)) of all items, in the order in which they are done.
+
+    jobs: number of local processes, which are spawned; with one, or one item, everything happens in this process.
+    Or an executor, which stays open. `function` has to be found by import (a script's own functions are), and items and
+    results have to be picklable. The first error, an interrupt, or closing the iterator ends the tasks that have not
+    begun, and local processes at once; use `contextlib.closing` where the loop itself may raise. Results are handed on
+    and not kept. Raises ValueError for other `jobs`.
+    """
+    if not isinstance(jobs, Executor) and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
+        raise ValueError(f"jobs: expected an integer >= 1 or an Executor, got {jobs!r}")
+    return _finished(function, list(items), jobs)
+
+
+def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator[tuple[int, object]]:
+    if isinstance(jobs, int) and (jobs == 1 or len(items) < 2):
+        for i, item in enumerate(items):
+            yield i, function(item)
+        return
+    with nullcontext(jobs) if isinstance(jobs, Executor) else _processes(min(jobs, len(items))) as executor:
+        numbers = {}
+        try:
+            with _interrupts_held_back():
+                for i, item in enumerate(items):
+                    numbers[executor.submit(function, item)] = i
+            for future in as_completed(list(numbers)):
+                yield numbers.pop(future), future.result()
+        except BaseException:
+            if isinstance(jobs, Executor):  # local processes, and their tasks, are ended by `_processes`
+                for future in numbers:
+                    future.cancel()
+            raise
+
+
+def opened(jobs: int, scheduler: str | None = None) -> AbstractContextManager[int | Executor]:
+    """What `--jobs` and `--scheduler` ask for, as `jobs` of everything else: see `cluster`."""
+    return nullcontext(jobs) if scheduler is None else cluster(scheduler)
+
+
+@contextmanager
+def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
+    """The workers of the Dask cluster whose scheduler is at `address`, as an executor.
+
+    timeout: seconds within which the scheduler has to answer. Tasks wait until there is a worker, and a task whose
+    worker died is done by another, up to Dask's limit (`distributed.scheduler.allowed-failures`). Worker processes do
+    one task at a time, whatever their threads. A worker refuses tasks where its sources or versions are not those of
+    this process, since its results could be others. Tasks that have begun cannot be called back: after an error or
+    Ctrl-C the workers finish them, for nobody.
+    Raises ClusterError naming the address where no scheduler answers or it is lost, and where the package `distributed`
+    is missing.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise ClusterError(
+            f"scheduler: expected the package `distributed` to be installed for {address}, got none: "
+            "it comes with the extra `cluster`, pip install 'deep-contact[cluster]'"
+        ) from None
+    try:
+        client = Client(address, timeout=timeout, set_as_default=False)
+    except Exception as error:  # Dask raises OSError, ValueError, TypeError and others, by what is wrong of the address
+        raise ClusterError(
+            f"scheduler: expected a Dask scheduler that answers at {address} within {timeout:g} s, got none: "
+            f"{str(error) or type(error).__name__}"
+        ) from error
+    with client:
+        try:
+            yield _Cluster(client)
+        except CancelledError:
+            raise ClusterError(f"scheduler: expected {address} to be there until the end, got no answer") from None
+
+
+class _Cluster(Executor):
+    """Dask's executor, its tasks held to our code."""
+
+    def __init__(self, client):
+        # Impure: Dask may neither take two equal tasks for one nor hand out what an older code has found.
+        self._executor = client.get_executor(pure=False)
+
+    def submit(self, function, /, *args, **kwargs):
+        import cloudpickle
+
+        task, expected = cloudpickle.dumps((function, args, kwargs)), code()
+
+        # A nested function and bytes travel by value: Dask's worker would fall over a message that it cannot unpickle,
+        # where this one ends in an ordinary error, also on a worker without this package.
+        def task_of_deep_contact():
+            from deep_contact.parallel import on_worker
+
+            return on_worker(task, expected)
+
+        return self._executor.submit(task_of_deep_contact)
+
+    def shutdown(self, wait=True, *, cancel_futures=False):
+        self._executor.shutdown(wait=wait and not cancel_futures)
+
+
+def on_worker(task: bytes, expected: dict[str, str]):
+    """Do a pickled task (function, args, kwargs) here. Raises ClusterError where `code` is not what is expected."""
+    import cloudpickle
+
+    for name, found in code().items():
+        if found != expected[name]:
+            raise ClusterError(
+                f"worker on {platform.node()}: {name}: expected {expected[name]} as the client has it, got {found}; "
+                "install the same and start the worker again"
+            )
+    # Neither the compiled kernels, which hold the interpreter anyway, nor the peer engines are made for threads.
+    with _one_task:
+        function, args, kwargs = cloudpickle.loads(task)
+        return function(*args, **kwargs)
+
+
+@cache
+def code() -> dict[str, str]:
+    """What results depend on beside the task: versions, and a digest of the sources, by name."""
+    digest, folder = hashlib.sha256(), Path(__file__).parent
+    for path in sorted(folder.rglob("*.py")):
+        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
+    versions = results.package_versions()
+    ours = {"deep_contact": VERSION, "sources of deep_contact": digest.hexdigest()[:16]}
+    return ours | {name: versions.get(name, "none") for name in _PACKAGES}
+
+
+@contextmanager
+def _processes(count: int) -> Iterator[Executor]:
+    """Spawned processes of this machine; after an error they are ended at once, whatever they are at."""
+    # Spawned, not forked: a fork would copy whatever threads the parent's libraries have in whatever state.
+    context = multiprocessing.get_context("spawn")
+    others = set(multiprocessing.active_children())
+    with ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent) as executor:
+        try:
+            yield executor
+        except BaseException:
+            executor.shutdown(wait=False, cancel_futures=True)
+            for process in set(multiprocessing.active_children()) - others:
+                process.terminate()
+            raise
+
+
+def _end_with_parent() -> None:
+    """End this process once its parent is gone: a pool's processes wait for tasks even where nobody can send any."""
+
+    def wait():
+        multiprocessing.parent_process().join()
+        os._exit(1)
+
+    threading.Thread(target=wait, daemon=True).start()
+
+
+@contextmanager
+def _interrupts_held_back():
+    """Ctrl-C waits until this is over. Processes started within never get it: the parent ends them."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

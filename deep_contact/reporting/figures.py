@@ -1,0 +1,430 @@
+"""What every figure and table script does: its command line, and the way from simulation to file to picture.
+
+A script describes itself by a `Figure` and hands it to `main`:
+
+    FIGURE = Figure(id="3.7", title="…", options={"steps": 600}, quick={"steps": 60},
+                    compute=compute, claims=claims, draw=draw, table=table)
+
+    if __name__ == "__main__":
+        raise SystemExit(figures.main(FIGURE))
+
+The three steps are kept apart: `compute` makes the numbers, the results file stores them, `claims`, `table`
+and `draw` see nothing but what is stored. So a picture drawn again from its file is the same picture.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import re
+import signal
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from deep_contact import parallel
+from deep_contact.reporting import plotting, results
+from deep_contact.reporting.results import Claim
+
+__all__ = ["Claim", "Figure", "cell", "main", "override", "parallel_map", "produce", "progress_bar", "seeds"]
+
+INTERRUPTED = 130
+"""Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
+
+
+def no_claims(data: dict) -> list[Claim]:
+    """Claims of a figure about which the thesis says nothing."""
+    return []
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """A figure, or a table, of the thesis or of ours.
+
+    id: "3.7" for a figure, "T 5.1" for a table. title: one line. options: the thesis's settings, name ->
+    value (numbers, text, None, or lists of these). quick: what `--quick` changes of them. seed: default of
+    `--seed`. digits: significant digits kept of float arrays in the data, None for all.
+
+    compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `jobs` is for
+    `parallel_map`, `progress` takes what `progress_bar` takes.
+    claims(data) -> list of `Claim`; table(data) -> rows to print, head first. Both see the stored data.
+    draw(data, options) -> matplotlib figure. A table without `draw` gets a picture of its rows.
+
+    Raises ValueError naming the field.
+    """
+
+    id: str
+    title: str
+    compute: Callable[[dict, int, int, Callable], dict]
+    table: Callable[[dict], Sequence[Sequence]]
+    draw: Callable[[dict, dict], object] | None = None
+    claims: Callable[[dict], list[Claim]] = no_claims
+    options: dict = field(default_factory=dict)
+    quick: dict = field(default_factory=dict)
+    seed: int = 0
+    digits: int | None = 6
+
+    def __post_init__(self):
+        if not re.search(results.ID_PATTERN, self.id):
+            raise ValueError(f"id: expected text like '3.7' or 'T 5.1', got {self.id!r}")
+        if self.draw is None and not self.is_table:
+            raise ValueError(f"draw: expected a function for figure {self.id}, got None")
+        results.plain(self.options, where="options")
+        _refuse_unknown(self.quick, self.options, "quick")
+
+    @property
+    def is_table(self) -> bool:
+        """Whether the results are a table rather than a picture."""
+        return self.id.startswith("T ")
+
+    @property
+    def stem(self) -> str:
+        """Name of its files without suffix: figure_3_7, table_5_1."""
+        return f"{'table' if self.is_table else 'figure'}_{self.id.removeprefix('T ').replace('.', '_')}"
+
+
+def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
+    """Run a script's command line; its exit status.
+
+    0: files written, or up to date. 1: something that has to be there first is not, such as a trained network
+    (FileNotFoundError) or a cluster (ClusterError), whose message is printed. 2: bad arguments, or a ValueError of
+    the figure's own functions under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, without a traceback and
+    without half-written files.
+    Any other error in the figure's own functions is raised.
+    """
+    parser = _parser(figure)
+    given = parser.parse_args(arguments)
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="replace")  # a terminal without θ should not stop a run
+    try:
+        options = override({**figure.options, **(figure.quick if given.quick else {})}, given.set)
+    except ValueError as error:
+        parser.error(str(error))
+    if given.replot and (given.set or given.quick or given.resume or given.seed is not None):
+        parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
+    try:
+        _prepare_folder(given.out)
+    except OSError as error:
+        parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
+    try:
+        with _exit_on_sigterm():
+            if given.replot:
+                return _replot(figure, given.out, parser)
+            seed = figure.seed if given.seed is None else given.seed
+            path = _stored_at(figure, given.out)
+            if given.resume and _is_up_to_date(figure, path, options, seed):
+                print(f"{figure.stem}: up to date")
+                return 0
+            with parallel.opened(given.jobs, given.scheduler) as jobs:
+                produce(figure, options=options, seed=seed, out=given.out, jobs=jobs)
+            return 0
+    except KeyboardInterrupt:
+        print(f"{figure.stem}: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    except (FileNotFoundError, parallel.ClusterError) as error:
+        print(f"{figure.stem}: {error}", file=sys.stderr)
+        return 1
+    except ValueError as error:
+        if not given.set:
+            raise
+        parser.error(f"--set {' --set '.join(given.set)}: {error}")
+
+
+def produce(
+    figure: Figure,
+    *,
+    options: dict | None = None,
+    seed: int | None = None,
+    out: str | os.PathLike = "figures",
+    jobs: int | Executor = 1,
+    progress: Callable | None = None,
+    echo: Callable[[str], None] = print,
+) -> dict:
+    """Compute, store, draw and report a figure; the stored results.
+
+    options: changes to the figure's own, by name. out: folder of the files. jobs: processes that may be
+    used, or an executor (`executors.finished`); the numbers do not depend on it. progress: see `progress_bar`,
+    the default. echo: takes the report's lines. The results are stored before they are drawn, so that a mistake
+    in `draw` does not cost a long computation. Raises ValueError for an unknown option.
+    """
+    _refuse_unknown(options or {}, figure.options, "options")
+    options = results.plain({**figure.options, **(options or {})}, where="options")
+    seed = figure.seed if seed is None else seed
+    start = time.perf_counter()
+    data = figure.compute(dict(options), seed, jobs, progress or progress_bar)
+    wall_s = time.perf_counter() - start
+    data = results.plain(data, digits=figure.digits)
+    found = {
+        "id": figure.id,
+        "title": figure.title,
+        "options": options,
+        "provenance": results.provenance(seed=seed, wall_s=wall_s),
+        "claims": list(figure.claims(data)),
+        "data": data,
+    }
+    path = results.write_results(_stored_at(figure, out), found)
+    found = results.read_results(path)
+    _draw(figure, found, out)
+    _report(figure, found, echo)
+    return found
+
+
+def _prepare_folder(out: str | os.PathLike) -> None:
+    """Make the folder of the files. Raises OSError where it cannot be written: now, and not after the work is done."""
+    Path(out).mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=out):
+        pass
+
+
+def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
+    return Path(out) / f"{figure.stem}.json"
+
+
+def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
+    path = _stored_at(figure, out).with_suffix(".png")
+    with plotting.style():
+        if figure.draw is None:
+            rows = [[cell(value) for value in row] for row in figure.table(found["data"])]
+            picture = plotting.draw_table(rows, _heading(figure, found))
+        else:
+            picture = figure.draw(found["data"], found["options"])
+        plotting.save(picture, path)
+    if figure.is_table:
+        with results.replacing(path.with_suffix(".md")) as temporary:
+            temporary.write_text(_markdown(figure, found), encoding="utf-8")
+
+
+def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser) -> int:
+    path = _stored_at(figure, out)
+    try:
+        found = results.read_results(path)
+    except (OSError, results.ResultsError) as error:
+        parser.error(f"--replot: {error}")
+    if found["id"] != figure.id:
+        parser.error(f"--replot: {path.name}: expected id {figure.id!r}, got {found['id']!r}")
+    _draw(figure, found, out)
+    _report(figure, found, print)
+    return 0
+
+
+def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool:
+    """Whether the stored results, picture included, are what this commit would compute with these options.
+
+    In a changed or unknown checkout nothing is: nobody can tell what made the file.
+    """
+    wanted = [".png", ".md"] if figure.is_table else [".png"]
+    if not all(path.with_suffix(suffix).exists() for suffix in wanted):
+        return False
+    try:
+        found = results.read_results(path)
+    except (OSError, results.ResultsError):
+        return False
+    commit = results.commit()
+    made_by = found["provenance"]
+    clean = commit != "unknown" and not commit.endswith("+changes")
+    same_code = clean and made_by["commit"] == commit and made_by["packages"] == results.package_versions()
+    same_run = found["options"] == results.plain(options) and made_by["seed"] == seed
+    return same_code and same_run and found["id"] == figure.id
+
+
+def _heading(figure: Figure, found: dict) -> str:
+    kind = "Table" if figure.is_table else "Figure"
+    return f"{kind} {figure.id.removeprefix('T ')}: {found['title']}"
+
+
+def _report(figure: Figure, found: dict, echo: Callable[[str], None]) -> None:
+    """Print the numbers as a table, and one line a claim."""
+    echo(_heading(figure, found))
+    rows = [[cell(value) for value in row] for row in figure.table(found["data"])]
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
+    for row in rows:
+        echo("  " + "  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip())
+    for claim in found["claims"]:
+        echo(_claim_line(claim))
+
+
+def _claim_line(claim: dict) -> str:
+    source = f" ({claim['thesis']})" if claim["thesis"] else ""
+    measured = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
+    return f"{'holds' if claim['holds'] else 'DOES NOT HOLD'}: {claim['text']}{source}: {measured}"
+
+
+def _markdown(figure: Figure, found: dict) -> str:
+    head, *body = [[cell(value).replace("|", "\\|") for value in row] for row in figure.table(found["data"])]
+    lines = [f"**{_heading(figure, found)}**", ""]
+    lines += ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
+    lines += [""] + [f"- {_claim_line(claim)}" for claim in found["claims"]]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def cell(value) -> str:
+    """A value as tables and claims show it: floats with four significant digits, None as a dash."""
+    if value is None:
+        return "–"
+    if isinstance(value, (bool, np.bool_)):
+        return "yes" if value else "no"
+    if isinstance(value, (float, np.floating)):
+        return f"{value:.4g}"
+    if isinstance(value, (list, tuple)):
+        return "[" + ", ".join(cell(item) for item in value) + "]"
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{name}: {cell(item)}" for name, item in value.items()) + "}"
+    return str(value)
+
+
+def _parser(figure: Figure) -> argparse.ArgumentParser:
+    known = "\n".join(f"  {name}={_as_text(value)}" for name, value in figure.options.items())
+    parser = argparse.ArgumentParser(
+        description=f"{_heading(figure, {'title': figure.title})}.",
+        epilog=f"settings and their values without --quick:\n{known}" if known else None,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    add = parser.add_argument
+    add("--quick", action="store_true", help="a smaller run that ends within a minute")
+    add("--seed", type=_integer_from(0), help=f"of everything random (default: {figure.seed})")
+    add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
+    add("--jobs", type=_integer_from(1), default=_cores(), help="processes (default: one for each core)")
+    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
+    add("--replot", action="store_true", help="draw again from the stored results alone")
+    add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
+    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting; can be repeated")
+    return parser
+
+
+def _integer_from(least: int) -> Callable[[str], int]:
+    def integer(text: str) -> int:
+        value = int(text)
+        if value < least:
+            raise argparse.ArgumentTypeError(f"expected an integer >= {least}, got {value}")
+        return value
+
+    return integer
+
+
+def _cores() -> int:
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def override(options: dict, assignments: Iterable[str]) -> dict:
+    """A copy of `options` with assignments "name=value" applied, each value of the type that it replaces.
+
+    A list is given as "0.1,0.2"; its items have the type of the first one that they replace. Where the
+    value replaced is None, JSON is read if it is JSON, and text otherwise. Raises ValueError naming the
+    setting, what was expected and what came; for an unknown name it names the known ones.
+    """
+    changed = dict(options)
+    for assignment in assignments:
+        name, sign, text = assignment.partition("=")
+        name = name.strip()
+        if not sign:
+            raise ValueError(f"expected NAME=VALUE, got {assignment!r}")
+        _refuse_unknown([name], options, "settings")
+        changed[name] = _typed(name, text.strip(), options[name])
+    return changed
+
+
+def _typed(name: str, text: str, default):
+    if isinstance(default, bool):
+        words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
+        if text.lower() not in words:
+            raise ValueError(f"{name}: expected true or false, got {text!r}")
+        return words[text.lower()]
+    if isinstance(default, (int, float)):
+        kind, expected = (int, "an integer") if isinstance(default, int) else (float, "a finite number")
+        try:
+            value = kind(text)
+        except ValueError:
+            raise ValueError(f"{name}: expected {expected}, got {text!r}") from None
+        if not np.isfinite(value):
+            raise ValueError(f"{name}: expected {expected}, got {text!r}")
+        return value
+    if isinstance(default, (list, tuple)) and not any(isinstance(item, (list, tuple, dict)) for item in default):
+        items = [item.strip() for item in text.strip("[]()").split(",") if item.strip()]
+        return [_typed(f"{name}[{i}]", item, default[0] if default else None) for i, item in enumerate(items)]
+    if isinstance(default, str):
+        return text
+    try:
+        return json.loads(text)
+    except json.JSONDecodeError:
+        if default is not None:
+            raise ValueError(f"{name}: expected JSON like {json.dumps(default)}, got {text!r}") from None
+        return text
+
+
+def _as_text(value) -> str:
+    if isinstance(value, (list, tuple)) and not any(isinstance(item, (list, tuple, dict)) for item in value):
+        return ",".join(map(str, value))
+    return value if isinstance(value, str) else json.dumps(results.plain(value))
+
+
+def _refuse_unknown(names: Iterable[str], known: dict, what: str) -> None:
+    for name in names:
+        if name not in known:
+            raise ValueError(f"{what}: expected one of {', '.join(known) or '(none)'}, got {name!r}")
+
+
+def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
+    """A progress bar on standard error around `items`; without them, one to move by `.update(n)`.
+
+    It shows up after a second only, and a log file, unlike a terminal, gets a line every ten seconds at most.
+    """
+    from tqdm import tqdm
+
+    every = 0.2 if sys.stderr.isatty() else 10.0
+    style = {"file": sys.stderr, "mininterval": every, "delay": 1.0, "leave": False}
+    return tqdm(items, total=total, desc=text or None, **style)
+
+
+def seeds(seed: int, count: int) -> list[int]:
+    """`count` independent seeds from one, for items worked on in parallel: item i always gets the same."""
+    return [int(child.generate_state(1, np.uint64)[0]) for child in np.random.SeedSequence(seed).spawn(count)]
+
+
+def parallel_map(
+    function: Callable,
+    items: Iterable,
+    *,
+    jobs: int | Executor = 1,
+    progress: Callable | None = None,
+    text: str = "",
+) -> list:
+    """[function(item) for item in items], in that order, by `jobs`: see `executors.finished`.
+
+    The result does not depend on `jobs` as long as `function` depends on its item alone: give every item
+    its own seed (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
+    """
+    items = list(items)
+    progress = progress or (lambda iterable, **_: iterable)
+    found = [None] * len(items)
+    with closing(parallel.finished(function, items, jobs=jobs)) as done:
+        for i, result in progress(done, total=len(items), text=text):
+            found[i] = result
+    return found
+
+
+@contextmanager
+def _exit_on_sigterm():
+    """SIGTERM ends this process as an exit does, so that temporary files and child processes go as well."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def leave(number, frame):
+        raise SystemExit(128 + number)
+
+    before = signal.signal(signal.SIGTERM, leave)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

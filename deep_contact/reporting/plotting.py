@@ -1,0 +1,529 @@
+"""One style for every figure: colours, lines, axes with units, states, convergence curves, files, animation.
+
+The colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart; every
+start has one colour *and* one line of its own, so that pictures survive a black and white print. Matplotlib
+is imported inside the functions and used without pyplot: nothing here opens a window or keeps a state.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
+from itertools import count
+from pathlib import Path
+
+import numpy as np
+
+from deep_contact.reporting.results import replacing
+
+DPI = 150
+"""Dots per inch of every picture."""
+
+BLACK, GREY = "#000000", "#767676"
+ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
+BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
+CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
+"""Colours of curves that are not starts, in order. Yellow is for areas: as a line it is lost on white."""
+
+COLOUR_MAP = "viridis"
+"""Sequential colour map: perceptually uniform, and monotonic in grey."""
+
+START_STYLE = {
+    "none": {"color": BLACK, "linestyle": ":", "marker": "x", "label": "None"},
+    "builtin": {"color": VERMILION, "linestyle": "-", "marker": "s", "label": "Builtin"},
+    "sph": {"color": SKY, "linestyle": "--", "marker": "^", "label": "SPH, thesis transfer"},
+    "sph consistent": {"color": BLUE, "linestyle": "-", "marker": "v", "label": "SPH, consistent transfer"},
+    "copy": {"color": GREEN, "linestyle": "-.", "marker": "D", "label": "Copy"},
+    "cnn": {"color": PURPLE, "linestyle": "-", "marker": "o", "label": "CNN"},
+    "cnn thesis": {"color": PURPLE, "linestyle": "--", "marker": "P", "label": "CNN, thesis network"},
+    "far field": {"color": PURPLE, "linestyle": "-.", "marker": "p", "label": "CNN, far field"},
+    "compact": {
+        "color": PURPLE,
+        "linestyle": (0, (3, 1, 1, 1, 1, 1)),
+        "marker": "X",
+        "label": "CNN, image of impulses",
+    },
+    "coarse": {"color": PURPLE, "linestyle": ":", "marker": "h", "label": "CNN, far field, coarse"},
+    "guarded": {"color": ORANGE, "linestyle": "-", "marker": "*", "label": "Guarded"},
+    "random": {"color": GREY, "linestyle": ":", "marker": "+", "label": "Random"},
+    "bad": {"color": GREY, "linestyle": "--", "marker": "1", "label": "Bad"},
+}
+"""Name of a start -> how it is always drawn."""
+
+_STYLE = {
+    "font.family": "DejaVu Sans",  # comes with matplotlib: the same letters on every machine
+    "font.size": 9.0,
+    "axes.titlesize": 10.0,
+    "axes.labelsize": 9.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "axes.grid": True,
+    "grid.color": "#DDDDDD",
+    "grid.linewidth": 0.6,
+    "lines.linewidth": 1.6,
+    "legend.frameon": True,
+    "legend.framealpha": 0.9,
+    "legend.edgecolor": "#DDDDDD",
+    "legend.fontsize": 8.0,
+    "legend.title_fontsize": 8.0,
+    "figure.facecolor": "white",
+    "figure.constrained_layout.use": True,
+    "figure.constrained_layout.h_pad": 0.08,
+    "figure.constrained_layout.w_pad": 0.08,
+    "image.cmap": COLOUR_MAP,
+}
+
+
+def style():
+    """Context in which figures are made and saved, so that all look alike: `with plotting.style(): ...`."""
+    from cycler import cycler
+    from matplotlib import style as styles
+
+    # On top of matplotlib's own defaults, not of the user's: the same data give the same picture everywhere.
+    return styles.context(["default", {**_STYLE, "axes.prop_cycle": cycler(color=CYCLE)}])
+
+
+def style_of(start: str, *, marker: bool = False) -> dict:
+    """Keywords for `ax.plot` with which this start is always drawn: color, linestyle, label, marker if asked.
+
+    start: its name in any case, words parted by spaces, underscores or hyphens. Raises ValueError naming the
+    known ones.
+    """
+    key = _start_key(start)
+    if key not in START_STYLE:
+        raise ValueError(f"start: expected one of {', '.join(START_STYLE)}, got {start!r}")
+    found = dict(START_STYLE[key])
+    if not marker:
+        del found["marker"]
+    return found
+
+
+def _start_key(name: str) -> str:
+    return str(name).lower().replace("_", " ").replace("-", " ").strip()
+
+
+def styles_of(names: Iterable[str]) -> dict[str, dict]:
+    """Name -> keywords for `ax.plot`: starts as `style_of`, others by the next colour of the cycle."""
+    found = {name: style_of(name) if _start_key(name) in START_STYLE else None for name in names}
+    taken = {(look["color"], look["linestyle"]) for look in found.values() if look}
+    # Seven colours and four lines have no common factor: 28 pairs before one comes again.
+    pairs = ((CYCLE[i % 7], ("-", "--", "-.", ":")[i % 4]) for i in count())
+    free = (pair for pair in pairs if pair not in taken)
+    for name, look in found.items():
+        if look is None:
+            color, line = next(free)
+            found[name] = {"color": color, "linestyle": line, "label": name}
+    return found
+
+
+def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
+    """A figure and its axes (one, or an array of shape as `Figure.subplots` gives it), without pyplot.
+
+    size: inches, width and height; by default 6 × 4 for a single panel and 4.2 × 3.6 for each of several.
+    keywords go to `matplotlib.figure.Figure.subplots`.
+    """
+    from matplotlib.figure import Figure
+
+    if size is None:
+        size = (6.0, 4.0) if rows == columns == 1 else (4.2 * columns, 3.6 * rows)
+    with style():
+        figure = Figure(figsize=size, layout="constrained")
+        return figure, figure.subplots(rows, columns, **keywords)
+
+
+def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title: str = "") -> None:
+    """Label both axes as "quantity (unit)"; no brackets for a pure number. title: of the panel, if any."""
+    ax.set_xlabel(f"{x} ({x_unit})" if x_unit else x)
+    ax.set_ylabel(f"{y} ({y_unit})" if y_unit else y)
+    if title:
+        ax.set_title(title)
+
+
+def scene_axes(ax, box: Sequence[float], *, walls: bool = True, margin: float = 0.02) -> None:
+    """Axes of a scene: metres, one scale for x and y, the whole box in view and, with `walls`, outlined.
+
+    box: (x_min, y_min, x_max, y_max), m. margin: room around the box, as a share of its size.
+    """
+    from matplotlib.patches import Rectangle
+
+    x_min, y_min, x_max, y_max = box
+    room = margin * max(x_max - x_min, y_max - y_min)
+    ax.set_xlim(x_min - room, x_max + room)
+    ax.set_ylim(y_min - room, y_max + room)
+    ax.set_aspect("equal")
+    ax.grid(False)
+    for spine in ax.spines.values():
+        spine.set_visible(False)
+    ax.tick_params(length=0)
+    if walls:
+        size = (x_max - x_min, y_max - y_min)
+        ax.add_patch(Rectangle((x_min, y_min), *size, fill=False, edgecolor=BLACK, linewidth=1.5))
+    label_axes(ax, "x", "y", x_unit="m", y_unit="m")
+
+
+def draw_grid(ax, x: np.ndarray, y: np.ndarray, *, lines: bool = True, node_size: float = 0.0) -> None:
+    """Draw a grid from the coordinates of its columns x (n_x,) and rows y (n_y,), m.
+
+    lines: the edges of the cells, under the circles. node_size: diameter of the nodes' dots, which lie over the
+    circles, points; 0 leaves them out.
+    """
+    from matplotlib.collections import LineCollection
+
+    if lines:
+        upright = [[(a, y[0]), (a, y[-1])] for a in x]
+        level = [[(x[0], b), (x[-1], b)] for b in y]
+        ax.add_collection(LineCollection(upright + level, colors="#BBBBBB", linewidths=0.4, zorder=0.5))
+    if node_size:
+        a, b = np.meshgrid(x, y)
+        ax.plot(a.ravel(), b.ravel(), "o", color=VERMILION, markersize=node_size, markeredgewidth=0, zorder=1.2)
+
+
+def zoom_into(ax, window: Sequence[float], *, outline_in=None) -> None:
+    """Show only `window`, (x_min, y_min, x_max, y_max), m, and outline it in the axes `outline_in` if given."""
+    from matplotlib.patches import Rectangle
+
+    x_min, y_min, x_max, y_max = window
+    ax.set_xlim(x_min, x_max)
+    ax.set_ylim(y_min, y_max)
+    for spine in ax.spines.values():
+        spine.set_visible(True)
+        spine.set_color(BLUE)
+    if outline_in is not None:
+        size = (x_max - x_min, y_max - y_min)
+        outline_in.add_patch(Rectangle((x_min, y_min), *size, fill=False, edgecolor=BLUE, linewidth=1.8, zorder=5))
+
+
+def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
+    """What the circles are coloured by, shape (n,), and its label with unit.
+
+    colour_by: "speed", m/s, or "impulse", the sum of the normal impulses at the circle's contacts, N·s.
+    Raises ValueError for any other.
+    """
+    if colour_by == "speed":
+        return np.hypot(*np.asarray(state.bodies.velocity).T), "speed (m/s)"
+    if colour_by == "impulse":
+        total = np.zeros(state.bodies.count + 4)
+        if state.contacts is not None:
+            np.add.at(total, state.contacts.body_a, state.contacts.normal_impulse)
+            np.add.at(total, state.contacts.body_b, state.contacts.normal_impulse)
+        return total[: state.bodies.count], "sum of normal impulses (N·s)"
+    raise ValueError(f"colour_by: expected 'speed', 'impulse' or None, got {colour_by!r}")
+
+
+def state_data(state) -> dict:
+    """What `draw_state` needs of a state, for the data of a results file; `state_of` reads it back."""
+    bodies, contacts, world = state.bodies, state.contacts, state.world
+    data = {"name": state.name, "time": state.time, "box": list(world.box), "bodies": bodies._asdict()}
+    return {**data, "contacts": None if contacts is None else contacts._asdict()}
+
+
+def state_of(data: Mapping):
+    """What `state_data` stored, to be drawn and not to be simulated: gravity and solver are not in it."""
+    from deep_contact.state import Bodies, Contacts, State, World
+
+    def arrays(fields):
+        whole = ("body_a", "body_b")
+        columns = {"position": (-1, 2), "velocity": (-1, 2), "normal": (-1, 2)}
+        return {
+            name: np.array(value, np.int64 if name in whole else np.float64).reshape(columns.get(name, -1))
+            for name, value in fields.items()
+        }
+
+    bodies = Bodies(**arrays(data["bodies"]))
+    contacts = None if data["contacts"] is None else Contacts(**arrays(data["contacts"]))
+    world = World(box=tuple(data["box"]))
+    return State(name=data["name"], world=world, bodies=bodies, contacts=contacts, time=data["time"])
+
+
+def draw_state(
+    ax,
+    state,
+    *,
+    colour_by: str | None = "speed",
+    contacts: bool = True,
+    walls: bool = True,
+    limits: tuple[float, float] | None = None,
+    largest_impulse: float | None = None,
+):
+    """Draw a state into `ax`: circles, a tick for each one's orientation, and contact impulses as lines.
+
+    A contact's line runs from the centre of one circle to that of the other, or to the wall, and is as wide
+    as its normal impulse is large (a contact without impulse is a hair line). limits: of the colours; by
+    default 0 and the largest value. largest_impulse: drawn as the widest line, N·s; by default the largest
+    of this state. Give both where several states are to be compared. Returns the circles' collection, for a
+    colour bar.
+    """
+    from matplotlib.collections import LineCollection, PatchCollection
+    from matplotlib.patches import Circle
+
+    bodies = state.bodies
+    circles = PatchCollection([Circle(p, r) for p, r in zip(bodies.position, bodies.radius)], linewidths=0.5)
+    circles.set_edgecolor("#333333")
+    if colour_by is None:
+        circles.set_facecolor("#CFE6F5")
+    else:
+        values, label = body_values(state, colour_by)
+        low, high = limits or (0.0, float(values.max(initial=0.0)))
+        circles.set_array(values)
+        circles.set_clim(low, high if high > low else low + 1.0)
+        circles.set_cmap(COLOUR_MAP)
+        circles.set_label(label)
+    scene_axes(ax, state.world.box, walls=walls)
+    ax.add_collection(circles)
+
+    heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
+    # From half the radius outwards: a full spoke would be taken for a contact.
+    ticks = np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
+    ax.add_collection(LineCollection(ticks, colors=_readable_on(circles), linewidths=1.0))
+    if contacts and state.contacts is not None and state.contacts.count:
+        _draw_contacts(ax, state, largest_impulse)
+    return circles
+
+
+def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
+    from matplotlib.collections import LineCollection
+
+    bodies, contacts = state.bodies, state.contacts
+    start = bodies.position[contacts.body_a]
+    end = np.array(contacts.position, dtype=np.float64)
+    between = contacts.body_b < bodies.count
+    end[between] = bodies.position[contacts.body_b[between]]
+    impulse = contacts.normal_impulse
+    largest = float(impulse.max()) if largest_impulse is None else largest_impulse
+    width = 0.3 + 4.0 * (impulse / largest if largest > 0 else np.zeros_like(impulse))
+    lines = np.stack([start, end], axis=1)
+    # The white one below keeps the line apart from circles of any colour.
+    for colour, more in (("white", 0.8), (VERMILION, 0.0)):
+        ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
+
+
+def _readable_on(circles) -> list[str]:
+    """Black or white for each circle, whichever stands out from its colour."""
+    circles.update_scalarmappable()
+    brightness = np.atleast_2d(circles.get_facecolor())[:, :3] @ np.array([0.299, 0.587, 0.114])
+    return ["#222222" if bright > 0.5 else "white" for bright in brightness]
+
+
+def colour_bar(ax, collection):
+    """Colour bar beside `ax` for what `draw_state` returned, with its label."""
+    bar = ax.figure.colorbar(collection, ax=ax, shrink=0.8, pad=0.02, label=collection.get_label())
+    bar.outline.set_visible(False)
+    return bar
+
+
+def convergence_plot(
+    ax,
+    curves: Mapping[str, np.ndarray],
+    *,
+    sweeps: Sequence[int] | None = None,
+    bands: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
+    threshold: float | None = None,
+    floor: float | None = None,
+) -> float:
+    """Convergence rate θ after each sweep, both axes logarithmic.
+
+    curves: name -> θ, N·s; starts have their own style. sweeps: after which each θ was taken, by default every one
+    from the first. bands: name -> the quartiles (low, high) over the scenes, around the curve of that name.
+    threshold: drawn as a horizontal line, N·s.
+
+    A logarithmic axis has no place for θ = 0: anything below `floor` is drawn there, and a note in the
+    picture then says so. By default the floor is the power of ten below the smallest θ > 0, but not under
+    1e-12. Returns the floor. Raises ValueError for a negative or non-finite θ.
+    """
+    curves = {name: np.asarray(theta, dtype=np.float64) for name, theta in curves.items()}
+    for name, theta in curves.items():
+        if theta.ndim != 1 or not theta.size or not np.isfinite(theta).all() or (theta < 0).any():
+            raise ValueError(f"curves[{name!r}]: expected finite θ >= 0, one a sweep, got {theta}")
+    if floor is None:
+        positive = np.concatenate([theta[theta > 0] for theta in curves.values()] or [np.ones(1)])
+        smallest = positive.min() if positive.size else 1.0
+        floor = 10.0 ** max(-12, np.floor(np.log10(smallest) - 1e-9))
+    styles = styles_of(curves)
+    clipped = False
+    for name, theta in curves.items():
+        x = np.arange(1, theta.size + 1) if sweeps is None else np.asarray(sweeps)
+        clipped |= bool((theta < floor).any())
+        ax.plot(x, np.maximum(theta, floor), **styles[name])
+        if bands and name in bands:
+            low, high = (np.maximum(edge, floor) for edge in bands[name])
+            ax.fill_between(x, low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
+    if threshold is not None:
+        # In the legend: wherever it were written in the picture, some curve would cross it.
+        ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
+    ax.set_xscale("log")
+    ax.set_yscale("log")
+    label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
+    if clipped:
+        note = f"θ below {floor:.0e}, zero included, is drawn there"
+        ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=7, color="#555555", va="bottom")
+    title = "band: quartiles of the scenes" if bands else None
+    if len(curves) > 4:  # more would hide curves
+        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title)
+    elif curves:
+        ax.legend(title=title)
+    return float(floor)
+
+
+def draw_table(rows: Sequence[Sequence[str]], title: str):
+    """A figure that shows a table of text: the first row is its head."""
+    from matplotlib.figure import Figure
+
+    widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
+    with style():
+        figure = Figure(figsize=(max(4.0, 0.085 * sum(widths)), 0.26 * len(rows) + 0.5), layout="constrained")
+        ax = figure.subplots()
+        ax.axis("off")
+        ax.set_title(title)
+        shares = [width / sum(widths) for width in widths]
+        table = ax.table(rows, colWidths=shares, loc="center", cellLoc="left", bbox=(0, 0, 1, 1))
+        table.auto_set_font_size(False)
+        table.set_fontsize(8)
+        for (row, _), cell in table.get_celld().items():
+            cell.visible_edges = "B"
+            cell.set_edgecolor(BLACK if row == 0 else "#CCCCCC")
+            if row == 0:
+                cell.set_text_props(weight="bold")
+    return figure
+
+
+def draw_network(
+    ax,
+    values: Sequence[Sequence[float]],
+    weights: Sequence[Sequence[Sequence[float]]],
+    *,
+    titles: Sequence[str] = (),
+    dropped: Sequence[Sequence[bool]] | None = None,
+    numbers: str = "{:.2f}",
+) -> None:
+    """Draw a fully connected network with numbers: a column of neurons for each layer, from left to right.
+
+    values: of each layer's neurons. weights: between each layer and the next, (n, m); a positive one is a blue line, a
+    negative one a dashed vermilion line, as wide as it is large. titles: under the layers. dropped: neurons that are
+    crossed out, and whose lines are left out. numbers: how a neuron's value is written; "" writes none.
+    """
+    from matplotlib.collections import LineCollection
+
+    places = [[(float(i), 0.5 * (len(layer) - 1) - j) for j in range(len(layer))] for i, layer in enumerate(values)]
+    gone = dropped or [[False] * len(layer) for layer in values]
+    largest = max((abs(w) for between in weights for row in between for w in row), default=1.0) or 1.0
+    for i, between in enumerate(weights):
+        for sign, colour, line in ((1, BLUE, "-"), (-1, VERMILION, "--")):
+            found = [
+                (places[i][a], places[i + 1][b], abs(w))
+                for a, row in enumerate(between)
+                for b, w in enumerate(row)
+                if sign * w > 0 and not (gone[i][a] or gone[i + 1][b])
+            ]
+            lines = [(start, end) for start, end, _ in found]
+            widths = [0.3 + 2.7 * size / largest for *_, size in found]
+            ax.add_collection(LineCollection(lines, colors=colour, linestyles=line, linewidths=widths, zorder=1))
+    low = min(y for layer in places for _, y in layer)
+    for i, layer in enumerate(places):
+        for (x, y), value, out in zip(layer, values[i], gone[i]):
+            face, edge = ("#EEEEEE", GREY) if out else ("#CFE6F5", BLACK)
+            ax.plot(x, y, "o", markersize=30, markerfacecolor=face, markeredgecolor=edge, zorder=2)
+            if out:
+                ax.plot(x, y, "x", markersize=22, color=GREY, markeredgewidth=1.5, zorder=3)
+            elif numbers:
+                ax.text(x, y, numbers.format(value), ha="center", va="center", fontsize=8, zorder=3)
+        if i < len(titles):
+            ax.text(i, low - 0.45, titles[i], ha="center", va="top", fontsize=9)
+    high = max(y for layer in places for _, y in layer)
+    ax.set_xlim(-0.4, len(values) - 0.6)
+    ax.set_ylim(low - (0.9 if titles else 0.5), high + 0.5)
+    ax.axis("off")
+
+
+def write_in_cells(ax, values, *, numbers: str = "{:g}", **keywords):
+    """An image drawn as cells with their numbers in them, row 0 at the top; keywords go to `ax.imshow`."""
+    values = np.asarray(values, dtype=np.float64)
+    shown = ax.imshow(values, **keywords)
+    ax.grid(False)
+    ax.set_xticks(range(values.shape[1]))
+    ax.set_yticks(range(values.shape[0]))
+    ax.tick_params(length=0)
+    brightness = shown.to_rgba(values)[..., :3] @ np.array([0.299, 0.587, 0.114])
+    for (i, j), value in np.ndenumerate(values):
+        colour = "#222222" if brightness[i, j] > 0.5 else "white"
+        ax.text(j, i, numbers.format(value), ha="center", va="center", color=colour)
+    return shown
+
+
+def save(figure, path: str | os.PathLike) -> Path:
+    """Write a figure as PNG in one move; the same figure gives the same bytes. Returns the path."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with style(), replacing(path) as temporary:
+        # No date and no version in the file: pictures that look the same are the same.
+        figure.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None})
+    return path
+
+
+def animate(
+    states: Iterable,
+    path: str | os.PathLike,
+    *,
+    fps: int = 25,
+    draw: Callable | None = None,
+    size: float = 5.0,
+    dpi: int = 80,
+    panels: Sequence[float] = (1.0,),
+) -> list[Path]:
+    """Animate states, one frame each: a GIF always, and an MP4 beside it where matplotlib finds ffmpeg.
+
+    path: of the GIF; the MP4 has the same stem. fps: frames a second; a GIF rounds the time of a frame to
+    hundredths of a second. draw: `draw(ax, state)`; by default `draw_state`, coloured by speeds up to 12
+    m/s. size: height of a frame, inches. panels: widths of the panels side by side, in heights; if there are
+    several, `draw` gets the sequence of their axes. Returns the paths written. Raises ValueError if there is no
+    state.
+    """
+    from matplotlib import animation
+    from matplotlib.figure import Figure
+
+    if not 0 < fps <= 100:
+        raise ValueError(f"fps: expected a number above 0, at most 100, got {fps!r}")
+    states = list(states)
+    if not states:
+        raise ValueError("states: expected at least one, got none")
+    path = Path(path).with_suffix(".gif")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    draw = draw or _draw_frame
+    with style(), ExitStack() as stack:
+        figure = Figure(figsize=(size * sum(panels), size), dpi=dpi, layout="constrained")
+        axes = figure.subplots(1, len(panels), width_ratios=list(panels), squeeze=False)[0]
+        paths, film = [path], None
+        if animation.writers.is_available("ffmpeg"):
+            paths.append(path.with_suffix(".mp4"))
+            temporary = stack.enter_context(replacing(paths[1]))
+            film = animation.FFMpegWriter(fps=fps)
+            stack.enter_context(film.saving(figure, temporary, dpi))
+        frames = []
+        for state in states:
+            for ax in axes:
+                ax.clear()
+            draw(axes if len(panels) > 1 else axes[0], state)
+            if film:
+                film.grab_frame()
+            frames.append(_frame(figure))
+        with replacing(path) as gif:
+            first, *others = frames
+            first.save(gif, "GIF", save_all=True, append_images=others, duration=round(1000 / fps), loop=0)
+    return paths
+
+
+def _draw_frame(ax, state) -> None:
+    draw_state(ax, state, limits=(0.0, 12.0))
+    ax.set_title(f"t = {state.time:.2f} s", loc="left")
+
+
+def _frame(figure):
+    """The figure as a picture of 256 colours: a quarter of the memory, and what a GIF holds anyway."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from PIL import Image
+
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
+    return Image.fromarray(np.ascontiguousarray(pixels)).quantize(256, dither=Image.Dither.NONE)

@@ -1,0 +1,644 @@
+"""Scenes at the extremes, and what becomes of them, in this engine and in its peers: the science behind Figure 6.6.
+
+`QUANTITIES` says which quantity is pushed how far and in which scene; `measure` runs one such scene in one engine and
+says what came of it. A scene is
+
+* **safe** where everything stays in the box and in its order, the circles end no deeper in each other than position
+  correction leaves them (three slops, or a tenth of the smallest radius if that is less), and the energy never rises
+  by more than a hundredth of what there was;
+* **degraded** where it stays bounded, but one of the last two does not hold;
+* **failed** where a number is not finite, a circle has left the box or passed through another, or the energy doubles;
+* **refused** where the engine says no before the first step, or an adapter cannot build the scene.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from deep_contact import constants
+from deep_contact.constants import LINEAR_SLOP, WALL_SKIN
+from deep_contact.physics.engine import contacts_of, solve
+from deep_contact.physics.methods import METHODS, PGS, PRECISIONS
+from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
+from deep_contact.simulation import ready, simulate
+from deep_contact.state import Bodies, State, World, make_bodies
+from deep_contact.warm_start import STARTS
+
+SAFE, DEGRADED, FAILED, REFUSED, ABSENT = VERDICTS = ("safe", "degraded", "failed", "refused", "absent")
+ENGINES = ("ours", "Box2D 2.3", "pymunk")
+
+SETTLED_PENETRATION = 3 * LINEAR_SLOP
+"""Depth at which Box2D's position correction is content, m."""
+
+ENERGY_TOLERANCE = 0.01
+"""Rise of the mechanical energy that a safe scene may show, as a share of what there was."""
+
+SWEEPS = 50
+"""Velocity sweeps, or iterations of a peer, where they are not what is pushed."""
+
+
+ACCURATE = PGS(sweeps=100_000, tolerance=1e-9)
+"""The most accurate setting in use here: it nearly always ends by its tolerance."""
+
+SOLVER = PGS(sweeps=SWEEPS, tolerance=None)
+"""Of every trial that says nothing else; position correction as it is by default."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One scene to be run.
+
+    ordered: axis along which the circles have to keep the order of their numbers, or None. single: round the bodies to
+    float32 after every step, as an engine that keeps its state in float32 does.
+    """
+
+    scene: State
+    steps: int
+    solver: PGS = SOLVER
+    warm_start: object = "builtin"
+    ordered: int | None = None
+    single: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quantity:
+    """A quantity that is pushed: its unit, the values, those of the quick run, and the scene for a value.
+
+    peers: whether the other engines have it too.
+    """
+
+    unit: str
+    values: tuple
+    quick: tuple
+    trial: Callable[[float, int], Trial]
+    peers: bool = True
+
+
+# ---- what came of it ----
+
+
+def measure(trial: Trial, engine: str = "ours") -> dict:
+    """Run a trial in an engine of `ENGINES`.
+
+    Returns, as a results file holds it:
+
+    | key           | meaning                                                                                      |
+    |---------------|----------------------------------------------------------------------------------------------|
+    | verdict       | one of `VERDICTS`, see the module                                                            |
+    | message       | why it was refused, or how it failed                                                         |
+    | finite        | whether all numbers were, in all steps                                                       |
+    | energy        | largest rise of the mechanical energy over that of the start, as a share of the scale        |
+    | sweep_gain    | the rises by the velocity part of single steps, added up, as a share of the scale; ours only |
+    | correction    | the work of position correction against gravity where it lifts, likewise; ours only          |
+    | worst         | deepest penetration, m                                                                       |
+    | settled       | deepest penetration of the last tenth of the steps, m                                        |
+    | recovered     | steps until no penetration exceeds what is settled for good; None if it still does           |
+    | speed         | largest speed at the end, m/s                                                                |
+
+    The scale of energy is what the scene starts with, kinetic and potential over the lowest place in the box; where
+    that is nothing, that of all its circles at 1 m/s. Raises ValueError on an unknown engine.
+    """
+    if engine not in ENGINES:
+        raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
+    watch = _Watch(trial)
+    try:
+        run = _run_ours(trial, watch) if engine == "ours" else _run_peer(trial, engine)
+        for bodies in run:
+            watch.see(bodies)
+    except ImportError as error:
+        return watch.outcome(ABSENT, str(error))
+    except FileNotFoundError:
+        return watch.outcome(ABSENT, "the model file is not there")
+    except (ValueError, AssertionError, ArithmeticError) as error:
+        # Before the first step a scene is refused; later, numbers have become what no state may hold.
+        return watch.outcome(REFUSED if watch.steps == 0 else FAILED, str(error).strip().splitlines()[-1], finite=False)
+    return watch.outcome()
+
+
+class _Watch:
+    """Looks at the bodies after every step."""
+
+    def __init__(self, trial: Trial):
+        self.trial, self.scene = trial, trial.scene
+        self.steps = 0
+        self.penetration = np.zeros(trial.steps)
+        with np.errstate(over="ignore"):
+            self.first = mechanical_energy(self.scene, self.scene.bodies)
+            self.scale = self.first if self.first > 0 else 0.5 * self.scene.bodies.mass.sum()
+        self.energy = self.sweep_gain = self.correction = self.speed = 0.0
+        self.ours = False
+        self.lost = ""
+
+    def see(self, bodies: Bodies) -> None:
+        found = contacts_of(self.scene.replace(bodies=bodies))
+        self.penetration[self.steps] = max(0.0, -found.separation.min(initial=0.0))
+        self.energy = max(self.energy, (mechanical_energy(self.scene, bodies) - self.first) / self.scale)
+        self.speed = float(np.hypot(*bodies.velocity.T).max())
+        self.lost = self.lost or self._what_is_lost(bodies)
+        self.steps += 1
+
+    def split(self, before: Bodies, after: Bodies) -> None:
+        """Add up what one step of ours did to the energy: by its velocity part, and by position correction."""
+        gravity, dt = np.asarray(self.scene.world.gravity), self.scene.dt
+        weight = before.mass[:, None] * gravity
+        moved = dt * after.velocity
+        gain = kinetic_energy(after) - kinetic_energy(before) - (weight * moved).sum()
+        lift = -(weight * (after.position - before.position - moved)).sum()
+        self.sweep_gain += max(0.0, gain) / self.scale
+        self.correction += max(0.0, lift) / self.scale
+        self.ours = True
+
+    def _what_is_lost(self, bodies: Bodies) -> str:
+        x_min, y_min, x_max, y_max = self.scene.world.box
+        outside = (bodies.position < (x_min, y_min)) | (bodies.position > (x_max, y_max))
+        began = self.scene.bodies.position
+        inside_at_first = (began >= (x_min, y_min)) & (began <= (x_max, y_max))
+        # Circles that began outside count once they have had the time to be brought back.
+        due = inside_at_first if self.steps < self.trial.steps - 1 else True
+        if (outside & due).any():
+            return f"step {self.steps}: circle {int(np.argwhere(outside & due)[0][0])} has left the box"
+        axis = self.trial.ordered
+        if axis is not None and (np.diff(bodies.position[:, axis]) <= 0).any():
+            return f"step {self.steps}: a circle has passed through another"
+        return ""
+
+    def outcome(self, verdict: str | None = None, message: str = "", *, finite: bool = True) -> dict:
+        depth = self.penetration[: self.steps]
+        allowed = min(SETTLED_PENETRATION, 0.1 * float(self.scene.bodies.radius.min()))
+        # Rounding at the circles' coordinates is not penetration.
+        allowed *= 1 + 1e-9
+        settled = float(depth[-max(1, depth.size // 10) :].max(initial=0.0))
+        deep = np.flatnonzero(depth > allowed)
+        recovered = int(deep[-1]) + 1 if deep.size else 0
+        if verdict is None:
+            message = self.lost
+            if self.lost or self.energy > 1:
+                verdict = FAILED
+                message = message or f"the energy rose by {self.energy:.3g} of what there was"
+            else:
+                verdict = SAFE if settled <= allowed and self.energy <= ENERGY_TOLERANCE else DEGRADED
+        return {
+            "verdict": verdict,
+            "message": message,
+            "finite": verdict == REFUSED or (finite and all(np.isfinite([self.energy, self.speed, settled]))),
+            "energy": _finite(self.energy),
+            "sweep_gain": _finite(self.sweep_gain) if self.ours else None,
+            "correction": _finite(self.correction) if self.ours else None,
+            "worst": float(depth.max(initial=0.0)) if self.steps else None,
+            "settled": settled if self.steps else None,
+            "recovered": None if recovered == depth.size else recovered,
+            "speed": _finite(self.speed),
+        }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _run_ours(trial: Trial, watch: _Watch):
+    state = ready(trial.scene)
+    for _ in range(trial.steps):
+        before = state.bodies
+        state = simulate(state, steps=1, solver=trial.solver, warm_start=trial.warm_start).state
+        if trial.single:
+            state = rounded_to_float32(state)
+        else:
+            watch.split(before, state.bodies)
+        yield state.bodies
+
+
+def _run_peer(trial: Trial, engine: str):
+    from deep_contact.studies import peers
+
+    if engine == "pymunk" and trial.solver.sweeps == 0:
+        raise ValueError("iterations must be positive and non-zero")  # Chipmunk says so too, and ends the process
+    world = {"Box2D 2.3": peers.Box2D23, "pymunk": peers.Pymunk}[engine](trial.scene)
+    for _ in range(trial.steps):
+        world.step(trial.scene.dt, trial.solver.sweeps, trial.solver.position_sweeps)
+        yield world.bodies()
+
+
+def rounded_to_float32(state: State) -> State:
+    """The state with positions and velocities that float32 can hold; contacts are found again, impulses kept."""
+    bodies = Bodies(*(field.astype(np.float32).astype(np.float64) for field in state.bodies))
+    moved = state.replace(bodies=bodies)
+    found, old = contacts_of(moved), state.contacts
+    impulses = {(a, b): k for k, (a, b) in enumerate(zip(old.body_a.tolist(), old.body_b.tolist()))}
+    for k, pair in enumerate(zip(found.body_a.tolist(), found.body_b.tolist())):
+        if pair in impulses:
+            for name in ("normal_start", "tangent_start", "normal_impulse", "tangent_impulse"):
+                getattr(found, name)[k] = np.float32(getattr(old, name)[impulses[pair]])
+    return moved.replace(contacts=found)
+
+
+def kinetic_energy(bodies: Bodies) -> float:
+    """Of all circles, translation and rotation, J."""
+    linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
+    return float(0.5 * (linear + bodies.inertia @ bodies.spin**2))
+
+
+def mechanical_energy(scene: State, bodies: Bodies) -> float:
+    """Kinetic energy, and potential energy over the place in the box where a centre is lowest, J."""
+    x_min, y_min, x_max, y_max = scene.world.box
+    gravity = np.asarray(scene.world.gravity)
+    lowest = np.where(gravity < 0, (x_min, y_min), (x_max, y_max))
+    height = bodies.position - lowest
+    return kinetic_energy(bodies) - float(np.einsum("i,ij,j->", bodies.mass, height, gravity))
+
+
+def solve_gain(state: State, solver, start) -> tuple[float, float]:
+    """Kinetic energy after the velocity sweeps, and after the start alone, over that before either, J.
+
+    Before: with gravity's Δt in it. start: (normal, tangent), (m,) each, N·s. Without friction, sweeps can only lower
+    the kinetic energy from where the start leaves it.
+    """
+    gravity = state.dt * np.asarray(state.world.gravity)
+    free = kinetic_energy(state.bodies._replace(velocity=state.bodies.velocity + gravity))
+
+    def after(options):
+        found = solve(state, options, *start)
+        return kinetic_energy(state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities))
+
+    return after(solver) - free, after(replace(solver, sweeps=0)) - free
+
+
+# ---- the scenes ----
+
+
+def silo(n: int, *, radius: float = 1.0, **options) -> State:
+    """`column` in a silo one circle wide, its lid two circles above it."""
+    scene = column(n, radius=radius, width=2 * (radius + WALL_SKIN), **options)
+    x_min, y_min, x_max, _ = scene.world.box
+    return scene.replace(world=replace(scene.world, box=(x_min, y_min, x_max, 2 * (WALL_SKIN + radius * (n + 2)))))
+
+
+def with_bodies(scene: State, **fields) -> State:
+    """The scene with some fields of its bodies changed, and its contacts to be found again."""
+    return scene.replace(bodies=scene.bodies._replace(**fields), contacts=None)
+
+
+def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
+    """A silo whose circles weigh as always (r = 1), but for one that weighs `ratio` times as much."""
+    scene = silo(n)
+    mass = scene.bodies.mass.copy()
+    mass[at] *= ratio
+    return with_bodies(scene, mass=mass)
+
+
+def struck_silo(n: int, *, speed: float = 5.0, after: int = 20, **options) -> State:
+    """A silo whose top circle arrives at `speed` (m/s) in step `after`, whatever Δt is (`dt` in options) and gravity.
+
+    options: those of `column`, and dt, s.
+    """
+    dt = options.pop("dt", constants.TIME_STEP)
+    scene = silo(n, **options).replace(dt=dt)
+    position, velocity = scene.bodies.position.copy(), scene.bodies.velocity.copy()
+    position[-1, 1] += min(speed * dt, constants.MAX_TRANSLATION) * after
+    velocity[-1, 1] = -speed
+    x_min, y_min, x_max, y_max = scene.world.box
+    box = (x_min, y_min, x_max, max(y_max, position[-1, 1] + 2 * scene.bodies.radius[-1]))
+    return with_bodies(scene, position=position, velocity=velocity).replace(world=replace(scene.world, box=box))
+
+
+def pyramid(rows: int, *, radius: float = 1.0) -> State:
+    """Circles in hexagonal order on a floor as wide as the lowest row, each row one shorter."""
+    centres = [
+        (WALL_SKIN + radius * (1 + row + 2 * i), WALL_SKIN + radius * (1 + np.sqrt(3) * row))
+        for row in range(rows)
+        for i in range(rows - row)
+    ]
+    side = 2 * (radius * rows + WALL_SKIN)
+    world = World(box=(0, 0, side, side))
+    return State(name=f"pyramid_{rows}", world=world, bodies=make_bodies(centres, radius=radius))
+
+
+def bed_under(ratio: float, *, n: int = 8) -> State:
+    """A circle `ratio` times as large as the n of radius 1 in a row on the floor that carry it; all weigh the same."""
+    width = max(2.0 * n, 2 * ratio) + 2 * WALL_SKIN
+    row = np.column_stack([width / 2 + 2.0 * np.arange(n) - (n - 1), np.full(n, WALL_SKIN + 1.0)])
+    centres = [*row, (width / 2, WALL_SKIN + 2.0 + ratio)]
+    world = World(box=(0, 0, width, 2 * ratio + 6))
+    bodies = make_bodies(centres, radius=[1.0] * n + [ratio], mass=1.0)
+    return State(name=f"bed_{n}", world=world, bodies=bodies)
+
+
+def channel(speed: float) -> State:
+    """Two circles that run into each other with closing `speed`, m/s, in a channel that they cannot leave."""
+    bodies = make_bodies([[9.0, 1.01], [21.0, 1.01]], velocity=[[speed / 2, 0], [-speed / 2, 0]])
+    return State(name="channel", world=World(box=(0, 0, 30, 2.02), gravity=(0, 0)), bodies=bodies)
+
+
+def overlapping(share: float, n: int = 2) -> State:
+    """n circles without gravity, each overlapping the next by this share of the diameter: 1 is coinciding centres."""
+    centres = np.column_stack([15.0 + 2.0 * (1 - share) * np.arange(n), np.full(n, 15.0)])
+    return State(name=f"overlap_{n}", world=World(gravity=(0, 0)), bodies=make_bodies(centres))
+
+
+def cornered(depth: float, n: int = 5) -> State:
+    """n circles on a diagonal, touching, without gravity; the first is `depth` m too deep in a corner, on both axes."""
+    centres = 1.01 - depth + np.sqrt(2) * np.arange(n)[:, None] * np.ones(2)
+    return State(name=f"corner_{n}", world=World(gravity=(0, 0)), bodies=make_bodies(centres))
+
+
+def shifted(scene: State, by: float) -> State:
+    """The scene moved by (by, by), m."""
+    x_min, y_min, x_max, y_max = scene.world.box
+    world = replace(scene.world, box=(x_min + by, y_min + by, x_max + by, y_max + by))
+    return with_bodies(scene, position=scene.bodies.position + by).replace(world=world)
+
+
+def small_pile(**options) -> State:
+    """Thirty circles that fall into a box ten wide."""
+    options = {"size": (10.0, 40.0), "sigma_coef": 1.2, "seed": 5} | options
+    return circles_in_box(30, **options)
+
+
+def misleading_start(kind: str, factor: float):
+    """A start that has nothing to do with the solution, in units of W = Δt times the weight of all circles.
+
+    "huge": all normal impulses are factor · W. "pulling": all are -factor · W. "outside": normal impulses are W,
+    friction is factor · W, far outside the cone, to either side in turns.
+    """
+
+    def start(state, solver):
+        weight = state.dt * state.bodies.mass.sum() * np.hypot(*state.world.gravity)
+        normal, tangent = np.full(state.contacts.count, weight), np.zeros(state.contacts.count)
+        if kind == "outside":
+            return normal, factor * weight * (-1.0) ** np.arange(normal.size)
+        return (factor if kind == "huge" else -factor) * normal, tangent
+
+    return start
+
+
+def _trial(scene: State, steps: int, **options) -> Trial:
+    return Trial(scene=scene, steps=steps, **options)
+
+
+def _swept(sweeps: int, steps: int) -> Trial:
+    # Fewer steps where there are many sweeps: what they do shows at once.
+    steps = min(steps, max(60, 300_000 // (sweeps + 1)))
+    return _trial(struck_silo(10), steps, ordered=1, solver=PGS(sweeps=sweeps, tolerance=None))
+
+
+def _misled(kind: str, factor: float, steps: int) -> Trial:
+    # Every step starts as badly as the first, so few steps show what comes of it.
+    start = misleading_start(kind, factor)
+    return _trial(pyramid(5), min(steps, 40), solver=ACCURATE, warm_start=start)
+
+
+def _powers(first: int, last: int, step: int = 1) -> tuple[float, ...]:
+    return tuple(float(f"1e{p}") for p in range(first, last + 1, step))
+
+
+QUANTITIES: dict[str, Quantity] = {
+    "mass ratio, heavy on light": Quantity(
+        unit="",
+        values=(*_powers(0, 8), 1e31),
+        quick=(1.0, 100.0, 1e4, 1e6, 1e31),
+        trial=lambda v, s: _trial(loaded_silo(5, v), s, ordered=1),
+    ),
+    "mass ratio, light on heavy": Quantity(
+        unit="",
+        values=(*_powers(0, 8), 1e31),
+        quick=(1.0, 1e3, 1e6, 1e31),
+        trial=lambda v, s: _trial(loaded_silo(5, v, at=0), s, ordered=1),
+    ),
+    "mass": Quantity(
+        unit="kg",
+        values=(1e-40, 1e-30, 1e-20, 1e-12, 1e-6, 1.0, 1e6, 1e12, 1e20, 1e30, 1e40),
+        quick=(1e-40, 1e-30, 1e-6, 1.0, 1e6, 1e30, 1e40),
+        trial=lambda v, s: _trial(with_bodies(silo(5), mass=np.full(5, v)), s, ordered=1),
+    ),
+    "radius": Quantity(
+        unit="m",
+        values=(1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 1.0, 10.0, 100.0, 1e4, 1e6, 1e8, 1e10),
+        quick=(1e-8, 1e-4, 0.01, 0.1, 1.0, 100.0, 1e6, 1e10),
+        trial=lambda v, s: _trial(silo(3, radius=v), s, ordered=1),
+    ),
+    "radius ratio": Quantity(
+        unit="",
+        values=(1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4),
+        quick=(1.0, 10.0, 100.0, 1e3),
+        trial=lambda v, s: _trial(bed_under(v), s),
+    ),
+    "column height": Quantity(
+        unit="",
+        values=(1, 2, 5, 10, 20, 50, 100, 150, 200),
+        quick=(1, 10, 50, 200),
+        trial=lambda v, s: _trial(silo(int(v)), 6 * s, ordered=1, solver=PGS(sweeps=10, tolerance=None)),
+    ),
+    "pyramid rows": Quantity(
+        unit="", values=(2, 5, 10, 20, 30, 50), quick=(2, 10, 20), trial=lambda v, s: _trial(pyramid(int(v)), s)
+    ),
+    "pile": Quantity(
+        unit="circles",
+        values=(10, 100, 1000, 10_000),
+        quick=(10, 100, 400),
+        trial=lambda v, s: _trial(lattice_in_box(int(v)), 2 * s),
+    ),
+    "time step": Quantity(
+        unit="s",
+        values=(1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.02, 0.05, 0.1, 0.3, 1.0, 2.0),
+        quick=(1e-10, 1e-6, 1e-3, 0.01, 0.1, 1.0, 2.0),
+        trial=lambda v, s: _trial(struck_silo(5, dt=v), s, ordered=1),
+    ),
+    "speed": Quantity(
+        unit="m/s",
+        values=(1e-9, 1e-6, 1e-3, 1.0, 10.0, 100.0, 200.0, 400.0, 500.0, 1e3, 1e4, 1e6, 1e10, 1e11),
+        quick=(1e-9, 1.0, 100.0, 400.0, 1e3, 1e6, 1e11),
+        trial=lambda v, s: _trial(channel(v), s, ordered=0),
+    ),
+    "gravity": Quantity(
+        unit="m/s²",
+        values=(0.0, 1e-6, 1e-3, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e7),
+        quick=(0.0, 1.0, 100.0, 1e4, 1e6, 1e7),
+        trial=lambda v, s: _trial(struck_silo(5, gravity=(0.0, -v)), s, ordered=1),
+    ),
+    "friction": Quantity(
+        unit="",
+        values=(0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12),
+        quick=(0.0, 1e-9, 1.0, 10.0, 1e6, 1e12),
+        trial=lambda v, s: _trial(small_pile(friction=v), 3 * s),
+    ),
+    "restitution": Quantity(
+        unit="",
+        values=(0.0, 0.25, 0.5, 0.75, 1.0),
+        quick=(0.0, 0.5, 1.0),
+        trial=lambda v, s: _trial(small_pile(restitution=v), 3 * s),
+    ),
+    "overlap": Quantity(
+        unit="of the diameter",
+        values=(0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0),
+        quick=(0.0, 0.1, 0.5, 1.0),
+        trial=lambda v, s: _trial(overlapping(v), s),
+    ),
+    "coinciding circles": Quantity(
+        unit="circles",
+        values=(2, 5, 10, 20, 50, 100, 200),
+        quick=(2, 10, 50),
+        trial=lambda v, s: _trial(overlapping(1.0, int(v)), s),
+    ),
+    "depth in a corner": Quantity(
+        unit="m",
+        values=(0.0, 0.005, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0),
+        quick=(0.0, 0.1, 1.0, 5.0),
+        trial=lambda v, s: _trial(cornered(v), s),
+    ),
+    "coordinate": Quantity(
+        unit="m",
+        values=(1e-6, 1.0, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 9e8, 1e10),
+        quick=(1e-6, 1e3, 1e6, 9e8, 1e10),
+        trial=lambda v, s: _trial(shifted(silo(5), v), s, ordered=1),
+    ),
+    "coordinate, state in float32": Quantity(
+        unit="m",
+        values=(1e-6, 1.0, 1e3, 1e4, 1e5, 1e6, 1e7),
+        quick=(1e-6, 1e3, 1e5, 1e6),
+        trial=lambda v, s: _trial(shifted(silo(5), v), s, ordered=1, single=True),
+        peers=False,
+    ),
+    "sweeps": Quantity(
+        unit="",
+        values=(0, 1, 2, 5, 10, 100, 1000, 100_000),
+        quick=(0, 1, 10, 1000),
+        trial=lambda v, s: _swept(int(v), s),
+    ),
+    "tolerance": Quantity(
+        unit="N·s",
+        values=(0.0, 1e-12, 1e-9, 1e-6, 6e-5, 1e-3, 0.01, 0.1, 1.0, 10.0),
+        quick=(0.0, 6e-5, 0.1, 10.0),
+        trial=lambda v, s: _trial(struck_silo(10), s, ordered=1, solver=PGS(sweeps=1000, tolerance=v)),
+        peers=False,
+    ),
+    "start, huge": Quantity(
+        unit="weights",
+        values=(0.0, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12, 1e15, 1e60),
+        quick=(0.0, 1.0, 1e3, 1e9, 1e60),
+        trial=lambda v, s: _misled("huge", v, s),
+        peers=False,
+    ),
+    "start, pulling": Quantity(
+        unit="weights",
+        values=(1.0, 10.0, 1e3, 1e6, 1e9, 1e12, 1e15, 1e60),
+        quick=(1.0, 1e6, 1e60),
+        trial=lambda v, s: _misled("pulling", v, s),
+        peers=False,
+    ),
+    "start, outside the cone": Quantity(
+        unit="weights",
+        values=(0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12, 1e15, 1e60),
+        quick=(0.5, 10.0, 1e6, 1e60),
+        trial=lambda v, s: _misled("outside", v, s),
+        peers=False,
+    ),
+}
+"""What Figure 6.6 pushes. A scene is made from a value and the number of steps that a run has."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """One cell of the chart, small enough to be sent to another process."""
+
+    quantity: str
+    value: float
+    engine: str
+    steps: int
+
+
+def cases(names, *, quick: bool, steps: int, engines=ENGINES) -> list[Case]:
+    """The cases of some quantities. Raises ValueError on an unknown name."""
+    found = []
+    for name in names:
+        if name not in QUANTITIES:
+            raise ValueError(f"quantities: expected some of {', '.join(QUANTITIES)}, got {name!r}")
+        quantity = QUANTITIES[name]
+        for value in quantity.quick if quick else quantity.values:
+            for engine in engines if quantity.peers else engines[:1]:
+                found.append(Case(quantity=name, value=value, engine=engine, steps=steps))
+    return found
+
+
+def run_case(case: Case) -> dict:
+    """`measure` of a case; what cannot even be built is refused."""
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            trial = QUANTITIES[case.quantity].trial(case.value, case.steps)
+    except ValueError as error:
+        nothing = dict.fromkeys(("energy", "sweep_gain", "correction", "worst", "settled", "recovered", "speed"))
+        return {"verdict": REFUSED, "message": str(error), "finite": True, **nothing}
+    return measure(trial, case.engine)
+
+
+SOLVERS = (
+    *(f"method {name}, {precision}" for name in METHODS for precision in PRECISIONS),
+    *(f"start {name}" for name in STARTS),
+)
+"""Every method in both precisions and every start, for `run_solver`."""
+
+
+def run_solver(name: str, steps: int = 600) -> dict:
+    """`measure` of `small_pile` by one of `SOLVERS`; {"name": …, …}. Absent is a start whose network is not there."""
+    kind, _, name_of_kind = name.partition(" ")
+    options = {"solver": PGS(), "warm_start": name_of_kind}
+    if kind == "method":
+        method, _, precision = name_of_kind.partition(", ")
+        options = {"solver": METHODS[method](precision=precision)}
+    return {"name": name, **measure(Trial(scene=small_pile(), steps=steps, **options))}
+
+
+def spans(values, verdicts) -> list[tuple[str, float, float]]:
+    """(verdict, first value, last value) of every run of neighbouring values with one verdict."""
+    found = []
+    for value, verdict in sorted(zip(values, verdicts), key=lambda pair: pair[0]):
+        if found and found[-1][0] == verdict:
+            found[-1][2] = value
+        else:
+            found.append([verdict, value, value])
+    return [tuple(span) for span in found]
+
+
+def stand(scene: State, engine: str, *, solver, seconds: float) -> dict:
+    """Let a scene stand, and look once a second: deepest penetration, m, largest speed, m/s.
+
+    Returns {"penetration": (seconds,), "speed": (seconds,), "settled": of the second half, m}; where the engine is not
+    installed, only {"verdict": ABSENT}. ours runs in whole seconds, as a user runs it.
+    """
+    per_second = round(1 / scene.dt)
+    depth, speed = [], []
+    try:
+        run = _run_peer(Trial(scene=scene, steps=round(seconds) * per_second, solver=solver), engine)
+        for _ in range(round(seconds)):
+            if engine == "ours":
+                scene = simulate(scene, steps=per_second, solver=solver).state
+                bodies = scene.bodies
+            else:
+                for _ in range(per_second):
+                    bodies = next(run)
+            found = contacts_of(scene.replace(bodies=bodies))
+            depth.append(max(0.0, -found.separation.min(initial=0.0)))
+            speed.append(float(np.hypot(*bodies.velocity.T).max()))
+    except ImportError:
+        return {"verdict": ABSENT}
+    return {"penetration": depth, "speed": speed, "settled": max(depth[len(depth) // 2 :])}
+
+
+PRESSED = 1e-4
+"""Overlap of contacts that are to exist in every engine, m: what touches exactly, rounding to float32 decides."""
+
+
+def leaning_silo(n: int, *, lean: float = 0.05) -> State:
+    """`silo` with room, `lean` m, in which the circles stand in zigzag, each pressed into the next and into a wall."""
+    scene = silo(n)
+    x_min, y_min, x_max, y_max = scene.world.box
+    across, reach = lean + 2 * PRESSED, 2.0 - PRESSED
+    wall = WALL_SKIN + 1.0 - PRESSED
+    order = np.arange(n)
+    position = np.column_stack(
+        [x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order]
+    )
+    return with_bodies(scene, position=position).replace(
+        world=replace(scene.world, box=(x_min, y_min, x_max + lean, y_max))
+    )

@@ -1,0 +1,626 @@
+"""`deep_contact.cnn.dataset` and scripts/generate_data.py: exact files, honest errors, reproducible batches."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from conftest import load_script
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import deep_contact as dc
+from deep_contact.cnn import dataset
+from deep_contact.cnn.dataset import (
+    PHASES,
+    DataFileError,
+    ImageBatches,
+    Store,
+    fit_scales,
+    phase,
+    read_simulation,
+    simulation_path,
+    split_by_simulation,
+    start_error,
+    write_simulation,
+)
+from deep_contact.cnn.images import CHANNELS, THESIS_CHANNELS, ImageSpec, augment, image_pair
+from deep_contact.state import no_contacts
+
+ROOT = Path(__file__).parents[2]
+SCRIPT = ROOT / "scripts" / "generate_data.py"
+SPEC = ImageSpec(channels=tuple(CHANNELS), transfer="consistent", scale_free=True)
+
+
+def run_of(seed, steps=110):
+    """Solved states of a small pile, and the sweeps and last θ of each."""
+    scene = dc.circles_in_box(12, size=10, radius=(0.5, 0.9), seed=seed).replace(name=f"sim_{seed:04d}")
+    states, sweeps, theta = [], [], []
+
+    def keep(state, record):
+        states.append(state)
+        sweeps.append(record.sweeps)
+        theta.append(record.theta[-1])
+
+    dc.simulate(scene, steps=steps, solver=dc.PGS(sweeps=200), on_step=keep)
+    return states[40:], np.array(sweeps[40:]), np.array(theta[40:])
+
+
+@pytest.fixture(scope="module")
+def run():
+    return run_of(0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Four simulations of 70 states."""
+    folder = tmp_path_factory.mktemp("store")
+    for seed in range(4):
+        states, sweeps, theta = run_of(seed)
+        write_simulation(simulation_path(folder, seed), states, sweeps=sweeps, theta=theta, seed=seed)
+    return folder
+
+
+@pytest.fixture
+def path(run, tmp_path):
+    """A file that a test may spoil."""
+    write_simulation(tmp_path / "sim_0000.h5", run[0], sweeps=run[1], theta=run[2], compression=None)
+    return tmp_path / "sim_0000.h5"
+
+
+def assert_equal(state, other):
+    """To the last bit and the type."""
+    for name in ("name", "world", "time", "step", "dt", "solver", "solved"):
+        assert getattr(state, name) == getattr(other, name), name
+        assert type(getattr(state, name)) is type(getattr(other, name)), name
+    for ours, theirs in ((state.bodies, other.bodies), (state.contacts, other.contacts)):
+        for name, a, b in zip(ours._fields, ours, theirs):
+            assert (a.dtype, a.shape, a.tobytes()) == (b.dtype, b.shape, b.tobytes()), name
+
+
+# ---- files ----
+
+
+@pytest.mark.parametrize("compression", ["gzip", "lzf", None])
+def test_states_come_back_to_the_last_bit(run, tmp_path, compression):
+    states, sweeps, theta = run
+    options = {"sweeps": sweeps, "theta": theta, "seed": {"entropy": 3}, "options": {"bodies": [1, 2]}}
+    digest = write_simulation(tmp_path / "a.h5", states, compression=compression, **options)
+    stored = read_simulation(tmp_path / "a.h5")
+    for i, state in enumerate(states):
+        assert_equal(stored.state(i), state)
+    assert stored.sweeps.tolist() == sweeps.tolist()
+    assert stored.theta.tobytes() == theta.tobytes()
+    assert stored.header["seed"] == {"entropy": 3}
+    assert stored.header["options"] == {"bodies": [1, 2]}
+    assert stored.digest == digest == write_simulation(tmp_path / "b.h5", states, compression="gzip", **options)
+
+
+def test_a_run_goes_on_from_a_stored_state_bit_for_bit(run, path):
+    states, _, _ = run
+    assert len({state.contacts.count for state in states}) > 3  # ragged
+    onward = []
+    dc.simulate(read_simulation(path).state(10), steps=20, on_step=lambda state, record: onward.append(state))
+    for state, expected in zip(onward, states[10:30]):
+        assert_equal(state, expected)
+
+
+def test_files_outlive_options_that_a_solver_gains(path, monkeypatch):
+    """The digest is of what the file holds, not of what a later version makes of it."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Later(dc.PGS):
+        omega: float = 1.0
+
+    monkeypatch.setitem(dataset.METHODS, "PGS", Later)
+    assert read_simulation(path).state(0).solver == Later(sweeps=200)
+
+
+def test_a_state_of_a_simulation_is_the_callers_own(path):
+    stored = read_simulation(path)
+    stored.state(3).bodies.position[:] = 0
+    assert stored.state(3).bodies.position.min() > 0
+
+
+def test_what_only_a_state_may_hold_is_stored_too(tmp_path):
+    """No solver, unsolved, no contacts, a name beyond ASCII, and all floats that are special but finite."""
+    state = dc.single_body(height=3.0).replace(name="Kügelchen", contacts=no_contacts())
+    state.bodies.velocity[:] = [-0.0, 5e-324]
+    write_simulation(tmp_path / "a.h5", [state])
+    assert_equal(read_simulation(tmp_path / "a.h5").state(0), state)
+    assert read_simulation(tmp_path / "a.h5").sweeps.tolist() == [-1]
+
+
+def test_the_same_states_make_the_same_file(run, tmp_path):
+    for name in ("a.h5", "b.h5"):
+        write_simulation(tmp_path / name, run[0])
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+def test_the_file_is_the_same_where_its_parts_are_held_open(run, tmp_path, monkeypatch):
+    """As a profiler may hold them, that keeps frames: HDF5 places what is compressed when it is flushed or closed."""
+    write_simulation(tmp_path / "a.h5", run[0])
+    create, held = h5py.Group.create_dataset, []
+    monkeypatch.setattr(h5py.Group, "create_dataset", lambda *a, **k: held.append(create(*a, **k)) or held[-1])
+    write_simulation(tmp_path / "b.h5", run[0])
+    assert len(held) > 10
+    assert (tmp_path / "a.h5").read_bytes() == (tmp_path / "b.h5").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"dt": 0.02}, r"states\[1\].dt"),
+        ({"name": "other"}, r"states\[1\].name"),
+        ({"contacts": None}, r"states\[1\].contacts"),
+        ({"solver": None}, r"states\[1\].solver"),
+        ({"time": float("nan")}, "time"),
+    ],
+)
+def test_states_that_are_not_of_one_simulation_are_refused(run, tmp_path, change, message):
+    with pytest.raises(ValueError, match=message):
+        write_simulation(tmp_path / "a.h5", [run[0][0], run[0][1].replace(**change)])
+    with pytest.raises(ValueError, match="at least one"):
+        write_simulation(tmp_path / "a.h5", [])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_failed_write_leaves_what_was_there(run, tmp_path, monkeypatch):
+    write_simulation(tmp_path / "a.h5", run[0][:2])
+    before = (tmp_path / "a.h5").read_bytes()
+
+    def fail(*_):
+        raise OSError("disk full")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_simulation(tmp_path / "a.h5", run[0])
+    assert [p.name for p in tmp_path.iterdir()] == ["a.h5"]
+    assert (tmp_path / "a.h5").read_bytes() == before
+
+
+# ---- bad files: truncated, foreign or tampered: a clear error ----
+
+
+def test_a_truncated_file_is_refused_wherever_it_ends(path):
+    data = path.read_bytes()
+    for length in (0, 7, 100, len(data) // 3, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:length])
+        with pytest.raises(DataFileError, match=r"sim_0000\.h5: "):
+            read_simulation(path)
+
+
+@pytest.mark.parametrize("content", [b"", b"<configuration/>", b"\x89HDF\r\n\x1a\n" + bytes(200)])
+def test_a_foreign_file_is_refused(tmp_path, content):
+    (tmp_path / "a.h5").write_bytes(content)
+    with pytest.raises(DataFileError, match=r"a\.h5"):
+        read_simulation(tmp_path / "a.h5")
+
+
+def test_a_foreign_hdf5_file_is_refused(tmp_path):
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["weights"] = np.zeros(3)
+    with pytest.raises(DataFileError, match="format"):
+        read_simulation(tmp_path / "a.h5")
+    with pytest.raises(DataFileError, match="folder"):
+        read_simulation(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        read_simulation(tmp_path / "none.h5")
+
+
+def _set(name, at, value):
+    def spoil(file):
+        file[name][at] = value
+
+    return spoil
+
+
+def _attribute(name, value):
+    def spoil(file):
+        file.attrs[name] = value
+
+    return spoil
+
+
+def _replace(name, **options):
+    def spoil(file):
+        del file[name]
+        if options:
+            file.create_dataset(name, **options)
+
+    return spoil
+
+
+def _link(file):
+    del file["mass"]
+    file["mass"] = h5py.ExternalLink("other.h5", "/mass")
+
+
+def _huge(file):
+    for name in list(file):
+        shape = tuple(10**12 if side == 70 else 10**12 + 1 if side == 71 else side for side in file[name].shape)
+        if shape != file[name].shape:
+            dtype = file[name].dtype
+            del file[name]
+            file.create_dataset(name, shape, dtype, chunks=True)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (_set("position", (3, 1, 0), 5.25), "digest"),
+        (_set("theta", 3, 0.5), "digest"),
+        (_attribute("dt", 0.02), "digest"),
+        (_set("velocity", (3, 1, 0), np.nan), r"velocity\[3, 1, 0\]"),
+        (_set("mass", 2, -1.0), r"mass\[2\].*-1\.0"),
+        (_set("body_b", 4, 99), r"body_b\[4\].*99"),
+        (_set("body_a", 4, -3), r"body_a\[4\].*-3"),
+        (_set("normal", 4, [0.5, 0.5]), r"normal\[4, 0\]"),
+        (_set("normal_impulse", 4, -2.0), r"normal_impulse\[4\]"),
+        (_set("contact_offset", 5, 10**9), r"contact_offset\[5\]"),
+        (_set("contact_offset", 0, 1), "contact_offset"),
+        (_set("solved", 5, 7), r"solved\[5\]"),
+        (_attribute("format", np.bytes_(b"other")), "format.*other"),
+        (_attribute("version", 2), "version.*2"),
+        (_attribute("dt", [1.0, 2.0]), "dt"),
+        (_attribute("dt", -1.0), "dt"),
+        (_attribute("friction", -1.0), "friction"),
+        (_attribute("solver", np.bytes_(b"{")), "solver"),
+        (_attribute("solver", np.bytes_(b'{"method": "exit"}')), "solver.*exit"),
+        (_attribute("solver", np.bytes_(b'{"method": "PGS", "speed": 1}')), "solver.*speed"),
+        (_attribute("name", "of changing length"), "name"),
+        (_replace("spin"), "spin"),
+        (_replace("spin", data=np.zeros((70, 3))), "spin"),
+        (_replace("mass", data=np.zeros(12, "<f4")), "mass.*f4"),
+        (_replace("position", shape=(10**9, 12, 2), dtype="<f8", chunks=True), "position"),
+        (_huge, "bytes unpacked"),
+        (_link, "mass.*in this file"),
+    ],
+)
+def test_a_tampered_file_is_refused_by_name(path, spoil, message):
+    with h5py.File(path, "r+") as file:
+        spoil(file)
+    with pytest.raises(DataFileError, match=message):
+        read_simulation(path)
+
+
+@pytest.fixture(scope="module")
+def file_to_flip(run, tmp_path_factory):
+    path = tmp_path_factory.mktemp("flipped") / "a.h5"
+    digest = write_simulation(path, run[0][:3])
+    return path, path.read_bytes(), digest
+
+
+@settings(max_examples=100, deadline=None)
+@given(data=st.data())
+def test_a_flipped_byte_never_goes_unnoticed(file_to_flip, data):
+    """Anywhere in the file: the same states, or a DataFileError; nothing else."""
+    path, good, digest = file_to_flip
+    at = data.draw(st.integers(0, len(good) - 1))
+    bad = bytearray(good)
+    bad[at] ^= data.draw(st.integers(1, 255))
+    path.write_bytes(bad)
+    with suppress(DataFileError):
+        assert read_simulation(path).digest == digest
+
+
+# ---- the store ----
+
+
+def test_the_store_knows_its_simulations(folder):
+    store = Store(folder)
+    assert store.simulations == (0, 1, 2, 3)
+    assert len(store) == 280
+    assert store.info(2).count == 70
+    assert store.info(2).header["seed"] == 2
+    assert_equal(store.state(2, 5), run_of(2)[0][5])
+    with pytest.raises(KeyError, match="9"):
+        store.state(9, 0)
+    with pytest.raises(IndexError, match="70"):
+        store.state(2, 70)
+
+
+def test_a_folder_without_data_says_what_is_missing(tmp_path):
+    with pytest.raises(DataFileError, match="generate_data"):
+        Store(tmp_path)
+
+
+def test_the_cache_stays_within_its_bound(folder):
+    size = Store(folder).simulation(0).bytes
+    store = Store(folder, cache_bytes=2 * Store(folder).info(0).bytes + size // 2)
+    for sim in (0, 1, 2, 3, 0):
+        store.state(sim, 0)
+        assert sum(kept.bytes for kept in store._cache.values()) <= store.cache_bytes
+    assert list(store._cache) == [3, 0]
+
+
+def test_the_data_hash_is_that_of_the_contents(folder, tmp_path):
+    for sim in Store(folder).simulations:
+        stored = read_simulation(simulation_path(folder, sim))
+        states = [stored.state(i) for i in range(stored.count)]
+        options = {"sweeps": stored.sweeps, "theta": stored.theta, "seed": stored.header["seed"]}
+        write_simulation(simulation_path(tmp_path, sim), states, compression="lzf", **options)
+    assert Store(tmp_path).data_hash() == Store(folder).data_hash()
+    simulation_path(tmp_path, 3).unlink()
+    assert Store(tmp_path).data_hash() != Store(folder).data_hash()
+
+
+def test_phases_go_by_how_far_off_builtin_started(run, path):
+    states, _, _ = run
+    stored = read_simulation(path)
+    for i, (error, index) in enumerate(zip(stored.start_errors(), stored.phases())):
+        assert start_error(states[i]) == pytest.approx(error, rel=1e-12)
+        assert phase(states[i]) == PHASES[index]
+    assert len(set(stored.phases().tolist())) > 1
+    c = states[-1].contacts
+    for share, name in ((1.0, "rest"), (0.8, "settling"), (0.2, "impact")):
+        start = {"normal_start": share * c.normal_impulse, "tangent_start": share * c.tangent_impulse}
+        state = states[-1].replace(contacts=c._replace(**start))
+        assert start_error(state) == pytest.approx(1 - share, abs=1e-12)
+        assert phase(state) == name
+
+
+def test_states_of_a_phase_are_found(folder):
+    store = Store(folder)
+    by_phase = [store.states((0, 2), phases=name) for name in PHASES]
+    assert sorted(map(tuple, np.concatenate(by_phase).tolist())) == [(sim, i) for sim in (0, 2) for i in range(70)]
+    for name, states in zip(PHASES, by_phase):
+        assert all(phase(store.state(sim, index)) == name for sim, index in states[:5])
+    assert store.states((1,), stride=30).tolist() == [[1, 0], [1, 30], [1, 60]]
+
+
+@settings(max_examples=50, deadline=None)
+@given(
+    ids=st.sets(st.integers(0, 500), min_size=3, max_size=60),
+    fractions=st.sampled_from([(0.8, 0.1, 0.1), (1 / 3, 1 / 3, 1 / 3), (0.9, 0.1, 0.0), (0.0, 0.0, 1.0)]),
+    seed=st.integers(0, 5),
+)
+def test_no_simulation_is_on_both_sides(ids, fractions, seed):
+    """What is learned from is never tested on."""
+    split = split_by_simulation(ids, fractions=fractions, seed=seed)
+    assert sorted(split.train + split.validation + split.test) == sorted(ids)
+    assert split == split_by_simulation(sorted(ids, reverse=True), fractions=fractions, seed=seed)
+    for side, share in zip(split, fractions):
+        assert len(side) >= 1 if share else len(side) == 0
+        assert abs(len(side) - share * len(ids)) < 2
+
+
+def test_splits_that_cannot_be_are_refused():
+    assert [len(side) for side in split_by_simulation(range(150))] == [120, 15, 15]
+    assert split_by_simulation(range(150), seed=1) != split_by_simulation(range(150))
+    with pytest.raises(ValueError, match="fractions"):
+        split_by_simulation(range(9), fractions=(0.5, 0.2, 0.2))
+    with pytest.raises(ValueError, match="2 simulations"):
+        split_by_simulation(range(2))
+
+
+# ---- batches ----
+
+
+def test_an_epoch_holds_every_state_once_and_repeats(folder):
+    store = Store(folder)
+    batches = ImageBatches(store, (0, 3), SPEC, batch_size=32, seed=4, augment=True)
+    first, again = list(batches.epoch(1)), list(batches.epoch(1))
+    assert len(first) == len(batches) == 5
+    seen = np.concatenate([batch.states for batch in first])
+    assert sorted(map(tuple, seen.tolist())) == [(sim, i) for sim in (0, 3) for i in range(70)]
+    for a, b in zip(first, again):
+        assert all(x.tobytes() == y.tobytes() for x, y in zip(a, b))
+    assert not np.array_equal(seen, np.concatenate([batch.states for batch in batches.epoch(2)]))
+
+
+@pytest.mark.parametrize("augmented", [False, True])
+def test_a_batch_holds_the_images_of_its_states(folder, augmented):
+    store = Store(folder)
+    batch = next(ImageBatches(store, None, SPEC, batch_size=24, augment=augmented).epoch(3))
+    assert (len(set(batch.symmetry.tolist())) > 4) == augmented
+    for i, (sim, index) in enumerate(batch.states):
+        image, label, scale = image_pair(store.state(sim, index), SPEC)
+        image, label = augment(image, label, SPEC, batch.symmetry[i])
+        np.testing.assert_array_equal(batch.inputs[i], image)
+        np.testing.assert_array_equal(batch.labels[i], label)
+        assert batch.scales[i] == scale
+    assert batch.inputs.dtype == batch.labels.dtype == np.float32
+
+
+def test_a_small_cache_reads_each_file_about_once_an_epoch(folder, monkeypatch):
+    """The rule is bounded memory, whatever the data: groups that fit are shuffled one after the other."""
+    bound = int(2.5 * Store(folder).info(0).bytes)
+    batches = ImageBatches(Store(folder, cache_bytes=bound), None, SPEC, batch_size=8)
+    reads = []
+    read = dataset.read_simulation
+    monkeypatch.setattr(dataset, "read_simulation", lambda path: reads.append(path) or read(path))
+    seen = np.concatenate([batch.states for batch in batches.epoch(0)])
+    assert sorted(map(tuple, seen.tolist())) == [(sim, i) for sim in range(4) for i in range(70)]
+    assert len(reads) == 4
+
+
+def test_chosen_states_come_in_their_order(folder):
+    chosen = [[2, 5], [1, 60], [2, 4]]
+    batches = ImageBatches(Store(folder), None, SPEC, batch_size=2, shuffle=False, states=chosen)
+    assert [batch.states.tolist() for batch in batches] == [chosen[:2], chosen[2:]]
+    assert len(ImageBatches(Store(folder), None, SPEC, batch_size=2, states=chosen, drop_last=True)) == 1
+    with pytest.raises(ValueError, match=r"\[1\]"):
+        ImageBatches(Store(folder), (2,), SPEC, states=chosen)
+
+
+def test_boxes_of_two_sizes_make_no_batch(folder, tmp_path):
+    shutil.copy(simulation_path(folder, 0), tmp_path)
+    kept = []
+    dc.simulate(dc.single_body(), steps=1, on_step=lambda state, record: kept.append(state))
+    write_simulation(simulation_path(tmp_path, 1), kept)
+    with pytest.raises(ValueError, match="one size"):
+        ImageBatches(Store(tmp_path), None, SPEC)
+
+
+def test_fitted_scales_bring_every_channel_to_one(folder):
+    """Root mean square over the nodes that are not 0. Vector parts share a scale: their mean square is 1 together."""
+    store = Store(folder)
+    spec = fit_scales(store, (0, 1), SPEC, count=10**6)
+    batch = ImageBatches(store, (0, 1), spec, batch_size=140).batch(store.states((0, 1)))
+    image = np.concatenate([batch.inputs, batch.labels], axis=-1).astype(float)
+    square = np.array([np.mean(channel[channel != 0] ** 2) for channel in np.moveaxis(image, -1, 0)])
+    scales = dict(zip(spec.channels, spec.scales))
+    single = [i for i, name in enumerate(spec.channels) if name not in ("velocity_x", "velocity_y")]
+    single = [i for i in single if not spec.channels[i].startswith("normal_")] + [-2, -1]
+    np.testing.assert_allclose(square[single], 1.0, rtol=1e-5)
+    assert scales["velocity_x"] == scales["velocity_y"] != 1.0
+    assert spec.replace(scales=None, target_scales=None) == SPEC
+    assert fit_scales(store, (0, 1), SPEC, count=20, seed=1) == fit_scales(store, (0, 1), SPEC, count=20, seed=1)
+
+
+def test_a_channel_that_is_never_there_keeps_its_scale(tmp_path):
+    kept = []
+    dc.simulate(dc.single_body(), steps=1, on_step=lambda state, record: kept.append(state))
+    write_simulation(simulation_path(tmp_path, 0), kept)
+    assert fit_scales(Store(tmp_path), None, ImageSpec()).scales[1:] == (1.0,) * 4
+    assert THESIS_CHANNELS[1:] == ("velocity_x", "velocity_y", "spin", "normal_x")
+
+
+# ---- scripts/generate_data.py ----
+
+SMALL = ["--steps", "170", "--bodies", "24", "30", "--seed", "5"]
+
+
+@pytest.fixture(scope="module")
+def generate():
+    return load_script("generate_data")
+
+
+def command(out, simulations, *more):
+    return [sys.executable, str(SCRIPT), "--out", str(out), "--simulations", str(simulations), *SMALL, *more]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(generate, tmp_path_factory):
+    """Twenty simulations in one process, never disturbed: name -> bytes."""
+    out = tmp_path_factory.mktemp("undisturbed")
+    assert generate.main(["--out", str(out), "--simulations", "20", *SMALL, "--jobs", "1"]) == 0
+    return contents(out)
+
+
+def contents(out):
+    return {path.name: path.read_bytes() for path in out.iterdir()}
+
+
+def test_generated_states_have_contacts_and_the_generator_s_solver(generate, tmp_path):
+    """Those of the thesis's code: 5000 sweeps, velocity threshold 6e-5. States without contacts are left out."""
+    assert generate.main(["--out", str(tmp_path), "--simulations", "2", *SMALL, "--jobs", "1"]) == 0
+    for sim in (0, 1):
+        stored = Store(tmp_path).simulation(sim)
+        assert stored.contacts.min() > 0
+        assert 0 < stored.count < 170
+        assert stored.header["solver"] == dc.PGS(sweeps=5000, tolerance=6e-5)
+        assert ((stored.theta <= 6e-5) | (stored.sweeps == 5000)).all()
+        assert 24 <= stored.arrays["mass"].size <= 30
+        np.testing.assert_array_equal(np.diff(stored.arrays["step"]) > 0, True)
+
+
+def test_jobs_change_no_bit(undisturbed, tmp_path):
+    subprocess.run(command(tmp_path, 4, "--jobs", "2"), check=True, timeout=120, capture_output=True)
+    assert contents(tmp_path) == {f"sim_{i:04d}.h5": undisturbed[f"sim_{i:04d}.h5"] for i in range(4)}
+
+
+def stopped_after_the_first(out, how):
+    """Start twenty simulations and stop the process once one is finished. Returns its exit status."""
+    process = subprocess.Popen(command(out, 20, "--jobs", "1"), stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    try:
+        until = time.monotonic() + 60
+        while not simulation_path(out, 0).exists():
+            assert process.poll() is None
+            assert time.monotonic() < until
+            time.sleep(0.001)
+        process.send_signal(how)
+        return process.wait(30)
+    finally:
+        process.kill()
+
+
+def test_a_killed_run_loses_at_most_the_simulation_it_was_at(generate, undisturbed, tmp_path):
+    """What is there is whole; the same command finishes the rest, and redoes nothing."""
+    assert stopped_after_the_first(tmp_path, signal.SIGKILL) == -signal.SIGKILL
+    finished = sorted(tmp_path.glob("sim_*.h5"))
+    assert 1 <= len(finished) < 20
+    kept = {path.name: (path.read_bytes(), path.stat().st_mtime_ns) for path in finished}
+    assert {name: data for name, (data, _) in kept.items()}.items() <= undisturbed.items()
+    assert generate.main(["--out", str(tmp_path), "--simulations", "20", *SMALL, "--jobs", "1"]) == 0
+    assert contents(tmp_path) == undisturbed
+    assert all((tmp_path / name).stat().st_mtime_ns == written for name, (_, written) in kept.items())
+
+
+def test_ctrl_c_ends_it_cleanly(undisturbed, tmp_path):
+    assert stopped_after_the_first(tmp_path, signal.SIGINT) == 130
+    assert contents(tmp_path).items() <= undisturbed.items()
+
+
+def test_what_a_killed_process_left_is_removed(generate, tmp_path):
+    finished = subprocess.Popen([sys.executable, "-c", ""])
+    finished.wait()
+    (tmp_path / "xml").mkdir()
+    (tmp_path / f".sim_0001.{finished.pid}.h5").write_bytes(b"half")
+    (tmp_path / "xml" / f".sim_0001.{finished.pid}").mkdir()
+    (tmp_path / ".sim_0002.1.h5").write_bytes(b"of a process that runs")
+    generate.remove_unfinished(tmp_path)
+    assert sorted(path.name for path in tmp_path.rglob("*")) == [".sim_0002.1.h5", "xml"]
+
+
+def test_a_folder_made_with_other_options_is_not_mixed(generate, tmp_path, capsys):
+    run = ["--out", str(tmp_path), "--simulations", "1", "--steps", "200", "--bodies", "8", "9", "--jobs", "1"]
+    assert generate.main(run) == 0
+    before = contents(tmp_path)
+    assert generate.main([*run, "--seed", "7"]) == 1
+    assert "seed" in capsys.readouterr().err
+    assert contents(tmp_path) == before
+
+
+def test_xml_holds_the_same_states(generate, tmp_path):
+    """Also where the simulation itself is there already; nothing is simulated again."""
+    run = ["--out", str(tmp_path), "--simulations", "1", "--steps", "170", "--bodies", "12", "12", "--jobs", "1"]
+    assert generate.main(run) == generate.main([*run, "--xml", "--gzip"]) == 0
+    stored = Store(tmp_path).simulation(0)
+    files = list((tmp_path / "xml" / "sim_0000").iterdir())
+    assert len(files) == stored.count
+    for i in range(0, stored.count, 5):
+        step = stored.state(i).step
+        assert_equal(dc.read_state(tmp_path / "xml" / "sim_0000" / f"sim_0000_{step}.xml.gz"), stored.state(i))
+
+
+@pytest.mark.parametrize(
+    "bad", [["--jobs", "0"], ["--bodies", "9", "3"], ["--gzip"], ["--sample", "--quick"], ["--speed", "1"]]
+)
+def test_bad_options_are_refused(generate, bad):
+    with pytest.raises(SystemExit):
+        generate.main(bad)
+
+
+def test_the_tracked_sample_is_what_its_readme_says():
+    """data/README.md: two states a phase as XML, one short simulation as HDF5, less than 1 MB in all."""
+    files = sorted(ROOT.joinpath("data", "sample").iterdir())
+    assert sum(path.stat().st_size for path in files) < 1e6
+    phases = [phase(dc.read_state(path)) for path in files if path.name.endswith(".xml.gz")]
+    assert phases == [path.name.split("_")[0] for path in files if path.name.endswith(".xml.gz")]
+    assert sorted(phases) == sorted(2 * PHASES)
+    assert len(Store(ROOT / "data" / "sample")) == 81
+
+
+@pytest.mark.skipif(os.name != "posix", reason="limits as POSIX has them")
+def test_a_full_disk_ends_the_generation_with_one_line_and_without_half_a_file(tmp_path):
+    # A limit on the size of files stands for the disk, set after compilation, whose cache is larger.
+    prepare = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))"
+    code = f"import sys, runpy; {prepare}; sys.argv = sys.argv[1:]; runpy.run_path(sys.argv[0], run_name='__main__')"
+    arguments = [str(SCRIPT), "--out", str(tmp_path / "full"), "--simulations", "1", *SMALL, "--jobs", "1"]
+    done = subprocess.run([sys.executable, "-c", code, *arguments], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert str(tmp_path / "full") in done.stderr.splitlines()[-1]
+    assert not list((tmp_path / "full").glob("*.h5"))

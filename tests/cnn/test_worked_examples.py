@@ -1,0 +1,231 @@
+"""Chapter 4's computations against SciPy, Keras and finite differences, and the claims of Figures 4.1-4.7."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import load_script
+from scipy import signal
+
+from deep_contact.cnn import worked_examples as worked
+from deep_contact.reporting import figures, results
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+@pytest.fixture(scope="module")
+def keras():
+    return pytest.importorskip("keras")
+
+
+# ---- Eq 4.1-4.4, pooling, dropout ----
+
+
+@pytest.mark.parametrize("stride", [1, 2])
+def test_eq_4_1_is_scipys_correlation_at_every_stride(stride):
+    rng = np.random.default_rng(0)
+    image, kernel = rng.normal(size=(7, 9)), rng.normal(size=(3, 2))
+    right = signal.correlate2d(image, kernel, mode="valid")[::stride, ::stride]
+    np.testing.assert_allclose(worked.correlate(image, kernel, stride=stride), right, atol=1e-13)
+
+
+def test_eq_4_1_with_the_kernel_flipped_is_scipys_convolution():
+    rng = np.random.default_rng(1)
+    image, kernel = rng.normal(size=(6, 5)), rng.normal(size=(3, 3))
+    right = signal.convolve2d(image, kernel, mode="valid")
+    np.testing.assert_allclose(worked.correlate(image, worked.flipped(kernel)), right, atol=1e-13)
+
+
+def test_a_kernel_as_deep_as_its_input_is_keras_conv2d(keras):
+    """Section 4.2.2."""
+    rng = np.random.default_rng(2)
+    image, kernel = rng.normal(size=(8, 7, 5)), rng.normal(size=(3, 2, 5, 2))
+    ours = np.stack([worked.correlate(image, kernel[..., f], stride=2) for f in range(2)], axis=-1)
+    np.testing.assert_allclose(ours, worked.keras_convolution(image, kernel, stride=2), atol=1e-13)
+
+
+@pytest.mark.parametrize("bad", [{"row": 5}, {"column": -1}, {"kernel": np.ones((2, 2, 3))}])
+def test_a_kernel_that_sticks_out_is_refused(bad):
+    arguments = {"kernel": np.ones((2, 2)), "row": 0, "column": 0} | bad
+    with pytest.raises(ValueError, match="kernel: expected one that lies within"):
+        worked.window_products(np.ones((6, 6)), **arguments)
+
+
+def test_a_neuron_by_hand():
+    """Eq 4.3 and 4.4: 2·0.5 − 1·3 + 1 = −1, cut at zero by ReLU."""
+    x, w = np.array([2.0, 1.0]), np.array([0.5, -3.0])
+    assert worked.neuron(x, w, 1.0) == 0.0
+    assert worked.neuron(x, w, 1.0, activation=lambda z: z) == -1.0
+
+
+@pytest.mark.parametrize("name", worked.ACTIVATIONS)
+def test_derivatives_of_activations_against_finite_differences(name):
+    function, derivative = worked.ACTIVATIONS[name]
+    x, eps = np.linspace(-3, 3, 31) + 0.05, 1e-6  # away from ReLU's corner
+    np.testing.assert_allclose(derivative(x), (function(x + eps) - function(x - eps)) / (2 * eps), atol=1e-8)
+
+
+def test_twice_the_weights_make_relus_gradient_grow_by_two_a_layer():
+    """ReLU's derivative does not see the size of its argument."""
+    once, twice = (worked.gradient_ratio("ReLU", depth=5, width=8, gain=gain, seed=3) for gain in (0.7, 1.4))
+    assert twice == pytest.approx(2**5 * once)
+
+
+def test_max_pooling_is_keras_with_the_border_mode_same(keras):
+    image = np.random.default_rng(4).normal(size=(61, 7, 3))
+    np.testing.assert_array_equal(worked.max_pool(image), worked.keras_max_pool(image))
+
+
+def test_sizes_of_table_5_1():
+    assert worked.pooled_sizes(61, 4) == [61, 31, 16, 8, 4]
+
+
+def test_dropout_drops_its_share_and_keeps_the_mean():
+    """Section 4.3.2. Five standard deviations of the share and of the mean of 10⁵ values."""
+    found = worked.dropout(np.ones(100_000), 0.25, np.random.default_rng(0))
+    assert np.mean(found == 0) == pytest.approx(0.25, abs=5 * np.sqrt(0.25 * 0.75 / 1e5))
+    assert found.mean() == pytest.approx(1.0, abs=5 * np.sqrt(0.25 / 0.75 / 1e5))
+    with pytest.raises(ValueError, match=r"rate: expected a number from 0 to below 1, got 1\.0"):
+        worked.dropout(np.ones(3), 1.0, np.random.default_rng(0))
+
+
+# ---- backpropagation ----
+
+
+@pytest.fixture
+def example():
+    rng = np.random.default_rng(5)
+    return {"x": rng.normal(size=3), "w_hidden": rng.normal(size=(3, 4)), "w_output": rng.normal(size=4), "target": 0.7}
+
+
+@pytest.mark.parametrize(("weights", "gradient"), [("w_output", "output"), ("w_hidden", "hidden")])
+def test_eq_4_13_and_4_17_against_finite_differences(example, weights, gradient):
+    """L is quadratic in each weight, so central differences are exact but for rounding, 1e-16 / eps."""
+    found, eps = getattr(worked.backpropagate(**example), gradient), 1e-4
+    for index in np.ndindex(found.shape):
+        losses = []
+        for sign in (1, -1):
+            moved = example[weights].copy()
+            moved[index] += sign * eps
+            losses.append(worked.backpropagate(**(example | {weights: moved})).loss)
+        assert found[index] == pytest.approx((losses[0] - losses[1]) / (2 * eps), abs=1e-9)
+
+
+def test_automatic_differentiation_agrees_with_the_equations(keras, example):
+    automatic, found = worked.automatic_gradients(**example), worked.backpropagate(**example)
+    np.testing.assert_allclose(found.output, automatic["output"], rtol=1e-12)
+    np.testing.assert_allclose(found.hidden, automatic["hidden"], rtol=1e-12)
+    for name, factor in found.chain.items():
+        np.testing.assert_allclose(factor, automatic[name], rtol=1e-12)
+
+
+def test_eq_4_14_as_printed_is_half_a_step(example):
+    found, w = worked.backpropagate(**example), example["w_output"]
+    right, _ = worked.momentum_step(w, found.output, rate=0.1)
+    np.testing.assert_allclose(worked.printed_output_update(w, found, 0.1) - w, (right - w) / 2, rtol=1e-9)
+
+
+def test_eq_4_18_is_a_step_with_the_old_output_weights_only(example):
+    found, w = worked.backpropagate(**example), example["w_hidden"]
+    right, _ = worked.momentum_step(w, found.hidden, rate=0.1)
+    output, _ = worked.momentum_step(example["w_output"], found.output, rate=0.1)
+    old = worked.printed_hidden_update(w, example["w_output"], example["x"], found, 0.1)
+    np.testing.assert_allclose(old, right, rtol=1e-12)
+    assert np.abs(worked.printed_hidden_update(w, output, example["x"], found, 0.1) - right).max() > 1e-3
+
+
+# ---- inside a network ----
+
+
+@pytest.fixture(scope="module")
+def network(keras):
+    """The thesis's network, small, with weights that are not trained."""
+    from deep_contact.cnn import architectures
+
+    keras.utils.set_random_seed(0)
+    return architectures.build("thesis", shape=(9, 9), channels=2)
+
+
+def test_feature_maps_are_what_the_first_convolution_gives_by_eq_4_1(network):
+    image = np.random.default_rng(6).normal(size=(9, 9, 2)).astype(np.float32)
+    maps = worked.feature_maps(network, image, ["convolution_1_1"])["convolution_1_1"]
+    kernel, bias = network.get_layer("convolution_1_1").get_weights()
+    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)))  # border mode "same"
+    right = worked.relu(worked.correlate(padded, kernel[..., 7]) + bias[7])
+    np.testing.assert_allclose(maps[..., 7], right, atol=1e-5)  # float32
+    with pytest.raises(ValueError, match=r"layer: expected one of .*, got 'convolution_9'"):
+        worked.feature_maps(network, image, ["convolution_9"])
+
+
+def test_dropout_is_on_and_all_else_is_in_inference(network):
+    image = np.random.default_rng(7).normal(size=(9, 9, 2)).astype(np.float32)
+    copy, before, after = worked.with_dropout(network, 0.5)
+    assert (before, after) == ("convolution_1_2", "dropout_1")
+    maps = worked.feature_maps(copy, image, [before, after, "pooling_2", "normalization_2"])
+    kept = maps[after] != 0
+    np.testing.assert_allclose(maps[after][kept], maps[before][kept] / 0.9, rtol=1e-6)  # its own rate, 0.1
+    assert 0.05 < 1 - kept[maps[before] > 0].mean() < 0.15  # 500 values and more
+    # Batch normalisation of an untrained network does next to nothing in inference; in training it would.
+    np.testing.assert_allclose(maps["normalization_2"], maps["pooling_2"] / np.sqrt(1.001), rtol=1e-4, atol=1e-6)
+
+
+def test_a_network_without_dropout_gets_one_after_each_hidden_convolution(keras):
+    from deep_contact.cnn import architectures
+
+    model = architectures.build("compact", channels=3)
+    copy, before, after = worked.with_dropout(model, 0.25)
+    assert (before, after) == ("half", "dropout_after_half")
+    added = [layer.rate for layer in copy.layers if isinstance(layer, keras.layers.Dropout)]
+    hidden = [layer for layer in worked.convolutions(model) if layer.activation.__name__ == "relu"]
+    assert added == [0.25] * len(hidden)
+    for layer in hidden:
+        np.testing.assert_array_equal(copy.get_layer(layer.name).get_weights()[0], layer.get_weights()[0])
+
+
+# ---- the figures ----
+
+EXPECTED = {
+    "figure_4_1": [True],
+    "figure_4_2": [True, True, True, False],  # Eq 4.2 lacks the rounding
+    "figure_4_4": [True, False, True],
+    "figure_4_5": [True, True, True],
+    # Eq 4.14 lacks its factor 2; Eq 4.18 needs the old output weights.
+    "figure_4_7": [True, True, False, True, True, True, False, True],
+}
+
+
+@pytest.mark.parametrize("script", EXPECTED)
+def test_a_script_of_chapter_4_evaluates_its_claims(keras, tmp_path, script):
+    figure = load_script(script).FIGURE
+    assert figures.main(figure, ["--quick", "--jobs", "1", "--out", str(tmp_path)]) == 0
+    found = results.read_results(tmp_path / f"{script}.json")
+    assert [claim["holds"] for claim in found["claims"]] == EXPECTED[script]
+    assert (tmp_path / f"{script}.png").exists()
+
+
+@pytest.mark.parametrize("script", ["figure_4_3", "figure_4_6"])
+def test_without_a_trained_network_its_figures_say_what_to_do(keras, tmp_path, capsys, script):
+    options = ["--quick", "--set", "model=models/none.h5", "--out", str(tmp_path)]
+    assert figures.main(load_script(script).FIGURE, options) == 1
+    message = capsys.readouterr().err
+    assert "models/none.h5" in message
+    assert "scripts/train.py" in message
+    assert not any(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("script", ["figure_4_3", "figure_4_6"])
+def test_figures_of_a_network_take_the_model_they_are_given(keras, tmp_path, script):
+    from deep_contact.cnn import architectures, images, model_file
+
+    model = architectures.build("compact", channels=8, stem=4, width=4, decoder=4, dilations=(1,))
+    rng = np.random.default_rng(8)
+    model.set_weights([w + rng.normal(0.0, 0.3, w.shape) for w in model.get_weights()])
+    spec = images.ImageSpec(channels=images.SOLVER_CHANNELS, transfer="consistent", scale_free=True)
+    path = model_file.save_model(tmp_path / "random.h5", model, spec, {"architecture": "compact"}, coarsening=4)
+    settings = [f"model={path}", "n_bodies=6", "size=10", "steps=120"]
+    arguments = [part for setting in settings for part in ("--set", setting)]
+    assert figures.main(load_script(script).FIGURE, [*arguments, "--quick", "--jobs", "1", "--out", str(tmp_path)]) == 0
+    claims = results.read_results(tmp_path / f"{script}.json")["claims"]
+    # The first two of each do not depend on what a network has learned: kernels are as deep as their input and maps
+    # do not all get smaller; dropout drops its share, and in training only.
+    assert [claim["holds"] for claim in claims[:2]] == [True, script == "figure_4_6"]

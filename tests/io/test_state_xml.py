@@ -1,0 +1,591 @@
+"""State files (thesis section 5.2.1; DESIGN, "XML"): exact round trip, old dialects, and files that are refused."""
+
+import gzip
+import os
+import re
+import subprocess
+import sys
+import tracemalloc
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from deep_contact import constants
+from deep_contact.io import state_xml
+from deep_contact.io.state_xml import (
+    StateFileError,
+    format_state,
+    parse_state,
+    read_state,
+    state_path,
+    write_state,
+)
+from deep_contact.physics import methods
+from deep_contact.physics.methods import METHODS, PGS
+from deep_contact.state import (
+    BOTTOM,
+    LEFT,
+    WALL_NORMALS,
+    Bodies,
+    Contacts,
+    State,
+    World,
+    make_bodies,
+    no_contacts,
+)
+
+DATA = Path(__file__).parent / "data"
+SCRIPTS = Path(__file__).parents[2] / "scripts"
+OLD_A = DATA / "old_pybox2d_12.xml"
+OLD_B = DATA / "7.xml"
+EXTREME = (5e-324, -5e-324, -0.0, 0.0, 1e308, -1.7976931348623157e308, 2.2250738585072014e-308, 0.1, 1 / 3)
+
+
+def example(**changes) -> State:
+    """Two circles in the lower left corner: three contacts, two of them of one circle with the box."""
+    contacts = Contacts(
+        body_a=np.array([0, 0, 0]),
+        body_b=np.array([1, 2 + BOTTOM, 2 + LEFT]),
+        position=np.array([[2.0, 1.0], [1.0, 0.005], [0.005, 1.0]]),
+        normal=np.array([[1.0, 0.0], WALL_NORMALS[BOTTOM], WALL_NORMALS[LEFT]]),
+        separation=np.array([-0.002, -0.01, -0.011]),
+        normal_impulse=np.array([0.5, 0.25, 0.125]),
+        tangent_impulse=np.array([0.1, -0.0625, 0.03]),
+        normal_start=np.array([0.4, 0.2, 0.1]),
+        tangent_start=np.array([-0.1, 0.0, 1e-9]),
+    )
+    bodies = make_bodies([[1.0, 1.0], [2.998, 1.0]], velocity=[0.5, -1.0], spin=0.25, angle=0.125)
+    state = State(name="pile", world=World(), bodies=bodies, contacts=contacts, step=3, time=0.03, solved=True)
+    return state.replace(**changes)
+
+
+def bits(state: State):
+    """Everything in a state, so that two are equal only if all bits are."""
+    arrays = [*state.bodies, *(state.contacts or ())]
+    world = np.array([*state.world.box, *state.world.gravity, state.world.friction, state.world.restitution])
+    scalars = np.array([state.time, state.dt]).tobytes(), state.name, state.step, state.solver, state.solved
+    return [(a.dtype, a.shape, a.tobytes()) for a in (*arrays, world)], scalars, state.contacts is None
+
+
+FINITE = st.floats(allow_nan=False, allow_infinity=False) | st.sampled_from(EXTREME)
+POSITIVE = st.floats(min_value=5e-324, allow_infinity=False) | st.sampled_from((5e-324, 1e308, np.pi))
+NOT_NEGATIVE = st.floats(min_value=0, allow_infinity=False) | st.sampled_from((0.0, -0.0, 5e-324))
+
+
+@st.composite
+def worlds(draw):
+    (x_min, x_max), (y_min, y_max) = (
+        sorted(draw(st.lists(FINITE, min_size=2, max_size=2, unique=True))) for _ in range(2)
+    )
+    return World(
+        box=(x_min, y_min, x_max, y_max),
+        gravity=(draw(FINITE), draw(FINITE)),
+        friction=draw(NOT_NEGATIVE),
+        restitution=draw(st.floats(0, 1)),
+    )
+
+
+@st.composite
+def states(draw):
+    """Any state that `check_state` lets pass, physical or not."""
+
+    def column(elements, rows):
+        return np.array(draw(st.lists(elements, min_size=rows, max_size=rows)), dtype=np.float64)
+
+    n = draw(st.integers(1, 5))
+    fields = [column(FINITE, 2 * n).reshape(n, 2) for _ in range(2)]
+    bodies = Bodies(*fields, column(FINITE, n), column(FINITE, n), column(POSITIVE, n), column(POSITIVE, n))
+    pairs = [(a, b) for a in range(n) for b in range(a + 1, n + 4) if b < n or a < n]
+    pairs = sorted(draw(st.sets(st.sampled_from(pairs))))
+    m = len(pairs)
+    contacts = None if not m and draw(st.booleans()) else no_contacts()
+    if m:
+        a, b = np.array(pairs).T
+        angle = column(st.floats(-np.pi, np.pi), m)
+        # A wall is known from its normal; off by 1e-5 at most, as in old files.
+        wall = np.arctan2(*WALL_NORMALS[(b - n) % 4][:, ::-1].T) + 1e-6 * angle
+        angle = np.where(b >= n, wall, angle)
+        normal = np.column_stack([np.cos(angle), np.sin(angle)])
+        position = column(FINITE, 2 * m).reshape(m, 2)
+        rest = column(FINITE, m), column(NOT_NEGATIVE, m), *(column(FINITE, m) for _ in range(3))
+        contacts = Contacts(a, b, position, normal, *rest)
+    return State(
+        name=draw(
+            st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "S", "Z")) | st.sampled_from("\t\n\r<"))
+        ),
+        world=draw(worlds()),
+        bodies=bodies,
+        contacts=contacts,
+        time=draw(FINITE),
+        step=draw(st.integers(0, 10**9)),
+        dt=draw(POSITIVE),
+        solver=draw(st.none() | st.builds(PGS, sweeps=st.integers(0, 9999), tolerance=st.none() | NOT_NEGATIVE)),
+        solved=draw(st.booleans()),
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(states())
+def test_round_trip_is_exact_for_every_state(state):
+    assert bits(parse_state(format_state(state), "state.xml")) == bits(state)
+
+
+@pytest.mark.parametrize("name", ["pile_3.xml", "pile_3.xml.gz"])
+def test_round_trip_through_a_file(tmp_path, name):
+    write_state(tmp_path / name, example(solver=PGS()))
+    assert bits(read_state(tmp_path / name)) == bits(example(solver=PGS()))
+
+
+@pytest.mark.parametrize("value", EXTREME)
+def test_extreme_floats_come_back_bit_for_bit(value):
+    bodies = example().bodies._replace(velocity=np.full((2, 2), value))
+    again = parse_state(format_state(example(bodies=bodies)), "state.xml")
+    assert again.bodies.velocity.tobytes() == bodies.velocity.tobytes()
+
+
+def test_inertia_that_overflows_is_still_readable():
+    """m r²/2 of r = 1e308 is infinite, though mass and radius are not."""
+    state = example(bodies=make_bodies([[1, 1], [5, 5]], radius=1e308, mass=1.0), contacts=None)
+    assert bits(parse_state(format_state(state), "state.xml")) == bits(state)
+
+
+@pytest.mark.parametrize("name", ['a"b', "a<b>&amp;", "tab\tline\nreturn\r", "Ørsted ∇λ 🎱", ""])
+def test_names_are_escaped(name):
+    assert parse_state(format_state(example(name=name)), "state.xml").name == name
+
+
+def test_contacts_not_looked_for_differ_from_none_found():
+    assert parse_state(format_state(example(contacts=None)), "s.xml").contacts is None
+    assert parse_state(format_state(example(contacts=no_contacts())), "s.xml").contacts.count == 0
+
+
+@pytest.mark.parametrize("method", sorted(METHODS))
+def test_every_method_is_stored_with_its_options(method):
+    solver = METHODS[method]()
+    assert parse_state(format_state(example(solver=solver)), "s.xml").solver == solver
+
+
+def test_options_of_every_kind_are_stored(monkeypatch):
+    @dataclass(frozen=True, kw_only=True)
+    class Other:
+        a: object = None
+        b: bool = True
+        c: int = -7
+        d: float = 1e-310
+        e: str = 'for"ward'
+        f: float = 3.0
+
+    monkeypatch.setitem(methods.METHODS, "Other", Other)
+    again = parse_state(format_state(example(solver=Other())), "s.xml").solver
+    assert again == Other()
+    assert [type(v) for v in vars(again).values()] == [type(v) for v in vars(Other()).values()]
+
+
+@pytest.mark.parametrize("option", ["none", "5", (1, 2), float("inf"), 10**20])
+def test_an_option_that_would_not_come_back_is_refused(monkeypatch, option):
+    @dataclass(frozen=True, kw_only=True)
+    class Other:
+        a: object = option
+
+    monkeypatch.setitem(methods.METHODS, "Other", Other)
+    with pytest.raises(ValueError, match=r"solver\.a"):
+        format_state(example(solver=Other()))
+
+
+def test_same_state_same_bytes(tmp_path):
+    """Also compressed, although gzip files may hold a time (bytes 4 to 7 of RFC 1952) and a name."""
+    for name in ("a.xml.gz", "b.xml.gz"):
+        write_state(tmp_path / name, example())
+    assert (tmp_path / "a.xml.gz").read_bytes() == (tmp_path / "b.xml.gz").read_bytes()
+    assert (tmp_path / "a.xml.gz").read_bytes()[4:8] == bytes(4)
+
+
+def test_the_text_has_the_elements_of_the_listing():
+    """DESIGN, "XML", read by another parser."""
+    root = ElementTree.fromstring(format_state(example()))
+    circle, _, box = root.findall("bodies/body")
+    listing = ["mass", "position", "velocity", "orientation", "inertia", "spin", "shape"]
+    assert [child.tag for child in circle] == listing
+    assert (box.attrib, len(box.findall("shape/corner"))) == ({"index": "2", "type": "fixed"}, 4)
+    contact = root.findall("contacts/contact")[2]
+    assert [child.tag for child in contact] == ["position", "normal", "impulse", "start"]
+    assert (contact.get("master"), contact.get("slave"), contact.find("start").get("n")) == ("0", "2", "0.1")
+
+
+# Old dialects
+
+
+def test_dialect_a_bodies_and_settings():
+    state = read_state(OLD_A)
+    assert (state.name, state.time, state.step, state.dt, state.solved) == ("old_pybox2d", 0.12, 12, 0.01, True)
+    world = (state.world.box, state.world.gravity, state.world.friction, state.world.restitution)
+    assert world == ((0, 0, 30, 30), constants.GRAVITY, constants.FRICTION, constants.RESTITUTION)
+    np.testing.assert_array_equal(state.bodies.velocity, [[-0.0125, -0.09809999912977219], [0.5, -1.25]])
+    np.testing.assert_array_equal(state.bodies.angle, [0.25, 0])
+    np.testing.assert_array_equal(state.bodies.spin, [-0.5, 0.0625])
+    np.testing.assert_array_equal(state.bodies.radius, [1, 1])
+
+
+def test_dialect_a_contacts_with_the_box_in_a_corner():
+    """The box is master there and the normal points at the circle; here the circle comes first."""
+    contacts = read_state(OLD_A).contacts
+    np.testing.assert_array_equal(contacts.body_a, [0, 0, 0])
+    np.testing.assert_array_equal(contacts.body_b, [1, 2 + BOTTOM, 2 + LEFT])
+    np.testing.assert_array_equal(contacts.normal, [[0.6004689, 0.7996481], [0, -1], [-1, 0]])
+    np.testing.assert_array_equal(contacts.normal_start, 0)
+
+
+@pytest.mark.parametrize("path", [OLD_A, OLD_B])
+def test_turning_a_contact_keeps_the_impulse_that_each_body_feels(path):
+    """λ_n n + λ_t t acts on the slave and its opposite on the master, t = (n_y, -n_x), whoever comes first."""
+    state = read_state(path)
+    root = ElementTree.fromstring(path.read_text())
+    free = [body.get("index") for body in root.iter("body") if body.get("type") == "free"]
+    felt = np.zeros((len(free), 2))
+    for contact in root.iter("contact"):
+        normal, impulse = contact.find("normal"), contact.find("impulse")
+        n = np.array(
+            normal.get("normal", "")[7:-1].split(",") if normal.get("normal") else list(normal.attrib.values()), float
+        )
+        ni, ti = (float(value) for value in impulse.attrib.values())
+        for role, sign in (("slave", 1), ("master", -1)):
+            if contact.get(role) in free:
+                felt[free.index(contact.get(role))] += sign * (ni * n + ti * np.array([n[1], -n[0]]))
+    ours, c = np.zeros((len(free) + 4, 2)), state.contacts
+    impulse = c.normal_impulse[:, None] * c.normal
+    impulse += c.tangent_impulse[:, None] * np.column_stack([c.normal[:, 1], -c.normal[:, 0]])
+    np.add.at(ours, c.body_b, impulse)
+    np.add.at(ours, c.body_a, -impulse)
+    np.testing.assert_allclose(ours[: len(free)], felt, rtol=1e-15)
+
+
+def test_missing_separation_is_taken_from_the_geometry():
+    """Circle at (1.0025, 1.005), r = 1: 0.005 above the bottom, where walls reach 0.01 (Box2D's skin)."""
+    separation = read_state(OLD_A).contacts.separation
+    distance = np.hypot(2.1999998092651367 - 1.0024999380111694, 2.5999999046325684 - 1.0049999952316284)
+    # 2e-7: the coordinates are float32.
+    np.testing.assert_allclose(separation, [distance - 2, 0.005 - 0.01, 0.0025 - 0.01], rtol=0, atol=2e-7)
+
+
+def test_dialect_b_prints_normals_and_shapes():
+    state = read_state(OLD_B)
+    assert (state.step, state.dt, state.solved) == (7, constants.TIME_STEP, True)
+    assert state.world.box == (0, 0, 30, 30)
+    np.testing.assert_array_equal(state.contacts.normal, [[1, 2.9638e-5], [-1, 1.1e-5]])
+    np.testing.assert_array_equal(state.contacts.body_b, [1, 3 + LEFT])
+    np.testing.assert_array_equal(state.contacts.tangent_impulse, [-0.0625, 0.03125])
+
+
+def test_radius_that_no_shape_tells_follows_from_the_inertia():
+    """Circle 2 of dialect b: no contact prints it. m = 1.44 π, r = 1.2; the file has 12 digits of float32."""
+    np.testing.assert_allclose(read_state(OLD_B).bodies.radius, [1, 1, 1.2], rtol=1e-6)
+
+
+def test_old_file_without_a_box_has_the_thesis_box_if_the_circles_are_inside():
+    text = OLD_A.read_text()
+    start, end = text.index('<body index="0"'), text.index('<body index="1"')
+    text = text[:start] + text[end : text.index("<contacts>")] + "</configuration>"
+    assert parse_state(text.encode(), "old.xml").world.box == (0, 0, 30, 30)
+    with pytest.raises(StateFileError, match=r"no box.*31\.5"):
+        parse_state(text.replace('x="2.1999998092651367"', 'x="31.5"').encode(), "old.xml")
+
+
+@pytest.mark.parametrize("indices", [(5, 6, 7), (7, 5, 6), (6, 5, 7), (0, 2, 1), (-1, 0, 1)])
+def test_indices_may_start_anywhere_and_the_box_may_come_anywhere(indices):
+    text = OLD_A.read_text()
+    for role in ("index", "master", "slave"):
+        for old in range(3):
+            element = "body index" if role == "index" else role
+            text = text.replace(f' {role}="{old}"' if role != "index" else f'<{element}="{old}"', f"@{role}{old}@")
+    for role in ("index", "master", "slave"):
+        for old, new in zip(range(3), indices):
+            text = text.replace(f"@{role}{old}@", f'<body index="{new}"' if role == "index" else f' {role}="{new}"')
+    state = parse_state(text.encode(), "old_pybox2d_12.xml")
+    if indices[1] < indices[2]:
+        assert bits(state) == bits(read_state(OLD_A))
+    else:  # the two circles change places, and their contact turns round
+        np.testing.assert_array_equal(state.bodies.angle, [0, 0.25])
+        np.testing.assert_array_equal(state.contacts.normal[0], [-0.6004689, -0.7996481])
+
+
+def test_impulses_that_no_contact_has_leave_the_state_unsolved():
+    state = parse_state(re.sub(r"<impulse [^>]*>", "", OLD_A.read_text()).encode(), "old.xml")
+    assert not state.solved
+    np.testing.assert_array_equal(state.contacts.normal_impulse, 0)
+
+
+def test_old_box_is_placed_by_its_body():
+    """Vertices of a Box2D loop are relative to their body; chains repeat the first one."""
+    text = OLD_A.read_text().replace('<position x="0.0" y="0.0"/>', '<position x="-15.0" y="2.0"/>')
+    loop = "dcLoopShape(vertices=[(30, 0), (30, 30), (0, 30), (0, 0)])"
+    chain = "b2ChainShape(vertices: [(0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (0.0, 30.0), (0.0, 0.0)])"
+    for shape in (loop, chain):
+        assert parse_state(text.replace(loop, shape).encode(), "old.xml").world.box == (-15, 2, 15, 32)
+
+
+# Files that are refused. (what to replace, by what, element, words of the message)
+
+BAD = {
+    "nan": ('<spin omega="0.25"/>', '<spin omega="nan"/>', "<spin>", "'nan'"),
+    "infinite": ('<velocity x="0.5"', '<velocity x="inf"', "<velocity>", "'inf'"),
+    "overflow": ('<velocity x="0.5"', '<velocity x="1e999"', "<velocity>", "'1e999'"),
+    "underscore": ('<velocity x="0.5"', '<velocity x="1_0"', "<velocity>", "'1_0'"),
+    "empty number": ('<velocity x="0.5"', '<velocity x=""', "<velocity>", "''"),
+    "negative radius": ('radius="1.0"', 'radius="-1.0"', "<shape>", "'-1.0'"),
+    "negative mass": ('<mass value="3.', '<mass value="-3.', "<mass>", "'-3.14"),
+    "not a disc": ('<inertia value="1.5', '<inertia value="2.5', "<inertia>", "'2.57"),
+    "duplicate index": ('<body index="1"', '<body index="0"', "<body> '0'", "duplicate"),
+    "gap": ('<body index="1"', '<body index="4"', "<body> '4'", "there is no 1"),
+    "body not there": ('master="0" slave="1"', 'master="0" slave="9"', "<contact> '0'", "slave: .*'9'"),
+    "itself": ('master="0" slave="1"', 'master="0" slave="0"', "<contact> '0'", "slave: .*'0'"),
+    "huge index": ('master="0" slave="1"', f'master="{"9" * 30}" slave="1"', "<contact>", "'9999"),
+    "same contact index": ('<contact index="1"', '<contact index="0"', "<contact> '0'", "duplicate"),
+    "missing attribute": ('<mass value="3.141592653589793"/>', "<mass/>", "<mass>", "value: .*missing"),
+    "missing element": ('<spin omega="0.25"/>', "", "<body> '0'", "<spin> is missing"),
+    "second element": ('<spin omega="0.25"/>', '<spin omega="0"/><spin omega="1"/>', "<spin>", "second"),
+    "unknown element": ('<spin omega="0.25"/>', '<torque value="0"/>', "<torque>", "'torque'"),
+    "unknown attribute": (' dt="', ' dT="', "<configuration>", "dT"),
+    "unknown solver": ('method="PGS"', 'method="os.system"', "<solver>", "'os.system'"),
+    "unknown option": (' sweeps="', ' sweep="', "<solver>", "sweep: .*'3000'"),
+    "bad option": (' sweeps="3000"', ' sweeps="-3"', "<solver>", "sweeps: .*-3"),
+    "missing setting": (' friction="0.5"', "", "<configuration>", "friction: .*missing"),
+    "bad restitution": ('restitution="0.0"', 'restitution="2.0"', "<configuration>", "restitution: .*'2.0'"),
+    "bad type": ('type="free"', 'type="flying"', "<body> '0'", "type: .*'flying'"),
+    "not a circle": ('value="circle"', 'value="square"', "<shape>", "'square'"),
+    "no unit vector": ('<normal x="1.0" y="0.0"/>', '<normal x="2.0" y="0.0"/>', "<normal>", r"\(2.0, 0.0\)"),
+    "pulling": ('<impulse n="0.5"', '<impulse n="-0.5"', "<impulse>", "'-0.5'"),
+    "start lost": ('<start n="0.4" t="-0.1"/>', "", "<contact> '0'", "<start> is missing"),
+    "leaning box": ('<corner x="30.0" y="0.0"/>', '<corner x="30.0" y="1.0"/>', "<shape>", "corners"),
+    "10 GB claim": ("<bodies>", '<bodies count="10737418240">', "<bodies>", "count: .*'10737418240'"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_value_is_named_with_file_line_and_element(tmp_path, case):
+    old, new, element, words = BAD[case]
+    text = format_state(example(solver=PGS())).decode()
+    assert old in text, "the case does not change the file"
+    line = text[: text.index(old)].count("\n") + 1
+    path = tmp_path / "pile_3.xml"
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(StateFileError, match=words) as error:
+        read_state(path)
+    message = str(error.value)
+    assert str(path) in message
+    assert element in message
+    missing_or_box = ("missing element", "start lost", "leaning box")  # the line of the element around it
+    assert f"line {line}" in message or case in missing_or_box
+
+
+def test_second_contact_of_a_pair_is_refused():
+    text = format_state(example()).decode().replace('normal x="-1.0" y="0.0"', 'normal x="-0.0" y="-1.0"')
+    with pytest.raises(StateFileError, match=r"line \d+, <contact> '2': .*bottom wall"):
+        parse_state(text.encode(), "pile_3.xml")
+
+
+def test_some_contacts_without_impulse_are_refused():
+    """Taking zero for them would be a guess."""
+    text = OLD_A.read_text().replace('<impulse ni="0.5" ti="-0.125"/>', "")
+    with pytest.raises(StateFileError, match="<contact> '1': element <impulse> is missing"):
+        parse_state(text.encode(), "old.xml")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("dcCircleShape(radius=1)", "dcCircleShape(radius=__import__('os'))", "__import__"),
+        ("dcCircleShape(radius=1)", "dcCircleShape(radius=-1)", "radius: .*-1"),
+        ("(30, 30), ", "", "four corners"),
+        ("(30, 30)", "(30, nan)", "vertices"),
+        ("(30, 30)", "(31, 30)", "corners"),
+    ],
+)
+def test_bad_printed_shapes_are_refused(old, new, words):
+    with pytest.raises(StateFileError, match=rf"line \d+, <shape>.*{words}"):
+        parse_state(OLD_A.read_text().replace(old, new, 1).encode(), "old.xml")
+
+
+def test_bad_printed_normal_is_refused():
+    text = OLD_B.read_text().replace("b2Vec2(-1,-2.9638e-05)", "b2Vec2(-1,__import__('os'))")
+    line = text[: text.index("__import__")].count("\n") + 1
+    with pytest.raises(StateFileError, match=rf"line {line}, <normal> of contact '0'.*__import__"):
+        parse_state(text.encode(), "7.xml")
+
+
+@pytest.mark.parametrize("share", [0.0005, 0.1, 0.5, 0.9, 0.999])
+def test_truncated_file(share):
+    data = format_state(example())
+    with pytest.raises(StateFileError, match=r"^pile_3\.xml, line \d+: "):
+        parse_state(data[: int(share * len(data)) or 1], "pile_3.xml")
+
+
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (b"", "empty"),
+        (b" \n\n", "empty"),
+        (b"index,mass\n0,1\n", "not well-formed"),
+        (b"\x89PNG\r\n\x1a\n", "UTF-8"),
+        ("<configuration/>".encode("utf-16"), "UTF-8"),
+        ("<configuration/>".encode("utf-16-le"), "NUL"),
+        (b'<?xml version="1.0" encoding="UTF-7"?>\n<configuration/>', "encoding: .*'UTF-7'"),
+        (b'<configuration name="caf\xe9"/>', "UTF-8"),
+        (b"<scene/>", "root <configuration>, got 'scene'"),
+        (b'<configuration xmlns="urn:x"/>', "root <configuration>"),
+        (b"<configuration/>", "name: attribute is missing"),
+        (b'<configuration name="a" time="0">&bomb;</configuration>', "bomb"),
+    ],
+)
+def test_what_is_no_state_file(data, words):
+    with pytest.raises(StateFileError, match=rf"^x\.xml, line 1.*: .*{words}"):
+        parse_state(data, "x.xml")
+
+
+def test_entity_bomb_is_refused_at_its_line():
+    bomb = '<?xml version="1.0"?>\n<!DOCTYPE b [<!ENTITY a0 "ha">'
+    bomb += "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+    with pytest.raises(StateFileError, match=r"b\.xml, line 2: .*DOCTYPE"):
+        parse_state(f'{bomb}]>\n<configuration name="&a11;" time="0"/>'.encode(), "b.xml")
+
+
+@pytest.mark.parametrize("kind", ['SYSTEM "{}"', 'PUBLIC "x" "{}"'])
+def test_external_entities_are_never_opened(tmp_path, kind):
+    """The entity is a pipe without a writer: opening it would hang."""
+    pipe = tmp_path / "secret"
+    os.mkfifo(pipe)
+    for declaration in (f"<!ENTITY s {kind}>", f"<!ENTITY % s {kind}> %s;"):
+        text = (
+            f'<!DOCTYPE c [{declaration.format(pipe.as_uri())}]>\n<configuration name="n" time="0">&s;</configuration>'
+        )
+        with pytest.raises(StateFileError, match=r"line 1: .*DOCTYPE"):
+            parse_state(text.encode(), "x.xml")
+
+
+def test_pipes_and_folders_are_refused(tmp_path):
+    os.mkfifo(tmp_path / "pipe.xml")
+    for path in (tmp_path / "pipe.xml", tmp_path):
+        with pytest.raises(StateFileError, match="expected a file"):
+            read_state(path)
+
+
+def test_gzip_bomb_is_refused_while_it_is_unpacked(tmp_path):
+    """300 MiB of blanks in 300 kB; the limit is 64 MiB, and what is held of it twice that for a moment."""
+    path = tmp_path / "bomb.xml.gz"
+    path.write_bytes(gzip.compress(b" " * 2**20) * 300)
+    tracemalloc.start()
+    with pytest.raises(StateFileError, match=r"bomb\.xml\.gz.*67108864 bytes"):
+        read_state(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 150 * 2**20
+
+
+@pytest.mark.parametrize("damage", [lambda d: d[:-9], lambda d: d[:20] + b"\xff" + d[21:], lambda d: b"<xml>"])
+def test_damaged_gzip(tmp_path, damage):
+    path = tmp_path / "s.xml.gz"
+    write_state(path, example())
+    path.write_bytes(damage(path.read_bytes()))
+    with pytest.raises(StateFileError, match=r"s\.xml\.gz"):
+        read_state(path)
+
+
+@pytest.mark.parametrize(("piece", "what"), [(b"<a/>", "'<'"), (b'<a b="" c="" d=""/>', "'='")])
+def test_too_many_elements_are_refused_before_they_are_parsed(piece, what):
+    """libxml2 needs some 120 bytes for an element of 4, so the limit on bytes alone would not bound the memory."""
+    with pytest.raises(StateFileError, match=rf"many\.xml, line 1: expected at most \d+ {what}"):
+        parse_state(
+            b"<configuration>" + piece * (760_000 if what == "'<'" else 510_000) + b"</configuration>", "many.xml"
+        )
+
+
+def test_deep_nesting_is_refused():
+    with pytest.raises(StateFileError, match="not well-formed"):
+        parse_state(b"<configuration>" + b"<a>" * 100_000, "deep.xml")
+
+
+def test_missing_file_is_an_oserror(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        read_state(tmp_path / "none.xml")
+
+
+# Writing
+
+
+def test_invalid_state_is_not_written(tmp_path):
+    bodies = example().bodies._replace(mass=np.array([1.0, np.nan]))
+    with pytest.raises(StateFileError, match=r"s\.xml: not written: bodies\.mass\[1\]"):
+        write_state(tmp_path / "s.xml", example(bodies=bodies))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"name": "bell\a"}, "name"),
+        ({"name": "\ud800"}, "name"),
+        ({"solver": object()}, "solver"),
+        ({"step": 1.5}, "step"),
+        ({"step": 10**20}, "step"),
+        ({"contacts": example().contacts._replace(normal=-example().contacts.normal)}, "bottom wall"),
+    ],
+)
+def test_what_would_not_come_back_is_not_written(tmp_path, change, words):
+    with pytest.raises(StateFileError, match=words):
+        write_state(tmp_path / "s.xml", example(**change))
+
+
+def test_state_larger_than_can_be_read_is_not_written(monkeypatch):
+    monkeypatch.setattr(state_xml, "MAX_TAGS", 30)
+    with pytest.raises(ValueError, match="too large"):
+        format_state(example())
+
+
+def test_failed_write_leaves_the_old_file_and_nothing_else(tmp_path, monkeypatch):
+    path = tmp_path / "s.xml"
+    write_state(path, example())
+    before = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    with pytest.raises(OSError, match="No space"):
+        write_state(path, example(name="other"))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_writing_over_a_folder_fails_without_leftovers(tmp_path):
+    (tmp_path / "s.xml").mkdir()
+    with pytest.raises(OSError, match=r"s\.xml"):
+        write_state(tmp_path / "s.xml", example())
+    assert [path.name for path in tmp_path.iterdir()] == ["s.xml"]
+
+
+def test_state_path_is_one_folder_a_simulation(tmp_path):
+    path = state_path(tmp_path, "pile", 12, gz=True)
+    assert path == tmp_path / "pile" / "pile_12.xml.gz"
+    write_state(path, example())
+    assert read_state(path).step == 3
+
+
+@pytest.mark.parametrize(
+    ("name", "step"), [("", 0), ("..", 0), ("a/b", 0), ("pile", -1), ("pile", 1.5), ("pile", True)]
+)
+def test_state_path_refuses(name, step):
+    with pytest.raises(ValueError, match=r"(name|step): expected"):
+        state_path("data", name, step)
+
+
+def test_two_thousand_damaged_files_only_raise_state_file_errors():
+    """The whole run is `fuzz_state_xml.py --inputs 1000000`."""
+    command = [sys.executable, SCRIPTS / "fuzz_state_xml.py", "--inputs", "2000", "--seed", "1"]
+    result = subprocess.run(command, capture_output=True, text=True)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "'read'" in result.stdout
+    assert "'refused'" in result.stdout

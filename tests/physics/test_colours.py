@@ -1,0 +1,182 @@
+"""Batches of contacts against brute force, against the sequential sweep, and thread by thread."""
+
+import numpy as np
+import pytest
+from conftest import momentum
+from test_determinism import fingerprint
+
+import deep_contact as dc
+from deep_contact.physics import colours, contact_solver, engine
+from deep_contact.studies import scaling
+
+ORDERS = ("levels", "colours")
+
+
+@pytest.fixture(scope="module")
+def pile():
+    """A pile of unlike circles that still moves, large enough for several blocks; with its contacts."""
+    return scaling.packed_pile(2500, seed=3, steps=10)
+
+
+def plan_of(state, order):
+    """The plan of a state's contacts."""
+    n, m = state.bodies.count, state.contacts.count
+    body = np.column_stack([state.contacts.body_a, state.contacts.body_b]).astype(np.uint32)
+    return colours.plan_batches(body, n, order == "colours", colours.make_plan(n, m))
+
+
+def circles_of(state, contacts):
+    """The circles, without the walls, of some contacts, one entry for each contact that has it."""
+    pair = np.concatenate([state.contacts.body_a[contacts], state.contacts.body_b[contacts]])
+    return pair[pair < state.bodies.count]
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_every_contact_has_one_place_of_its_own(order, pile):
+    plan, m = plan_of(pile, order), pile.contacts.count
+    assert m > 2 * colours.BLOCK
+    assert np.unique(plan.place[:m]).size == m
+    tiles = plan.count[2]
+    assert plan.place[:m].min() >= 0
+    np.testing.assert_array_equal(np.bincount(plan.place[:m] // 8, minlength=tiles), plan.used[:tiles])
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_no_circle_occurs_twice_in_a_batch(order, pile):
+    # By brute force, batch by batch, not only tile by tile: within a batch no tile may wait for another.
+    plan, m = plan_of(pile, order), pile.contacts.count
+    block = np.searchsorted(plan.first[1 : plan.count[1] + 1], plan.place[:m] // 8, side="right")
+    for key in np.unique(block * m + plan.batch[:m]):
+        circles = circles_of(pile, np.flatnonzero(block * m + plan.batch[:m] == key))
+        assert np.unique(circles).size == circles.size
+
+
+def test_blocks_of_a_phase_share_no_circle(pile):
+    plan, m = plan_of(pile, "colours"), pile.contacts.count
+    blocks = np.arange(m) // colours.BLOCK
+    seen = []
+    for p in range(plan.count[3]):
+        mine = plan.order[plan.start[p] : plan.start[p + 1]]
+        found = np.concatenate([np.unique(circles_of(pile, np.flatnonzero(blocks == k))) for k in mine])
+        assert np.unique(found).size == found.size
+        seen.extend(mine)
+    assert sorted(seen) == list(range(plan.count[1]))
+    assert plan.count[3] < plan.count[1], "every block is a phase of its own: this tests nothing"
+
+
+def test_levels_keep_the_order_of_every_circle(pile):
+    plan = plan_of(pile, "levels")
+    for circle in range(0, pile.bodies.count, 7):
+        mine = np.flatnonzero((pile.contacts.body_a == circle) | (pile.contacts.body_b == circle))
+        assert (np.diff(plan.place[mine] // 8) > 0).all()
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_more_contacts_than_a_mask_has_colours(order):
+    # A circle of 10 m with 90 small ones on it: 90 batches at the least, each with one of its contacts.
+    angle = 2 * np.pi * np.arange(90) / 90
+    position = np.vstack([[[15.0, 15.0]], 15 + 10.3 * np.column_stack([np.cos(angle), np.sin(angle)])])
+    bodies = dc.make_bodies(
+        position, radius=np.r_[10.0, np.full(90, 0.32)], velocity=np.r_[[[0, 0]], 15 - position[1:]]
+    )
+    state = dc.simulate(dc.State(name="sun", world=dc.World(gravity=(0, 0)), bodies=bodies), steps=0).state
+    plan = plan_of(state, order)
+    of_the_large = np.flatnonzero(state.contacts.body_a == 0)
+    assert of_the_large.size == 90
+    assert np.unique(plan.place[of_the_large] // 8).size == 90
+    exact = dc.PGS(sweeps=20_000, tolerance=1e-12)
+    expected = dc.solve_contacts(state, solver=exact, start=None)
+    found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=20_000, tolerance=1e-12, order=order), start=None)
+    np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_levels_are_the_sequential_sweep(precision, pile):
+    # Same contacts, same order for every circle: the same numbers up to rounding, θ and all.
+    options = {"sweeps": 30, "tolerance": None, "precision": precision}
+    expected = dc.solve_contacts(pile, solver=dc.PGS(**options))
+    found = dc.solve_contacts(pile, solver=dc.BatchedPGS(**options))
+    unit = np.finfo(np.float32 if precision == "single" else np.float64).eps
+    tolerance = 1e3 * unit * np.abs(expected.velocities).max()
+    np.testing.assert_allclose(found.velocities, expected.velocities, atol=tolerance)
+    np.testing.assert_allclose(found.record.theta, expected.record.theta, atol=10 * tolerance)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_the_fixed_point_is_that_of_sequential_sweeps(order, frictionless_states):
+    # Without friction there is one solution, whatever the order.
+    for state in frictionless_states:
+        exact = {"sweeps": 200_000, "tolerance": 1e-13}
+        expected = dc.solve_contacts(state, solver=dc.PGS(**exact))
+        found = dc.solve_contacts(state, solver=dc.BatchedPGS(order=order, **exact))
+        assert found.record.status == expected.record.status == "converged"
+        np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_solution_with_friction_stands_still(order, falling_states):
+    # With friction there may be several: each is left where it is by a sweep in any order.
+    for state in falling_states[::4]:
+        expected = dc.solve_contacts(state, solver=dc.PGS(sweeps=100_000, tolerance=1e-12))
+        if expected.record.status == "converged":
+            start = (expected.normal_impulses, expected.tangent_impulses)
+            found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=1, order=order), start=start)
+            np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_batches_keep_momentum(order):
+    scene = dc.drifting_circles(60, size=40.0, sigma_coef=0.9, speed=3.0, seed=2)
+    state = dc.simulate(scene, steps=20).state
+    inside = state.contacts.body_b < 60
+    assert inside.any()
+    # Walls take momentum, so their contacts go.
+    state = state.replace(contacts=type(state.contacts)(*(field[inside] for field in state.contacts)))
+    found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=50, order=order), start=None)
+    after = state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities)
+    np.testing.assert_allclose(momentum(after), momentum(state.bodies), atol=1e-10)
+
+
+def test_positions_are_corrected_as_contact_by_contact(pile):
+    # One sweep over deep overlaps, circles and walls alike: those of a circle come in the same order.
+    rng = np.random.default_rng(0)
+    deep = pile.bodies._replace(position=pile.bodies.position + rng.uniform(-0.15, 0.15, pile.bodies.position.shape))
+    state = dc.simulate(pile.replace(bodies=deep, contacts=None), steps=0).state
+    expected, found = (deep._replace(position=deep.position.copy()) for _ in range(2))
+    contact_solver.correct_positions(expected, state.contacts, state.world.box, 3)
+    plan, n = plan_of(state, "levels"), state.bodies.count
+    moving = np.zeros((n + 4, 4))
+    rows, _ = contact_solver.contact_rows(deep, state.contacts, moving, 0.0, contact_solver.make_rows(0, moving.dtype))
+    tiles = colours.fill_tiles(rows, moving, plan, colours.make_tiles(n, 1, 1, moving.dtype))
+    colours.correct_positions_in_batches(colours.BatchSettings(0.0, False), plan, tiles, found, state.world.box, 3)
+    assert np.abs(expected.position - deep.position).max() > 0.05
+    np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
+
+
+def test_threads_change_no_bit(pile):
+    one, two = (
+        dc.simulate(pile, steps=20, solver=dc.BatchedPGS(sweeps=15, order="colours", threads=threads)).state
+        for threads in (1, 2)
+    )
+    assert fingerprint(one) == fingerprint(two)
+
+
+def test_walls_stay_as_they_are(pile):
+    solver = dc.BatchedPGS(sweeps=5, order="colours")
+    moving, theta = engine.moving_room(pile.bodies.count, solver), np.empty(5)
+    world = engine.world_arguments(pile)
+    engine.solve_velocities(pile.bodies, pile.contacts, world, 0.01, engine.settings_of(solver), moving, theta)
+    np.testing.assert_array_equal(moving[-4:], 0.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"order": "contacts"}, "order: expected one of levels, colours, got 'contacts'"),
+        ({"order": "colours", "threads": 0}, "threads: expected an integer >= 1, got 0"),
+        ({"threads": 2}, "threads: expected 1 with order='levels', got 2"),
+    ],
+)
+def test_bad_options_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        dc.BatchedPGS(**options)

@@ -1,0 +1,110 @@
+"""Bit for bit: the same run in this process, in others, with any number of jobs, with compiled code cold or
+warm, and from any kind of array.
+
+Not promised, and not tested: other processors (fused operations and vector widths differ), other versions of Numba or
+LLVM, and `precision="single"` against "double".
+"""
+
+import hashlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.physics.methods import METHODS
+from deep_contact.reporting import figures
+from deep_contact.state import Bodies, make_bodies
+
+PACKAGE = Path(dc.__file__).parent
+
+
+def fingerprint(state):
+    """SHA-256 of everything that a run has computed."""
+    digest = hashlib.sha256()
+    for array in (*state.bodies, *state.contacts):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
+
+
+def run(seed, *, method="PGS", warm_start="builtin"):
+    """A short run of the thesis's scene; its fingerprint."""
+    scene = dc.circles_in_box(40, seed=seed, restitution=0.2)
+    return fingerprint(dc.simulate(scene, steps=120, solver=METHODS[method](), warm_start=warm_start).state)
+
+
+def in_another_process(seed, *, method="PGS", folder=None, **environment):
+    """`run` in a process of its own that starts in a folder, whose package it then takes."""
+    code = f"import test_determinism as t; print(t.run({seed}, method={method!r}))"
+    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    environment = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return done.stdout.strip()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_second_run_is_the_first(method):
+    assert run(5, method=method) == run(5, method=method)
+
+
+@pytest.mark.parametrize("method", ["PGS", "NNCG"])
+def test_another_process_computes_the_same(method):
+    assert in_another_process(5, method=method) == run(5, method=method)
+
+
+@pytest.mark.parametrize("environment", [{"NUMBA_NUM_THREADS": "1"}, {"PYTHONHASHSEED": "7"}, {"OMP_NUM_THREADS": "3"}])
+def test_threads_and_hash_seeds_change_nothing(environment):
+    assert in_another_process(6, **environment) == run(6)
+
+
+def test_the_number_of_jobs_changes_nothing():
+    assert figures.parallel_map(run, [1, 2, 3], jobs=2) == [run(1), run(2), run(3)]
+
+
+def test_another_run_in_between_changes_nothing():
+    # Rooms are reused from step to step; nothing of one run may reach the next.
+    alone = run(8)
+    run(9, warm_start=None)
+    assert run(8) == alone
+
+
+@pytest.mark.parametrize("kind", ["strided", "big-endian", "list", "read-only", "Fortran"])
+def test_the_kind_of_array_changes_nothing(kind):
+    scene = dc.circles_in_box(30, seed=3)
+    position = scene.bodies.position
+    given = {
+        "strided": np.repeat(position, 2, axis=0)[::2],
+        "big-endian": position.astype(">f8"),
+        "list": position.tolist(),
+        "read-only": np.frombuffer(position.tobytes()).reshape(-1, 2),
+        "Fortran": np.asfortranarray(position),
+    }[kind]
+    other = scene.replace(bodies=make_bodies(given, radius=1.0))
+    if kind != "list":
+        other = scene.replace(bodies=scene.bodies._replace(position=given))
+    one, two = (dc.simulate(s, steps=120, solver=dc.PGS(sweeps=50)).state for s in (scene, other))
+    assert fingerprint(one) == fingerprint(two)
+
+
+def test_a_simulation_leaves_what_it_was_given_as_it_was():
+    scene = dc.circles_in_box(30, seed=4)
+    before = Bodies(*(field.copy() for field in scene.bodies))
+    dc.simulate(scene, steps=50)
+    for one, other in zip(scene.bodies, before):
+        np.testing.assert_array_equal(one, other)
+
+
+@pytest.mark.slow
+def test_cold_and_warm_compiled_code_compute_the_same(tmp_path):
+    # A copy of the package without any cache: compiled afresh, then loaded from its own cache.
+    shutil.copytree(PACKAGE, tmp_path / "deep_contact", ignore=shutil.ignore_patterns("__pycache__"))
+    cold = in_another_process(5, folder=tmp_path)
+    assert list((tmp_path / "deep_contact" / "physics" / "__pycache__").glob("engine.advance-*.nbi"))
+    warm = in_another_process(5, folder=tmp_path)
+    assert cold == warm == run(5)

@@ -1,0 +1,297 @@
+"""Exact solutions by pivoting against analytic ones, non-negative least squares, dense matrices, and what sweeps do."""
+
+import numpy as np
+import pytest
+from conftest import solved_states
+from scipy import optimize
+
+import deep_contact as dc
+from deep_contact.physics import exact, metrics
+from deep_contact.physics.exact import OPEN, SLIP_DOWN, SLIP_UP, STICK, solve_exactly
+from deep_contact.physics.lcp import contact_problem
+from deep_contact.physics.scenes import single_body
+from deep_contact.reporting.figures import seeds
+from deep_contact.simulation import ready
+from deep_contact.state import State, World, make_bodies
+from deep_contact.studies import tradeoff
+
+
+def from_nothing(state, **options):
+    """Without a start, so that the pivots have everything to do."""
+    zero = np.zeros(state.contacts.count)
+    return solve_exactly(state, zero, zero, **options)
+
+
+def check_solution(state, found, residual=1e-8):
+    """It solves Eq 2.27 and 2.29: by `errors.residual`, in the cone, and a sweep of PGS leaves it as it is."""
+    solution = found.solution
+    assert found.converged
+    assert solution.record.status == "converged"
+    assert found.residual == metrics.residual(state, solution) <= residual
+    normal, tangent = solution.normal_impulses, solution.tangent_impulses
+    assert normal.min() >= 0
+    assert (np.abs(tangent) <= state.world.friction * normal).all()
+    swept = dc.solve_contacts(state, solver=dc.PGS(sweeps=1), start=(normal, tangent))
+    # A row's change is its effective mass, at most the mass of a circle, times what is wrong there, plus what the
+    # rows before it changed: a handful of neighbours.
+    assert swept.record.theta[0] <= 10 * residual * state.bodies.mass.max()
+
+
+def test_every_state_of_a_fall_is_solved(falling_states):
+    pivots = 0
+    for state in falling_states:
+        found = from_nothing(state)
+        check_solution(state, found)
+        pivots += found.pivots
+    assert pivots > 1000
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.1, 1.0, 1000.0])
+def test_circles_of_all_sizes_with_any_friction(friction):
+    scene = dc.lattice_in_box(40, radius=(0.2, 1.0), density=3.0, friction=friction, seed=2)
+    for state in solved_states(scene, steps=200, every=40):
+        check_solution(state, from_nothing(state))
+
+
+def test_frictionless_velocities_equal_nnls(frictionless_states):
+    # Without friction: min over λ >= 0 of ½ |B λ + M^½ v|², B = M^-½ Jᵀ; its velocities are the only ones.
+    for state in frictionless_states:
+        problem = contact_problem(state, friction=False)
+        root = np.sqrt(problem.inverse_mass)
+        B = root[:, None] * problem.jacobian.T.toarray()
+        expected, _ = optimize.nnls(B, -problem.free_velocity / root, maxiter=100_000)
+        velocity = problem.velocities(expected).reshape(-1, 3)
+        found = from_nothing(state, residual=1e-10)
+        np.testing.assert_allclose(found.solution.velocities, velocity[:, :2], atol=1e-8)
+        np.testing.assert_allclose(found.solution.angular_velocities, velocity[:, 2], atol=1e-8)
+        assert not found.solution.tangent_impulses.any()
+
+
+def test_frictionless_velocities_equal_those_of_sweeps(frictionless_states):
+    for state in frictionless_states[::2]:
+        swept = dc.solve_contacts(state, solver=dc.NNCG(sweeps=50_000, tolerance=1e-12))
+        assert swept.record.status == "converged"
+        assert metrics.velocity_error(state, from_nothing(state).solution, swept) < 1e-6
+
+
+def touching(centres, **world):
+    """A state of circles of radius 1 at these centres, which overlap by so much that rounding opens no contact."""
+    return ready(State(name="touching", world=World(**world), bodies=make_bodies(np.array(centres) * 0.9999)))
+
+
+def test_silo_carries_k_weights_at_level_k():
+    # Walls that touch on both sides: any thrust of one on the other is a solution, so A is singular.
+    n = 30
+    state = touching([(1.009, 1.01 + 2 * k) for k in range(n)], friction=0.0, box=(0, 0, 2.018, 100))
+    solution = from_nothing(state, residual=1e-12).solution
+    assert state.contacts.count == 3 * n
+    resting = state.contacts.body_b <= n
+    weight = np.pi * 9.81 * 0.01
+    # By (a, b): 0-1, 0-floor, 1-2, … so that the floor comes second, with all n of them on it.
+    expected = weight * np.array([n - 1, n, *range(n - 2, 0, -1)])
+    np.testing.assert_allclose(solution.normal_impulses[resting], expected, rtol=1e-9)
+
+
+def test_pyramid_stands_on_friction():
+    # Three, two, one: 24 rows for 18 velocities, and without friction the lowest row would spread. (Taller ones may
+    # hold or let go, either way within Coulomb's law.)
+    centres = [(10 + 2 * i + k, 1.01 + np.sqrt(3) * k) for k in range(3) for i in range(3 - k)]
+    still = {}
+    for friction in (0.0, 1.0):
+        state = touching(centres, friction=friction)
+        assert state.contacts.count == 12
+        found = from_nothing(state, residual=1e-10)
+        check_solution(state, found, residual=1e-10)
+        floor = found.solution.normal_impulses[state.contacts.body_b == len(centres)].sum()
+        still[friction] = np.abs(found.solution.velocities).max()
+    np.testing.assert_allclose(floor, state.bodies.mass.sum() * 9.81 * 0.01, rtol=1e-8)
+    assert still[1.0] < 1e-9 < 1e-3 < still[0.0]
+
+
+@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
+def test_head_on_pair_ends_as_newton_says(restitution):
+    # One contact of two masses: m_a m_b / (m_a + m_b) times (1 + e) times the closing speed.
+    state = ready(dc.two_bodies(speed=4.0, radius=(1.0, 0.5), restitution=restitution))
+    m_a, m_b = state.bodies.mass
+    impulse = (1 + restitution) * 4.0 / (1 / m_a + 1 / m_b)
+    solution = from_nothing(state, residual=1e-12).solution
+    np.testing.assert_allclose(solution.normal_impulses, impulse, rtol=1e-11)
+    np.testing.assert_allclose(solution.velocities, [[2 - impulse / m_a, 0], [-2 + impulse / m_b, 0]], atol=1e-11)
+
+
+@pytest.mark.parametrize(("speed", "friction_speed"), [(5.0, 0.3 * 9.81 * 0.01), (0.01, 0.01 / 3)])
+def test_circle_on_the_floor_slips_or_sticks(speed, friction_speed):
+    # By hand: it is braked by μ g Δt, or by a third of its speed, which makes a disc roll.
+    scene = single_body(friction=0.3)
+    state = ready(scene.replace(bodies=scene.bodies._replace(velocity=np.array([[speed, 0.0]]))))
+    solution = from_nothing(state, residual=1e-12).solution
+    np.testing.assert_allclose(solution.velocities[0], [speed - friction_speed, 0.0], atol=1e-11)
+    np.testing.assert_allclose(solution.angular_velocities[0], -2 * friction_speed, atol=1e-11)
+
+
+def test_a_settling_pile_that_sweeps_do_not_solve():
+    state = tradeoff.states_of(tradeoff.pile("settling", 300, 2), count=1)[0]
+    swept = metrics.residual(state, dc.solve_contacts(state, solver=dc.PGS(sweeps=5000, tolerance=None)))
+    found = solve_exactly(state)
+    check_solution(state, found)
+    assert found.residual < swept / 100
+    assert found.factorizations > 0
+
+
+@pytest.mark.slow
+def test_a_settling_pile_of_a_thousand():
+    state = tradeoff.states_of(tradeoff.pile("settling", 1000, seeds(0, 2)[0]), count=1)[0]
+    check_solution(state, solve_exactly(state))
+
+
+def test_a_proximal_step_solves_its_problem(falling_states):
+    # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices.
+    state = falling_states[12]
+    problem, mu, epsilon = contact_problem(state), state.world.friction, 1e-2
+    A, c = problem.A.toarray(), np.zeros(problem.b.size)
+    impulse, pivots = exact._proximal_step(problem, mu, c, epsilon, 1000)
+    u = A @ impulse + problem.b + epsilon * np.diag(A) * (impulse - c)
+    free = impulse - u / np.diag(A)
+    normal, bound = np.maximum(free[::2], 0.0), mu * impulse[::2]
+    np.testing.assert_allclose(impulse[::2], normal, atol=1e-10)
+    np.testing.assert_allclose(impulse[1::2], np.clip(free[1::2], -bound, bound), atol=1e-10)
+    assert pivots > 20
+    assert exact._proximal_step(problem, mu, c, epsilon, 5) == (None, 5)
+
+
+def test_changed_rows_are_solved_as_the_dense_matrix():
+    rng = np.random.default_rng(1)
+    state = ready(dc.simulate(dc.circles_in_box(30, seed=3), steps=200).state)
+    A, m, mu = contact_problem(state).A, state.contacts.count, 0.4
+    A = A + exact.sparse.diags_array(0.1 * A.diagonal(), format="csr")
+    states, right = rng.integers(0, 4, m), rng.normal(size=2 * m)
+    system = exact._System(A, right, mu, states, most_changes=200)
+    for contact in rng.integers(0, m, 60):
+        states[contact] = rng.integers(0, 4)
+        system.change(contact, states[contact])
+    B, y = np.eye(2 * m), np.zeros(2 * m)
+    for i, s in enumerate(states):
+        still = [2 * i, 2 * i + 1] if s == STICK else [] if s == OPEN else [2 * i]
+        B[still], y[still] = A.toarray()[still], right[still]
+        if s in (SLIP_UP, SLIP_DOWN):
+            B[2 * i + 1, 2 * i] = -mu if s == SLIP_UP else mu
+    expected = np.linalg.solve(B, y)
+    np.testing.assert_allclose(system.solve(), expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_solution_is_left_as_it_is(falling_states):
+    state = falling_states[-1]
+    first = from_nothing(state).solution
+    again = solve_exactly(state, first.normal_impulses, first.tangent_impulses)
+    assert (again.factorizations, again.pivots) == (0, 0)
+    np.testing.assert_array_equal(again.solution.normal_impulses, first.normal_impulses)
+    np.testing.assert_array_equal(again.solution.tangent_impulses, first.tangent_impulses)
+
+
+def test_the_default_start_is_that_of_sweeps(falling_states):
+    state = falling_states[-1]
+    swept = dc.solve_contacts(state, solver=dc.NesterovPGS(sweeps=3000, tolerance=None), start="builtin")
+    default = solve_exactly(state, residual=1e-13, most_pivots=50)
+    given = solve_exactly(state, swept.normal_impulses, swept.tangent_impulses, residual=1e-13, most_pivots=50)
+    np.testing.assert_array_equal(default.solution.normal_impulses, given.solution.normal_impulses)
+    assert default[1:] == given[1:]
+
+
+def test_the_same_arguments_give_the_same_bits(falling_states):
+    first, second = from_nothing(falling_states[-3]), from_nothing(falling_states[-3])
+    assert first[1:] == second[1:]
+    np.testing.assert_array_equal(first.solution.velocities, second.solution.velocities)
+
+
+@pytest.mark.parametrize("most_pivots", [0, 1, 7])
+def test_too_few_pivots_give_the_best_so_far(falling_states, most_pivots):
+    state = falling_states[-1]
+    found = from_nothing(state, most_pivots=most_pivots)
+    assert not found.converged
+    assert found.solution.record.status == "max_sweeps"
+    assert found.pivots + found.factorizations <= most_pivots + 1
+    none = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=None)
+    assert found.residual == metrics.residual(state, found.solution) <= metrics.residual(state, none)
+    assert (np.abs(found.solution.tangent_impulses) <= state.world.friction * found.solution.normal_impulses).all()
+
+
+def test_the_best_solution_is_kept(falling_states):
+    # Another limit cuts the same path elsewhere, or its last step short, so no smaller one can come to more.
+    limits = (0, 1, 2, 4, 8, 16, 32, 64, 128, 256)
+    for state in falling_states[-3:]:
+        found = [from_nothing(state, residual=1e-14, most_pivots=limit) for limit in limits]
+        assert all(f.pivots + f.factorizations <= limit + 1 for f, limit in zip(found, limits))
+        residuals = [f.residual for f in found]
+        assert residuals == sorted(residuals, reverse=True)
+
+
+def test_a_singular_step_is_given_up():
+    # Two rows that say the same, and nothing to hold them apart.
+    A = exact.sparse.csr_array(np.ones((2, 2)))
+    with pytest.raises(np.linalg.LinAlgError):
+        exact._System(A, np.ones(2), 0.5, np.array([STICK]), most_changes=2)
+    problem = contact_problem(ready(single_body()))
+    assert exact._proximal_step(problem._replace(A=A, b=-2 * np.ones(2)), 2.0, np.ones(2), 0.0, 9) == (None, 0)
+
+
+def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
+    # Those at the start do, at this friction; those between the steps are made to, once.
+    scene = dc.lattice_in_box(20, friction=1e6, radius=(0.5, 1.0), seed=3)
+    state = dc.simulate(scene, steps=150, solver=dc.PGS(sweeps=50)).state
+    with np.errstate(all="ignore"):
+        assert not np.isfinite(dc.solve_contacts(state, solver=exact.FIRST_SWEEPS).velocities).all()
+    check_solution(state, solve_exactly(state))
+    steps = iter([(np.full(2 * falling_states[4].contacts.count, np.nan), 1)])
+    step = exact._proximal_step
+    monkeypatch.setattr(exact, "_proximal_step", lambda *arguments: next(steps, None) or step(*arguments))
+    check_solution(falling_states[4], from_nothing(falling_states[4]))
+
+
+def test_what_it_cannot_solve_does_not_raise():
+    # Masses that differ by more than numbers have digits, and impulses to start from that swamp all others.
+    masses = np.array([1e-30, 1e30, 1.0, 1e30, 1e-30])
+    state = ready(
+        State(name="masses", world=World(), bodies=make_bodies([(9, 1 + 2 * k) for k in range(5)], mass=masses))
+    )
+    huge = np.full(state.contacts.count, 1e50)
+    for start in ((), (huge, -huge)):
+        found = solve_exactly(state, *start, most_pivots=500)
+        assert np.isfinite(found.solution.velocities).all()
+        assert found.solution.normal_impulses.min() >= 0
+        assert found.residual == metrics.residual(state, found.solution)
+
+
+def test_it_ends_where_rounding_lets_it_no_further(falling_states):
+    found = from_nothing(falling_states[4], residual=1e-300)
+    assert 0 < found.residual < 1e-11
+    assert found.factorizations < 1000
+
+
+def test_nothing_to_solve():
+    state = ready(single_body(height=1.0))
+    found = solve_exactly(state)
+    assert found[1:] == (0.0, True, 0, 0)
+    assert found.solution.record.status == "no_contacts"
+    np.testing.assert_allclose(found.solution.velocities, [[0.0, -0.0981]], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "message"),
+    [
+        ((), {"residual": 0.0}, "residual: expected a finite number > 0, got 0.0"),
+        ((), {"residual": "1"}, "residual: expected a finite number > 0, got '1'"),
+        ((), {"most_pivots": -1}, "most_pivots: expected an integer >= 0, got -1"),
+        ((), {"most_pivots": 2.5}, "most_pivots: expected an integer >= 0, got 2.5"),
+        (([0.0], None), {}, "tangent_start: expected 1 numbers, one a contact, up to 1e[+]50 N·s, got None"),
+        (([0.0, 1.0], [0.0]), {}, r"normal_start: expected 1 numbers, .* got shape \(2,\)"),
+        (([np.nan], [0.0]), {}, "normal_start: expected 1 numbers, .* got nan"),
+    ],
+)
+def test_bad_arguments_are_refused(arguments, options, message):
+    with pytest.raises(ValueError, match=message):
+        solve_exactly(ready(single_body()), *arguments, **options)
+
+
+def test_contacts_have_to_be_found_first():
+    with pytest.raises(ValueError, match=r"state\.contacts: expected the contacts to have been found, got None"):
+        solve_exactly(single_body())

@@ -1,0 +1,403 @@
+"""The extremes (Figure 6.6): what is refused, what stays bounded, what rests."""
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import kinetic_energy, load_script
+
+import deep_contact as dc
+from deep_contact import simulation
+from deep_contact.constants import LINEAR_SLOP, MAX_CORRECTION
+from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.methods import METHODS
+from deep_contact.simulation import ready
+from deep_contact.state import LIMITS, Bodies, Contacts, State, World, make_bodies
+from deep_contact.studies import extremes
+from deep_contact.studies.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Trial, measure
+from deep_contact.warm_start import STARTS
+
+TEN = dc.PGS(sweeps=10, tolerance=None)
+
+
+def with_value(name, value):
+    """A scene of three circles in which one quantity of `LIMITS` has a value."""
+    owner, _, field = name.rpartition(".")
+    scene = extremes.silo(3)
+    if not owner:
+        return scene.replace(dt=value)
+    if owner == "world":
+        value = {"gravity": (0.0, value), "box": (0.0, 0.0, 2.02, value)}.get(field, value)
+        return scene.replace(world=World(**{"box": scene.world.box, field: value}))
+    scene = ready(scene) if owner == "contacts" else scene
+    array = getattr(getattr(scene, owner), field).copy()
+    array[1] = value
+    return scene.replace(**{owner: getattr(scene, owner)._replace(**{field: array})})
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_beyond_a_limit_is_refused_with_quantity_limit_and_value(name):
+    low, high, _ = LIMITS[name]
+    for value in (np.nextafter(high, np.inf), 2 * high):
+        with pytest.raises(ValueError, match=rf"{name}.*: expected .* to {high:g}".replace("+", r"\+")) as error:
+            dc.simulate(with_value(name, value), steps=1)
+        assert f"got {value}" in str(error.value)
+    if low > 0:
+        with pytest.raises(ValueError, match=rf"{name}.*: expected {low:g} to .*got {low / 2}"):
+            dc.solve_contacts(with_value(name, low / 2))
+
+
+@pytest.mark.parametrize("name", LIMITS)
+def test_at_a_limit_all_stays_finite_and_is_accepted_again(name):
+    for value in LIMITS[name][:2]:
+        if (value < 0 and name.endswith(("box", "normal_impulse"))) or value == 0:
+            continue  # refused for other reasons: an empty box, a contact that pulls
+        state = with_value(name, value)
+        for _ in range(20):
+            state = dc.step(state, solver=TEN)  # every step looks at the state again
+        assert all(np.isfinite(field).all() for field in (*state.bodies, *state.contacts))
+
+
+FIELDS = [(owner, name) for owner, kind in (("bodies", Bodies), ("contacts", Contacts)) for name in kind._fields]
+
+
+@pytest.mark.parametrize(("owner", "name"), FIELDS)
+def test_a_field_of_the_wrong_length_is_refused_by_name(owner, name):
+    # The compiled steps index without looking; arrays of the engine's own kind take a shorter way to them.
+    state = ready(extremes.silo(3))
+    part = getattr(state, owner)
+    array = getattr(part, name)
+    wrong = [np.ascontiguousarray(array[:-1]), np.concatenate([array, array[-1:]])]
+    if array.ndim == 2:
+        wrong.append(np.ascontiguousarray(np.column_stack([array, array[:, 0]])))
+    for values in wrong:
+        with pytest.raises(ValueError, match=rf"{owner}\.\w+: expected "):
+            ready(state.replace(**{owner: part._replace(**{name: values})}))
+
+
+@pytest.mark.parametrize(("owner", "name"), FIELDS)
+def test_a_field_that_is_not_finite_is_refused_by_name(owner, name):
+    state = ready(extremes.silo(3))
+    part = getattr(state, owner)
+    for value in (np.nan, np.inf, -np.inf) if getattr(part, name).dtype == float else ():
+        array = getattr(part, name).copy()
+        array.flat[-1] = value
+        with pytest.raises(ValueError, match=rf"{owner}\.{name}\[.*: expected "):
+            ready(state.replace(**{owner: part._replace(**{name: array})}))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"body_a": -1}, r"body_a\[1\]: expected a circle, 0 to 2"),
+        ({"body_a": 3, "body_b": 4}, r"body_a\[1\]: expected a circle, 0 to 2"),
+        ({"body_b": 0}, r"body_b\[1\]: expected a body after body_a"),
+        ({"body_b": 7}, r"body_b\[1\]: expected a body after body_a, up to 6"),
+        ({"body_a": 0, "body_b": 1}, r"the pair \(body_a 0, body_b 1\) appears twice"),
+        ({"normal": (0.7, 0.7)}, r"normal\[1\]: expected a unit vector"),
+        ({"normal_impulse": -1e-9}, r"normal_impulse\[1\]: expected a number >= 0"),
+    ],
+)
+def test_contacts_that_do_not_hold_together_are_refused(change, message):
+    state = ready(extremes.silo(3))
+    contacts = Contacts(*(field.copy() for field in state.contacts))
+    assert (contacts.body_a[0], contacts.body_b[0]) == (0, 1)
+    for name, value in change.items():
+        getattr(contacts, name)[1] = value
+    with pytest.raises(ValueError, match=rf"contacts.*{message}"):
+        ready(state.replace(contacts=contacts))
+
+
+@pytest.mark.parametrize("kind", ["normal", "tangent"])
+def test_a_start_beyond_the_limit_is_refused(kind):
+    state = ready(extremes.silo(2))
+    start = {"normal": np.zeros(state.contacts.count), "tangent": np.zeros(state.contacts.count)}
+    start[kind][1] = -1e51
+    with pytest.raises(ValueError, match=rf"start: expected {kind} impulses of at most 1e\+50 N·s, got -1e\+51 at"):
+        dc.solve_contacts(state, start=(start["normal"], start["tangent"]))
+
+
+def test_the_inertia_of_the_lightest_and_largest_circle_is_a_number():
+    # Half of the smallest float is 0, and 0 · ∞ is NaN: the order of the factors matters.
+    bodies = make_bodies([[0.0, 0.0]], mass=5e-324, radius=1e200)
+    with np.errstate(over="ignore"):
+        assert bodies.inertia[0] == np.inf
+    assert make_bodies([[0.0, 0.0]], mass=3.0, radius=2.0).inertia[0] == 6.0
+
+
+def test_a_column_of_50_in_a_silo_rests_for_a_minute_at_10_sweeps():
+    rest = extremes.stand(extremes.silo(50), "ours", solver=TEN, seconds=60)
+    assert rest["settled"] < 1.1 * LINEAR_SLOP
+    assert rest["speed"][-1] < 1e-10
+
+
+def test_a_thousandfold_mass_on_the_column_rests_when_solved_accurately():
+    rest = extremes.stand(extremes.loaded_silo(50, 1000.0), "ours", solver=ACCURATE, seconds=5)
+    assert rest["settled"] < 2 * LINEAR_SLOP
+    assert rest["speed"][-1] < 1e-6
+
+
+def test_ten_sweeps_do_not_carry_a_thousandfold_mass():
+    # The limit that the README states: information travels one contact a sweep, and the light ones give way.
+    rest = extremes.stand(extremes.loaded_silo(50, 1000.0), "ours", solver=TEN, seconds=5)
+    assert rest["settled"] > 2 * LINEAR_SLOP
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 1.0])
+def test_overlapping_circles_part_without_speed(share):
+    # "Bounded as in Box2D": a pair moves by at most MAX_CORRECTION a sweep of position correction, without a velocity.
+    state = extremes.overlapping(share)
+    for _ in range(5):
+        moved = dc.step(state, solver=TEN)
+        gap = np.diff(moved.bodies.position[:, 0]) - np.diff(state.bodies.position[:, 0])
+        assert 0 <= gap[0] <= MAX_CORRECTION * TEN.position_sweeps * (1 + 1e-12)
+        np.testing.assert_array_equal(moved.bodies.velocity, 0.0)
+        state = moved
+    assert -state.contacts.separation.min(initial=0.0) <= 3 * LINEAR_SLOP
+
+
+@pytest.mark.peers
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
+def test_overlapping_circles_part_as_in_box2d(share):
+    peers = pytest.importorskip("deep_contact.studies.peers")
+    pytest.importorskip("Box2D")
+    scene = extremes.overlapping(share)
+    box2d = peers.Box2D23(scene)
+    state = scene
+    for _ in range(20):
+        box2d.step(scene.dt, 10, 10)
+        state = dc.step(state, solver=TEN)
+    # float32 at 15 m: a rounding is 1e-6, a position sweep makes a few.
+    np.testing.assert_allclose(state.bodies.position, box2d.bodies().position, atol=2e-5)
+
+
+@pytest.mark.parametrize("kind", ["huge", "pulling", "outside"])
+@pytest.mark.parametrize("factor", [1e3, 1e12])
+def test_a_misleading_start_leaves_nothing_behind(kind, factor):
+    # Rounding of the start is all that can stay: 1e-16 · 1e12 of the weight, times the sweeps' amplification.
+    state = ready(extremes.pyramid(5))
+    start = extremes.misleading_start(kind, factor)
+    for _ in range(10):
+        state = dc.step(state, solver=ACCURATE, warm_start=start)
+    assert np.hypot(*state.bodies.velocity.T).max() < 1e-3
+    assert -state.contacts.separation.min() < 2 * LINEAR_SLOP
+
+
+@pytest.mark.parametrize("method", METHODS.values())
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_every_method_in_both_precisions_keeps_a_pile_bounded(method, precision):
+    scene = extremes.small_pile()
+    state = dc.simulate(scene, steps=150, solver=method(precision=precision)).state
+    check_bounded(scene, state)
+
+
+@pytest.mark.parametrize("start", [name for name in STARTS if name != "cnn"])
+def test_every_start_keeps_a_pile_bounded(start):
+    # `bad` starts from ten times the largest impulse everywhere, which few sweeps would not take back.
+    scene = extremes.small_pile()
+    state = dc.simulate(scene, steps=120, solver=dc.PGS(sweeps=3000), warm_start=start).state
+    check_bounded(scene, state)
+
+
+def check_bounded(scene, state):
+    assert np.isfinite(state.bodies.position).all()
+    assert (state.bodies.position > 0).all()
+    assert extremes.mechanical_energy(scene, state.bodies) < extremes.mechanical_energy(scene, scene.bodies)
+
+
+def test_what_is_not_a_number_has_no_contacts_and_does_not_end_the_process():
+    # NaN has no cell: the broad phase would write outside of its arrays.
+    scene = extremes.silo(3)
+    position = scene.bodies.position.copy()
+    position[1] = np.nan
+    assert contacts_of(scene.replace(bodies=scene.bodies._replace(position=position))).count == 0
+
+
+def test_a_solver_that_diverges_beyond_all_numbers_says_so(monkeypatch):
+    # 1e50 N·s is no float32: without the limit the sweeps end in NaN, and that is said at once.
+    monkeypatch.setattr(simulation, "LARGEST_SINGLE_START", 1e60)
+    state = ready(extremes.silo(3))
+    huge = lambda state, solver: (np.full(state.contacts.count, 1e50),) * 2  # noqa: E731
+    with pytest.raises(FloatingPointError, match=r"up to step 1: circle 0 \(mass .*the solver diverged; try PGS"):
+        dc.simulate(state, steps=5, solver=dc.PGS(precision="single"), warm_start=huge)
+
+
+@pytest.mark.parametrize(("field", "value"), [("mass", 1e8), ("radius", 1e-5), ("velocity", 1e8)])
+def test_float32_sweeps_have_narrower_limits(field, value):
+    scene = with_value(f"bodies.{field}", value)
+    dc.step(scene, solver=TEN)
+    with pytest.raises(ValueError, match=rf"bodies\.{field}.*: expected .* got {value}".replace("+", r"\+")):
+        dc.step(scene, solver=dc.PGS(precision="single"))
+
+
+@pytest.mark.parametrize("sweeps", [0, 1, 3, 20])
+@pytest.mark.parametrize("start", ["none", "builtin"])
+def test_sweeps_without_friction_never_add_kinetic_energy_to_what_the_start_left(frictionless_states, sweeps, start):
+    # A row's relaxation minimises the dual objective, which is the kinetic energy gained, over that row.
+    for state in frictionless_states:
+        m = state.contacts.count
+        impulses = (np.zeros(m), np.zeros(m))
+        if start == "builtin":
+            impulses = state.contacts.normal_start, state.contacts.tangent_start
+        gained, by_start = extremes.solve_gain(state, dc.PGS(sweeps=sweeps, tolerance=None), impulses)
+        assert gained <= by_start + 1e-12 * (kinetic_energy(state.bodies) + abs(by_start))
+
+
+def test_energy_of_a_falling_pile_never_rises_but_by_position_correction():
+    outcome = measure(Trial(scene=extremes.small_pile(), steps=300, solver=dc.PGS(sweeps=3000, tolerance=1e-9)))
+    assert outcome["energy"] <= outcome["correction"] + 1e-12
+    assert outcome["sweep_gain"] < 1e-9  # all of it rounding and what a θ of 1e-9 N·s leaves
+    assert outcome["verdict"] == SAFE
+
+
+@pytest.mark.parametrize(("sweeps", "tolerance"), [(100_000, 0.0), (100_000, None), (0, None), (0, 0.0)])
+def test_all_sweeps_and_none(sweeps, tolerance):
+    state = dc.simulate(extremes.silo(3), steps=3, solver=dc.PGS(sweeps=sweeps, tolerance=tolerance)).state
+    assert np.isfinite(state.bodies.position).all()
+    expected = 0.0 if sweeps else 1e-12
+    assert (np.abs(state.bodies.velocity[:, 1] - (0 if sweeps else -3 * 9.81 * 0.01)) <= expected + 1e-12).all()
+
+
+@pytest.mark.parametrize("by", [1e-6, 1e3, 1e6, 9e8])
+def test_far_from_the_origin_a_column_rests_as_near(by):
+    state = dc.simulate(extremes.shifted(extremes.silo(5), by), steps=300, solver=TEN).state
+    assert -state.contacts.separation.min() < 2 * LINEAR_SLOP
+    assert np.abs(state.bodies.velocity).max() < 1e-6
+
+
+@pytest.mark.parametrize("depth", [0.0, 0.1, 1.0, 5.0])
+def test_circles_wedged_in_a_corner_come_back(depth):
+    outcome = measure(Trial(scene=extremes.cornered(depth), steps=100))
+    assert outcome["verdict"] == SAFE
+    assert outcome["speed"] == 0.0
+
+
+CHECKED = """
+import sys
+import deep_contact as dc
+from deep_contact.studies import extremes
+from deep_contact.physics.methods import METHODS
+solver = METHODS[sys.argv[1]]
+solver = solver() if solver is dc.SoftSteps else solver(sweeps=20)
+for scene in (extremes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.shifted(extremes.silo(5), 1e6),
+              extremes.bed_under(1e3), extremes.channel(1e6), dc.lattice_in_box(200, radius=(1e-3, 1.0)),
+              dc.single_body(height=3.0), extremes.small_pile(friction=1e6, restitution=1.0)):
+    dc.simulate(scene, steps=60, solver=solver)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
+def test_no_index_leaves_its_array(method, tmp_path):
+    # Compiled code does not look at its indices; here it does, in a cache of its own.
+    environment = os.environ | {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", CHECKED, method], env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+# ---- what `measure` says of a scene ----
+
+
+def test_a_scene_beyond_a_limit_is_refused_with_its_reason():
+    outcome = measure(Trial(scene=extremes.silo(2).replace(dt=2.0), steps=5))
+    assert (outcome["verdict"], outcome["finite"]) == (REFUSED, True)
+    assert outcome["message"] == "dt: expected 1e-09 to 1 s, got 2.0"
+
+
+def test_passing_through_is_a_failure():
+    # 2 m a step, each: more than a diameter between two looks. Continuous collision is not modelled.
+    outcome = measure(Trial(scene=extremes.channel(1000.0), steps=20, ordered=0))
+    assert outcome["verdict"] == FAILED
+    assert "passed through another" in outcome["message"]
+
+
+def test_sinking_is_degraded():
+    scene = extremes.loaded_silo(5, 1e4)
+    assert measure(Trial(scene=scene, steps=100, solver=TEN, ordered=1))["verdict"] in (DEGRADED, FAILED)
+
+
+def test_rising_energy_is_a_failure():
+    scene = extremes.silo(2).replace(dt=0.01)
+    push = lambda state, solver: (np.full(state.contacts.count, 500.0), np.zeros(state.contacts.count))  # noqa: E731
+    outcome = measure(Trial(scene=scene, steps=3, solver=dc.PGS(sweeps=0), warm_start=push))
+    assert outcome["verdict"] == FAILED
+    assert outcome["energy"] > 1
+
+
+def test_lifting_by_position_correction_is_counted_apart():
+    # Two circles above one another, half overlapping, at rest: what lifts them is correction, the sweeps only brake.
+    world = World(box=(0, 0, 2.02, 9))
+    scene = State(name="lift", world=world, bodies=make_bodies([[1.01, 1.01], [1.01, 2.01]]))
+    outcome = measure(Trial(scene=scene, steps=50, solver=dc.PGS(sweeps=500, tolerance=1e-12)))
+    assert outcome["correction"] > 0.2
+    assert outcome["sweep_gain"] < 1e-12
+
+
+def test_rounding_to_float32_keeps_the_impulses_of_the_contacts():
+    state = dc.simulate(extremes.pyramid(3), steps=50, solver=TEN).state
+    rounded = extremes.rounded_to_float32(state)
+    np.testing.assert_array_equal(rounded.bodies.position, state.bodies.position.astype(np.float32))
+    # Contacts that carry weight overlap by far more than a rounding; they are found again with what they carried.
+    kept = {pair: p for *pair, p in zip(*rounded.contacts[:2], rounded.contacts.normal_start) for pair in [tuple(pair)]}
+    for a, b, p in zip(*state.contacts[:2], state.contacts.normal_start):
+        assert kept.get((a, b), 0.0) == pytest.approx(p, rel=1e-7, abs=1e-7)
+
+
+def test_an_unknown_engine_or_quantity_is_refused():
+    with pytest.raises(ValueError, match=r"engine: expected one of ours, Box2D 2\.3, pymunk, got 'magic'"):
+        measure(Trial(scene=extremes.silo(1), steps=1), "magic")
+    with pytest.raises(ValueError, match=r"quantities: expected some of mass ratio.*got 'magic'"):
+        extremes.cases(["magic"], quick=True, steps=1)
+
+
+def test_spans_join_neighbours_with_one_verdict():
+    assert extremes.spans([3, 1, 2, 4], ["b", "a", "b", "a"]) == [("a", 1, 1), ("b", 2, 3), ("a", 4, 4)]
+
+
+@pytest.mark.peers
+def test_chipmunk_is_not_asked_for_what_ends_the_process():
+    pytest.importorskip("pymunk")
+    trial = Trial(scene=extremes.silo(2), steps=1, solver=dc.PGS(sweeps=0))
+    assert measure(trial, "pymunk")["verdict"] == REFUSED
+
+
+# ---- the figure ----
+
+
+@pytest.fixture(scope="module")
+def script():
+    return load_script("figure_6_6_stability")
+
+
+def test_the_figure_holds_its_claims_on_a_few_quantities(script, tmp_path):
+    from deep_contact.reporting import figures
+
+    options = {"quantities": ["mass", "overlap", "time step"], "few": True, "steps": 60, "silo": 20, "seconds": 10}
+    options["solvers"] = ["method NNCG, single", "start builtin"]
+    found = figures.produce(script.FIGURE, options=options, out=tmp_path, echo=lambda line: None)
+    assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
+    rows = {row[0]: row for row in script.table(found["data"])}
+    assert rows["mass"][2] == "1e-30 to 1e+30"
+    assert rows["mass"][5] == "1e-40; 1e+40"
+
+
+def test_the_figure_reports_a_rise_of_the_energy(script):
+    cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
+    cell |= {"energy": 0.1, "correction": 0.02, "speed": 0.0}
+    silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
+    data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": []}
+    broken = [claim for claim in script.claims(data) if not claim.holds]
+    assert len(broken) == 1
+    assert broken[0].measured["largest rise"] == pytest.approx(0.08)
+
+
+def test_the_figure_reports_a_method_that_is_not_safe(script):
+    silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
+    cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
+    cell |= {"energy": 0.0, "correction": 0.0, "speed": 0.0}
+    solvers = [{"name": "method A", "verdict": DEGRADED}, {"name": "method B", "verdict": SAFE}]
+    data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": solvers}
+    broken = [claim for claim in script.claims(data) if not claim.holds]
+    assert [claim.measured["not safe"] for claim in broken] == [["method A: degraded"]]

@@ -1,0 +1,167 @@
+"""Errors of solutions and of runs, against matrices, by hand, and where θ misleads."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.constants import LINEAR_SLOP
+from deep_contact.physics import metrics
+from deep_contact.physics.exact import solve_exactly
+from deep_contact.physics.lcp import contact_problem
+from deep_contact.physics.scenes import single_body
+from deep_contact.simulation import ready
+from deep_contact.state import State, World, make_bodies
+
+
+def rows_of(state, solution):
+    """(A λ + b) with targets, (m, 2), and the diagonal of A, (m, 2), from the matrices of the textbook."""
+    problem = contact_problem(state)
+    impulse = np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
+    return (problem.A @ impulse + problem.b).reshape(-1, 2), problem.A.diagonal().reshape(-1, 2)
+
+
+def test_rows_and_masses_equal_the_matrices(falling_states):
+    for state in falling_states[::3]:
+        solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=20, tolerance=None))
+        expected, diagonal = rows_of(state, solution)
+        normal, tangent = metrics.row_velocities(state, solution.velocities, solution.angular_velocities)
+        np.testing.assert_allclose(normal - metrics.targets(state), expected[:, 0], atol=1e-11)
+        np.testing.assert_allclose(tangent, expected[:, 1], atol=1e-11)
+        np.testing.assert_allclose(np.column_stack(metrics.effective_masses(state)), 1 / diagonal, rtol=1e-12)
+
+
+def test_residual_is_the_natural_map(falling_states):
+    # |min(λ_n / k, u_n)| in normal rows (Cottle, Pang and Stone 1992); tangent rows by their definition.
+    state = falling_states[5]
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=20, tolerance=None))
+    u, diagonal = rows_of(state, solution)
+    normal = np.abs(np.minimum(solution.normal_impulses * diagonal[:, 0], u[:, 0]))
+    bound = state.world.friction * solution.normal_impulses * diagonal[:, 1]
+    scaled = solution.tangent_impulses * diagonal[:, 1]
+    tangent = np.abs(scaled - np.clip(scaled - u[:, 1], -bound, bound))
+    np.testing.assert_allclose(metrics.residual(state, solution), max(normal.max(), tangent.max()), rtol=1e-9)
+
+
+@pytest.mark.parametrize("speed", [-5.0, 5.0])
+def test_residual_sees_friction_that_is_missing(speed):
+    # Two circles on the floor carry their weight; one of them slides without friction: what is missing there is
+    # μ λ_n over the row's mass m / 3 (a disc), and nothing else is wrong.
+    world = World(friction=0.3)
+    bodies = make_bodies([[10.0, 1.01], [20.0, 1.01]], velocity=[[speed, 0.0], [0.0, 0.0]])
+    state = ready(State(name="sliding", world=world, bodies=bodies))
+    weight = bodies.mass * 9.81 * 0.01
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=(weight, np.zeros(2)))
+    np.testing.assert_allclose(metrics.residual(state, solution), 0.3 * 9.81 * 0.01 * 3, rtol=1e-12)
+
+
+def test_a_circle_that_was_not_stopped():
+    # One step of gravity, no impulse: it still approaches at g Δt, and that is all that is wrong, or all that is done.
+    state = ready(single_body())
+    falling = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=None)
+    held = solve_exactly(state)
+    np.testing.assert_allclose(metrics.approach(state, falling), 0.0981, rtol=1e-12)
+    np.testing.assert_allclose(metrics.residual(state, falling), 0.0981, rtol=1e-12)
+    np.testing.assert_allclose(metrics.velocity_error(state, falling, held.solution), 1.0, rtol=1e-12)
+    assert metrics.solution_errors(state, held.solution, held.solution).velocity == 0.0
+
+
+def test_velocity_error_is_one_for_doing_nothing_and_falls_with_sweeps(falling_states):
+    for state in falling_states[::4]:
+        reference = solve_exactly(state).solution
+        found = []
+        for sweeps in (0, 5, 50, 2000):
+            solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=sweeps, tolerance=None), start=None)
+            found.append(metrics.velocity_error(state, solution, reference))
+        np.testing.assert_allclose(found[0], 1.0, rtol=1e-12)
+        assert (np.diff(found[:3]) < 0).all()
+
+
+def test_energy_norm_is_twice_the_kinetic_energy():
+    bodies = dc.circles_in_box(5, radius=(0.5, 2.0), size=60.0).bodies
+    rng = np.random.default_rng(1)
+    velocity, spin = rng.normal(size=(5, 2)), rng.normal(size=5)
+    twice = sum(m * v @ v + 0.5 * m * r**2 * w**2 for m, r, v, w in zip(bodies.mass, bodies.radius, velocity, spin))
+    np.testing.assert_allclose(metrics.energy_norm(bodies, velocity, spin) ** 2, twice, rtol=1e-13)
+
+
+def test_friction_leaves_impulses_open_and_now_and_then_velocities(falling_states):
+    # From two starts, two solutions, each exact. In a pile λ is hyperstatic; a wedge may hold or let go, either way
+    # within Coulomb's law.
+    solver = dc.NNCG(sweeps=50_000, tolerance=1e-12)
+    impulses, velocities = [], []
+    for state in falling_states[-8:]:
+        first, second = (dc.solve_contacts(state, solver=solver, start=start) for start in (None, "builtin"))
+        if first.record.status == second.record.status == "converged":
+            assert max(metrics.residual(state, first), metrics.residual(state, second)) < 1e-10
+            apart = np.abs(first.normal_impulses - second.normal_impulses).max()
+            impulses.append(apart / first.normal_impulses.max())
+            velocities.append(metrics.velocity_error(state, first, second))
+    assert len(velocities) >= 5
+    assert np.median(impulses) > 0.05
+    assert np.median(velocities) < 1e-8 < 1e-3 < max(velocities)
+
+
+def test_small_theta_is_no_small_error():
+    # The same θ means a fivefold relative error in a tall column, where the steps are small because many are needed.
+    found = {}
+    for n in (2, 30):
+        state = dc.simulate(dc.column(n), steps=3, solver=dc.NNCG(tolerance=1e-9, sweeps=50_000)).state
+        reference = solve_exactly(state).solution
+        solution = dc.solve_contacts(state, solver=dc.PGS(tolerance=1e-3, sweeps=100_000), start=None)
+        assert solution.record.status == "converged"
+        found[n] = metrics.velocity_error(state, solution, reference)
+    assert found[30] > 5 * found[2]
+
+
+def test_penetration_is_measured_where_the_bodies_are():
+    state = single_body(height=-0.02)
+    np.testing.assert_allclose(metrics.penetration(state), 0.02, rtol=1e-12)
+    assert metrics.penetration(single_body(height=1.0)) == 0.0
+
+
+def test_errors_of_a_run_at_rest():
+    states = []
+    start = dc.simulate(dc.column(4), steps=100).state
+    dc.simulate(start, steps=30, on_step=lambda state, record: states.append(state))
+    found = metrics.run_errors(states)
+    assert 0 < found.mean_penetration <= found.penetration < 3 * LINEAR_SLOP
+    assert found.speed < 1e-3
+    assert abs(found.height_drift) < LINEAR_SLOP
+    # What it loses in height it loses in energy, at g per kg.
+    np.testing.assert_allclose(found.energy_drift, 9.81 * found.height_drift, atol=1e-6)
+
+
+def test_drifts_of_a_run_are_those_from_its_first_state_to_its_last():
+    # Heights by hand, at rest in each, so that no two states are alike: 3 m lost, and g of energy per metre and kg.
+    found = metrics.run_errors([single_body(height=height) for height in (5.0, 4.0, 2.0)])
+    np.testing.assert_allclose(found.height_drift, -3.0, rtol=1e-12)
+    np.testing.assert_allclose(found.energy_drift, -3.0 * 9.81, rtol=1e-12)
+
+
+def test_runs_are_together_until_they_are_not():
+    scene = dc.circles_in_box(60, seed=3)
+    position = scene.bodies.position.copy()
+    position[0, 0] += 1e-9
+    runs = []
+    for start in (scene, scene.replace(bodies=scene.bodies._replace(position=position))):
+        runs.append([])
+        dc.simulate(start, steps=400, on_step=lambda state, record: runs[-1].append(state))
+    first, second = runs
+    apart = metrics.distances(second, first)
+    np.testing.assert_allclose(apart[0], 1e-9 / np.sqrt(60), rtol=1e-5)
+    assert apart[-1] > 20 * apart[0]  # collisions tell circles apart
+    assert metrics.time_together(first, first) == first[-1].time
+    assert metrics.time_together(second, first, share=1e-9) < first[-1].time
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: metrics.run_errors([]), "states: expected at least two, got 0"),
+        (lambda: metrics.distances([single_body()], []), "states: expected 0, as the reference has, got 1"),
+        (lambda: metrics.distances([dc.column(2)], [dc.column(3)]), r"states\[0\]: expected 3 circles at 0.0 s"),
+    ],
+)
+def test_errors_refuse_what_does_not_fit(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

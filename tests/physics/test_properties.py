@@ -1,0 +1,211 @@
+"""Properties over random scenes (hypothesis): what holds whatever is put in, within the limits of `state.LIMITS`.
+
+Properties of files are in `test_state_xml.py`, of pairs in `test_collision.py`, of grids in `test_grid.py`; here are
+those of whole steps.
+"""
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+import deep_contact as dc
+from deep_contact import constants
+from deep_contact.simulation import ready
+from deep_contact.state import LIMITS, Bodies, State, World, check_state
+from deep_contact.studies.extremes import mechanical_energy
+
+SWEEPS = dc.PGS(sweeps=15, tolerance=None)
+INELASTIC = dc.PGS(sweeps=20_000, tolerance=1e-12)
+
+
+def quantity(name):
+    """Any number within the limits of a quantity: its ends, ordinary numbers, and all magnitudes between."""
+    low, high, _ = LIMITS[name]
+    size = st.floats(-30.0, np.log10(high)).map(lambda p: 10.0**p)
+    signed = size | size.map(lambda v: -v) if low < 0 else size
+    return st.one_of(st.sampled_from([low, high, 1.0]), st.floats(low, high), signed).map(
+        lambda v: float(np.clip(v, low, high))
+    )
+
+
+@st.composite
+def accepted_states(draw):
+    """Anything that the engine accepts, physical or not: circles in, on, around and far outside of a box."""
+    n = draw(st.integers(1, 6))
+
+    def column(strategy, count=n):
+        return np.array(draw(st.lists(strategy, min_size=count, max_size=count)))
+
+    centre = draw(st.sampled_from([0.0, 15.0, 1e6, -8e8]))
+    spread = draw(st.sampled_from([0.0, 0.5, 3.0, 1e4]))
+    position = centre + spread * column(st.floats(-1, 1), 2 * n).reshape(n, 2)
+    half = draw(st.sampled_from([0.5, 5.0, 1e5]))
+    bodies = Bodies(
+        position=position,
+        velocity=column(quantity("bodies.velocity"), 2 * n).reshape(n, 2),
+        angle=np.zeros(n),
+        spin=column(quantity("bodies.spin")),
+        mass=column(quantity("bodies.mass")),
+        radius=column(quantity("bodies.radius") | st.just(1.0)),
+    )
+    world = World(
+        box=(centre - half, centre - half, centre + half, centre + half),
+        gravity=(draw(quantity("world.gravity")), draw(quantity("world.gravity"))),
+        friction=draw(quantity("world.friction")),
+        restitution=draw(st.sampled_from([0.0, 0.5, 1.0])),
+    )
+    return check_state(State(name="any", world=world, bodies=bodies, dt=draw(quantity("dt"))))
+
+
+@settings(max_examples=150, deadline=None)
+@given(accepted_states())
+def test_an_accepted_state_stays_finite_and_accepted(state):
+    for _ in range(5):
+        state = dc.step(state, solver=SWEEPS)  # looks at the state anew
+    ready(state)
+    assert all(np.isfinite(field).all() for field in (*state.bodies, *state.contacts))
+
+
+@st.composite
+def crowds(draw):
+    """Ordinary circles of unlike sizes and masses, overlapping at will, in a box; Δt and gravity as in the thesis."""
+    n = draw(st.integers(2, 12))
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    radius = rng.uniform(0.2, 1.5, n)
+    bodies = dc.make_bodies(
+        rng.uniform(1.6, 6.4, (n, 2)),
+        radius=radius,
+        velocity=rng.normal(0, draw(st.sampled_from([0.0, 1.0, 20.0])), (n, 2)),
+        spin=rng.normal(0, 3, n),
+        mass=10 ** rng.uniform(-draw(st.sampled_from([0.0, 1.0])), 0, n),
+    )
+    friction = draw(st.sampled_from([0.0, 0.5, 2.0]))
+    return State(name="crowd", world=World(box=(0, 0, 8, 8), friction=friction), bodies=bodies)
+
+
+@settings(max_examples=60, deadline=None)
+@given(crowds())
+def test_without_restitution_a_step_gains_no_energy_but_by_position_correction(state):
+    # By v⁺ᵀJᵀλ <= 0 at a solution: E of a step falls by ½‖v⁺ − v‖² at least, apart from what correction lifts. What a
+    # solve that has not converged leaves is left out: this is about the solution.
+    state = ready(state)
+    for _ in range(5):
+        solution = dc.solve_contacts(state, solver=INELASTIC)
+        assume(solution.record.status != "max_sweeps")
+        after = dc.step(state, solver=INELASTIC)
+        dt, gravity = state.dt, np.array(state.world.gravity)
+        lifted = after.bodies.position - state.bodies.position - dt * after.bodies.velocity
+        correction = -float(np.einsum("i,ij,j->", state.bodies.mass, lifted, gravity))
+        before = mechanical_energy(state, state.bodies)
+        assert mechanical_energy(state, after.bodies) - correction <= before + 1e-9 * max(1.0, abs(before))
+        state = after
+
+
+@settings(max_examples=60, deadline=None)
+@given(crowds(), st.integers(-40, 40))
+def test_scaling_all_masses_scales_the_impulses_and_nothing_else(state, power):
+    # Powers of two round nothing, so it holds to the last bit. (The tolerance has a unit, so none is set.)
+    factor = 2.0**power
+    heavy = state.replace(bodies=state.bodies._replace(mass=state.bodies.mass * factor))
+    one, other = (dc.solve_contacts(s, solver=SWEEPS, start=None) for s in (state, heavy))
+    np.testing.assert_array_equal(other.velocities, one.velocities)
+    np.testing.assert_array_equal(other.normal_impulses, one.normal_impulses * factor)
+    np.testing.assert_array_equal(other.tangent_impulses, one.tangent_impulses * factor)
+
+
+@settings(max_examples=60, deadline=None)
+@given(crowds(), st.integers(-20, 20))
+def test_scaling_all_velocities_scales_the_solution(state, power):
+    # Positive homogeneity to the last bit for powers of two; without gravity, which is a velocity too.
+    factor = 2.0**power
+    state = state.replace(world=World(box=state.world.box, gravity=(0, 0), friction=state.world.friction))
+    bodies = state.bodies
+    fast = state.replace(bodies=bodies._replace(velocity=bodies.velocity * factor, spin=bodies.spin * factor))
+    one, other = (dc.solve_contacts(s, solver=SWEEPS, start=None) for s in (state, fast))
+    np.testing.assert_array_equal(other.velocities, one.velocities * factor)
+    np.testing.assert_array_equal(other.normal_impulses, one.normal_impulses * factor)
+
+
+@settings(max_examples=60, deadline=None)
+@given(crowds(), st.integers(0, 30))
+def test_impulses_stay_in_the_cone_after_any_number_of_sweeps(state, sweeps):
+    # Friction is clamped by the normal impulse that the row has in its turn, which the normal row may still lower: so
+    # the cone holds to the change of the last sweep, which is θ, and exactly for the normal impulses.
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=sweeps, tolerance=None), start=None)
+    theta = solution.record.theta[-1] if sweeps else 0.0
+    assert (solution.normal_impulses >= 0).all()
+    slack = state.world.friction * (solution.normal_impulses + theta) - np.abs(solution.tangent_impulses)
+    assert slack.min(initial=0.0) >= -1e-12 * (1 + solution.normal_impulses.max(initial=0.0))
+
+
+@settings(max_examples=60, deadline=None)
+@given(crowds(), st.sampled_from([(64.0, 0.0), (-1024.0, 4096.0)]))
+def test_where_the_scene_lies_does_not_matter(state, by):
+    # To the rounding of coordinates of 4096 m, 5e-13 m, which five steps and their sweeps amplify.
+    x_min, y_min, x_max, y_max = state.world.box
+    box = (x_min + by[0], y_min + by[1], x_max + by[0], y_max + by[1])
+    world = World(box=box, friction=state.world.friction)
+    moved = state.replace(world=world, bodies=state.bodies._replace(position=state.bodies.position + by))
+    one, other = (dc.step(s, solver=SWEEPS) for s in (state, moved))
+    np.testing.assert_allclose(other.bodies.velocity, one.bodies.velocity, atol=1e-6)
+    np.testing.assert_allclose(other.bodies.position - by, one.bodies.position, atol=1e-6)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    n=st.integers(1, 40),
+    low=st.floats(1e-3, 2.0),
+    ratio=st.floats(1.0, 100.0),
+    size=st.floats(0.5, 60.0),
+    sigma=st.floats(0.1, 3.0),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_random_scene_fits_or_says_how_many_did(n, low, ratio, size, sigma, seed):
+    scene, refusal = None, ""
+    try:
+        scene = dc.circles_in_box(n, size=size, radius=(low, low * ratio), sigma_coef=sigma, seed=seed)
+    except ValueError as error:
+        refusal = str(error)
+    if scene is None:
+        assert "fitted in a box" in refusal
+    else:
+        assert ready(scene).contacts.separation.min(initial=0.0) >= 0
+        assert scene.bodies.count == n
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    n=st.integers(1, 60),
+    columns=st.none() | st.integers(1, 20),
+    low=st.floats(1e-3, 2.0),
+    ratio=st.floats(1.0, 10.0),
+    gap=st.floats(1e-3, 2.0),
+    seed=st.integers(0, 2**32 - 1),
+)
+def test_a_lattice_fills_its_box_and_nothing_overlaps(n, columns, low, ratio, gap, seed):
+    scene = dc.lattice_in_box(n, columns=columns, radius=(low, low * ratio), gap=gap, seed=seed)
+    position, radius = scene.bodies.position, scene.bodies.radius[:, None]
+    box = np.array(scene.world.box)
+    assert (position - radius >= box[:2]).all()
+    assert (position + radius <= box[2:]).all()
+    # Circle i in the cell of column i mod columns and row i // columns, and no more cells than that takes.
+    pitch = 2 * low * ratio * (1 + gap)
+    cells = np.floor((position - constants.WALL_SKIN) / pitch)
+    columns = columns or int(np.ceil(np.sqrt(n)))
+    np.testing.assert_array_equal(cells, np.column_stack([np.arange(n) % columns, np.arange(n) // columns]))
+    np.testing.assert_allclose((box[2:] - 2 * constants.WALL_SKIN) / pitch, [columns, cells[-1, 1] + 1], rtol=1e-9)
+    assert ready(scene).contacts.separation.min(initial=0.0) >= -2 * constants.WALL_SKIN
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_circles_renumbered_find_the_same_contacts(seed):
+    rng = np.random.default_rng(seed)
+    scene = dc.lattice_in_box(60, gap=0.01, radius=(0.5, 1.0), seed=seed)
+    state = dc.simulate(scene, steps=100, solver=SWEEPS).state
+    order = rng.permutation(60)
+    found = ready(state.replace(bodies=Bodies(*(field[order] for field in state.bodies)), contacts=None)).contacts
+    number = np.append(order, np.arange(60, 64))
+    pairs = {frozenset(pair) for pair in zip(number[found.body_a].tolist(), number[found.body_b].tolist())}
+    expected = {frozenset(p) for p in zip(state.contacts.body_a.tolist(), state.contacts.body_b.tolist())}
+    assert pairs == expected

@@ -1,0 +1,561 @@
+"""The contract of the figure scripts: options, files, replot, resume, interrupts; and the pictures' style."""
+
+import dataclasses
+import functools
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import load_script
+
+from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.state import Contacts, State, World, make_bodies, no_contacts
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+OPTIONS = {"n": 4, "scale": 1.5, "name": "poly6", "flag": False, "d": [0.25, 0.5], "limit": None}
+
+
+def walk(options, seed, jobs, progress):
+    """Random walks, one seed each: the same for any number of jobs."""
+    task = functools.partial(random_walk, options["n"], options["scale"])
+    return {"walks": np.array(figures.parallel_map(task, figures.seeds(seed, 3), jobs=jobs, progress=progress))}
+
+
+def random_walk(n, scale, seed):
+    return np.random.default_rng(seed).normal(scale=scale, size=n).cumsum()
+
+
+def refuse_odd(number):
+    if number % 2:
+        raise ArithmeticError(f"odd: {number}")
+    return number
+
+
+def sleep(seconds):
+    time.sleep(seconds)
+
+
+def claims(data):
+    nearest = np.min(np.abs(data["walks"]))
+    return [Claim("a walk comes back", "L1-2", nearest == 0.0, {"walks": len(data["walks"])})]
+
+
+def table(data):
+    return [["walk", "end"], *([i, walk[-1]] for i, walk in enumerate(data["walks"]))]
+
+
+def draw(data, options):
+    figure, ax = plotting.subplots()
+    ax.plot(np.transpose(data["walks"]))
+    plotting.label_axes(ax, "step", "place", y_unit="m")
+    return figure
+
+
+FIGURE = Figure(
+    id="9.1", title="Walks", options=OPTIONS, quick={"n": 2}, compute=walk, claims=claims, table=table, draw=draw
+)
+TABLE = Figure(id="T 9.2", title="Ends", options=OPTIONS, compute=walk, claims=claims, table=table)
+
+
+def run(tmp_path, *arguments, figure=FIGURE):
+    """Run a figure's command line here, in one process."""
+    return figures.main(figure, ["--out", str(tmp_path), "--jobs", "1", *arguments])
+
+
+def stored(tmp_path, name="figure_9_1"):
+    return results.read_results(tmp_path / f"{name}.json")
+
+
+# ---- the flow ----
+
+
+def test_a_run_writes_both_files_and_reports_numbers_and_claims(tmp_path, capsys):
+    assert run(tmp_path) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["figure_9_1.json", "figure_9_1.png"]
+    printed = capsys.readouterr().out.splitlines()
+    assert printed[0] == "Figure 9.1: Walks"
+    assert printed[-1] == "DOES NOT HOLD: a walk comes back (L1-2): walks = 3"
+    assert len(printed) == 1 + 4 + 1
+
+
+def test_quick_and_set_change_the_options_in_that_order(tmp_path):
+    run(tmp_path, "--quick")
+    assert stored(tmp_path)["options"] == OPTIONS | {"n": 2}
+    run(tmp_path, "--quick", "--set", "n=3", "--set", "d=0.1,0.2,0.4")
+    assert stored(tmp_path)["options"] == OPTIONS | {"n": 3, "d": [0.1, 0.2, 0.4]}
+    assert np.shape(stored(tmp_path)["data"]["walks"]) == (3, 3)
+
+
+def test_the_seed_is_stored_and_decides_the_numbers(tmp_path):
+    walks = {}
+    for seed in ("1", "2"):
+        run(tmp_path, "--seed", seed)
+        walks[seed] = stored(tmp_path)["data"]["walks"]
+        assert stored(tmp_path)["provenance"]["seed"] == int(seed)
+    assert walks["1"] != walks["2"]
+
+
+def test_the_numbers_do_not_depend_on_the_number_of_jobs(tmp_path):
+    alone = figures.produce(FIGURE, out=tmp_path, jobs=1, echo=lambda line: None)
+    shared = figures.produce(FIGURE, out=tmp_path, jobs=2, echo=lambda line: None)
+    assert alone["data"] == shared["data"]
+
+
+def test_replot_draws_the_same_picture_from_the_file_alone(tmp_path, monkeypatch):
+    run(tmp_path)
+    picture, data = tmp_path / "figure_9_1.png", (tmp_path / "figure_9_1.json").read_bytes()
+    before = picture.read_bytes()
+    picture.unlink()
+    monkeypatch.setitem(globals(), "random_walk", None)  # computing anew would fail
+    assert run(tmp_path, "--replot") == 0
+    assert picture.read_bytes() == before
+    assert (tmp_path / "figure_9_1.json").read_bytes() == data
+
+
+def test_replot_without_results_is_an_error(tmp_path, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run(tmp_path, "--replot")
+    assert "figure_9_1.json" in capsys.readouterr().err
+
+
+def test_replot_refuses_to_change_settings(tmp_path):
+    run(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        run(tmp_path, "--replot", "--set", "n=3")
+
+
+@pytest.fixture
+def clean_checkout(monkeypatch):
+    monkeypatch.setattr(results, "commit", lambda: "a" * 40)
+
+
+@pytest.mark.usefixtures("clean_checkout")
+def test_resume_keeps_results_with_the_same_options_seed_and_commit(tmp_path, capsys, monkeypatch):
+    run(tmp_path)
+    before = (tmp_path / "figure_9_1.json").read_bytes()
+    run(tmp_path, "--resume")
+    assert capsys.readouterr().out.endswith("figure_9_1: up to date\n")
+    assert (tmp_path / "figure_9_1.json").read_bytes() == before
+    for change in (["--seed", "7"], ["--set", "n=5"]):
+        run(tmp_path, "--resume", *change)
+        assert "up to date" not in capsys.readouterr().out
+    monkeypatch.setattr(results, "commit", lambda: "b" * 40)
+    run(tmp_path, "--resume", "--set", "n=5")
+    assert "up to date" not in capsys.readouterr().out
+
+
+def test_resume_trusts_nothing_in_a_changed_checkout(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(results, "commit", lambda: "a" * 40 + "+changes")
+    run(tmp_path)
+    run(tmp_path, "--resume")
+    assert "up to date" not in capsys.readouterr().out
+
+
+def test_results_survive_a_mistake_in_the_drawing(tmp_path):
+    broken = dataclasses.replace(FIGURE, draw=lambda data, options: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run(tmp_path, figure=broken)
+    assert run(tmp_path, "--replot") == 0
+
+
+def test_claims_and_drawing_see_the_stored_numbers(tmp_path):
+    seen = []
+
+    def remember(data):
+        seen.append(data["walks"])
+        return []
+
+    run(tmp_path, figure=dataclasses.replace(FIGURE, claims=remember))
+    assert seen == [stored(tmp_path)["data"]["walks"]]
+    assert all(len(f"{abs(x):e}".split("e")[0].rstrip("0")) <= 7 for walks in seen[0] for x in walks)
+
+
+def test_a_table_is_written_as_json_markdown_and_picture(tmp_path):
+    assert run(tmp_path, figure=TABLE) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["table_9_2.json", "table_9_2.md", "table_9_2.png"]
+    lines = (tmp_path / "table_9_2.md").read_text(encoding="utf-8").splitlines()
+    assert lines[:4] == ["**Table 9.2: Ends**", "", "| walk | end |", "| --- | --- |"]
+    assert lines[-1].startswith("- DOES NOT HOLD: a walk comes back (L1-2)")
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("id", "3,7"), ("draw", None), ("quick", {"m": 1}), ("options", {"x": float("nan")})]
+)
+def test_a_figure_that_makes_no_sense_is_refused_by_the_field_s_name(field, value):
+    with pytest.raises(ValueError, match=field):
+        Figure(**{"id": "9.1", "title": "", "compute": walk, "table": table, "draw": draw, field: value})
+
+
+# ---- options ----
+
+
+@pytest.mark.parametrize(
+    ("text", "value"),
+    [
+        ("n=50", 50),
+        ("scale=2", 2.0),
+        ("name=spiky=3", "spiky=3"),
+        ("flag=yes", True),
+        ("d=1", [1.0]),
+        ("d=[1, 2]", [1.0, 2.0]),
+        ("limit=0.5", 0.5),
+        ("limit=null", None),
+        ("limit=some text", "some text"),
+    ],
+)
+def test_a_setting_takes_the_type_of_its_default(text, value):
+    name = text.partition("=")[0]
+    changed = figures.override(OPTIONS, [text])
+    assert changed == OPTIONS | {name: value}
+    assert type(changed[name]) is type(value)
+
+
+@pytest.mark.parametrize("text", ["n=1.5", "n=many", "scale=nan", "scale=x", "flag=maybe", "d=1,x", "n", "m=3"])
+def test_a_setting_of_the_wrong_type_is_refused_by_its_name(text):
+    with pytest.raises(ValueError, match="expected") as error:
+        figures.override(OPTIONS, [text])
+    assert text.partition("=")[0] in str(error.value)
+
+
+def test_an_unknown_setting_names_the_known_ones(tmp_path, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run(tmp_path, "--set", "bodies=3")
+    assert "expected one of n, scale, name, flag, d, limit, got 'bodies'" in capsys.readouterr().err
+
+
+def test_a_setting_that_the_figure_refuses_is_reported_without_a_traceback(tmp_path, capsys):
+    figure = load_script("figure_3_3_kernels").FIGURE
+    with pytest.raises(SystemExit, match="2"):
+        run(tmp_path, "--set", "h=-1", figure=figure)
+    assert "--set h=-1: h: expected a finite number > 0" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("bad", [["--seed", "-1"], ["--jobs", "0"], ["--seed", "x"], ["--fast"]])
+def test_bad_arguments_exit_with_2(tmp_path, bad):
+    with pytest.raises(SystemExit, match="2"):
+        run(tmp_path, *bad)
+    assert not list(tmp_path.iterdir())
+
+
+# ---- parallel map and interrupts ----
+
+
+def test_parallel_map_keeps_the_order():
+    assert figures.parallel_map(abs, range(-7, 0), jobs=2) == [7, 6, 5, 4, 3, 2, 1]
+
+
+def test_parallel_map_raises_the_error_of_an_item():
+    with pytest.raises(ArithmeticError, match="odd: 3"):
+        figures.parallel_map(refuse_odd, [2, 3, 4], jobs=2)
+
+
+def test_an_error_does_not_wait_for_the_other_items():
+    start = time.monotonic()
+    with pytest.raises(TypeError):
+        figures.parallel_map(sleep, [None, 60, 60], jobs=2)
+    assert time.monotonic() - start < 30  # not a timing: the items take two minutes
+
+
+@pytest.mark.parametrize("jobs", [0, -1, 1.5])
+def test_parallel_map_refuses_bad_jobs(jobs):
+    with pytest.raises(ValueError, match=f"jobs: expected an integer >= 1 or an Executor, got {jobs}"):
+        figures.parallel_map(abs, [1], jobs=jobs)
+
+
+def test_seeds_differ_and_the_first_ones_stay_when_more_are_asked_for():
+    few, many = figures.seeds(3, 10), figures.seeds(3, 1000)
+    assert many[:10] == few
+    assert len(set(many)) == 1000
+    assert not set(many) & set(figures.seeds(4, 1000))
+
+
+INTERRUPTED_SCRIPT = """
+import sys, time
+from deep_contact.reporting import figures
+
+def compute(options, seed, jobs, progress):
+    print("started", flush=True)
+    return {"x": figures.parallel_map(time.sleep, [60] * 4, jobs=jobs)}
+
+FIGURE = figures.Figure(id="9.3", title="Slow", compute=compute, table=lambda data: [], draw=lambda data, options: None)
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+@pytest.mark.parametrize(
+    ("jobs", "sent", "status"), [("1", signal.SIGINT, 130), ("2", signal.SIGINT, 130), ("2", signal.SIGTERM, 143)]
+)
+def test_an_interrupt_leaves_no_traceback_no_files_and_no_processes(tmp_path, jobs, sent, status):
+    script = tmp_path / "figure_9_3.py"
+    script.write_text(INTERRUPTED_SCRIPT)
+    command = [sys.executable, str(script), "--jobs", jobs, "--out", str(tmp_path / "out")]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert process.stdout.readline() == "started\n"
+    time.sleep(0.5)  # so that worker processes are on their way
+    process.send_signal(sent)
+    _, errors = process.communicate(timeout=30)  # ends only once no child holds the pipe any more
+    assert process.returncode == status
+    assert "Traceback" not in errors
+    assert not list(tmp_path.glob("out/*"))
+
+
+# ---- all_figures.py ----
+
+TOY_SCRIPT = """
+import sys
+from pathlib import Path
+from deep_contact.reporting import figures
+
+def compute(options, seed, jobs, progress):
+    return {{"x": [1.0 / {divisor}]}}
+
+def draw(data, options):
+    from deep_contact.reporting import plotting
+    return plotting.subplots()[0]
+
+claims = lambda data: [figures.Claim("one", None, data["x"] == [1.0], {{"x": data["x"]}})]
+FIGURE = figures.Figure(id="{id}", title="Toy", compute=compute, claims=claims, table=lambda data: [["x"]], draw=draw)
+raise SystemExit(figures.main(FIGURE))
+"""
+
+
+@pytest.fixture
+def toys(tmp_path):
+    """A folder with three scripts, the second of which fails."""
+    folder = tmp_path / "scripts"
+    folder.mkdir()
+    for name, number, divisor in (("figure_9_10_c", "9.10", 2), ("figure_9_2_b", "9.2", 0), ("table_9_2", "T 9.2", 1)):
+        (folder / f"{name}.py").write_text(TOY_SCRIPT.format(id=number, divisor=divisor))
+    (folder / "train.py").write_text("raise SystemExit(9)")
+    return folder
+
+
+def test_all_figures_goes_on_after_a_failure_and_reports_it(toys, tmp_path, capfd):
+    status = load_script("all_figures").main(["--out", str(tmp_path / "out")], toys)
+    printed = capfd.readouterr().out
+    assert status == 1
+    assert re.findall(r"\[\d/\d\] (\w+)", printed) == ["figure_9_2_b", "table_9_2", "figure_9_10_c"]
+    summary = [line.split() for line in printed.splitlines()[-3:]]
+    assert [row[:2] for row in summary] == [["9.2", "failed"], ["T9.2", "done"], ["9.10", "done"]]
+    assert [row[3:] for row in summary[1:]] == [["1", "of", "1"], ["0", "of", "1"]]
+
+
+def test_all_figures_runs_only_those_that_are_asked_for(toys, tmp_path, capfd):
+    main = load_script("all_figures").main
+    assert main(["--only", "9.10,T9.2", "--out", str(tmp_path / "out"), "--quick", "--seed", "4"], toys) == 0
+    assert stored(tmp_path / "out", "table_9_2")["provenance"]["seed"] == 4
+    assert not (tmp_path / "out" / "figure_9_2.json").exists()
+    assert main(["--only", "3.99"], toys) == 2
+    assert "expected some of 9.2, T9.2, 9.10, got '3.99'" in capfd.readouterr().err
+
+
+def test_two_scripts_of_one_figure_are_refused(toys, capfd):
+    (toys / "figure_9_10_d.py").write_text("")
+    assert load_script("all_figures").main([], toys) == 2
+    assert "expected one script for 9.10, got figure_9_10_c.py and figure_9_10_d.py" in capfd.readouterr().err
+
+
+# ---- the scripts of chapter 3 that need no solver ----
+
+EXPECTED = {
+    # Claims in order: Eq 3.2 holds in each constant's own dimension, but the 3-D constants are used on a plane.
+    "figure_3_3_kernels": [True, False, True],
+    "figure_3_4_kernel_gradients": [True, True],  # L484
+    "figure_3_5_bilinear": [True, False],  # Eq 3.16 is right, Algorithm 4 has its matrix transposed
+    "figure_3_1_grid": [],
+    "figure_3_2_sph": [],
+}
+
+
+@pytest.mark.parametrize("script", EXPECTED)
+def test_a_script_of_chapter_3_evaluates_its_claims(tmp_path, script):
+    figure = load_script(script).FIGURE
+    assert run(tmp_path, "--quick", figure=figure) == 0
+    assert [claim["holds"] for claim in stored(tmp_path, figure.stem)["claims"]] == EXPECTED[script]
+    assert script.startswith(figure.stem)
+
+
+def test_figure_5_3_finds_the_nodes_that_geometry_promises(tmp_path):
+    figure = load_script("figure_5_3_grid_and_kernels").FIGURE
+    assert run(tmp_path, "--set", "n_bodies=40", "--set", "steps=100", figure=figure) == 0
+    # No point is further than √½ d from a node, and no node but a corner of its cell is nearer to it than d.
+    assert [claim["holds"] for claim in stored(tmp_path, "figure_5_3")["claims"][1:]] == [True, True]
+
+
+def test_the_claim_on_constants_measures_the_known_integrals(tmp_path):
+    figure = load_script("figure_3_3_kernels").FIGURE
+    run(tmp_path, figure=figure)
+    measured = stored(tmp_path, "figure_3_3")["claims"][1]["measured"]
+    # By hand: 315/64π · π/4 and 15/π · π/10 for h = 1.
+    assert measured == pytest.approx({"poly6": 315 / 256, "spiky": 1.5}, rel=1e-6)
+
+
+def test_a_symmetric_field_hides_the_transposed_matrix(tmp_path):
+    figure = load_script("figure_3_5_bilinear").FIGURE
+    run(tmp_path, "--set", "values=1,2,2,5", figure=figure)
+    assert [claim["holds"] for claim in stored(tmp_path, "figure_3_5")["claims"]] == [True, True]
+
+
+def test_a_script_can_be_run_as_a_program(tmp_path):
+    command = [sys.executable, str(SCRIPTS / "figure_3_4_kernel_gradients.py"), "--out", str(tmp_path), "--quick"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stderr == ""
+    assert (tmp_path / "figure_3_4.png").read_bytes().startswith(b"\x89PNG")
+
+
+# ---- plotting ----
+
+
+def three_circles(contacts=True):
+    """Two circles on the floor, touching, the first of which carries 3 + 4 N·s; and one in the air."""
+    bodies = make_bodies([[1.0, 1.0], [3.0, 1.0], [5.0, 4.0]], velocity=[[3.0, 4.0], [0, 0], [0, -1.0]])
+    found = no_contacts()
+    if contacts:
+        n = np.array([4.0, 3.0, 0.0])
+        normal = [[1.0, 0.0], [0.0, -1.0], [0.0, -1.0]]
+        point = [[2.0, 1.0], [1.0, 0.0], [3.0, 0.0]]
+        index = np.array([0, 0, 1]), np.array([1, 3, 3])
+        found = Contacts(*index, np.array(point), np.array(normal), np.zeros(3), n, 0 * n, 0 * n, 0 * n)
+    return State(name="three", world=World(box=(0, 0, 8, 8)), bodies=bodies, contacts=found, time=0.5)
+
+
+def test_a_start_always_looks_the_same_however_it_is_spelt():
+    assert plotting.style_of("SPH_consistent") == plotting.style_of("sph consistent")
+    assert plotting.style_of("copy", marker=True)["marker"] == "D"
+    with pytest.raises(ValueError, match=r"expected one of none, builtin, sph.*, got 'sphh'"):
+        plotting.style_of("sphh")
+
+
+def test_no_two_starts_share_colour_and_line():
+    looks = [(style["color"], style["linestyle"]) for style in plotting.START_STYLE.values()]
+    assert len(set(looks)) == len(looks)
+
+
+def test_curves_that_are_not_starts_do_not_share_a_style():
+    styles = plotting.styles_of([f"h = {h}" for h in range(10)] + ["copy"])
+    looks = {(style["color"], style["linestyle"]) for style in styles.values()}
+    assert len(looks) == 11
+    assert styles["copy"] == plotting.style_of("copy")
+
+
+def test_a_saved_figure_has_the_same_bytes_every_time(tmp_path):
+    pictures = []
+    for name in ("a.png", "b.png"):
+        figure, ax = plotting.subplots()
+        plotting.draw_state(ax, three_circles())
+        pictures.append(plotting.save(figure, tmp_path / "new" / name).read_bytes())
+    assert pictures[0] == pictures[1]
+    assert b"matplotlib" not in pictures[0].lower()
+    assert b"tEXt" not in pictures[0]
+
+
+def test_users_settings_do_not_change_the_pictures(tmp_path):
+    import matplotlib
+
+    pictures = []
+    for settings in ({}, {"lines.linewidth": 9, "axes.facecolor": "red", "font.size": 20}):
+        with matplotlib.rc_context(settings), plotting.style():
+            picture = draw({"walks": [[1.0, 2.0]]}, {})
+            pictures.append(plotting.save(picture, tmp_path / "a.png").read_bytes())
+    assert pictures[0] == pictures[1]
+
+
+def test_plotting_never_loads_pyplot():
+    code = "import sys; from deep_contact import plotting as p; p.subplots(); print('matplotlib.pyplot' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+
+
+def test_a_state_is_coloured_by_speed_or_by_the_impulses_on_a_body():
+    state = three_circles()
+    speed, label = plotting.body_values(state, "speed")
+    np.testing.assert_allclose(speed, [5, 0, 1])
+    assert label == "speed (m/s)"
+    np.testing.assert_allclose(plotting.body_values(state, "impulse")[0], [7, 4, 0])
+    np.testing.assert_allclose(plotting.body_values(three_circles(contacts=False), "impulse")[0], 0)
+    with pytest.raises(ValueError, match="colour_by: expected 'speed', 'impulse' or None, got 'mass'"):
+        plotting.body_values(state, "mass")
+
+
+def test_contact_lines_are_as_wide_as_impulses_and_end_at_circles_or_walls():
+    _, ax = plotting.subplots()
+    plotting.draw_state(ax, three_circles())
+    lines = ax.collections[-1]
+    np.testing.assert_allclose(np.diff(lines.get_linewidths()), [-1.0, -3.0])  # 4 points for the largest, 4 N·s
+    np.testing.assert_allclose(lines.get_segments()[0], [[1, 1], [3, 1]])
+    np.testing.assert_allclose(lines.get_segments()[1], [[1, 1], [1, 0]])
+
+
+@pytest.mark.parametrize("contacts", [True, False])
+def test_a_stored_state_draws_the_same_picture(tmp_path, contacts):
+    state = three_circles(contacts)
+    again = plotting.state_of(json.loads(json.dumps(results.plain(plotting.state_data(state)))))
+    pictures = []
+    for name, drawn in (("a.png", state), ("b.png", again)):
+        figure, ax = plotting.subplots()
+        plotting.draw_state(ax, drawn, colour_by="impulse")
+        pictures.append(plotting.save(figure, tmp_path / name).read_bytes())
+    assert pictures[0] == pictures[1]
+
+
+def test_theta_of_zero_is_drawn_at_the_floor_and_said_so():
+    _, ax = plotting.subplots()
+    floor = plotting.convergence_plot(ax, {"copy": [1e-3, 0.0, 0.0], "none": [1.0, 0.1, 0.02]})
+    assert floor == pytest.approx(1e-4)
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), [1e-3, 1e-4, 1e-4])
+    np.testing.assert_allclose(ax.lines[0].get_xdata(), [1, 2, 3])
+    assert [text.get_text() for text in ax.texts] == ["θ below 1e-04, zero included, is drawn there"]
+
+
+def test_theta_above_the_floor_is_drawn_as_it_is_without_a_note():
+    _, ax = plotting.subplots()
+    plotting.convergence_plot(ax, {"h = 0.25": [1.0, 1e-3]})
+    np.testing.assert_allclose(ax.lines[0].get_ydata(), [1.0, 1e-3])
+    assert not ax.texts
+
+
+@pytest.mark.parametrize("bad", [[1.0, -1e-9], [np.nan], [], [[1.0]]])
+def test_a_curve_that_is_no_theta_is_refused_by_its_name(bad):
+    _, ax = plotting.subplots()
+    with pytest.raises(ValueError, match=r"curves\['copy'\]: expected finite θ >= 0"):
+        plotting.convergence_plot(ax, {"copy": bad})
+
+
+def test_an_animation_has_a_frame_for_each_state(tmp_path):
+    from PIL import Image
+
+    states = [three_circles().replace(time=t) for t in (0.0, 0.1, 0.2)]
+    written = plotting.animate(states, tmp_path / "pile.gif", fps=20, size=2.0)
+    assert written[0] == tmp_path / "pile.gif"
+    with Image.open(written[0]) as gif:
+        assert (gif.n_frames, gif.info["duration"], gif.size) == (3, 50, (160, 160))
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in written)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a program by a shell script")
+def test_an_mp4_is_written_where_ffmpeg_is_found(tmp_path, monkeypatch):
+    fake = tmp_path / "bin" / "ffmpeg"
+    fake.parent.mkdir()
+    fake.write_text('#!/bin/sh\nfor last; do :; done\ncat > "$last"\n')  # keeps the raw frames
+    fake.chmod(0o755)
+    monkeypatch.setenv("PATH", str(fake.parent), prepend=os.pathsep)
+    written = plotting.animate([three_circles()] * 2, tmp_path / "pile.gif", size=2.0)
+    assert [path.name for path in written] == ["pile.gif", "pile.mp4"]
+    assert (tmp_path / "pile.mp4").stat().st_size == 2 * 160 * 160 * 4
+
+
+def test_an_animation_of_nothing_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="states: expected at least one, got none"):
+        plotting.animate([], tmp_path / "pile.gif")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,204 @@
+"""The page of all results: complete, alone in the world, and readable on a phone."""
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from conftest import load_script
+
+from deep_contact.reporting import errata, plotting, results
+from deep_contact.reporting import page as report_page
+
+ROOT = Path(__file__).resolve().parents[2]
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
+BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
+FLAGS = """--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking
+    --disable-component-update --disable-sync --hide-scrollbars --enable-logging=stderr --virtual-time-budget=5000
+    --dump-dom""".split()
+OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND"
+
+
+def entry(id, **changes):
+    """Results with a claim that holds and one that does not."""
+    claims = [
+        {"text": "θ < 1 & so on", "thesis": "L669", "holds": True, "measured": {"θ": 0.125}},
+        {"text": "the <other>", "thesis": "L1-2", "holds": False, "measured": {"n": 3}},
+    ]
+    made = results.provenance(seed=7, wall_s=1.0)
+    found = {"id": id, "title": f"Title {id}", "options": {"d": [0.25, 0.5]}, "provenance": made, "claims": claims}
+    return {**found, "data": {}, **changes}
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Two figures, a table, an animation; and files that do not belong to it."""
+    for id, stem in (("3.10", "figure_3_10"), ("3.9", "figure_3_9"), ("T 5.1", "table_5_1")):
+        results.write_results(tmp_path / f"{stem}.json", entry(id))
+        figure, ax = plotting.subplots(size=(11.0, 3.0))
+        ax.plot([1, 2], [3, 4])
+        plotting.save(figure, tmp_path / f"{stem}.png")
+    shutil.copy(tmp_path / "figure_3_9.png", tmp_path / "animation.gif")
+    (tmp_path / "other.json").write_text("{")
+    return tmp_path
+
+
+class Page(HTMLParser):
+    """Tags that are open, all attributes, and the headings."""
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.attributes, self.headings = [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.attributes.append((tag, dict(attrs)))
+        if tag not in ("meta", "img", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open and self.open[-1] == "h2":
+            self.headings.append(data)
+
+
+def test_the_page_has_every_result_in_order_and_is_well_formed(folder):
+    page = Page(report_page.write_report(folder).read_text())
+    assert page.open == []
+    assert page.headings[:4] == [
+        "Animation",
+        "Figure 3.9: Title 3.9",
+        "Figure 3.10: Title 3.10",
+        "Table 5.1: Title T 5.1",
+    ]
+    anchors = {attributes["id"] for _, attributes in page.attributes if "id" in attributes}
+    links = {attributes["href"] for tag, attributes in page.attributes if tag == "a"}
+    assert links == {f"#{anchor}" for anchor in anchors - {"animation"}}
+
+
+def test_claims_stand_with_line_numbers_and_verdict(folder):
+    text = report_page.write_report(folder).read_text()
+    assert "of 6 claims of the thesis, 3 hold and 3 do not" in text
+    assert "<strong>holds:</strong> θ &lt; 1 &amp; so on <small>(L669)</small>" in text
+    assert '<span class="measured">θ = 0.125</span>' in text
+    assert "<strong>does not hold:</strong> the &lt;other&gt;" in text
+    assert text.count("the &lt;other&gt;") == 6  # at their figures, and in the list of those that do not hold
+
+
+def test_the_page_asks_for_nothing_beyond_itself(folder):
+    page = Page(report_page.write_report(folder).read_text())
+    sources = [
+        attributes[name] for _, attributes in page.attributes for name in ("src", "srcset") if name in attributes
+    ]
+    assert len(sources) == 4
+    assert all(source.startswith("data:image/") for source in sources)
+    assert not {"script", "link", "iframe"} & {tag for tag, _ in page.attributes}
+    policies = [attributes["content"] for tag, attributes in page.attributes if "http-equiv" in attributes]
+    assert policies == [report_page.POLICY]
+
+
+def test_all_errata_are_in_the_page_and_in_the_markdown(folder):
+    assert report_page.write_report(folder).read_text().count('<td data-name="Where">') == len(errata.ERRATA)
+    table = errata.markdown().splitlines()
+    assert len(table) == len(errata.ERRATA) + 2
+    assert {len(re.findall(r"(?<!\\)\|", line)) for line in table} == {5}
+
+
+def test_what_is_missing_or_damaged_is_said(folder):
+    (folder / "figure_4_1.json").write_text(json.dumps(entry("4.1") | {"title": ""}))
+    (folder / "figure_3_9.png").unlink()
+    text = report_page.write_report(folder, expected=["3.9", "5.7", "T 5.2"]).read_text()
+    assert "No results of Table 5.2, Figure 5.7." in text
+    assert "figure_4_1.json: title: expected text" in text
+    assert text.count("no picture") == 1
+
+
+def test_a_film_takes_the_place_of_its_gif(folder):
+    (folder / "animation.mp4").write_bytes(b"film")
+    text = report_page.write_report(folder).read_text()
+    assert "data:video/mp4;base64,ZmlsbQ==" in text
+    assert "data:image/gif" not in text
+
+
+def test_a_folder_that_is_not_there_is_an_error(tmp_path):
+    with pytest.raises(FileNotFoundError, match="folder of results"):
+        report_page.write_report(tmp_path / "no")
+
+
+def test_all_figures_writes_the_page(folder, capsys):
+    module = load_script("all_figures")
+    (folder / "scripts").mkdir()
+    assert module.main(["--out", str(folder)], folder / "scripts") == 0
+    assert (folder / "index.html").exists()
+    assert "index.html" in capsys.readouterr().out
+
+
+# ---- in a real browser ----
+
+PROBE = """<script>addEventListener("load", () => { parent.postMessage(JSON.stringify({
+  width: innerWidth, needed: document.documentElement.scrollWidth,
+  pictures: [...document.images].map(i => [i.naturalWidth > 0, i.getBoundingClientRect().right]),
+  claims: [...document.querySelectorAll("section ul.claims li")].map(c =>
+    [c.checkVisibility({visibilityProperty: true, opacityProperty: true}), c.innerText]),
+  resources: performance.getEntriesByType("resource").map(r => r.name).filter(n => !n.startsWith("data:")),
+  text: parseFloat(getComputedStyle(document.querySelector("section li")).fontSize)}), "*"); });</script></body>"""
+
+FRAME = """<iframe src="page.html" style="border:0;width:%dpx;height:900px"></iframe><pre id="found"></pre>
+<script>addEventListener("message", e => { document.getElementById("found").textContent = e.data; });</script>"""
+
+
+def seen(text, width, folder):
+    """What a browser makes of a page, with a script that measures it, in a frame so wide; and what it complains of."""
+    probed = text.replace(report_page.POLICY, f"{report_page.POLICY}; script-src 'unsafe-inline'").replace(
+        "</body>", PROBE
+    )
+    (folder / "page.html").write_text(probed, encoding="utf-8")
+    (folder / "frame.html").write_text(FRAME % width, encoding="utf-8")
+    command = [BROWSER, *FLAGS, OFFLINE, f"--user-data-dir={folder / 'profile'}", (folder / "frame.html").as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    found = json.loads(html.unescape(re.search(r'<pre id="found">(\{.*\})</pre>', done.stdout, re.DOTALL)[1]))
+    return found, re.findall(r"CONSOLE.*", done.stderr)
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(BROWSER is None, reason=f"needs a browser: none of {', '.join(BROWSERS)} is installed")
+@pytest.mark.parametrize("width", [375, 1280])
+def test_a_browser_shows_the_reference_results_whole_and_without_the_network(width, tmp_path):
+    """On a phone and on a desktop."""
+    reference = ROOT / "data" / "reference"
+    for path in [*reference.glob("figure_*"), *reference.glob("table_*")]:
+        shutil.copy(path, tmp_path)
+    stored = [json.loads(path.read_text(encoding="utf-8")) for path in tmp_path.glob("*.json")]
+    claims = [claim for entry in stored for claim in entry["claims"]]
+    found, complaints = seen(report_page.write_report(tmp_path).read_text(encoding="utf-8"), width, tmp_path)
+    assert found["width"] == width
+    assert found["needed"] <= width  # nothing sticks out, so nobody has to scroll sideways
+    assert len(found["pictures"]) == len(stored)
+    assert all(loaded and right <= width for loaded, right in found["pictures"])
+    assert all(visible for visible, _ in found["claims"])
+    texts = [text for _, text in found["claims"]]
+    assert sum(text.startswith(("holds: ", "does not hold: ")) for text in texts) == len(claims)
+    assert found["resources"] == []
+    assert found["text"] >= 16  # pixels: read without zooming in
+    assert complaints == []
+
+
+@pytest.mark.browser
+@pytest.mark.skipif(BROWSER is None, reason=f"needs a browser: none of {', '.join(BROWSERS)} is installed")
+def test_a_browser_notices_what_is_wrong(tmp_path):
+    """The test above can fail: a picture that is none, one from elsewhere, a script with a mistake, a wide line."""
+    bad = '<img src="data:image/png;base64,AAAA"><img src="https://example.org/a.png"><script>no()</script>'
+    bad += '<section><ul class="claims"><li hidden>holds: </ul></section><p style="width:999px">wide'
+    head = f'<meta http-equiv="Content-Security-Policy" content="{report_page.POLICY}">'
+    found, complaints = seen(f"<!DOCTYPE html><head>{head}</head><body>{bad}</body>", 375, tmp_path)
+    assert found["needed"] > 375
+    assert [loaded for loaded, _ in found["pictures"]] == [False, False]
+    assert [visible for visible, _ in found["claims"]] == [False]
+    assert any("Security Policy" in text for text in complaints)
+    assert any("no is not defined" in text for text in complaints)

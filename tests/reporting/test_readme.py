@@ -1,0 +1,122 @@
+"""README.md: its tables are what the results files say, and every block of code in it does what it says."""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+SECTIONS = re.split(r"^## ", README, flags=re.MULTILINE)[1:]
+
+
+def blocks(language, text=README):
+    """The fenced blocks of a language."""
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+def is_kernel(block):
+    """Whether a block belongs into the package and is not run as it stands."""
+    return block.startswith("@njit")
+
+
+def section(title):
+    """The section whose heading has these words."""
+    return next(found for found in SECTIONS if title in found.partition("\n")[0])
+
+
+PYTHON = {found.partition("\n")[0]: [b for b in blocks("python", found) if not is_kernel(b)] for found in SECTIONS}
+COMMANDS = [line for block in blocks("bash") for line in block.splitlines() if line.strip()]
+
+
+def test_tables_are_those_of_the_results_files():
+    run = subprocess.run(
+        [sys.executable, ROOT / "scripts" / "readme.py", "--check"], capture_output=True, text=True, check=False
+    )
+    assert run.returncode == 0, run.stderr
+
+
+@pytest.mark.parametrize("title", [title for title, found in PYTHON.items() if found])
+def test_python_of_a_section_runs_in_order_in_one_namespace(title, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for block in blocks("xml", section(title)):
+        Path("mine.xml").write_text(block, encoding="utf-8")
+    namespace = {}
+    for block in PYTHON[title]:
+        exec(compile(block, f"README.md, {title}", "exec"), namespace)
+    for name in re.findall(r'(?:save\(figure, |write_state\()"(\S+)"', "".join(PYTHON[title])):
+        assert Path(name).stat().st_size > 0
+
+
+def test_a_state_file_of_ones_own_is_predicted(tmp_path):
+    (tmp_path / "mine.xml").write_text(blocks("xml")[0], encoding="utf-8")
+    command = next(command for command in COMMANDS if "predict.py mine.xml" in command)
+    _, script, *arguments = shlex.split(command, comments=True)
+    subprocess.run([sys.executable, ROOT / script, *arguments], cwd=tmp_path, check=True)
+    written = sorted(path.name for path in (tmp_path / "predictions").iterdir())
+    assert written == ["mine.csv", "mine.npy", "mine.png"]
+
+
+def test_a_kernel_of_ones_own_is_taken_up_by_the_tests(tmp_path):
+    """In a copy of the package, uncompiled: that changes no number and takes seconds where compiling takes a minute."""
+    (kernel,) = filter(is_kernel, blocks("python"))
+    name = re.search(r"def (\w+)", kernel)[1]
+    shutil.copytree(ROOT / "deep_contact", tmp_path / "deep_contact", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copy(ROOT / "tests" / "sph" / "test_kernels.py", tmp_path)
+    source = tmp_path / "deep_contact" / "sph" / "kernels.py"
+    before = source.read_text(encoding="utf-8")
+    after = before.replace("_PROFILES = (", f"{kernel}\n\n_PROFILES = ({name}, ")
+    assert after.count(name) == 2
+    source.write_text(after, encoding="utf-8")
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(tmp_path)}
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "-k", name, "test_kernels.py"]
+    run = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stdout[-2000:]
+    assert int(re.search(r"(\d+) passed", run.stdout)[1]) > 20
+
+
+@cache
+def help_of(*program):
+    """What a program says of its options."""
+    run = subprocess.run([*program, "--help"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    return run.stdout
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_commands_name_scripts_files_and_options_that_there_are(command):
+    program, *arguments = shlex.split(command, comments=True)
+    files = [word for word in arguments if "/" in word and "." in Path(word).name and "://" not in word]
+    assert all((ROOT / file).exists() for file in files)
+    if program == "bash":
+        subprocess.run(["bash", "-n", files[0]], cwd=ROOT, check=True)
+        return
+    assert program == "python"
+    words = arguments[:3] if arguments[0] == "-m" else arguments[:1]
+    known = help_of(sys.executable, *words)
+    for option in (word for word in arguments if word.startswith("--")):
+        assert re.search(rf"{option}\b", known), option
+
+
+def test_every_picture_path_and_link_exists():
+    pictures = re.findall(r"!\[.*?\]\((.*?)\)", README)
+    paths = re.findall(r"`((?:scripts|tests|data|models|deep_contact)/[\w./]*)`", README)
+    assert pictures
+    for path in {*pictures, *paths}:
+        assert (ROOT / path).exists(), path
+    anchors = {re.sub(r"[^\w -]", "", found.partition("\n")[0].lower()).replace(" ", "-") for found in SECTIONS}
+    assert set(re.findall(r"\]\(#(.*?)\)", README)) <= anchors
+
+
+def test_the_stages_of_a_step_are_those_of_the_engine_in_its_order():
+    source = (ROOT / "deep_contact" / "physics" / "engine.py").read_text(encoding="utf-8")
+    loop = re.search(r"^def advance\(.*?^    return ", source, re.DOTALL | re.MULTILINE)[0].partition("for k in")[2]
+    stages = re.findall(r"^\d+\. `(\w+)`", section("What a step does"), re.MULTILINE)
+    assert stages == [name for name in re.findall(r"\b(\w+)\(", loop) if name in stages]
+    assert len(stages) == 8

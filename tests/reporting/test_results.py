@@ -1,0 +1,239 @@
+"""Results files, by the contract of the figures: six fields, strict JSON, nothing half-written, checked both ways."""
+
+import copy
+import importlib.metadata
+import json
+import platform
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deep_contact.reporting import results
+from deep_contact.reporting.results import Claim, ResultsError
+
+SCHEMA = json.loads((Path(__file__).parent / "figure_schema.json").read_text(encoding="utf-8"))
+GOOD = {
+    "id": "3.7",
+    "title": "Convergence",
+    "options": {"steps": 600, "starts": ["none", "copy"]},
+    "provenance": {
+        "version": "0.1.0",
+        "commit": "0" * 40,
+        "python": "3.11.7",
+        "packages": {"numpy": "2.0.0"},
+        "cpu": "any, 2 cores",
+        "seed": 0,
+        "wall_s": 1.5,
+    },
+    "claims": [{"text": "Copy needs none", "thesis": "L663", "holds": True, "measured": {"sweeps": 0}}],
+    "data": {"theta": [1.0, 0.1], "missing": [1, None]},
+}
+BAD = {
+    "id": "figure 3.7",
+    "title": " ",
+    "options": [],
+    "data": None,
+    "claims": {},
+    "provenance.commit": "abc",
+    "provenance.seed": 0.5,
+    "provenance.wall_s": -1,
+    "provenance.packages": {"numpy": 2},
+    "provenance.cpu": "",
+    "claims.0.text": "",
+    "claims.0.thesis": "page 3",
+    "claims.0.holds": 1,
+    "claims.0.measured": {},
+}
+
+
+def changed(place, value):
+    """A copy of GOOD with one field set."""
+    found = copy.deepcopy(GOOD)
+    *parents, last = place.split(".")
+    target = found
+    for key in parents:
+        target = target[int(key)] if key.isdigit() else target[key]
+    target[last] = value
+    return found
+
+
+def fits(value, schema):
+    """Whether a value fits a schema: the keywords that figure_schema.json uses, as JSON Schema 2020-12 has them."""
+    kinds = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "null": type(None)}
+    kinds["number"] = (int, float)
+    names = schema.get("type", list(kinds))
+    names = [names] if isinstance(names, str) else names
+    exact = [k for k in names if isinstance(value, kinds[k]) and (k == "boolean" or not isinstance(value, bool))]
+    if not exact:
+        return False
+    if isinstance(value, str):
+        return re.search(schema.get("pattern", ""), value) is not None
+    if isinstance(value, list):
+        return all(fits(item, schema.get("items", {})) for item in value)
+    if not isinstance(value, dict):
+        return value is None or isinstance(value, bool) or value >= schema.get("minimum", -np.inf)
+    known, others = schema.get("properties", {}), schema.get("additionalProperties", {})
+    return (
+        all(name in value for name in schema.get("required", ()))
+        and len(value) >= schema.get("minProperties", 0)
+        and all(others is not False or name in known for name in value)
+        and all(fits(item, known.get(name, others or {})) for name, item in value.items())
+    )
+
+
+def test_the_schema_and_the_check_take_a_good_file():
+    assert fits(GOOD, SCHEMA)
+    assert results.check_results(GOOD) is GOOD
+
+
+@pytest.mark.parametrize("place", BAD)
+def test_the_schema_and_the_check_refuse_the_same_fields(place):
+    found = changed(place, BAD[place])
+    assert not fits(found, SCHEMA)
+    with pytest.raises(ResultsError):
+        results.check_results(found)
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_a_missing_and_an_unknown_field_are_refused_by_both(name):
+    missing = {key: value for key, value in GOOD.items() if key != name}
+    for found in (missing, GOOD | {"colour": "red"}):
+        assert not fits(found, SCHEMA)
+        with pytest.raises(ResultsError, match="expected the fields id, title"):
+            results.check_results(found)
+
+
+def test_an_error_names_field_expectation_and_value():
+    found = changed("claims.0.holds", "yes")
+    with pytest.raises(ResultsError, match=r"claims\[0\]\.holds: expected true or false, got 'yes'"):
+        results.check_results(found)
+
+
+def test_what_is_written_is_read_back_to_the_last_bit(tmp_path):
+    numbers = np.random.default_rng(0).normal(size=(3, 4)) * 10.0 ** np.arange(-8, 4).reshape(3, 4)
+    data = {"numbers": numbers, "scalar": np.float64(0.1), "count": np.int64(7), "flag": np.bool_(True), "none": None}
+    path = results.write_results(tmp_path / "new" / "figure_3_7.json", GOOD | {"data": data})
+    found = results.read_results(path)["data"]
+    np.testing.assert_array_equal(np.array(found["numbers"]), numbers)
+    assert [found["scalar"], found["count"], found["flag"], found["none"]] == [0.1, 7, True, None]
+
+
+def test_digits_round_arrays_of_floats_and_nothing_else():
+    data = {"curve": np.array([np.pi, 1e-9 * np.pi]), "scalar": np.pi, "counts": np.array([1234567])}
+    found = results.plain(data, digits=3)
+    assert found == {"curve": [3.14, 3.14e-9], "scalar": np.pi, "counts": [1234567]}
+
+
+def test_rounding_moves_a_number_by_less_than_half_a_digit():
+    x = np.random.default_rng(1).lognormal(sigma=20, size=1000)
+    rounded = np.array(results.plain(x, digits=6))
+    assert (np.abs(rounded / x - 1) <= 5.0001e-6).all()  # half a unit of the sixth digit, of a number 1.00000…
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_not_finite_are_refused_with_their_place(bad):
+    with pytest.raises(ResultsError, match=r"data\.theta\[1\]\[0\]: expected a finite number .*, got -?(nan|inf)"):
+        results.plain({"theta": np.array([[0.0], [bad]])})
+    with pytest.raises(ResultsError, match=r"data\.runs\[1\]: expected a finite number"):
+        results.plain({"runs": [1.0, bad]})
+
+
+@pytest.mark.parametrize("bad", [object(), {1, 2}, b"bytes", np.array([1j]), {3: 4}])
+def test_what_json_does_not_know_is_refused(bad):
+    with pytest.raises(ResultsError, match=r"data\.thing"):
+        results.plain({"thing": bad})
+
+
+def test_missing_numbers_come_back_as_nan():
+    np.testing.assert_array_equal(results.array([1, None, 3]), [1, np.nan, 3])
+
+
+def test_claims_are_stored_by_their_names(tmp_path):
+    claim = Claim("Builtin like None", "L669", np.bool_(False), {"ratio": np.float64(0.3)})
+    path = results.write_results(tmp_path / "a.json", GOOD | {"claims": [claim]})
+    found = json.loads(path.read_text(encoding="utf-8"))["claims"]
+    assert found == [{"text": "Builtin like None", "thesis": "L669", "holds": False, "measured": {"ratio": 0.3}}]
+
+
+def test_a_failed_write_leaves_what_was_there(tmp_path):
+    path = results.write_results(tmp_path / "a.json", GOOD)
+    before = path.read_bytes()
+    with pytest.raises(ResultsError):
+        results.write_results(path, GOOD | {"data": {"x": float("nan")}})
+    assert path.read_bytes() == before
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_an_interrupted_replacement_leaves_no_temporary_file(tmp_path):
+    path = tmp_path / "a.txt"
+    path.write_text("old")
+
+    def interrupted():
+        with results.replacing(path) as temporary:
+            temporary.write_text("half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert path.read_text() == "old"
+    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
+
+
+@pytest.mark.parametrize("text", ["", "{", '{"id": NaN}', "[" * 100_000, "[1, 2]", json.dumps(GOOD)[:-2], "\xff"])
+def test_a_file_that_is_not_a_results_file_is_refused_by_name(tmp_path, text):
+    path = tmp_path / "broken.json"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(ResultsError, match=r"^broken\.json: "):
+        results.read_results(path)
+
+
+def test_a_number_too_large_for_a_float_is_refused(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(GOOD).replace("0.1]", "1e999]"))
+    with pytest.raises(ResultsError, match=r"data\.theta\[1\]: expected a finite number"):
+        results.read_results(path)
+
+
+def test_provenance_fits_the_schema_and_names_no_place():
+    found = results.provenance(seed=5, wall_s=0.25)
+    assert fits(found, SCHEMA["properties"]["provenance"])
+    assert found["seed"] == 5
+    assert found["wall_s"] == 0.25
+    assert found["packages"]["numpy"] == np.__version__
+    text = json.dumps(found)
+    assert str(Path(results.__file__).parents[1]) not in text
+    assert platform.node() not in text.split('"')
+
+
+def test_the_commit_is_the_checkout_s():
+    done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip("not a checkout")
+    assert results.commit().startswith(done.stdout.strip())
+
+
+def test_a_package_outside_a_checkout_has_no_commit(tmp_path, monkeypatch):
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)  # a checkout, but not one that tracks the package
+    monkeypatch.setattr(results, "__file__", str(tmp_path / "results.py"))
+    assert results.commit() == "unknown"
+
+
+def test_versions_are_known_without_importing_the_packages():
+    code = "import sys; from deep_contact import results; results.provenance(); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    loaded = set(done.stdout.split())
+    assert loaded.isdisjoint({"tensorflow", "keras", "numba", "scipy", "lxml", "matplotlib"})
+
+
+def test_a_package_that_is_not_installed_is_left_out(monkeypatch):
+    def version(name):
+        if name == "tensorflow-cpu":
+            return "2.16"
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(results.metadata, "version", version)
+    assert results.package_versions() == {"tensorflow": "2.16"}

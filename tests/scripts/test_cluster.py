@@ -1,0 +1,214 @@
+"""`deep_contact.parallel` on a real Dask cluster of two processes of this machine: the same bits as without it, also
+where a worker dies, and errors that say what is wrong."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+from conftest import load_script
+
+import deep_contact as dc
+from deep_contact import parallel
+from deep_contact.reporting import figures
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+SMALL = ["--simulations", "8", "--steps", "300", "--bodies", "50", "60", "--seed", "5"]
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory):
+    """Two worker processes and a scheduler, on the loopback interface alone."""
+    distributed = pytest.importorskip("distributed", reason="needs the package of the extra `cluster`")
+    options = {"host": "127.0.0.1", "dashboard_address": None, "memory_limit": 0, "threads_per_worker": 1}
+    import dask
+
+    simulated((0, None))  # compiled here once, and not by every worker
+    with dask.config.set({"temporary-directory": str(tmp_path_factory.mktemp("workers"))}):
+        with distributed.LocalCluster(n_workers=2, processes=True, **options) as found:
+            yield found
+
+
+@pytest.fixture
+def workers(cluster):
+    with parallel.cluster(cluster.scheduler_address) as executor:
+        yield executor
+
+
+CODE = parallel.code()
+
+
+def simulated(task):
+    """The last bits of a run in two halves; where a folder is given, the first process to come here dies between."""
+    seed, folder = task
+    half = dc.simulate(dc.circles_in_box(40, seed=seed), steps=150).state
+    if folder is not None:
+        try:
+            Path(folder, "killed").touch(exist_ok=False)
+            os.kill(os.getpid(), signal.SIGKILL)
+        except FileExistsError:
+            pass
+    run = dc.simulate(half, steps=100)
+    return [array.tobytes() for array in (*run.state.bodies, *run.state.contacts, run.sweeps, run.theta)]
+
+
+def sweeps_of(n_bodies, seed):
+    run = dc.simulate(dc.circles_in_box(n_bodies, seed=seed), steps=200)
+    return {"sweeps": run.sweeps, "speed": run.state.bodies.velocity}
+
+
+def refuse_two(number):
+    if number == 2:
+        raise ArithmeticError(f"refused: {number}")
+    time.sleep(0.1)
+    return number
+
+
+def settled(condition):
+    """Whether a condition comes true within a time that is no matter of speed."""
+    until = time.monotonic() + 30
+    while not condition() and time.monotonic() < until:
+        time.sleep(0.05)
+    return condition()
+
+
+def unfinished(cluster):
+    """The scheduler's tasks that wait or are being done."""
+    return [task for task in list(cluster.scheduler.tasks.values()) if task.state not in ("memory", "erred")]
+
+
+# ---- the same results ----
+
+
+def test_a_worker_that_dies_in_the_middle_loses_nothing(workers, tmp_path):
+    found = figures.parallel_map(simulated, [(seed, str(tmp_path)) for seed in range(6)], jobs=workers)
+    assert (tmp_path / "killed").exists()
+    assert found == [simulated((seed, None)) for seed in range(6)]
+
+
+def test_generated_files_are_the_same_though_a_worker_dies(cluster, tmp_path):
+    """Through the command line; the worker is killed once a file is there, while it is at another simulation."""
+    command = [sys.executable, str(SCRIPTS / "generate_data.py"), *SMALL, "--out", str(tmp_path / "far")]
+    process = subprocess.Popen([*command, "--scheduler", cluster.scheduler_address], stderr=subprocess.PIPE, text=True)
+    state = cluster.scheduler.workers
+    assert settled(lambda: any((tmp_path / "far").glob("sim_*.h5")) or process.poll() is not None)
+    at_work = [nanny for nanny in cluster.workers.values() if state[nanny.worker_address].processing]
+    os.kill(at_work[0].pid, signal.SIGKILL)
+    _, errors = process.communicate(timeout=100)
+    assert process.returncode == 0, errors
+    assert load_script("generate_data").main([*SMALL, "--out", str(tmp_path / "near"), "--jobs", "1"]) == 0
+    far, near = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("far", "near"))
+    assert len(near) == 8
+    assert far == near
+
+
+def test_a_figure_computes_the_same(cluster, tmp_path):
+    figure = load_script("figure_3_7_baselines").FIGURE
+    small = [item for name in ("n_bodies=20", "steps=150", "sweeps=60", "scenes=1") for item in ("--set", name)]
+    assert figures.main(figure, [*small, "--out", str(tmp_path / "near"), "--jobs", "1"]) == 0
+    far = ["--out", str(tmp_path / "far"), "--scheduler", cluster.scheduler_address]
+    assert figures.main(figure, [*small, *far]) == 0
+    near, far = (dc.results.read_results(tmp_path / name / "figure_3_7.json") for name in ("near", "far"))
+    assert far["data"] == near["data"]
+
+
+def test_the_study_stores_what_workers_return(workers, tmp_path, monkeypatch):
+    """And does not ask for it again."""
+    import cloudpickle
+
+    study = load_script("tradeoff")
+    cloudpickle.register_pickle_by_value(study)  # as the functions of a script that is run as a program are
+    monkeypatch.setitem(study.PARTS, "errors", sweeps_of)
+    parts = [("errors", {"n_bodies": n, "seed": 1}) for n in (20, 10, 15)]
+    far = study.done(parts, work=tmp_path, jobs=workers, text="")
+    assert far == [study.compute(part) for part in parts]
+    monkeypatch.delitem(study.PARTS, "errors")
+    assert study.done(parts, work=tmp_path, jobs=1, text="") == far
+
+
+# ---- errors and interrupts ----
+
+
+def test_the_first_error_ends_the_map_and_the_executor_goes_on(cluster, workers):
+    with pytest.raises(ArithmeticError, match="refused: 2"):
+        figures.parallel_map(refuse_two, range(200), jobs=workers)
+    assert settled(lambda: not unfinished(cluster))
+    assert figures.parallel_map(refuse_two, [5], jobs=workers) == [5]
+
+
+def test_an_interrupt_leaves_no_tasks_behind(cluster, workers):
+    def interrupted(results, **_):
+        for result in results:
+            yield result
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        figures.parallel_map(refuse_two, [7] * 200, jobs=workers, progress=interrupted)
+    assert settled(lambda: not unfinished(cluster))
+
+
+def test_a_worker_with_other_code_refuses(workers, monkeypatch):
+    monkeypatch.setattr(parallel, "code", lambda: {**CODE, "numba": "0.1"})
+    with pytest.raises(parallel.ClusterError, match=f"numba: expected 0.1 as the client has it, got {CODE['numba']}"):
+        workers.submit(abs, -1).result()
+
+
+def test_a_function_that_workers_do_not_have_is_an_error(workers):
+    with pytest.raises(ModuleNotFoundError, match="generate_data"):
+        workers.submit(load_script("generate_data").is_running, 1).result()
+
+
+def test_results_are_handed_on_and_not_kept(workers):
+    with closing(parallel.finished(bytes, [10] * 6, jobs=workers)) as found:
+        for _ in range(4):
+            next(found)
+        assert settled(lambda: len(workers._executor._futures) <= 3)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:{port}", "127.0.0.1:{port}", "nowhere"])
+def test_a_scheduler_that_does_not_answer_is_named(address):
+    pytest.importorskip("distributed", reason="needs the package of the extra `cluster`")
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        address = address.format(port=unused.getsockname()[1])
+        with pytest.raises(parallel.ClusterError, match=f"answers at {address} within 0.5 s, got none"):
+            with parallel.cluster(address, timeout=0.5):
+                pass
+
+
+def test_a_script_reports_it_without_a_traceback(tmp_path, capsys, monkeypatch):
+    pytest.importorskip("distributed", reason="needs the package of the extra `cluster`")
+    status = figures.main(
+        load_script("figure_3_7_baselines").FIGURE, ["--scheduler", "nowhere", "--out", str(tmp_path)]
+    )
+    assert status == 1
+    assert "figure_3_7: scheduler: expected a Dask scheduler that answers at nowhere" in capsys.readouterr().err
+    assert load_script("generate_data").main(["--scheduler", "nowhere", "--out", str(tmp_path)]) == 1
+    assert "answers at nowhere" in capsys.readouterr().err
+
+
+def test_a_missing_package_names_the_extra(monkeypatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(parallel.ClusterError, match=r"expected the package `distributed`.*extra `cluster`"):
+        with parallel.cluster("tcp://127.0.0.1:8786"):
+            pass
+
+
+# ---- local processes ----
+
+
+@pytest.mark.skipif(os.name != "posix", reason="signals as POSIX has them")
+def test_processes_end_with_a_parent_that_is_killed(tmp_path):
+    """They would wait for tasks for ever; the pipe of standard output ends once the last of them has."""
+    code = "import time; from deep_contact import parallel\nif __name__ == '__main__':\n    print('up', flush=True)\n"
+    (tmp_path / "parent.py").write_text(code + "    list(parallel.finished(time.sleep, [1, 1, 60], jobs=2))\n")
+    process = subprocess.Popen([sys.executable, str(tmp_path / "parent.py")], stdout=subprocess.PIPE)
+    assert process.stdout.readline() == b"up\n"
+    time.sleep(1.5)  # so that the processes are there
+    process.kill()
+    process.communicate(timeout=30)

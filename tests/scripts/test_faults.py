@@ -1,0 +1,429 @@
+"""Faults from outside: killed processes, full disks, folders that cannot be written, damaged compiled code,
+two processes in one folder, clocks that go back. Nothing corrupt stays, and nothing is lost beyond the unit in flight.
+
+A killed data generation is in `test_dataset.py`, a killed training in `test_training.py`, an interrupted figure in
+`test_figures.py`, a worker that dies in `test_cluster.py`.
+"""
+
+import ast
+import os
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import load_script
+from lxml import etree
+
+import deep_contact as dc
+from deep_contact.compiled import code_cache
+from deep_contact.compiled.code_cache import drop_damaged_code, drop_stale_code, note_code
+from deep_contact.io.state_xml import read_state, write_state
+from deep_contact.reporting import figures, results
+
+PACKAGE = Path(dc.__file__).parent
+POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits as POSIX has them")
+
+
+def run(code, *arguments, **options):
+    """A Python process that runs the code; its result."""
+    command = [sys.executable, "-c", code, *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+
+
+@pytest.fixture
+def state():
+    return dc.simulate(dc.column(4), steps=3).state
+
+
+def visible(folder):
+    """Names in a folder that a user, or a reader that globs, would see."""
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+
+# ---- killed ----
+
+WRITE_FOREVER = """
+import sys, itertools
+from pathlib import Path
+import deep_contact as dc
+scene = dc.circles_in_box(30, seed=1)
+for step in itertools.count():
+    dc.write_state(Path(sys.argv[1]) / "state.xml", scene.replace(step=step))
+    print(step, flush=True)
+"""
+
+
+@POSIX
+@pytest.mark.parametrize("moment", [0.0, 0.0007, 0.0031])
+def test_a_process_killed_while_it_writes_leaves_the_last_whole_file(tmp_path, moment):
+    process = subprocess.Popen([sys.executable, "-c", WRITE_FOREVER, str(tmp_path)], stdout=subprocess.PIPE, text=True)
+    try:
+        for _ in range(5):
+            written = int(process.stdout.readline())
+        time.sleep(moment)
+    finally:
+        process.kill()
+        process.wait()
+    assert visible(tmp_path) == ["state.xml"]
+    assert read_state(tmp_path / "state.xml").step >= written
+
+
+KILLED_FIGURE = """
+import os, signal, sys
+from deep_contact.reporting import figures, results
+
+def die(when):
+    if sys.argv[3:] == [when]:
+        os.kill(os.getpid(), signal.SIGKILL)
+
+def compute(options, seed, jobs, progress):
+    die("computing")
+    return {"x": [1.0]}
+
+def draw(data, options):
+    from deep_contact.reporting import plotting
+    die("drawing")
+    return plotting.subplots()[0]
+
+FIGURE = figures.Figure(id="9.8", title="Killed", compute=compute, table=lambda data: [["x"]], draw=draw)
+raise SystemExit(figures.main(FIGURE, sys.argv[1:3]))
+"""
+
+
+@POSIX
+@pytest.mark.parametrize("before", [[], ["figure_9_8.json", "figure_9_8.png"]], ids=["first", "again"])
+def test_a_figure_killed_while_it_computes_leaves_what_was_there(tmp_path, before):
+    if before:
+        assert run(KILLED_FIGURE, "--out", tmp_path).returncode == 0
+    whole = {name: (tmp_path / name).read_bytes() for name in before}
+    assert run(KILLED_FIGURE, "--out", tmp_path, "computing").returncode == -signal.SIGKILL
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == whole
+
+
+@POSIX
+def test_a_figure_killed_while_it_draws_keeps_its_numbers_and_draws_again(tmp_path):
+    assert run(KILLED_FIGURE, "--out", tmp_path, "drawing").returncode == -signal.SIGKILL
+    assert visible(tmp_path) == ["figure_9_8.json"]
+    assert results.read_results(tmp_path / "figure_9_8.json")["data"] == {"x": [1.0]}
+    assert run(KILLED_FIGURE, "--out", tmp_path).returncode == 0
+    assert visible(tmp_path) == ["figure_9_8.json", "figure_9_8.png"]
+
+
+# ---- no room, no rights ----
+
+WRITERS = {
+    "xml": "dc.write_state(out / 'it.xml', big)",
+    "xml.gz": "dc.write_state(out / 'it.xml.gz', big)",
+    "json": "results.write_results(out / 'it.json', found)",
+    "h5": "dataset.write_simulation(out / 'it.h5', [big], compression=None)",
+    "png": "plotting.save(plotting.subplots()[0], out / 'it.png')",
+}
+
+FULL = """
+import resource, sys
+from pathlib import Path
+import numpy as np
+import deep_contact as dc
+from deep_contact.reporting import plotting, results
+from deep_contact.cnn import dataset
+from deep_contact.simulation import ready
+out = Path(sys.argv[1])
+big = ready(dc.lattice_in_box(1000))
+claim = {{"text": "x", "thesis": None, "holds": True, "measured": {{"x": 1}}}}
+found = {{"id": "9.9", "title": "x", "options": {{}}, "provenance": results.provenance(), "claims": [claim],
+         "data": {{"x": list(range(9000))}}}}
+plotting.subplots()  # loads what it needs, which may write caches of its own
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+try:
+    {write}
+except OSError as error:
+    print(type(error).__name__, error)
+"""
+
+
+@POSIX
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_a_full_disk_is_an_oserror_that_leaves_the_old_file_and_nothing_else(tmp_path, suffix):
+    # A limit on the size of files stands for the disk: a write beyond 4 KB fails as ENOSPC does, part way through.
+    old = tmp_path / f"it.{suffix}"
+    old.write_bytes(b"old")
+    done = run(FULL.format(write=WRITERS[suffix]), tmp_path)
+    assert done.stdout.startswith("OSError [Errno 27]"), done.stdout + done.stderr
+    assert old.read_bytes() == b"old"
+    assert [path.name for path in tmp_path.iterdir()] == [old.name]
+
+
+def test_an_output_that_cannot_be_written_is_named(tmp_path, state):
+    # A file where the folder should be: refused for every user, while a read-only folder does not stop root.
+    (tmp_path / "taken").write_text("a file")
+    with pytest.raises(OSError, match="taken"):
+        write_state(tmp_path / "taken" / "state.xml", state)
+    assert (tmp_path / "taken").read_text() == "a file"
+
+
+def test_a_figure_refuses_a_folder_that_cannot_be_written_before_it_computes(tmp_path, capsys):
+    (tmp_path / "taken").write_text("a file")
+    never = figures.Figure(id="T 9.6", title="Never", compute=lambda *_: pytest.fail("computed"), table=lambda data: [])
+    with pytest.raises(SystemExit, match="2"):
+        figures.main(never, ["--out", str(tmp_path / "taken" / "figures")])
+    assert "--out: expected a folder that can be written, got" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(hasattr(os, "getuid") and os.getuid() == 0, reason="nothing is read-only to root")
+def test_a_read_only_folder_is_a_permission_error_without_leftovers(tmp_path, state):
+    folder = tmp_path / "locked"
+    folder.mkdir(mode=0o500)
+    with pytest.raises(PermissionError, match="locked"):
+        write_state(folder / "state.xml", state)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_move_that_is_refused_leaves_the_old_file_and_nothing_else(tmp_path, state, monkeypatch):
+    # What a read-only or full target does at the last moment, for every user.
+    write_state(tmp_path / "state.xml", state)
+    before = (tmp_path / "state.xml").read_bytes()
+
+    def refuse(source, target):
+        raise PermissionError(13, "Permission denied", str(target))
+
+    monkeypatch.setattr(os, "replace", refuse)
+    with pytest.raises(PermissionError, match=r"state\.xml"):
+        write_state(tmp_path / "state.xml", state.replace(step=99))
+    assert (tmp_path / "state.xml").read_bytes() == before
+    assert [path.name for path in tmp_path.iterdir()] == ["state.xml"]
+
+
+@POSIX
+@pytest.mark.slow
+def test_training_survives_a_full_disk_and_two_processes_in_one_folder(tmp_path):
+    import resource
+
+    generate = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "170", "--bodies", "8", "9", "--jobs", "1"]
+    subprocess.run([*generate, "--simulations", "5", "--out", tmp_path / "data"], check=True, capture_output=True)
+    tiny = [
+        "--batch-size",
+        "8",
+        "--fractions",
+        "0.6",
+        "0.2",
+        "0.2",
+        "--held-out",
+        "5",
+        "--threads",
+        "1",
+        "--rate",
+        "0.01",
+    ]
+    tiny += ["--options", "stem=2", "width=4", "decoder=2", "dilations=1,1", "--data", tmp_path / "data"]
+
+    def train(out, epochs, **options):
+        command = [sys.executable, SCRIPTS / "train.py", "--out", tmp_path / out, "--epochs", epochs, *tiny]
+        return subprocess.Popen(list(map(str, command)), stderr=subprocess.PIPE, text=True, **options)
+
+    def epochs_of(out):
+        return [line.split(",")[:3] for line in (tmp_path / out / "history.csv").read_text().splitlines()]
+
+    assert train("alone", 3).wait(300) == 0
+    assert train("run", 1).wait(300) == 0
+    before = {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()}
+    full = train("run", 3, preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)))
+    message = full.communicate(timeout=300)[1]
+    assert full.returncode != 0
+    assert "File too large" in message
+    assert {path.name: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
+    both = [train("run", 3), train("run", 3)]
+    assert [process.wait(300) for process in both] == [0, 0]
+    assert epochs_of("run") == epochs_of("alone")
+
+
+# ---- compiled code ----
+
+
+@pytest.fixture
+def cache(tmp_path):
+    """A package of one source and two cached files, noted."""
+    (tmp_path / "physics" / "__pycache__").mkdir(parents=True)
+    (tmp_path / "physics" / "engine.py").write_text("x = 1\n")
+    drop_stale_code(tmp_path)
+    for name in ("engine.nbi", "engine.1.nbc"):
+        (tmp_path / "physics" / "__pycache__" / name).write_bytes(b"\x80" + name.encode() * 100 + b".")
+    note_code(tmp_path)
+    return tmp_path
+
+
+def cached(package):
+    return sorted(path.name for path in package.rglob("*.nb?"))
+
+
+@pytest.mark.parametrize("how", ["flipped", "cut", "empty", "longer"])
+def test_a_damaged_cached_file_goes_and_the_others_stay(cache, how):
+    path = cache / "physics" / "__pycache__" / "engine.1.nbc"
+    data, times = path.read_bytes(), path.stat()
+    middle = len(data) // 2
+    flipped = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+    path.write_bytes({"flipped": flipped, "cut": data[:50], "empty": b"", "longer": data + b"x"}[how])
+    if how == "flipped":
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # a disk that fails does not tell
+    assert drop_damaged_code(cache) == 1
+    assert cached(cache) == ["engine.nbi"]
+
+
+def test_whole_files_and_new_ones_stay(cache):
+    (cache / "physics" / "__pycache__" / "engine.2.nbc").write_bytes(b"\x80compiled since.")
+    (cache / "physics" / "__pycache__" / "engine.nbi").write_bytes(b"\x80with one more signature.")
+    assert drop_damaged_code(cache) == 0
+    assert len(cached(cache)) == 3
+
+
+@pytest.mark.parametrize("notes", ["", "{", "[]", '{"a": 1}', '{"a": [1]}', "\x00"])
+def test_damaged_notes_are_no_notes(cache, notes):
+    (cache / "__pycache__" / "code.sums").write_text(notes)
+    assert drop_damaged_code(cache) == 0
+    note_code(cache)
+    assert set(code_cache._noted(cache)) == {"physics/__pycache__/engine.nbi", "physics/__pycache__/engine.1.nbc"}
+
+
+@pytest.mark.parametrize("hours", [-24, 24])
+def test_a_clock_set_back_or_ahead_does_not_keep_stale_code(cache, hours):
+    # Times are compared for being equal, not for their order: a source edited "before" it was compiled is still new.
+    source = cache / "physics" / "engine.py"
+    stamp = source.stat().st_mtime_ns + hours * 3600 * 10**9
+    source.write_text("x = 2\n")
+    os.utime(source, ns=(stamp, stamp))
+    assert drop_stale_code(cache)
+    assert cached(cache) == []
+
+
+SHORT_RUN = """
+import deep_contact as dc, hashlib
+state = dc.simulate(dc.column(3), steps=20, solver=dc.PGS(sweeps=5)).state
+print(hashlib.sha256(state.bodies.position.tobytes() + state.contacts.normal_impulse.tobytes()).hexdigest())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("how", ["garbage", "cut", "flipped code", "index"])
+def test_damaged_machine_code_is_compiled_again_with_the_same_result(tmp_path, how):
+    # Without `drop_damaged_code` these end in an UnpicklingError, an EOFError, or a segmentation fault.
+    shutil.copytree(PACKAGE, tmp_path / "deep_contact", ignore=shutil.ignore_patterns("__pycache__"))
+    whole = run(SHORT_RUN, cwd=tmp_path)
+    assert whole.returncode == 0, whole.stderr
+    for path in (tmp_path / "deep_contact" / "physics" / "__pycache__").glob("*.nbi" if how == "index" else "*.nbc"):
+        data, times = bytearray(path.read_bytes()), path.stat()
+        if how == "flipped code":
+            middle = slice(len(data) // 2, len(data) // 2 + 40)
+            data[middle] = bytes(byte ^ 255 for byte in data[middle])
+        path.write_bytes(data if how == "flipped code" else data[: len(data) // 3] if how == "cut" else b"garbage")
+        if how == "flipped code":
+            os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    again = run(SHORT_RUN, cwd=tmp_path)
+    assert (again.returncode, again.stdout) == (0, whole.stdout), again.stderr
+
+
+# ---- two at once, and time ----
+
+SAME_FOLDER = """
+import sys
+from pathlib import Path
+import deep_contact as dc
+scene = dc.circles_in_box(30, seed=int(sys.argv[2]))
+for step in range(60):
+    dc.write_state(Path(sys.argv[1]) / "state.xml", scene.replace(step=step))
+"""
+
+
+def test_two_processes_that_write_one_file_leave_one_whole(tmp_path):
+    command = [sys.executable, "-c", SAME_FOLDER, str(tmp_path)]
+    both = [subprocess.Popen([*command, seed]) for seed in ("1", "2")]
+    until = time.monotonic() + 60
+    while any(process.poll() is None for process in both):
+        assert time.monotonic() < until
+        if (tmp_path / "state.xml").exists():
+            assert read_state(tmp_path / "state.xml").bodies.count == 30  # whole at any moment
+    assert [process.returncode for process in both] == [0, 0]
+    assert [path.name for path in tmp_path.iterdir()] == ["state.xml"]
+
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+def test_two_processes_that_generate_into_one_folder_make_what_one_makes(tmp_path):
+    command = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "150", "--bodies", "8", "9", "--jobs", "1"]
+    command += ["--simulations", "3", "--out"]
+    subprocess.run([*command, tmp_path / "alone"], check=True, timeout=600, capture_output=True)
+    both = [subprocess.Popen([*command, tmp_path / "both"], stderr=subprocess.DEVNULL) for _ in range(2)]
+    assert [process.wait(600) for process in both] == [0, 0]
+    alone, found = ({p.name: p.read_bytes() for p in (tmp_path / k).iterdir()} for k in ("alone", "both"))
+    assert found == alone
+
+
+@pytest.mark.parametrize("path", sorted([*PACKAGE.rglob("*.py"), *SCRIPTS.glob("*.py")]), ids=lambda path: path.stem)
+def test_nothing_asks_what_time_of_day_it_is(path):
+    # A clock that is set back then makes no difference: durations are taken from clocks that cannot be set.
+    clocks = {("time", "time"), ("time", "time_ns"), ("datetime", "now"), ("datetime", "today"), ("date", "today")}
+    for node in ast.walk(ast.parse(path.read_bytes())):
+        if isinstance(node, ast.Attribute) and isinstance(node.value, (ast.Name, ast.Attribute)):
+            owner = node.value.id if isinstance(node.value, ast.Name) else node.value.attr
+            assert (owner, node.attr) not in clocks, f"line {node.lineno}"
+        elif isinstance(node, ast.ImportFrom) and node.module == "time":
+            assert {alias.name for alias in node.names}.isdisjoint({"time", "time_ns"}), f"line {node.lineno}"
+
+
+def test_a_clock_set_back_during_a_figure_makes_no_negative_time(tmp_path, monkeypatch):
+    clock = iter(np.arange(1e9, 0, -1e6))
+    monkeypatch.setattr(time, "time", lambda: next(clock))
+    figure = figures.Figure(id="T 9.7", title="Clock", compute=lambda *_: {"x": [1.0]}, table=lambda data: [["x"], [1]])
+    found = figures.produce(figure, out=tmp_path, echo=lambda line: None)
+    assert 0 <= found["provenance"]["wall_s"] < 60
+
+
+# ---- loaders ----
+
+
+def test_the_fuzzer_notices_files_and_connections_above_and_below_python(tmp_path):
+    # Its million inputs raise no alarm (data/reference/fuzz_state_xml.json); this shows that they could.
+    fuzz = load_script("fuzz_state_xml")
+    watch = fuzz.Watch(tmp_path)
+    fuzz.read(fuzz.seed_files()[0], None, watch)
+    assert watch.caught() == {}
+    watch.looking = True
+    (tmp_path / "fuzz.txt").write_text("another file")
+    socket.create_connection(watch.port.getsockname()).close()
+    watch.looking = False
+    assert watch.caught().keys() >= {"open", "socket.connect", "connection to the bait"}
+    if sys.platform.startswith("linux"):
+        with pytest.raises(etree.XMLSyntaxError):
+            etree.parse(str(watch.bait))  # libxml2 opens files itself, and tells Python nothing
+        assert "opening of the bait" in watch.caught()
+
+
+@pytest.mark.slow
+def test_a_damaged_model_file_is_a_model_file_error(tmp_path):
+    """One byte changed or the end cut off, a thousand times: read as before, or refused; nothing else."""
+    from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_metadata
+
+    try:
+        whole = default_model_path().read_bytes()
+    except FileNotFoundError:
+        pytest.skip("there is no shipped model")
+    rng = np.random.default_rng(0)
+    damaged = tmp_path / "model.h5"
+    for _ in range(1000):
+        data = bytearray(whole)
+        if rng.random() < 0.2:
+            data = data[: rng.integers(0, len(data))]
+        else:
+            # Half of the damage where the structure is, half among the weights.
+            at = rng.integers(0, len(data) if rng.random() < 0.5 else 4096)
+            data[at] ^= 1 << rng.integers(0, 8)
+        damaged.write_bytes(data)
+        try:
+            read_metadata(damaged)
+        except ModelFileError as error:
+            assert "model.h5" in str(error)  # noqa: PT017 (some damage lies in unused bytes and raises nothing)

@@ -1,0 +1,281 @@
+"""Figures 5.8 to 5.10 and Tables 5.1, 5.2 and 6.1: layers, stages, held-out scenes, and claims that follow the data."""
+
+import copy
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import load_script
+
+import deep_contact as dc
+from deep_contact.cnn.evaluation import velocity_errors
+from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec
+from deep_contact.physics.methods import PGS
+from deep_contact.reporting import figures
+from deep_contact.studies import comparison
+from deep_contact.studies import learned as learned
+from deep_contact.warm_start import Builtin, NoStart, Sph
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+@pytest.fixture(scope="module")
+def layers():
+    """The layers of the thesis's network, built."""
+    pytest.importorskip("keras")
+    return learned.thesis_layers()
+
+
+@pytest.fixture(scope="module")
+def networks(tmp_path_factory):
+    """Model files of untrained compact networks, by what they are to learn: each gives half of Builtin's start."""
+    pytest.importorskip("keras")
+    learned.one_thread()
+    from deep_contact.cnn import architectures, model_file, training
+
+    files = {}
+    for name, targets in learned.TARGET_SETS.items():
+        spec = ImageSpec(channels=SOLVER_CHANNELS, targets=targets, transfer="consistent", scale_free=True)
+        options = training.compact_options(spec) | {"stem": 2, "width": 2, "decoder": 2, "dilations": (1,)}
+        model = architectures.compact(channels=len(spec.channels), outputs=len(targets), **options)
+        files[name] = tmp_path_factory.mktemp("models") / f"{name}.h5"
+        model_file.save_model(files[name], model, spec, {"architecture": "compact"}, coarsening=4)
+    return files
+
+
+# ---- layers and settings ----
+
+
+def test_the_weights_of_each_convolution_are_those_of_its_kernel_and_shapes(layers):
+    before = {layer["name"]: earlier["shape"] for earlier, layer in zip(layers, layers[1:])}
+    convolutions = [layer for layer in layers if layer["kernel"]]
+    assert len(convolutions) == 14
+    for layer in convolutions:
+        inputs, outputs = before[layer["name"]][-1], layer["shape"][-1]
+        assert layer["trainable"] == (np.prod(layer["kernel"]) * inputs + 1) * outputs
+
+
+def test_figure_5_8_finds_the_one_number_of_weights_and_not_the_other(layers, tmp_path):
+    right, wrong = load_script("figure_5_8").claims(
+        {"layers": layers, "trainable with 4 channels": 64_498_866 - 9 * 32}
+    )
+    assert right.holds
+    assert right.measured["trainable"] == 64_498_866
+    assert not wrong.holds
+
+
+def test_figure_5_8_is_drawn_from_the_layers(layers):
+    figure = load_script("figure_5_8").draw({"layers": layers}, {})
+    written = {text.get_text() for text in figure.axes[1].texts}
+    assert written == {f"{layer['trainable']:,}" for layer in layers if layer["trainable"]}
+
+
+def test_table_5_1_differs_from_the_thesis_by_its_two_misprints_alone(layers):
+    script = load_script("table_5_1")
+    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in learned.PRINTED_LAYERS]
+    data = {"built": layers, "printed": printed}
+    assert [claim.holds for claim in script.claims(data)] == [False, True, True]
+    changed = copy.deepcopy(data)
+    changed["built"][1]["shape"][0] = 60
+    assert [claim.holds for claim in script.claims(changed)] == [False, False, True]
+
+
+def test_table_5_2_differs_from_the_thesis_by_its_kernels_alone():
+    pytest.importorskip("keras")
+    built = learned.thesis_hyperparameters()
+    assert list(built) == list(learned.PRINTED_HYPERPARAMETERS)
+    claims = load_script("table_5_2").claims({"printed": learned.PRINTED_HYPERPARAMETERS, "built": built})
+    assert [claim.holds for claim in claims] == [False, True]
+    assert list(claims[0].measured) == ["Kernel size"]
+
+
+# ---- held-out scenes, and the comparison of Figure 5.9 ----
+
+
+def test_a_scene_of_a_random_number_of_circles_has_one_in_the_range_and_is_repeatable():
+    counts = [comparison.scene_of((51, 99), size=30.0, seed=seed).bodies.count for seed in range(30)]
+    assert min(counts) >= 51
+    assert max(counts) <= 99
+    assert len(set(counts)) > 10
+    again = comparison.scene_of((51, 99), size=30.0, seed=3)
+    np.testing.assert_array_equal(
+        again.bodies.position, comparison.scene_of((51, 99), size=30.0, seed=3).bodies.position
+    )
+
+
+def test_figure_5_9s_scenes_are_none_of_the_data_set():
+    """Its scenes (scripts/generate_data.py) come from SeedSequence(0, spawn_key=(i,)): no two streams are the same."""
+    script = load_script("figure_5_9")
+    count = script.FIGURE.options["scenes"]
+    ours = [np.random.default_rng(s).random(8) for s in figures.seeds(script.FIGURE.seed, count)]
+    theirs = [np.random.default_rng(np.random.SeedSequence(0, spawn_key=(i,))).random(8) for i in range(150)]
+    assert count >= 10
+    assert not any(np.isin(one, other).any() for one in ours for other in theirs)
+
+
+def test_swept_on_ends_where_another_sweep_changes_nothing(falling_states):
+    state = comparison.swept_on(falling_states[4])
+    impulses = state.contacts.normal_impulse, state.contacts.tangent_impulse
+    once = dc.solve_contacts(state, solver=PGS(sweeps=1, tolerance=None), start=impulses)
+    assert once.record.theta[-1] <= comparison.REFERENCE.tolerance
+
+
+def test_velocity_errors_beside_theta_are_those_of_each_start_alone(falling_states):
+    states, after = falling_states[3:6], [1, 10]
+    found = comparison.paired(states, {"none": NoStart(), "builtin": Builtin()}, sweeps=20, velocity_sweeps=after)
+    goal = comparison.swept_on(states[1])
+    right = velocity_errors(goal, Builtin()(states[1], PGS()), after)
+    np.testing.assert_array_equal(found["builtin"].velocity[1], right)
+    assert found["none"].velocity.shape == (3, 2)
+
+
+def test_a_network_can_be_compared_like_any_other_start(networks):
+    starts = {"builtin": "builtin", "cnn": {"model": str(networks["both"])}, "copy": "copy"}
+    data = comparison.compare_starts(
+        starts, n_bodies=[12, 16], size=14.0, steps=60, sweeps=30, velocity_sweeps=[3, 30], seed=1
+    )
+    for mode in ("paired", "independent"):
+        assert data[mode]["copy"]["theta"][0] < data[mode]["cnn"]["theta"][0]
+    assert data["velocity"]["states"] > 0
+    assert data["velocity"]["mean"]["copy"][0] < data["velocity"]["mean"]["cnn"][0]
+
+
+def test_a_missing_network_ends_figure_5_9_at_once_with_a_message(capsys, tmp_path):
+    script = load_script("figure_5_9")
+    options = ["--out", str(tmp_path), "--set", 'networks={"cnn": "models/none.h5"}']
+    assert figures.main(script.FIGURE, options) == 1
+    assert "models/none.h5" in capsys.readouterr().err
+
+
+def theta_data(**thetas):
+    """The data of a comparison in which each start has one θ after all sweeps."""
+    found = {name: {"theta": [theta] * 2, "sweeps": {"mean": 9.0, "median": 9.0}} for name, theta in thetas.items()}
+    return {"sweep": [3, 10], "independent": found, "paired": found}
+
+
+@pytest.mark.parametrize(
+    ("cnn", "expected"),
+    [(1.5, [True, True, True, True]), (3.0, [False, True, False, True]), (0.01, [False, False, True, False])],
+)
+def test_figure_5_9s_claims_follow_the_thetas(cnn, expected):
+    data = theta_data(none=4.0, builtin=2.0, sph=1.0, copy=0.1, cnn=cnn)
+    assert [claim.holds for claim in learned.claims_of_network(data, "cnn", "CNN")] == expected
+
+
+# ---- stages and time of Figure 5.10 ----
+
+
+@pytest.mark.parametrize("transfer", ["thesis", "consistent"])
+def test_the_stages_of_sph_give_its_start(falling_states, transfer):
+    start = Sph(transfer=transfer)
+    found = learned.staged(start, falling_states[5], PGS())
+    np.testing.assert_array_equal(found.impulses, start(falling_states[5], PGS()))
+    assert set(found.seconds) == {"splat", "gather"}
+
+
+def test_the_stages_of_a_network_give_its_start(falling_states, networks):
+    start = learned.network_start(str(networks["both"]))
+    found = learned.staged(start, falling_states[5], PGS())
+    np.testing.assert_array_equal(found.impulses, start(falling_states[5], PGS()))
+    assert set(found.seconds) == {"splat", "network", "gather"}
+
+
+def test_sweeps_to_an_error_are_enough_and_nine_tenths_of_them_are_not(falling_states):
+    state = comparison.swept_on(falling_states[4])
+    start = NoStart()(state, PGS())
+    (count,) = learned.sweeps_to_errors(state, start, [1e-2], most=5000)
+    before, after = velocity_errors(state, start, [int(0.85 * count), count])
+    assert before > 1e-2 >= after
+    assert learned.sweeps_to_errors(state, start, [1e-2], most=count // 2) == [None]
+
+
+def clocked(states=2, **seconds):
+    """Data of a scene: every start's network and solve take so many seconds, and a sweep for each."""
+    criteria = [*learned.THETAS, *learned.ERRORS]
+    starts = {}
+    for name, (network, solve) in seconds.items():
+        stages = {"splat": [0.1] * states, "network": [network] * states, "gather": [0.1] * states} if network else {}
+        solves = {criterion: [solve] * states for criterion in criteria}
+        starts[name] = {"stages": stages, "sweeps": {c: [100 * solve, None] for c in criteria}, "solve": solves}
+    return {"criteria": criteria, "phases": ["impact", "rest"], "contacts": 3.0, "most": 1000, "starts": starts,
+            "box": [30.0, 30.0], "refused": {"cnn thesis": "box: expected another"}, "splat by k-d tree": {"cnn": 4.0},
+            }  # fmt: skip
+
+
+def test_a_state_that_is_given_up_counts_with_all_its_sweeps():
+    scene = clocked(cnn=(1.0, 2.0))
+    assert learned.mean_sweeps_to(scene, "cnn", "θ < 1e-2") == (200 + 1000) / 2
+    assert learned.mean_sweeps_to(scene, "cnn", "θ < 1e-2", ["impact"]) == 200
+    assert learned.total_time(scene, "cnn", "θ < 1e-2") == pytest.approx(0.1 + 1.0 + 0.1 + 2.0)
+
+
+def test_figure_5_10s_claims_and_table_follow_the_times():
+    script = load_script("figure_5_10")
+    data = {"scenes": {"few": clocked(builtin=(None, 3.5), cnn=(1.0, 2.0), copy=(None, 0.1))}, "networks": {"cnn": {}}}
+    assert [claim.holds for claim in script.claims(data)] == [False, True, True, False, True]
+    rows = script.table(data)
+    assert {len(row) for row in rows} == {len(rows[0])}
+    assert rows[-1][1] == "cnn thesis"
+    assert rows[-1][-1] == "refused: its box"
+    script.draw(data, {})
+
+
+def test_thresholds_are_timed_on_the_same_states(falling_states):
+    starts = {"none": NoStart(), "copy": comparison.start_of("copy")}
+    found = learned.time_to_thresholds(
+        falling_states[4:6], starts, most=2000, repeats=1, progress=lambda items, **_: items
+    )
+    for criterion in found["criteria"]:
+        none, ours = (found["starts"][name]["sweeps"][criterion] for name in starts)
+        assert all(a >= b for a, b in zip(none, ours))
+    assert len(found["phases"]) == len(found["starts"]["none"]["solve"]["θ < 6e-5"]) == 2
+
+
+# ---- one network or two ----
+
+
+def test_two_networks_for_one_impulse_each_do_what_one_for_both_does(falling_states, networks):
+    """Untrained, all of them give half of Builtin's start."""
+    states = falling_states[3:8]
+    both = learned.errors_of_networks([networks["both"]], states, [0, 3])
+    each = learned.errors_of_networks([networks["normal"], networks["tangent"]], states, [0, 3])
+    for name in ("normal", "tangent", "velocity"):
+        np.testing.assert_allclose(each[name], both[name], rtol=1e-5)  # float32 networks of other weights
+
+
+def test_a_network_learns_one_impulse_and_is_not_trained_again(tmp_path):
+    pytest.importorskip("keras")
+    data = learned.make_states(
+        tmp_path / "data", simulations=2, steps=90, bodies=(40, 50), seed=0, progress=lambda items, **_: items
+    )
+    settings = {"epochs": 1, "states_per_epoch": 8, "batch_size": 4, "validation_states": 4}
+    options = {"stem": 2, "width": 2, "decoder": 2, "dilations": [1]}
+    task = learned.TargetTask(
+        targets="tangent", options=options, seed=0, data=str(data), simulations=2, settings=settings,
+        out=str(tmp_path / "run"),
+    )  # fmt: skip
+    path = learned.train_on_targets(task)
+    trained = (tmp_path / "run" / "best.h5").stat().st_mtime_ns
+    assert learned.network_start(path).model.spec.targets == ("tangent_impulse",)
+    assert learned.train_on_targets(task) == path
+    assert (tmp_path / "run" / "best.h5").stat().st_mtime_ns == trained
+
+
+def variants(**errors):
+    """Data of Table 6.1 with one number for every measure, a seed each."""
+    names = dict(zip(("one", "deeper", "each"), learned.VARIANTS))
+    found = {
+        names[key]: {"parameters": 1, "errors": [{"normal": e, "tangent": e, "velocity": [e, e]} for e in values]}
+        for key, values in errors.items()
+    }
+    return {"variants": found, "seeds": [0, 1, 2][: len(errors["one"])], "sweeps": [0, 3]}
+
+
+def test_table_6_1_calls_equal_what_the_seeds_cannot_tell_apart():
+    script = load_script("table_6_1")
+    data = variants(one=[0.50, 0.51, 0.52], deeper=[0.40, 0.42, 0.44], each=[0.41, 0.42, 0.45])
+    deeper, one = script.claims(data)
+    assert deeper.holds
+    assert not one.holds
+    assert script.claims(variants(one=[0.5], deeper=[0.4], each=[0.4])) == []
+    assert {len(row) for row in script.table(data)} == {7}

@@ -1,0 +1,326 @@
+"""The adapters to Box2D 2.3, pymunk and Box2D v3: same scene, honest recordings.
+
+The recordings are what the engine is judged by, so they are judged first, by a replay of the velocity
+sweeps in plain Python float64 that shares no code with the package.
+"""
+
+import math
+import runpy
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deep_contact.constants import WALL_SKIN
+from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World, make_bodies
+from deep_contact.studies import peers
+
+MODULES = {peers.Box2D23: "Box2D", peers.Pymunk: "pymunk", peers.Box2D3: "pyb2d3"}
+FLOAT32 = 1e-6
+"""A few roundings of float32 (6e-8) at values of up to ten."""
+
+pytestmark = pytest.mark.peers
+
+
+@pytest.fixture(params=MODULES, ids=lambda engine: engine.name)
+def engine(request):
+    pytest.importorskip(MODULES[request.param])
+    return request.param
+
+
+@pytest.fixture
+def box2d():
+    pytest.importorskip("Box2D")
+    return peers.Box2D23
+
+
+def scene(position, *, box=(0, 0, 20, 30), gravity=(0, -9.81), friction=0.5, restitution=0.0, **bodies) -> State:
+    world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
+    return State(name="test", world=world, bodies=make_bodies(position, **bodies))
+
+
+def falling_pile(seed: int, columns: int = 8, rows: int = 10, **options) -> State:
+    """A loose, jittered lattice of circles of unequal size with random velocities; it falls and settles."""
+    rng = np.random.default_rng(seed)
+    x, y = np.meshgrid(1.4 + 2.4 * np.arange(columns), 1.5 + 2.4 * np.arange(rows))
+    position = np.stack([x.ravel(), y.ravel()], axis=1) + rng.uniform(-0.1, 0.1, (columns * rows, 2))
+    n = position.shape[0]
+    return scene(
+        position,
+        radius=rng.uniform(0.8, 1.05, n),
+        density=rng.uniform(0.5, 2.0, n),
+        velocity=rng.normal(0, 1, (n, 2)),
+        spin=rng.normal(0, 1, n),
+        **options,
+    )
+
+
+def test_world_holds_the_bodies_of_the_state(engine):
+    ours = falling_pile(0, columns=3, rows=3).bodies
+    theirs = engine(falling_pile(0, columns=3, rows=3)).bodies()
+    for field, value in ours._asdict().items():
+        np.testing.assert_allclose(getattr(theirs, field), value, rtol=FLOAT32, atol=FLOAT32, err_msg=field)
+
+
+def test_free_fall_is_symplectic_euler(engine):
+    """v = -k g Δt exactly, and a height between the explicit and the symplectic sum of v Δt (v3 substeps)."""
+    world = engine(scene([[10, 20]]))
+    for _ in range(10):
+        world.step(0.01, 10, 3)
+    bodies = world.bodies()
+    assert bodies.velocity[0, 1] == pytest.approx(-0.981, abs=1e-5)
+    fallen = 20 - bodies.position[0, 1]
+    assert 9.81e-4 * 45 - 1e-5 <= fallen <= 9.81e-4 * 55 + 1e-5
+
+
+def test_circle_rests_on_the_skin_of_the_floor(engine):
+    """Height r + skin within twice the slop of 0.005 m, which all three leave uncorrected."""
+    world = engine(scene([[10, 1.0 + WALL_SKIN]]))
+    for _ in range(100):
+        world.step(0.01, 10, 3)
+    assert world.bodies().position[0, 1] == pytest.approx(1 + WALL_SKIN, abs=0.01)
+
+
+def test_sliding_disc_is_slowed_by_the_mixed_friction(engine):
+    """Coulomb: v = v0 - μ g t while it slides; mixed as μ² (Chipmunk's product) it is off by half."""
+    world = engine(scene([[3, 1.0 + WALL_SKIN]], friction=0.5, velocity=(8, 0)))
+    for _ in range(30):
+        world.step(0.01, 10, 3)
+    assert world.bodies().velocity[0, 0] == pytest.approx(8 - 0.5 * 9.81 * 0.3, rel=0.01)
+
+
+def test_head_on_pair_bounces_with_the_mixed_restitution(engine):
+    """Newton's e: equal masses leave with e times the speed they met with (v3 is soft: 1 %)."""
+    state = scene([[8, 5], [12, 5]], gravity=(0, 0), restitution=0.5, velocity=[[4, 0], [-4, 0]], friction=0.0)
+    world = engine(state)
+    for _ in range(60):
+        world.step(0.01, 10, 3)
+    np.testing.assert_allclose(world.bodies().velocity[:, 0], [-2, 2], rtol=0.01)
+
+
+@pytest.mark.parametrize("steps", [60, 300], ids=["falling", "settled"])
+def test_contact_count_is_that_of_the_geometry(engine, steps):
+    """Brute force over all pairs. Engines find contacts at a step's start (Box2D) or middle (Chipmunk).
+
+    Pairs within 1e-4 m of touching may be counted either way.
+    """
+    world = engine(falling_pile(1))
+    for _ in range(steps):
+        before = world.bodies()
+        world.step(0.01, 20, 3)
+    seen = before if engine is peers.Box2D23 else world.bodies()
+    gaps = all_gaps(seen, (0, 0, 20, 30)) - (peers.SPECULATIVE_DISTANCE if engine is peers.Box2D3 else 0)
+    assert (gaps < -1e-4).sum() <= world.contact_count() <= (gaps < 1e-4).sum()
+    assert world.contact_count() > 25
+
+
+def test_contact_count_of_box2d_v3_is_that_of_its_events():
+    """pyb2d3 shows no manifolds; begin and end events, summed over the run, tell how many there are."""
+    pytest.importorskip("pyb2d3")
+    world = peers.Box2D3(falling_pile(2))
+    for body in world._bodies:
+        for shape in body.shapes:
+            shape.contact_events_enabled = True
+    touching = 0
+    for _ in range(200):
+        expected = world.contact_count()
+        world.step(0.01, 4)
+        events = world.world.get_contact_events()
+        touching += events.begin_count - events.end_count
+        # A gap within float32 rounding of the speculative distance may fall on either side.
+        assert abs(touching - expected) <= 1
+
+
+def all_gaps(bodies, box) -> np.ndarray:
+    x, y = bodies.position.T
+    i, j = np.triu_indices(bodies.count, 1)
+    pairs = np.hypot(x[i] - x[j], y[i] - y[j]) - bodies.radius[i] - bodies.radius[j]
+    walls = np.concatenate([x - box[0], y - box[1], box[2] - x, box[3] - y]) - np.tile(bodies.radius, 4) - WALL_SKIN
+    return np.concatenate([pairs, walls])
+
+
+def test_wall_contacts_are_numbered_and_point_from_circle_to_wall(box2d):
+    """One circle against every wall at 1 m/s, each contact with its own wall's number and outward normal."""
+    toward = {BOTTOM: [5, 1.005], RIGHT: [8.995, 5], TOP: [5, 8.995], LEFT: [1.005, 5]}
+    state = scene(list(toward.values()), box=(0, 0, 10, 10), gravity=(0, 0), velocity=WALL_NORMALS)
+    contacts = box2d(state).record_step(0.01, 10, 0).state.contacts
+    np.testing.assert_array_equal(contacts.body_b - 4, list(toward))
+    np.testing.assert_allclose(contacts.normal, WALL_NORMALS, atol=FLOAT32)
+    np.testing.assert_allclose(contacts.separation, -0.005, atol=FLOAT32)
+    np.testing.assert_allclose(contacts.normal_impulse, np.pi, rtol=1e-5)  # m v
+
+
+def test_circle_in_a_corner_has_two_contacts(box2d):
+    state = scene([[1, 1]], box=(0, 0, 10, 10))
+    contacts = box2d(state).record_step(0.01, 50, 3).state.contacts
+    np.testing.assert_array_equal(contacts.body_b, [1 + BOTTOM, 1 + LEFT])
+
+
+def test_tangent_impulse_acts_along_our_tangent(box2d):
+    """A disc sliding to +x on the floor (normal (0, -1), tangent (-1, 0)) feels -λ_t t, so λ_t < 0."""
+    state = scene([[5, 1.005]], velocity=(3, 0))
+    recorded = box2d(state).record_step(0.01, 50, 3).state.contacts
+    assert recorded.tangent_impulse[0] == pytest.approx(-0.5 * np.pi * 9.81 * 0.01, rel=1e-4)
+
+
+def test_contact_point_is_the_middle_of_the_overlap(box2d):
+    world = box2d(falling_pile(3))
+    for _ in range(150):
+        world.step(0.01, 20, 3)
+    state = world.record_step(0.01, 20, 3).state
+    contacts, bodies = state.contacts, state.bodies
+    reach = bodies.radius[contacts.body_a] + 0.5 * contacts.separation
+    expected = bodies.position[contacts.body_a] + reach[:, None] * contacts.normal
+    np.testing.assert_allclose(contacts.position, expected, atol=5e-6)  # float32 at 20 m: 1e-6
+
+
+def test_a_step_starts_from_what_the_last_one_solved(box2d):
+    """Box2D's warm starting: pairs that stay in touch start from their old impulses, new ones from zero."""
+    world = box2d(falling_pile(4))
+    for _ in range(100):
+        world.step(0.01, 20, 3)
+    first, second = (world.record_step(0.01, 20, 3).state.contacts for _ in range(2))
+    old = {(a, b): impulses for a, b, *impulses in zip(*first[:2], first.normal_impulse, first.tangent_impulse)}
+    expected = [old.get(pair, [0.0, 0.0]) for pair in zip(second.body_a, second.body_b)]
+    np.testing.assert_array_equal(np.stack([second.normal_start, second.tangent_start], axis=1), expected)
+    assert sum(pair in old for pair in zip(second.body_a, second.body_b)) > 25
+
+
+def test_order_holds_every_contact_once_and_is_box2d_s_own(box2d):
+    world = box2d(falling_pile(5))
+    for _ in range(150):
+        world.step(0.01, 20, 3)
+    recorded = world.record_step(0.01, 20, 3)
+    m = recorded.state.contacts.count
+    np.testing.assert_array_equal(np.sort(recorded.order), np.arange(m))
+    assert not np.array_equal(recorded.order, np.arange(m))
+
+
+def replay(state: State, order: np.ndarray, sweeps: int) -> np.ndarray:
+    """Box2D's velocity solver (b2ContactSolver) with arm vectors: solved (λ_n, λ_t), (m, 2)."""
+    bodies, contacts, world, n = state.bodies, state.contacts, state.world, state.bodies.count
+    v_x = [*(bodies.velocity[:, 0] + state.dt * world.gravity[0]).tolist(), 0.0]
+    v_y = [*(bodies.velocity[:, 1] + state.dt * world.gravity[1]).tolist(), 0.0]
+    spin = [*bodies.spin.tolist(), 0.0]
+    w = [*(1 / bodies.mass).tolist(), 0.0]
+    w_spin = [*(2 / (bodies.mass * bodies.radius**2)).tolist(), 0.0]
+    centre = np.vstack([bodies.position, [0, 0]])
+    rows = []
+    for k in order.tolist():
+        a, b = int(contacts.body_a[k]), min(int(contacts.body_b[k]), n)
+        (r_ax, r_ay), (r_bx, r_by) = (contacts.position[k] - centre[[a, b]]).tolist()
+        n_x, n_y = contacts.normal[k].tolist()
+        v_n = (v_x[b] - spin[b] * r_by - v_x[a] + spin[a] * r_ay) * n_x
+        v_n += (v_y[b] + spin[b] * r_bx - v_y[a] - spin[a] * r_ax) * n_y
+        inverse = []
+        for d_x, d_y in ((n_x, n_y), (n_y, -n_x)):
+            turn_a, turn_b = r_ax * d_y - r_ay * d_x, r_bx * d_y - r_by * d_x
+            inverse.append(w[a] + w[b] + w_spin[a] * turn_a**2 + w_spin[b] * turn_b**2)
+        rows.append((a, b, n_x, n_y, r_ax, r_ay, r_bx, r_by, *inverse, -world.restitution * v_n if v_n < -1 else 0.0))
+
+    def push(row, p_x, p_y):
+        a, b, _, _, r_ax, r_ay, r_bx, r_by = row[:8]
+        v_x[a] -= w[a] * p_x
+        v_y[a] -= w[a] * p_y
+        spin[a] -= w_spin[a] * (r_ax * p_y - r_ay * p_x)
+        v_x[b] += w[b] * p_x
+        v_y[b] += w[b] * p_y
+        spin[b] += w_spin[b] * (r_bx * p_y - r_by * p_x)
+
+    impulse = np.stack([contacts.normal_start, contacts.tangent_start], axis=1)[order].tolist()
+    for row, (normal, tangent) in zip(rows, impulse):
+        push(row, normal * row[2] + tangent * row[3], normal * row[3] - tangent * row[2])
+    for _ in range(sweeps):
+        for row, held in zip(rows, impulse):
+            a, b, n_x, n_y, r_ax, r_ay, r_bx, r_by, inverse_n, inverse_t, target = row
+            d_x = v_x[b] - spin[b] * r_by - v_x[a] + spin[a] * r_ay
+            d_y = v_y[b] + spin[b] * r_bx - v_y[a] - spin[a] * r_ax
+            cone = world.friction * held[0]
+            new = max(-cone, min(held[1] - (d_x * n_y - d_y * n_x) / inverse_t, cone))
+            change, held[1] = new - held[1], new
+            push(row, change * n_y, -change * n_x)
+            d_x = v_x[b] - spin[b] * r_by - v_x[a] + spin[a] * r_ay
+            d_y = v_y[b] + spin[b] * r_bx - v_y[a] - spin[a] * r_ax
+            new = max(held[0] - (d_x * n_x + d_y * n_y - target) / inverse_n, 0.0)
+            change, held[0] = new - held[0], new
+            push(row, change * n_x, change * n_y)
+    result = np.empty((len(order), 2))
+    result[order] = impulse
+    return result
+
+
+@pytest.mark.parametrize(("seed", "restitution", "friction"), [(6, 0.0, 0.5), (7, 0.0, 1.0), (8, 0.5, 0.3)])
+def test_replay_in_float64_solves_the_recorded_impulses(box2d, seed, restitution, friction):
+    """100 sweeps in Box2D's order from its start agree to about 1e-5 of the largest
+    impulse.
+
+    Box2D works in float32, so a share of 6e-8 is lost every time an impulse is updated. Over 224 states of
+    twelve seeds the median was 4e-7, the 99th percentile 1.3e-5 and the largest 4e-5. In a settled pile our
+    sorted order in place of Box2D's is off by 1e-2, and one sweep less by 1e-3.
+    """
+    world = box2d(falling_pile(seed, restitution=restitution, friction=friction))
+    errors, counts = [], []
+    for _ in range(14):
+        for _ in range(19):
+            world.step(0.01, 100, 3)
+        state, order = world.record_step(0.01, 100, 3)
+        recorded = solved(state)
+        counts.append(state.contacts.count)
+        if counts[-1] and recorded.max() > 0:
+            errors.append(np.abs(replay(state, order, 100) - recorded).max() / recorded.max())
+    assert np.percentile(errors, 90) < 1e-5
+    assert np.max(errors) < 5e-5
+    assert min(counts) < 60 < 90 < max(counts)  # falling and settled
+
+
+def solved(state: State) -> np.ndarray:
+    """Solved (λ_n, λ_t) of all contacts, (m, 2)."""
+    return np.stack([state.contacts.normal_impulse, state.contacts.tangent_impulse], axis=1)
+
+
+def test_starting_impulses_follow_the_ratio_of_time_steps(box2d):
+    """Box2D multiplies them by Δt / Δt_before; a replay over a change of Δt only agrees with that."""
+    world = box2d(falling_pile(9))
+    for _ in range(200):
+        world.step(0.01, 100, 3)
+    state, order = world.record_step(0.005, 5, 3)
+    recorded = solved(state)
+    np.testing.assert_allclose(replay(state, order, 5), recorded, atol=1e-5 * recorded.max())
+
+
+def test_recording_does_not_change_the_run(box2d):
+    plain, recorded = box2d(falling_pile(10)), box2d(falling_pile(10))
+    for _ in range(80):
+        plain.step(0.01, 20, 3)
+        state = recorded.record_step(0.01, 20, 3).state
+    np.testing.assert_array_equal(plain.bodies().position, recorded.bodies().position)
+    assert state.step == 79
+    assert math.isclose(state.time, 0.79)
+    assert state.solved
+
+
+@pytest.mark.parametrize("adapter", MODULES, ids=lambda adapter: adapter.name)
+def test_missing_engine_is_named_with_its_extra(adapter, monkeypatch):
+    monkeypatch.setitem(sys.modules, MODULES[adapter], None)
+    with pytest.raises(ImportError, match=rf"{MODULES[adapter]}.*deep-contact\[peers\]"):
+        adapter(scene([[5, 5]]))
+
+
+def test_bad_state_is_refused_by_name(engine):
+    state = scene([[5, 5]])
+    bad = state.bodies._replace(mass=np.array([np.nan]))
+    with pytest.raises(ValueError, match=r"bodies\.mass"):
+        engine(state.replace(bodies=bad))
+
+
+def test_benchmark_recovers_the_costs_of_its_model():
+    """t = overhead + cost k m: exact however the contacts differ between the blocks of 10 and of 100 sweeps."""
+    script = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "benchmark_engine.py"))
+    contacts = np.array([700, 710, 740, 760])  # of all 4 steps of a block
+    seconds = 4 * 30e-6 + 5e-9 * np.array(script["BLOCKS"]) * contacts
+    found = script["costs"](seconds, contacts, 4)
+    assert found["sweep_ns"] == pytest.approx(5)
+    assert found["overhead_us"] == pytest.approx(30)
+    assert found["step_us"] == pytest.approx(30 + 5e-3 * 10 * 1460 / 8)
+    assert found["contacts"] == pytest.approx(2910 / 16)
