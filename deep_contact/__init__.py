@@ -20,7 +20,7 @@ _HOME = {
         "single_body",
         "two_bodies",
     ),
-    "deep_contact.physics.methods": (
+    "deep_contact.physics.solvers": (
         "APGD",
         "BatchedPGS",
         "NNCG",

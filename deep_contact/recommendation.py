@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.physics.methods import METHODS, describe
+from deep_contact.physics.solvers import METHODS, describe
 from deep_contact.reporting import results
 from deep_contact.state import State
 
@@ -31,7 +31,7 @@ NEAR = 1.5
 class Recommendation:
     """A solver and a start for a scene, what they cost, and what that was measured on. `print` tells all of it.
 
-    solver: options of `physics.methods`. warm_start: name of the start. velocity_error: asked for, relative.
+    solver: options of `physics.solvers`. warm_start: name of the start. velocity_error: asked for, relative.
     measured: the worst 95th percentile of the velocity error over the kinds of piles. us: mean time of a step, μs, of
     the pile of the study nearest in size, n_bodies circles, on the processor `cpu`. by_kind: kind of pile -> (median,
     95th percentile of the velocity error, mean sweeps, μs a step). states: how many it was measured on.

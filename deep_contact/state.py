@@ -169,7 +169,7 @@ class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
     A scene is a state at time 0. `contacts` is None until they have been looked for. `solver` is what the run uses
-    (options of `physics.methods`, or None).
+    (options of `physics.solvers`, or None).
     If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
     carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
     `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.io.state_xml import read_state, write_state
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.state import Contacts, State, World, make_bodies
 
 

@@ -1,7 +1,7 @@
 """python scripts/figure_6_6_stability.py: how far each quantity can be pushed, here and in two other engines."""
 
 from deep_contact.constants import LINEAR_SLOP
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import extremes

@@ -8,7 +8,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import recommendation as advice
 from deep_contact.physics import metrics
-from deep_contact.physics.methods import describe
+from deep_contact.physics.solvers import describe
 from deep_contact.studies import tradeoff
 
 

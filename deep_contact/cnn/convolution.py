@@ -20,7 +20,7 @@ from llvmlite.binding import get_host_cpu_features
 from numba import njit, prange, uint64
 
 from deep_contact.compiled.simd import WIDTH, doubled, load_like, most, spread, spread_like, store
-from deep_contact.physics.batched_steps import at_most_threads
+from deep_contact.compiled.threads import at_most_threads
 
 BLOCKS = ("second", "fourth", "eighth", "far", "fourth_back", "second_back")
 """The residual blocks of `architectures.far_field`; its other layers with weights are in `LAYERS`."""

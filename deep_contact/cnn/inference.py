@@ -20,7 +20,7 @@ from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_model
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 
 _SAME_BOX = 1e-6

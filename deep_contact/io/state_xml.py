@@ -60,7 +60,7 @@ import numpy as np
 from lxml import etree
 
 from deep_contact import constants
-from deep_contact.physics.methods import METHODS
+from deep_contact.physics.solvers import METHODS
 from deep_contact.state import (
     BOTTOM,
     LEFT,

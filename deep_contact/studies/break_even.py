@@ -14,7 +14,7 @@ import numpy as np
 
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import solve
-from deep_contact.physics.methods import NNCG, PGS
+from deep_contact.physics.solvers import NNCG, PGS
 from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
 from deep_contact.studies.tradeoff import references_from

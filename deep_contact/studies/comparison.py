@@ -14,8 +14,8 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.physics.convergence import mean_theta
-from deep_contact.physics.methods import PGS
 from deep_contact.physics.scenes import circles_in_box
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import plotting
 from deep_contact.reporting.figures import Claim, Figure, parallel_map, seeds
 from deep_contact.simulation import ready, simulate, solve_contacts

@@ -21,8 +21,8 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.constants import LINEAR_SLOP, WALL_SKIN
 from deep_contact.physics.engine import contacts_of, solve
-from deep_contact.physics.methods import METHODS, PGS, PRECISIONS
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
+from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
 from deep_contact.warm_start import STARTS

@@ -21,8 +21,8 @@ from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import input_image, read_back
 from deep_contact.cnn.inference import network_file, network_start, one_thread
 from deep_contact.physics.engine import solve
-from deep_contact.physics.methods import PGS
 from deep_contact.physics.scenes import circles_in_box
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting.figures import Claim, parallel_map
 from deep_contact.state import State
 from deep_contact.studies.comparison import scene_of, solved_states, sweeps_to, swept_on, theta_after

@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact import constants
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.state import Bodies, Contacts, State, World, check_bodies, check_state
 
 SPECULATIVE_DISTANCE = 4 * constants.LINEAR_SLOP

@@ -22,9 +22,9 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.physics.engine import advance_of, moving_room, solve_velocities, world_arguments
 from deep_contact.physics.islands import islands_of
-from deep_contact.physics.methods import PGS
-from deep_contact.physics.relaxation import settings_of
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
+from deep_contact.physics.solvers import PGS
+from deep_contact.physics.solvers.registry import settings_of
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies.comparison import solved_states

@@ -19,7 +19,7 @@ from numba import njit
 from deep_contact.compiled.simd import WIDTH, lane, spread
 from deep_contact.constants import WALL_SKIN
 from deep_contact.physics import collision, colours, contact_solver, engine, metrics
-from deep_contact.physics.methods import PGS, BatchedPGS
+from deep_contact.physics.solvers import PGS, BatchedPGS
 from deep_contact.reporting.results import replacing
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import Bodies, State, World, make_bodies

@@ -21,8 +21,8 @@ import numpy as np
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import ContactSolution
 from deep_contact.physics.exact import solve_exactly
-from deep_contact.physics.methods import NNCG, PGS, SoftSteps, describe
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
+from deep_contact.physics.solvers import NNCG, PGS, SoftSteps, describe
 from deep_contact.recommendation import recommend, solver_of, weight_impulse
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State

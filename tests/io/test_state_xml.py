@@ -25,8 +25,7 @@ from deep_contact.io.state_xml import (
     state_path,
     write_state,
 )
-from deep_contact.physics import methods
-from deep_contact.physics.methods import METHODS, PGS
+from deep_contact.physics.solvers import METHODS, PGS
 from deep_contact.state import (
     BOTTOM,
     LEFT,
@@ -180,7 +179,7 @@ def test_options_of_every_kind_are_stored(monkeypatch):
         e: str = 'for"ward'
         f: float = 3.0
 
-    monkeypatch.setitem(methods.METHODS, "Other", Other)
+    monkeypatch.setitem(state_xml.METHODS, "Other", Other)
     again = parse_state(format_state(example(solver=Other())), "s.xml").solver
     assert again == Other()
     assert [type(v) for v in vars(again).values()] == [type(v) for v in vars(Other()).values()]
@@ -192,7 +191,7 @@ def test_an_option_that_would_not_come_back_is_refused(monkeypatch, option):
     class Other:
         a: object = option
 
-    monkeypatch.setitem(methods.METHODS, "Other", Other)
+    monkeypatch.setitem(state_xml.METHODS, "Other", Other)
     with pytest.raises(ValueError, match=r"solver\.a"):
         format_state(example(solver=Other()))
 

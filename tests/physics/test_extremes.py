@@ -12,7 +12,7 @@ import deep_contact as dc
 from deep_contact import simulation
 from deep_contact.constants import LINEAR_SLOP, MAX_CORRECTION
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.methods import METHODS
+from deep_contact.physics.solvers import METHODS
 from deep_contact.simulation import ready
 from deep_contact.state import LIMITS, Bodies, Contacts, State, World, make_bodies
 from deep_contact.studies import extremes
@@ -278,7 +278,7 @@ CHECKED = """
 import sys
 import deep_contact as dc
 from deep_contact.studies import extremes
-from deep_contact.physics.methods import METHODS
+from deep_contact.physics.solvers import METHODS
 solver = METHODS[sys.argv[1]]
 solver = solver() if solver is dc.SoftSteps else solver(sweeps=20)
 for scene in (extremes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.shifted(extremes.silo(5), 1e6),
