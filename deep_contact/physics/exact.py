@@ -39,6 +39,7 @@ from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.lcp import ContactProblem, contact_problem
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.state import LARGEST_START, State
+from deep_contact.validation import integer, number
 
 OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)
 """States of a contact: λ = 0; u = 0; u_n = 0 and λ_t = μ λ_n, where u_t <= 0; λ_t = −μ λ_n, where u_t >= 0."""
@@ -97,11 +98,8 @@ def solve_exactly(
     Raises ValueError if the contacts have not been found, and on arguments that do not hold together.
     """
     problem = contact_problem(state)
-    number = isinstance(residual, (int, float, np.integer, np.floating)) and not isinstance(residual, bool)
-    if not (number and 0 < residual < np.inf):
-        raise ValueError(f"residual: expected a finite number > 0, got {residual!r}")
-    if isinstance(most_pivots, bool) or not isinstance(most_pivots, (int, np.integer)) or most_pivots < 0:
-        raise ValueError(f"most_pivots: expected an integer >= 0, got {most_pivots!r}")
+    number("residual", residual, above=0)
+    integer("most_pivots", most_pivots)
     solution = _admissible(state, _start(state, normal_start, tangent_start))
     best, least = solution, metrics.residual(state, solution)
     epsilon, factorizations, pivots, idle = FIRST_EPSILON, 0, 0, 0

@@ -65,8 +65,8 @@ def test_simulate_runs_a_solver_from_outside(friction):
 def test_it_sleeps_and_solves_and_is_written_to_files(tmp_path):
     scene = dc.circles_in_box(10, size=10.0, seed=1)
     run = dc.simulate(scene, steps=200, solver=ToyPGS(sweeps=30), sleep=True)
-    path = dc.write_state(run.state, tmp_path / "toy.xml") or tmp_path / "toy.xml"
-    assert dc.read_state(path).solver == ToyPGS(sweeps=30)
+    dc.write_state(tmp_path / "toy.xml", run.state)
+    assert dc.read_state(tmp_path / "toy.xml").solver == ToyPGS(sweeps=30)
     solution = dc.solve_contacts(run.state, solver=ToyPGS(sweeps=500))
     expected = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=1000, tolerance=None))
     np.testing.assert_array_equal(solution.velocities, expected.velocities)
