@@ -32,6 +32,8 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact import parallel
+from deep_contact.io import provenance
+from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
 
@@ -167,7 +169,7 @@ def produce(
         "id": figure.id,
         "title": figure.title,
         "options": options,
-        "provenance": results.provenance(seed=seed, wall_s=wall_s),
+        "provenance": provenance.provenance(seed=seed, wall_s=wall_s),
         "claims": list(figure.claims(data)),
         "data": data,
     }
@@ -199,7 +201,7 @@ def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
             picture = figure.draw(found["data"], found["options"])
         plotting.save(picture, path)
     if figure.is_table:
-        with results.replacing(path.with_suffix(".md")) as temporary:
+        with replacing(path.with_suffix(".md")) as temporary:
             temporary.write_text(_markdown(figure, found), encoding="utf-8")
 
 
@@ -228,10 +230,10 @@ def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool
         found = results.read_results(path)
     except (OSError, results.ResultsError):
         return False
-    commit = results.commit()
+    commit = provenance.commit()
     made_by = found["provenance"]
     clean = commit != "unknown" and not commit.endswith("+changes")
-    same_code = clean and made_by["commit"] == commit and made_by["packages"] == results.package_versions()
+    same_code = clean and made_by["commit"] == commit and made_by["packages"] == provenance.package_versions()
     same_run = found["options"] == results.plain(options) and made_by["seed"] == seed
     return same_code and same_run and found["id"] == figure.id
 

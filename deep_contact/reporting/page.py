@@ -12,6 +12,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from deep_contact.io.files import replacing
 from deep_contact.reporting import results
 from deep_contact.reporting.errata import ERRATA, HEAD
 from deep_contact.reporting.figures import cell
@@ -66,7 +67,7 @@ def write_report(folder: str | os.PathLike, *, expected: Iterable[str] = ()) -> 
         faults.append(f"No results of {', '.join(missing)}.")
     page = _page(found, faults, folder)
     path = folder / "index.html"
-    with results.replacing(path) as temporary:
+    with replacing(path) as temporary:
         temporary.write_text(page, encoding="utf-8")
     return path
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.reporting.results import replacing
+from deep_contact.io.files import replacing
 
 DPI = 150
 """Dots per inch of every picture."""

@@ -27,21 +27,30 @@ from __future__ import annotations
 import json
 import math
 import os
-import platform
 import re
-import subprocess
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from importlib import metadata
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.version import VERSION
+from deep_contact.io.files import replacing, write_json
+from deep_contact.io.provenance import commit, package_versions, processor, provenance
 
-PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
-"""Packages whose versions are recorded, where they are installed."""
+__all__ = [
+    "Claim",
+    "ResultsError",
+    "array",
+    "check_results",
+    "commit",
+    "package_versions",
+    "plain",
+    "processor",
+    "provenance",
+    "read_results",
+    "replacing",
+    "write_results",
+]
 
 FIELDS = ("id", "title", "options", "provenance", "claims", "data")
 PROVENANCE_FIELDS = ("version", "commit", "python", "packages", "cpu", "seed", "wall_s")
@@ -72,67 +81,6 @@ class Claim(NamedTuple):
     thesis: str | None
     holds: bool
     measured: dict
-
-
-def provenance(*, seed: int | None = None, wall_s: float = 0.0) -> dict:
-    """Where results come from: version, commit, Python, packages, processor, seed and seconds of wall time.
-
-    The commit is that of the checkout which holds this package, with "+changes" after it where tracked files
-    differ from it, and "unknown" for an installed package or without git. Neither paths nor the name of the
-    machine are recorded. Nothing is imported to learn a version.
-    """
-    return {
-        "version": VERSION,
-        "commit": commit(),
-        "python": platform.python_version(),
-        "packages": package_versions(),
-        "cpu": processor(),
-        "seed": seed,
-        "wall_s": round(float(wall_s), 3),
-    }
-
-
-def commit() -> str:
-    """The 40 digits of the package's commit, perhaps with "+changes"; "unknown" outside a checkout."""
-    folder = Path(__file__).resolve().parent
-    try:
-        # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
-        _git(folder, "ls-files", "--error-unmatch", "version.py")
-        digits = _git(folder, "rev-parse", "HEAD")
-        changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return digits + ("+changes" if changed else "")
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    command = ["git", *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=20, check=True)
-    return done.stdout.strip()
-
-
-def package_versions() -> dict[str, str]:
-    """Version of each installed package of `PACKAGES`, without importing any."""
-    versions = {}
-    for name in PACKAGES:
-        for distribution in (name, f"{name}-cpu"):  # TensorFlow is published under both names
-            try:
-                versions[name] = metadata.version(distribution)
-                break
-            except metadata.PackageNotFoundError:
-                continue
-    return versions
-
-
-def processor() -> str:
-    """Model of the processor and number of cores, "AMD EPYC 9R14, 2 cores"."""
-    model = platform.processor() or platform.machine() or "unknown"
-    try:
-        info = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        info = ""
-    named = re.search(r"^model name\s*:\s*(.+)$", info, re.MULTILINE)
-    return f"{named[1].strip() if named else model}, {os.cpu_count()} cores"
 
 
 def plain(value, *, digits: int | None = None, where: str = "data"):
@@ -262,10 +210,7 @@ def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | No
     """
     path = Path(path)
     results = check_results(plain(results, digits=digits, where="results"))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        temporary.write_text(_json(results) + "\n", encoding="utf-8")
-    return path
+    return write_json(path, results)
 
 
 def read_results(path: str | os.PathLike) -> dict:
@@ -285,26 +230,3 @@ def read_results(path: str | os.PathLike) -> dict:
 
 def _refuse_constant(name: str):
     raise ResultsError(f"expected a finite number, got {name}")
-
-
-@contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, moved over it at the end; after an error it is removed instead."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _json(value, indent: str = "") -> str:
-    """JSON to be read by people too: objects are indented, lists of anything but objects stay on one line."""
-    inner = indent + "  "
-    if isinstance(value, dict) and value:
-        lines = [f"{inner}{_json(key)}: {_json(item, inner)}" for key, item in value.items()]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(value, list) and any(isinstance(item, dict) for item in value):
-        return "[\n" + ",\n".join(inner + _json(item, inner) for item in value) + f"\n{indent}]"
-    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
