@@ -1,25 +1,23 @@
 """Results files: every number of a figure or table, where it came from, and what it says about the thesis.
 
-A results file is strict JSON with six fields:
+A results file is strict JSON with six fields, as `results_schema.json` defines them:
 
 | field      | meaning                                                                                    |
 |------------|--------------------------------------------------------------------------------------------|
 | id         | "3.7" for a figure, "T 5.1" for a table                                                    |
 | title      | one line                                                                                   |
 | options    | the settings of the run, name -> value                                                     |
-| provenance | version, commit, python, packages, cpu, seed, wall_s: see `provenance`                     |
+| provenance | version, commit, python, packages, cpu, seed, wall_s: see `io.provenance`                  |
 | claims     | list of {text, thesis, holds, measured}: see `Claim`                                       |
 | data       | every plotted number                                                                       |
 
 How numbers are stored, by `plain`:
 
 * A Python float is stored by its shortest exact representation: reading gives the same bits.
-* A NumPy array of floats is stored as (nested) lists, rounded to `digits` significant digits where given,
-  so that long curves stay small; `digits=None` stores them exactly. Integers and booleans are always exact.
-* NaN and infinity are refused, naming the place. A number that is missing is None (`null`), put there on
-  purpose; `array` turns such lists into float arrays with NaN where a number is missing.
-
-A file is written beside its final name and then moved over it, so a reader never sees half of one.
+* A NumPy array of floats is stored as (nested) lists, rounded to `digits` significant digits if given, so that long
+  curves stay small; `digits=None` stores them exactly. Integers and booleans are always exact.
+* NaN and infinity are refused; the error names the place. A missing number is None (`null`); `array` turns lists with
+  None into float arrays with NaN.
 """
 
 from __future__ import annotations
@@ -27,11 +25,11 @@ from __future__ import annotations
 import json
 import math
 import os
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import jsonschema
 import numpy as np
 
 from deep_contact.io.files import replacing, write_json
@@ -52,28 +50,24 @@ __all__ = [
     "write_results",
 ]
 
-FIELDS = ("id", "title", "options", "provenance", "claims", "data")
-PROVENANCE_FIELDS = ("version", "commit", "python", "packages", "cpu", "seed", "wall_s")
-CLAIM_FIELDS = ("text", "thesis", "holds", "measured")
-
-ID_PATTERN = r"^(T )?[0-9A-Z]+\.[0-9]+$"
-THESIS_PATTERN = r"^L[0-9]+(-[0-9]+)?(, L[0-9]+(-[0-9]+)?)*$"
+SCHEMA = json.loads((Path(__file__).parent / "results_schema.json").read_text(encoding="utf-8"))
+ID_PATTERN = SCHEMA["properties"]["id"]["pattern"]
+_VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 _FINITE = "a finite number (None where one is missing)"
-COMMIT_PATTERN = r"^([0-9a-f]{40}(\+changes)?|unknown)$"
 
 
 class ResultsError(ValueError):
-    """A results file, or what was to become one, is not as described in this module."""
+    """Results, or a results file, that do not follow the format of this module."""
 
 
 class Claim(NamedTuple):
-    """A statement held against the data.
+    """A statement tested on the data.
 
     | field    | meaning                                                                                |
     |----------|----------------------------------------------------------------------------------------|
-    | text     | the statement, as it would have to be for `holds` to be true                           |
+    | text     | the statement                                                                          |
     | thesis   | where the thesis makes it, "L669", "L484-486" or "L669, L1131"; None if it does not    |
-    | holds    | whether the data bear it out                                                           |
+    | holds    | whether it is true of the data                                                         |
     | measured | the numbers that decided it, name -> value                                             |
     """
 
@@ -137,69 +131,22 @@ def array(values) -> np.ndarray:
     return np.array(values, dtype=np.float64)
 
 
-def check_results(results: Mapping) -> Mapping:
-    """The results themselves, if they are as this module describes them.
+def check_results(results: dict) -> dict:
+    """Return `results` if they follow the schema and every number is finite.
 
     Raises ResultsError naming the field, what was expected and the value.
     """
-    _check_fields("results", results, FIELDS)
-    _check_text("id", results["id"], ID_PATTERN)
-    _check_text("title", results["title"])
-    for name in ("options", "data"):
-        _expect(isinstance(results[name], Mapping), name, "an object", results[name])
-    _check_provenance(results["provenance"])
-    _expect(isinstance(results["claims"], list), "claims", "a list", results["claims"])
-    for i, claim in enumerate(results["claims"]):
-        _check_claim(f"claims[{i}]", claim)
-    plain(results, where="results")
-    return results
-
-
-def _check_provenance(found) -> None:
-    _check_fields("provenance", found, PROVENANCE_FIELDS)
-    for name in ("version", "python", "cpu"):
-        _check_text(f"provenance.{name}", found[name])
-    _check_text("provenance.commit", found["commit"], COMMIT_PATTERN)
-    packages = found["packages"]
-    _expect(isinstance(packages, Mapping), "provenance.packages", "an object", packages)
-    for name, version in packages.items():
-        _check_text(f"provenance.packages.{name}", version)
-    seed, wall_s = found["seed"], found["wall_s"]
-    _expect(seed is None or _is_int(seed), "provenance.seed", "an integer or null", seed)
-    number = (_is_int(wall_s) or isinstance(wall_s, float)) and 0 <= wall_s < math.inf
-    _expect(number, "provenance.wall_s", "a number >= 0", wall_s)
-
-
-def _check_claim(where: str, claim) -> None:
-    _check_fields(where, claim, CLAIM_FIELDS)
-    _check_text(f"{where}.text", claim["text"])
-    if claim["thesis"] is not None:
-        _check_text(f"{where}.thesis", claim["thesis"], THESIS_PATTERN)
-    _expect(isinstance(claim["holds"], bool), f"{where}.holds", "true or false", claim["holds"])
-    measured = claim["measured"]
-    filled = isinstance(measured, Mapping) and len(measured) > 0
-    _expect(filled, f"{where}.measured", "an object that is not empty", measured)
-
-
-def _check_fields(where: str, found, names: tuple[str, ...]) -> None:
-    _expect(isinstance(found, Mapping), where, "an object", found)
-    _expect(set(found) == set(names), where, f"the fields {', '.join(names)}", list(found))
-
-
-def _check_text(where: str, found, pattern: str = r"\S") -> None:
-    expected = "text" if pattern == r"\S" else f"text that matches {pattern}"
-    _expect(isinstance(found, str) and re.search(pattern, found) is not None, where, expected, found)
-
-
-def _is_int(value) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _expect(condition: bool, where: str, expected: str, found) -> None:
-    if not condition:
+    error = jsonschema.exceptions.best_match(_VALIDATOR.iter_errors(results))
+    if error is not None:
+        place = error.json_path.removeprefix("$").lstrip(".") or "results"
+        found = error.instance
+        if error.validator in ("required", "additionalProperties"):
+            found = list(found)
         shown = repr(found)
         shown = shown if len(shown) <= 200 else shown[:200] + " …"
-        raise ResultsError(f"{where}: expected {expected}, got {shown}")
+        raise ResultsError(f"{place}: expected {error.schema['description']}, got {shown}")
+    plain(results, where="results")
+    return results
 
 
 def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | None = None) -> Path:

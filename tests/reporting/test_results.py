@@ -3,7 +3,6 @@
 import copy
 import json
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,6 @@ import pytest
 from deep_contact.reporting import results
 from deep_contact.reporting.results import Claim, ResultsError
 
-SCHEMA = json.loads((Path(__file__).parent / "figure_schema.json").read_text(encoding="utf-8"))
 GOOD = {
     "id": "3.7",
     "title": "Convergence",
@@ -57,49 +55,22 @@ def changed(place, value):
     return found
 
 
-def fits(value, schema):
-    """Whether a value fits a schema: the keywords that figure_schema.json uses, as JSON Schema 2020-12 has them."""
-    kinds = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "null": type(None)}
-    kinds["number"] = (int, float)
-    names = schema.get("type", list(kinds))
-    names = [names] if isinstance(names, str) else names
-    exact = [k for k in names if isinstance(value, kinds[k]) and (k == "boolean" or not isinstance(value, bool))]
-    if not exact:
-        return False
-    if isinstance(value, str):
-        return re.search(schema.get("pattern", ""), value) is not None
-    if isinstance(value, list):
-        return all(fits(item, schema.get("items", {})) for item in value)
-    if not isinstance(value, dict):
-        return value is None or isinstance(value, bool) or value >= schema.get("minimum", -np.inf)
-    known, others = schema.get("properties", {}), schema.get("additionalProperties", {})
-    return (
-        all(name in value for name in schema.get("required", ()))
-        and len(value) >= schema.get("minProperties", 0)
-        and all(others is not False or name in known for name in value)
-        and all(fits(item, known.get(name, others or {})) for name, item in value.items())
-    )
-
-
-def test_the_schema_and_the_check_take_a_good_file():
-    assert fits(GOOD, SCHEMA)
+def test_a_good_file_is_taken():
     assert results.check_results(GOOD) is GOOD
 
 
 @pytest.mark.parametrize("place", BAD)
-def test_the_schema_and_the_check_refuse_the_same_fields(place):
-    found = changed(place, BAD[place])
-    assert not fits(found, SCHEMA)
-    with pytest.raises(ResultsError):
-        results.check_results(found)
+def test_a_bad_field_is_refused_by_its_name(place):
+    name = place.replace(".0.", "[0].")
+    with pytest.raises(ResultsError, match=rf"^{re.escape(name)}\b.*: expected .*, got "):
+        results.check_results(changed(place, BAD[place]))
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_a_missing_and_an_unknown_field_are_refused_by_both(name):
+def test_a_missing_and_an_unknown_field_are_refused(name):
     missing = {key: value for key, value in GOOD.items() if key != name}
     for found in (missing, GOOD | {"colour": "red"}):
-        assert not fits(found, SCHEMA)
-        with pytest.raises(ResultsError, match="expected the fields id, title"):
+        with pytest.raises(ResultsError, match="expected an object with the fields id, title"):
             results.check_results(found)
 
 
@@ -180,4 +151,4 @@ def test_a_number_too_large_for_a_float_is_refused(tmp_path):
 
 
 def test_provenance_fits_the_schema():
-    assert fits(results.provenance(seed=5, wall_s=0.25), SCHEMA["properties"]["provenance"])
+    results.check_results(GOOD | {"provenance": results.provenance(seed=5, wall_s=0.25)})
