@@ -47,14 +47,7 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="3.1",
-    title="The grid over a scene",
-    options={"n_bodies": 100, "size": 30.0, "d": 0.5},
-    compute=compute,
-    draw=draw,
-    table=table,
-)
+FIGURE = Figure("3.1", "The grid over a scene", compute, table, draw, options={"n_bodies": 100, "size": 30.0, "d": 0.5})
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

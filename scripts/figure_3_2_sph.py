@@ -72,13 +72,14 @@ def draw(data, options):
     return figure
 
 
+OPTIONS = {"h": 1.0, "kernel": "poly6", "particles": 60, "size": 3.4, "points": 171}
 FIGURE = Figure(
-    id="3.2",
-    title="A point, its support radius and the weights of its neighbours",
-    options={"h": 1.0, "kernel": "poly6", "particles": 60, "size": 3.4, "points": 171},
-    compute=compute,
-    draw=draw,
-    table=table,
+    "3.2",
+    "A point, its support radius and the weights of its neighbours",
+    compute,
+    table,
+    draw,
+    options=OPTIONS,
     seed=3,
 )
 

@@ -84,15 +84,8 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="3.3",
-    title="Smoothing kernels",
-    options={"h": 1.0, "points": 221, "kernels": ["poly6", "spiky"]},
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {"h": 1.0, "points": 221, "kernels": ["poly6", "spiky"]}
+FIGURE = Figure("3.3", "Smoothing kernels", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -76,15 +76,8 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="3.4",
-    title="Gradients of the smoothing kernels",
-    options={"h": 1.0, "points": 220, "kernels": ["poly6", "spiky"]},
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {"h": 1.0, "points": 220, "kernels": ["poly6", "spiky"]}
+FIGURE = Figure("3.4", "Gradients of the smoothing kernels", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

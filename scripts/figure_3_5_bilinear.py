@@ -90,21 +90,14 @@ def mark(ax, x, y, colour, text, below, side):
     ax.annotate(text, (x, y), offset, textcoords="offset points", ha=side, fontsize=8.5, bbox=box)
 
 
-FIGURE = Figure(
-    id="3.5",
-    title="Bilinear interpolation between four nodes",
-    options={
-        "x": [1.0, 1.5],
-        "y": [2.0, 2.5],
-        "values": [2.0, 5.0, 3.5, 12.0],  # f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition
-        "query": [1.2, 2.35],
-        "points": 41,
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    "x": [1.0, 1.5],
+    "y": [2.0, 2.5],
+    "values": [2.0, 5.0, 3.5, 12.0],  # f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition
+    "query": [1.2, 2.35],
+    "points": 41,
+}
+FIGURE = Figure("3.5", "Bilinear interpolation between four nodes", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -119,28 +119,21 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="4.2",
-    title="A convolution worked through",
-    options={
-        "image": [
-            [0, 0, 1, 2, 1, 0],
-            [0, 1, 3, 4, 2, 0],
-            [1, 2, 5, 3, 1, 1],
-            [0, 3, 4, 2, 0, 2],
-            [1, 1, 2, 0, 1, 3],
-            [0, 0, 1, 1, 2, 4],
-        ],
-        "kernel": [[1, 0, -1], [2, 1, -2], [0, 1, -1]],  # no symmetry that would hide a flip
-        "shown": [1, 2],
-        # image, kernel, stride
-        "sizes": [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]],
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    "image": [
+        [0, 0, 1, 2, 1, 0],
+        [0, 1, 3, 4, 2, 0],
+        [1, 2, 5, 3, 1, 1],
+        [0, 3, 4, 2, 0, 2],
+        [1, 1, 2, 0, 1, 3],
+        [0, 0, 1, 1, 2, 4],
+    ],
+    "kernel": [[1, 0, -1], [2, 1, -2], [0, 1, -1]],  # no symmetry that would hide a flip
+    "shown": [1, 2],
+    # image, kernel, stride
+    "sizes": [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]],
+}
+FIGURE = Figure("4.2", "A convolution worked through", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -151,16 +151,17 @@ def draw_impulses(panels, state, predicted):
     ax.legend()
 
 
+OPTIONS = {"model": "models/compact.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6}
 FIGURE = Figure(
-    id="4.3",
-    title="Feature maps of the trained network on a state of the falling pile",
-    options={"model": "models/compact.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6},
+    "4.3",
+    "Feature maps of the trained network on a state of the falling pile",
+    compute,
+    table,
+    draw,
+    claims,
+    options=OPTIONS,
     seed=5,
     digits=4,
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
 )
 
 if __name__ == "__main__":

@@ -114,24 +114,17 @@ def draw_neuron(ax, data):
     ax.axis("off")
 
 
-FIGURE = Figure(
-    id="4.4",
-    title="A neuron and its activation function",
-    options={
-        "x": [1.5, -2.0, 0.5],
-        "w": [0.8, 0.3, -1.2],
-        "bias": 0.4,
-        "points": 401,
-        "depth": 20,
-        "width": 100,
-        "gains": [0.5, 1.0, 2.0],  # of the weights' standard deviation, over He's
-        "networks": 20,
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    "x": [1.5, -2.0, 0.5],
+    "w": [0.8, 0.3, -1.2],
+    "bias": 0.4,
+    "points": 401,
+    "depth": 20,
+    "width": 100,
+    "gains": [0.5, 1.0, 2.0],  # of the weights' standard deviation, over He's
+    "networks": 20,
+}
+FIGURE = Figure("4.4", "A neuron and its activation function", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

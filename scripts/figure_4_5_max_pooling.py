@@ -79,21 +79,14 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="4.5",
-    title="2 × 2 max pooling worked through",
-    options={
-        # An odd number of columns: the thesis's 61 nodes are odd too.
-        "image": [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]],
-        "nodes": 61,
-        "poolings": 4,
-        "channels": 512,
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    # An odd number of columns: the thesis's 61 nodes are odd too.
+    "image": [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]],
+    "nodes": 61,
+    "poolings": 4,
+    "channels": 512,
+}
+FIGURE = Figure("4.5", "2 × 2 max pooling worked through", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

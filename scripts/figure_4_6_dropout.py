@@ -139,25 +139,18 @@ def draw(data, options):
     return figure
 
 
+OPTIONS = {
+    "model": "models/compact.h5",
+    "rate": 0.1,
+    "rate drawn": 0.4,
+    "masks": 100,
+    "n_bodies": 100,
+    "size": 30.0,
+    "steps": 150,
+}
+QUICK = {"masks": 40}
 FIGURE = Figure(
-    id="4.6",
-    title="Dropout, off and on",
-    options={
-        "model": "models/compact.h5",
-        "rate": 0.1,
-        "rate drawn": 0.4,
-        "masks": 100,
-        "n_bodies": 100,
-        "size": 30.0,
-        "steps": 150,
-    },
-    quick={"masks": 40},
-    seed=5,
-    digits=4,
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
+    "4.6", "Dropout, off and on", compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=5, digits=4
 )
 
 if __name__ == "__main__":

@@ -141,21 +141,17 @@ def weight_name(name):
     return f"$w^{'o' if 'ₒ' in name else 'h'}_{{{index}}}$"
 
 
+OPTIONS = {
+    "x": [0.5, -1.0],
+    "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]],
+    "output weights": [0.7, -0.5, 0.3],
+    "target": 2.0,
+    "rate": 0.1,
+}
+
+# Every number exact, so that rounding is the only difference there may be
 FIGURE = Figure(
-    id="4.7",
-    title="Backpropagation by Eq 4.11-4.18, with numbers",
-    options={
-        "x": [0.5, -1.0],
-        "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]],
-        "output weights": [0.7, -0.5, 0.3],
-        "target": 2.0,
-        "rate": 0.1,
-    },
-    digits=None,  # every number exact, so that rounding is the only difference there may be
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
+    "4.7", "Backpropagation by Eq 4.11-4.18, with numbers", compute, table, draw, claims, options=OPTIONS, digits=None
 )
 
 if __name__ == "__main__":

@@ -179,33 +179,35 @@ def draw_bars(ax, scene, names, criterion):
     ax.set_xlim(0, 1.8 * max(left))
 
 
+OPTIONS = {
+    "few": 100,
+    "many": 1000,
+    "steps": [600, 400],
+    "states": [48, 12],
+    "sweeps": 5000,
+    "most": [10000, 20000],
+    "repeats": 5,
+    "networks": {"cnn": "models/compact.h5", "cnn thesis": "models/thesis_factored.h5"},
+}
+QUICK = {
+    "many": 300,
+    "steps": [250, 120],
+    "states": [12, 5],
+    "sweeps": 1000,
+    "most": [5000, 5000],
+    "repeats": 3,
+    "networks": {"cnn": "models/compact.h5"},
+}
 FIGURE = Figure(
-    id="5.10",
-    title="Sweeps and time to a threshold, by stage",
-    options={
-        "few": 100,
-        "many": 1000,
-        "steps": [600, 400],
-        "states": [48, 12],
-        "sweeps": 5000,
-        "most": [10000, 20000],
-        "repeats": 5,
-        "networks": {"cnn": "models/compact.h5", "cnn thesis": "models/thesis_factored.h5"},
-    },
-    quick={
-        "many": 300,
-        "steps": [250, 120],
-        "states": [12, 5],
-        "sweeps": 1000,
-        "most": [5000, 5000],
-        "repeats": 3,
-        "networks": {"cnn": "models/compact.h5"},
-    },
+    "5.10",
+    "Sweeps and time to a threshold, by stage",
+    compute,
+    table,
+    draw,
+    claims,
+    options=OPTIONS,
+    quick=QUICK,
     seed=510,
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
 )
 
 if __name__ == "__main__":

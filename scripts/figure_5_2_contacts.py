@@ -102,15 +102,10 @@ def draw(data, options):
     return figure
 
 
+OPTIONS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every": 2}
+QUICK = {"sweeps": 1000, "every": 5}
 FIGURE = Figure(
-    id="5.2",
-    title="Contacts, and the time their solution takes",
-    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every": 2},
-    quick={"sweeps": 1000, "every": 5},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
+    "5.2", "Contacts, and the time their solution takes", compute, table, draw, claims, options=OPTIONS, quick=QUICK
 )
 
 if __name__ == "__main__":

@@ -100,23 +100,16 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="5.3",
-    title="Grid nodes and kernels over a scene",
-    options={
-        "n_bodies": 100,
-        "size": 30.0,
-        "steps": 200,
-        "d": 0.5,
-        "h": 0.5,
-        "h_over_d": [0.4, 0.71, 1.0, 2.0],
-        "cells": [0.25, 0.5, 0.7, 1.0],
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    "n_bodies": 100,
+    "size": 30.0,
+    "steps": 200,
+    "d": 0.5,
+    "h": 0.5,
+    "h_over_d": [0.4, 0.71, 1.0, 2.0],
+    "cells": [0.25, 0.5, 0.7, 1.0],
+}
+FIGURE = Figure("5.3", "Grid nodes and kernels over a scene", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -116,14 +116,7 @@ def shaded(colour, share):
     return tuple(share * part for part in to_rgb(colour))
 
 
-FIGURE = Figure(
-    id="5.8",
-    title="Architecture of the thesis's network",
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+FIGURE = Figure("5.8", "Architecture of the thesis's network", compute, table, draw, claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

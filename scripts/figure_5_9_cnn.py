@@ -45,24 +45,19 @@ def draw(data, options):
     return figure
 
 
+OPTIONS = {
+    "n_bodies": [51, 99],
+    "size": 30.0,
+    "steps": 600,
+    "sweeps": 3000,
+    "scenes": 12,
+    "networks": learned.NETWORKS,
+}
+QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": learned.NETWORKS["cnn"]}}
+
+# The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
 FIGURE = Figure(
-    id="5.9",
-    title="Convergence with the CNN start",
-    options={
-        "n_bodies": [51, 99],
-        "size": 30.0,
-        "steps": 600,
-        "sweeps": 3000,
-        "scenes": 12,
-        "networks": learned.NETWORKS,
-    },
-    quick={"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": learned.NETWORKS["cnn"]}},
-    # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
-    seed=59,
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
+    "5.9", "Convergence with the CNN start", compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=59
 )
 
 if __name__ == "__main__":

@@ -57,7 +57,7 @@ def table(data):
     return [*rows, ["all", None, None, None, f"{total:,}", None]]
 
 
-FIGURE = Figure(id="T 5.1", title="Layers of the thesis's network", compute=compute, claims=claims, table=table)
+FIGURE = Figure("T 5.1", "Layers of the thesis's network", compute, table, claims=claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

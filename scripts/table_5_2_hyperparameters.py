@@ -33,9 +33,7 @@ def table(data):
     return rows
 
 
-FIGURE = Figure(
-    id="T 5.2", title="Hyperparameters of the thesis's training", compute=compute, claims=claims, table=table
-)
+FIGURE = Figure("T 5.2", "Hyperparameters of the thesis's training", compute, table, claims=claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

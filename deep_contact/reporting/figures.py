@@ -2,8 +2,7 @@
 
 A script describes itself by a `Figure` and hands it to `main`:
 
-    FIGURE = Figure(id="3.7", title="…", options={"steps": 600}, quick={"steps": 60},
-                    compute=compute, claims=claims, draw=draw, table=table)
+    FIGURE = Figure("3.7", "Title", compute, table, draw, claims, options={"steps": 600}, quick={"steps": 60})
 
     if __name__ == "__main__":
         raise SystemExit(figures.main(FIGURE))
@@ -27,7 +26,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -44,7 +43,7 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Figure:
     """A figure or a table, of the thesis or of ours.
 
@@ -66,6 +65,7 @@ class Figure:
     table: Callable[[dict], Sequence[Sequence]]
     draw: Callable[[dict, dict], object] | None = None
     claims: Callable[[dict], list[Claim]] = lambda data: []
+    _: KW_ONLY
     options: dict = field(default_factory=dict)
     quick: dict = field(default_factory=dict)
     seed: int = 0
