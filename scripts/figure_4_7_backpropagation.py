@@ -6,6 +6,11 @@ from deep_contact.cnn import worked_examples as worked
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 
+LATE = "Eq 4.18, output weights updated before"
+
+ROUNDING = 1e-12
+"""Largest relative difference that counts as none: of sums of a few products in float64."""
+
 
 def compute(options, seed, jobs, progress):
     """One forward and one backward pass by the thesis's equations and automatically, and one update of the weights."""
@@ -16,41 +21,25 @@ def compute(options, seed, jobs, progress):
     step_o, _ = worked.momentum_step(w_o, automatic["output"], rate=rate)
     step_h, _ = worked.momentum_step(w_h, automatic["hidden"], rate=rate)
     chain = found.chain
-    losses = {
-        "before": found.loss,
-        "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss,
-    }
+    common = chain["∂L/∂e"] * chain["∂e/∂y"]
+    early, late = (worked.printed_hidden_update(w_h, w, x, found, rate) for w in (w_o, step_o))
+    loss = {"before": found.loss, "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss}
+    output, hidden = automatic["output"], automatic["hidden"]
     return {
-        "x": x,
-        "hidden weights": w_h,
-        "output weights": w_o,
-        "target": target,
-        "rate": rate,
-        "v": found.v,
-        "y": found.y,
-        "e": found.e,
-        "loss": losses,
-        "chain": chain,
+        **{name: np.array(options[name]) for name in ("x", "hidden weights", "output weights", "target", "rate")},
+        **{"v": found.v, "y": found.y, "e": found.e, "loss": loss, "chain": chain},
         "gradients": {
-            "output": {
-                "Eq 4.12": chain["∂L/∂e"] * chain["∂e/∂y"] * chain["∂y/∂w"],
-                "Eq 4.13": found.output,
-                "automatic": automatic["output"],
-            },
+            "output": {"Eq 4.12": common * chain["∂y/∂w"], "Eq 4.13": found.output, "automatic": output},
             "hidden": {
-                "Eq 4.15": chain["∂L/∂e"] * chain["∂e/∂y"] * chain["∂y/∂v"] * chain["∂v/∂w"],
+                "Eq 4.15": common * chain["∂y/∂v"] * chain["∂v/∂w"],
                 "Eq 4.17": found.hidden,
-                "automatic": automatic["hidden"],
+                "automatic": hidden,
             },
         },
         "chain, automatic": {name: automatic[name] for name in chain},
         "updated": {
             "output": {"Eq 4.14": worked.printed_output_update(w_o, found, rate), "Eq 4.8": step_o},
-            "hidden": {
-                "Eq 4.18": worked.printed_hidden_update(w_h, w_o, x, found, rate),
-                "Eq 4.18, output weights updated before": worked.printed_hidden_update(w_h, step_o, x, found, rate),
-                "Eq 4.8": step_h,
-            },
+            "hidden": {"Eq 4.18": early, LATE: late, "Eq 4.8": step_h},
         },
     }
 
@@ -78,28 +67,21 @@ def claims(data):
         }
         return Claim(text, thesis, measured["relative difference to Eq 4.8's step"] < ROUNDING, measured)
 
-    late = "Eq 4.18, output weights updated before"
     loss = data["loss"]
+    chain = "Eq 4.11 and 4.12: the chain rule for the output's weights"
+    hidden_chain = "Eq 4.15 and 4.16: the chain rule for the hidden weights"
+    step = "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"
+    after = "the hidden weights can be updated by Eq 4.18 after the output's weights were"
     return [
-        gradient(
-            "Eq 4.12", "output", "L985-989", "Eq 4.11 and 4.12: the chain rule for the output's weights", **factors
-        ),
+        gradient("Eq 4.12", "output", "L985-989", chain, **factors),
         gradient("Eq 4.13", "output", "L993", "Eq 4.13: ∂L/∂w_j = −2 v_j e"),
-        update(
-            "Eq 4.14", "output", "L997", "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"
-        ),
-        gradient(
-            "Eq 4.15", "hidden", "L1004-1009", "Eq 4.15 and 4.16: the chain rule for the hidden weights", **factors
-        ),
+        update("Eq 4.14", "output", "L997", step),
+        gradient("Eq 4.15", "hidden", "L1004-1009", hidden_chain, **factors),
         gradient("Eq 4.17", "hidden", "L1013", "Eq 4.17: ∂L/∂w_ij = −2 e w_j x_i"),
         update("Eq 4.18", "hidden", "L1017", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
-        update(late, "hidden", "L1002", "the hidden weights can be updated by Eq 4.18 after the output's weights were"),
+        update(LATE, "hidden", "L1002", after),
         Claim("a step decreases the loss", "L964-968", loss["after the step of Eq 4.8"] < loss["before"], loss),
     ]
-
-
-ROUNDING = 1e-12
-"""Largest relative difference that counts as none: of sums of a few products in float64."""
 
 
 def table(data):

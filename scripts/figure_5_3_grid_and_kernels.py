@@ -23,26 +23,19 @@ def compute(options, seed, jobs, progress):
     reached = {f"{ratio:.4g}": nodes_reached(box, contacts, d, ratio * d) for ratio in ratios}
     shared = {f"{size:.4g}": contacts_in_one_cell(box, contacts, size) for size in sorted({*options["cells"], 1.0, d})}
     x, y = sph.Grid.over_box(box, d).nodes
-    return {
-        "scene": plotting.state_data(state),
-        "d": d,
-        "h": options["h"],
-        "x": x,
-        "y": y,
-        "nodes reached, by h / d": reached,
-        "contacts in one cell, by d": shared,
-    }
+    found = {"nodes reached, by h / d": reached, "contacts in one cell, by d": shared}
+    return {"scene": plotting.state_data(state), "d": d, "h": options["h"], "x": x, "y": y} | found
 
 
 def nodes_reached(box, contacts, d, h):
-    """How many nodes each contact has weight on."""
+    """Number of nodes on which each contact has weight."""
     grid = sph.Grid.over_box(box, d)
     options = {"h": h, "unreached": "zero", "outside": "clamp"}
     return [int((sph.splat(grid, point[None], np.ones(1), **options) > 0).sum()) for point in contacts]
 
 
 def contacts_in_one_cell(box, contacts, d):
-    """The largest number of contact points in one cell, and how many cells hold more than one."""
+    """The largest number of contact points in one cell, and the number of cells with several."""
     cells = np.floor((contacts - box[:2]) / d).astype(int)
     _, count = np.unique(cells, axis=0, return_counts=True)
     return {"most": int(count.max(initial=0)), "cells with several": int((count > 1).sum())}

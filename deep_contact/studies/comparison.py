@@ -272,7 +272,14 @@ def faster(data: dict, first: str, second: str, text: str, thesis: str | None = 
 
 
 def near(
-    data: dict, first: str, second: str, text: str, thesis: str | None = None, *, ratio: float, mode: str
+    data: dict,
+    first: str,
+    second: str,
+    text: str,
+    thesis: str | None = None,
+    *,
+    ratio: float,
+    mode: str = "independent",
 ) -> Claim:
     """The claim that a start needs at most `ratio` times the mean sweeps of another, in the given mode."""
     sweeps = mean_sweeps(data, mode)
