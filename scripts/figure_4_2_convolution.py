@@ -89,7 +89,7 @@ def draw(data, options):
     )
     for ax, (title, values, frame) in zip(panels, parts):
         size = np.abs(values).max()
-        plotting.write_in_cells(ax, values, cmap="cividis", vmin=-size, vmax=size)
+        write_in_cells(ax, values, cmap="cividis", vmin=-size, vmax=size)
         ax.set_title(title)
         if frame:
             edge = {"fill": False, "edgecolor": plotting.VERMILION, "linewidth": 2.5}
@@ -97,6 +97,18 @@ def draw(data, options):
     rows = [" + ".join(f"({value:g})" if value < 0 else f"{value:g}" for value in line) for line in data["products"]]
     panels[2].set_xlabel(" +\n".join(rows) + f" = {result[row][column]:g}")
     return figure
+
+
+def write_in_cells(ax, values, **keywords):
+    """Draw an image as cells with their numbers, row 0 at the top; keywords go to `ax.imshow`."""
+    values = np.asarray(values)
+    shown = ax.imshow(values, **keywords)
+    ax.grid(False)
+    ax.set(xticks=range(values.shape[1]), yticks=range(values.shape[0]))
+    ax.tick_params(length=0)
+    brightness = shown.to_rgba(values)[..., :3] @ np.array([0.299, 0.587, 0.114])
+    for (i, j), value in np.ndenumerate(values):
+        ax.text(j, i, f"{value:g}", ha="center", va="center", color="#222222" if brightness[i, j] > 0.5 else "white")
 
 
 OPTIONS = {

@@ -1,12 +1,13 @@
-"""Experiments with trained networks: what chapters 5 and 6 of the thesis say of them, layer by layer and by the clock.
+"""Experiments with trained networks: what chapters 5 and 6 of the thesis say about them.
 
 The layers of a network (Figure 5.8, Tables 5.1 and 5.2), the CNN start beside the others (Figure 5.9), time to a
-threshold by stage (Figure 5.10), one network for both impulses or one each (Table 6.1). Keras and TensorFlow are
-imported by the functions that need them; networks work on one thread.
+threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1), errors on held-out scenes
+(chapter 6). Keras and TensorFlow are imported by the functions that need them; networks run on one thread.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -66,41 +67,12 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
 LAYER_TITLES = {"InputLayer": "Input", "Conv2D": "Convolution", "MaxPooling2D": "MaxPooling"}
 """Class of a Keras layer -> its name in Table 5.1, if they differ."""
 
-_STACKS = ((61, 32, 2), (31, 64, 3), (16, 128, 3), (8, 256, 3), (4, 512, 3))
+PRINTED = json.loads((Path(__file__).parent / "printed_tables.json").read_text(encoding="utf-8"))
 
+PRINTED_LAYERS = PRINTED["layers"]
+"""Table 5.1 as the thesis prints it (L1223-1252), misprints included: (layer, output shape without the batch)."""
 
-def _printed_layers() -> tuple[tuple[str, tuple[int, ...]], ...]:
-    rows = [("Input", (61, 61, 4))]
-    for number, (side, filters, convolutions) in enumerate(_STACKS):
-        rows += [(f"Convolution({filters})", (side, side, filters))] * convolutions
-        rows.append(("Dropout", (side, side, filters)))
-        if number < len(_STACKS) - 1:
-            pooled = _STACKS[number + 1][0]
-            rows.append(("MaxPooling", (pooled, pooled, filters)))
-        if filters == 64:
-            rows.append(("BatchNormalization", (16, 16, 64)))
-        if filters == 256:
-            rows.append(("BatchNormalization", (4, 4, 512)))  # as printed; the pooling before it gives 256
-    return (*rows, ("Flatten", (8192,)), ("Dense", (7442,)))
-
-
-PRINTED_LAYERS = _printed_layers()
-"""Table 5.1 as the thesis prints it (L1223-1252): (layer, output shape without the batch)."""
-
-PRINTED_HYPERPARAMETERS = {
-    "Activation function": "ReLU",
-    "Weight initialization": "He normal",
-    "Weight regularizer": "L2",
-    "Convolution border mode": "same",
-    "Stride": "2",
-    "Kernel size": "(3, 3)",
-    "Dropout rate": "0.1",
-    "Optimizer": "SGD",
-    "Initial learning rate": "0.005",
-    "Batch size": "200",
-    "Epochs": "1000",
-    "Validation rate": "0.2",
-}
+PRINTED_HYPERPARAMETERS = PRINTED["hyperparameters"]
 """Table 5.2 as the thesis prints it (L1260-1272); its "1 × 5 × 10⁻³" is 0.005."""
 
 
@@ -415,15 +387,16 @@ TARGET_SETS = {
     "normal": ("normal_impulse",),
     "tangent": ("tangent_impulse",),
 }
-"""What a network of Table 6.1 may have to learn."""
+"""Targets of the networks of Table 6.1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetTask:
     """One training of Table 6.1, small enough to be sent to another process.
 
-    targets: one of `TARGET_SETS`. options: of `architectures.compact`. simulations: to train on and to choose by, the
-    first ones of `data`. settings: changes to `TrainingConfig`. out: folder of the run, which is gone on with.
+    targets: one of `TARGET_SETS`. options: of `architectures.compact`. simulations: number of simulations of `data`, the
+    first ones, for training and validation. settings: changes to `TrainingConfig`. out: folder of the run, which is
+    continued if it exists.
     """
 
     targets: str
@@ -436,7 +409,7 @@ class TargetTask:
 
 
 def train_on_targets(task: TargetTask) -> str:
-    """Train a network for one impulse or both; the path of its model file. What is trained already is kept."""
+    """Train a network for one impulse or both, or continue its training; the path of its model file."""
     one_thread()
     from deep_contact.cnn import training
 
@@ -452,7 +425,8 @@ def train_on_targets(task: TargetTask) -> str:
         options=task.options,
         seed=task.seed,
         simulations=task.simulations,
-        # The masked loss on images: the only one that asks for no second impulse. No test side, which is elsewhere.
+        # The masked loss on images is the only one that needs no second impulse. No test side: held-out states are
+        # other simulations.
         loss="appendix b",
         fractions=(0.8, 0.2, 0.0),
         **task.settings,
@@ -462,7 +436,7 @@ def train_on_targets(task: TargetTask) -> str:
 
 
 def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], seed: int, progress: Callable) -> Path:
-    """A small data set of the thesis's scene, as `scripts/generate_data.py` makes a large one. What is there stays."""
+    """A small data set of the thesis's scene, like that of `scripts/generate_data.py`. Existing files are kept."""
     folder = Path(folder)
     for number in progress(range(simulations), total=simulations, text="simulations"):
         path = simulation_path(folder, number)
@@ -476,18 +450,18 @@ def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], 
 
 
 def predict_targets(path, state: State) -> dict[str, np.ndarray]:
-    """Impulses at a state's contacts by a network of one or both targets, target -> (m,), N·s, not projected."""
+    """Predicted impulses at a state's contacts, not projected on the cone: target -> (m,), N·s."""
     model = network_start(path).model
     found = read_back(model.run(input_image(state, model.spec)), state, model.spec)
     return dict(zip(model.spec.targets, found))
 
 
 def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Sequence[int]) -> dict:
-    """Held-out errors of one network for both impulses, or of two for one each.
+    """Held-out errors of one network for both impulses, or of two networks for one each.
 
-    Returns means over the states: "normal" and "tangent", ‖λ'_n − λ_n‖ and ‖λ'_t − λ_t‖ over the size ‖λ‖ of the whole
-    solution, before any sweep; "velocity", the relative velocity error after each of `sweeps`, from both together,
-    projected. States with nothing to solve are left out. Raises ValueError where no other is left.
+    Returns means over the states: "normal" and "tangent", ‖λ'_n − λ_n‖ and ‖λ'_t − λ_t‖ relative to ‖λ‖ of the whole
+    solution, before any sweep; "velocity", the relative velocity error after each number of `sweeps` from both impulses,
+    projected on the cone. States with nothing to solve are omitted. Raises ValueError if no other is left.
     """
     from deep_contact.cnn.inference import projected
 
@@ -535,42 +509,43 @@ def one_or_two_networks(
 ) -> dict:
     """Train and compare the `VARIANTS`, once for each seed.
 
-    data: folder of simulations; the first `simulations` are trained on, the next `held_out` report, with about
-    `states` of their states. options: of the compact network, for one for both and one each; larger: of the one that
-    is as large as two. settings: of the training, the same for all; every network sees the same states in the same
-    order. Returns {variant: {"parameters", "errors": one a seed, see `errors_of_networks`}}, and the numbers of states.
-    Raises ValueError where there are too few simulations.
+    data: folder of simulations; the first `simulations` are for training, about `states` states of the next `held_out`
+    for the errors. options: of the compact network; larger: of the one that is as large as two. settings: of the
+    training; every network sees the same states in the same order. Returns {"variants": {name: {"parameters", "errors":
+    one a seed, see `errors_of_networks`}}, "sweeps", "seeds", "held-out states"}. Raises ValueError if there are too
+    few simulations.
     """
     store = Store(data)
     if len(store.simulations) < simulations + held_out:
         raise ValueError(f"simulations: expected {simulations + held_out} in {data}, got {len(store.simulations)}")
-    tasks, of_variant = [], []
+    tasks = {}
     for seed in seeds:
         for variant, targets in VARIANTS.items():
             for target in targets:
-                name = f"{variant.replace(',', '').replace(' ', '_')}_{target}_{seed}"
-                chosen = larger if variant.endswith("as large as two") else options
-                tasks.append(
-                    TargetTask(targets=target, options=chosen, seed=seed, data=data, simulations=simulations,
-                               settings=settings, out=str(Path(out) / name))
-                )  # fmt: skip
-                of_variant.append((variant, seed))
-    paths = parallel_map(train_on_targets, tasks, jobs=jobs, progress=progress, text="networks")
+                tasks[variant, seed, target] = TargetTask(
+                    targets=target,
+                    options=larger if variant.endswith("as large as two") else options,
+                    seed=seed,
+                    data=data,
+                    simulations=simulations,
+                    settings=settings,
+                    out=str(Path(out) / f"{variant.replace(',', '').replace(' ', '_')}_{target}_{seed}"),
+                )
+    trained = parallel_map(train_on_targets, tasks.values(), jobs=jobs, progress=progress, text="networks")
+    paths = dict(zip(tasks, trained))
     tested = store.states(store.simulations[simulations : simulations + held_out])
     tested = [store.state(*state) for state in tested[:: max(1, len(tested) // states)].tolist()]
     found = {}
-    for variant in VARIANTS:
-        errors, parameters = [], 0
-        for seed in seeds:
-            of_seed = [path for path, key in zip(paths, of_variant) if key == (variant, seed)]
-            errors.append(errors_of_networks(of_seed, tested, sweeps))
-            parameters = sum(network_start(path).model.keras.count_params() for path in of_seed)
+    for variant, targets in VARIANTS.items():
+        networks = [[paths[variant, seed, target] for target in targets] for seed in seeds]
+        errors = [errors_of_networks(of_seed, tested, sweeps) for of_seed in networks]
+        parameters = sum(network_start(path).model.keras.count_params() for path in networks[-1])
         found[variant] = {"parameters": int(parameters), "errors": errors}
     return {"variants": found, "sweeps": list(sweeps), "seeds": list(seeds), "held-out states": len(tested)}
 
 
 MEASURES = ("normal", "tangent", "velocity")
-"""Errors by which Table 6.1 compares: of λ_n, of λ_t, and of the velocities before any sweep."""
+"""Errors that Table 6.1 compares: of λ_n, of λ_t, and of the velocities before any sweep."""
 
 
 def of_seeds(data: Mapping, variant: str, measure: str) -> np.ndarray:
@@ -580,32 +555,31 @@ def of_seeds(data: Mapping, variant: str, measure: str) -> np.ndarray:
 
 
 def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
-    """Whether two variants are equal by every measure, as far as the seeds tell: Welch's t within ± its 97.5 % point.
+    """Whether Welch's t test finds no difference between two variants in any measure (p ≥ 0.05), and the numbers.
 
-    And what was measured: the means of both and t. With three seeds each only differences of several standard
-    deviations are seen.
+    The numbers are both means and p, by measure. Three seeds reveal only differences of several standard deviations.
     """
     from scipy import stats
 
-    measured, equal = {}, []
+    measured, equal = {}, True
     for measure in MEASURES:
         a, b = (of_seeds(data, variant, measure) for variant in (first, second))
-        test = stats.ttest_ind(a, b, equal_var=False)
-        measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), float(test.pvalue)]
-        equal.append(not test.pvalue < 0.05)
-    return all(equal), measured
+        p = float(stats.ttest_ind(a, b, equal_var=False).pvalue)
+        measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), p]
+        equal &= not p < 0.05
+    return equal, measured
 
 
 # ---- starts on held-out scenes ----
 
 OFF = 0.05
-"""Error of Builtin's own start above which a state counts as one where there is something to win."""
+"""Velocity error of Builtin's start above which a better start can matter."""
 
 
 def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
-    """`errors_on_scene` of one scene of as many circles as the training data have, 70 to 110.
+    """`errors_on_scene` of one scene of 70 to 110 circles, as in the training data.
 
-    task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are taken.
+    task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are measured.
     """
     from deep_contact.cnn.evaluation import errors_on_scene
 
@@ -615,9 +589,9 @@ def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
 
 
 def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Mean velocity error of a start by scene and number of sweeps, of scenes as `errors_on_scene` has them.
+    """Mean velocity error of a start by scene and number of sweeps, from the output of `errors_on_scene`.
 
-    where: "all" states, or those where Builtin is "off" by more than `OFF`; scenes without any are left out.
+    where: "all" states, or only those where Builtin is "off" by more than `OFF`; scenes without any are omitted.
     """
     means = []
     for scene in scenes:
@@ -629,7 +603,7 @@ def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
 
 
 def ratios_to_builtin(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Error over Builtin's, of the means over scenes, and its 95 % interval by resampling scenes: (sweeps, 3)."""
+    """Mean error over Builtin's mean error, with the 95 % interval by resampling scenes: (sweeps, 3)."""
     found, builtin = mean_errors(scenes, name, where), mean_errors(scenes, "builtin", where)
     chosen = np.random.default_rng(0).integers(0, len(found), (2000, len(found)))
     sampled = found[chosen].mean(axis=1) / builtin[chosen].mean(axis=1)
