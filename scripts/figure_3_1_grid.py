@@ -17,7 +17,6 @@ def compute(options, seed, jobs, progress):
 
 
 def table(data):
-    """Rows: the size of the grid."""
     n_x, n_y = len(data["x"]), len(data["y"])
     return [["d (m)", "nodes", "cells"], [data["d"], f"{n_x} x {n_y}", f"{n_x - 1} x {n_y - 1}"]]
 

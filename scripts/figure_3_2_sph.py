@@ -24,7 +24,6 @@ def compute(options, seed, jobs, progress):
 
 
 def table(data):
-    """Rows: the number of particles within the support radius, and the sum of their weights."""
     weight = np.array(data["weight"])
     total = float(weight.sum())
     return [

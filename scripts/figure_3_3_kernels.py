@@ -51,7 +51,6 @@ def all_one(integrals):
 
 
 def table(data):
-    """Rows: the height of each kernel, and its integrals."""
     names = list(next(iter(data["integrals"].values())))
     rows = [["kernel", "W(0), 3-D", "W(0), 2-D", *names]]
     for kernel, found in data["integrals"].items():

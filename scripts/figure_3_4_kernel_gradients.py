@@ -52,7 +52,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: sizes of the gradients."""
     rows = [["kernel", "dimension", "|∇W| at the centre", "largest |∇W|"]]
     for kernel, size in data["sizes"].items():
         rows += [[kernel, dim, found["at the centre"], found["largest"]] for dim, found in size.items()]

@@ -47,7 +47,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the value at the query, each way."""
     return [["value at the query, by", "f(x, y)"], *([name, value] for name, value in data["values"].items())]
 
 

@@ -30,7 +30,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the values of each layer."""
     names = ("input", "hidden, ReLU", "output")
     return [["layer", "values"], *([name, value] for name, value in zip(names, data["values"]))]
 

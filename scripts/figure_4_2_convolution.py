@@ -66,7 +66,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the value at the place shown, each way."""
     row, column = data["shown"]
     rows = [[name, values[row][column]] for name, values in data["results"].items()]
     return [[f"value at row {row}, column {column}, by", ""], *rows]

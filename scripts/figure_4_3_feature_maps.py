@@ -96,7 +96,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the layers whose maps are shown."""
     rows = [["layer", "nodes", "maps", "strongest"]]
     for part in data["panels"]:
         rows.append([part["layer"], len(part["values"][0]), part["maps in all"], part["shown"][0]])

@@ -58,7 +58,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the neuron's output for each function, and the size of gradients after many layers."""
     gains = list(data["gradient ratio, by gain"]["ReLU"])
     rows = [["activation", f"f({data['sum']:g})", *(f"gradient kept, {gain} × He" for gain in gains)]]
     for name, output in data["outputs"].items():

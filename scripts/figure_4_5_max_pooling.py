@@ -43,7 +43,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: sizes of the thesis's images as they are pooled."""
     return [["poolings", "nodes along an edge"], *([i, n] for i, n in enumerate(data["sizes"]))]
 
 

@@ -84,7 +84,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the numbers of the trained network."""
     spread = float(np.mean(data["λ_n"]["spread"]) / np.mean(np.abs(data["λ_n"]["off"])))
     return [
         ["trained network", ""],

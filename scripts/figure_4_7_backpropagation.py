@@ -85,7 +85,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: each gradient by the equations and automatically."""
     rows = [["weight", "by the equation", "automatic", "updated, Eq 4.14 or 4.18", "updated, Eq 4.8"]]
     for part, equation, printed in (("output", "Eq 4.13", "Eq 4.14"), ("hidden", "Eq 4.17", "Eq 4.18")):
         found, updated = data["gradients"][part], data["updated"][part]

@@ -72,7 +72,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the fit."""
     slope, intercept, correlation = fit(data)
     return [
         ["steps", "most contacts", "solutions timed", "µs a contact", "intercept (µs)", "correlation"],

@@ -59,7 +59,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: what each support radius reaches."""
     rows = [["h / d", "contacts", "reach no node", "nodes, mean", "nodes, most"]]
     for ratio, nodes in data["nodes reached, by h / d"].items():
         rows.append([ratio, len(nodes), int(np.sum(np.equal(nodes, 0))), float(np.mean(nodes)), max(nodes)])

@@ -38,7 +38,6 @@ def claims(data):
 
 
 def table(data):
-    """A row a layer."""
     rows = [["layer", "output", "kernel", "trainable"]]
     for layer in data["layers"]:
         kernel = " × ".join(map(str, layer["kernel"])) if layer["kernel"] else None

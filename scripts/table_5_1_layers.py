@@ -47,7 +47,6 @@ def text(layer):
 
 
 def table(data):
-    """A row a layer."""
     rows = [["layer", "thesis's shape", "built", "kernel", "parameters", "equal"]]
     for theirs, mine in zip(data["printed"], data["built"]):
         equal = (theirs["kind"], theirs["shape"]) == (mine["kind"], mine["shape"])

@@ -26,7 +26,6 @@ def claims(data):
 
 
 def table(data):
-    """A row a setting."""
     rows = [["hyperparameter", "thesis", "here", "equal"]]
     for name, printed in data["printed"].items():
         rows.append([name, printed, data["built"][name], printed == data["built"][name]])

@@ -118,7 +118,8 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     if given.replot and (given.set or given.quick or given.resume or given.seed is not None):
         parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
     try:
-        _prepare_folder(given.out)
+        Path(given.out).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=given.out).close()  # a folder without write permission is refused before the work
     except OSError as error:
         parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
     try:
@@ -184,13 +185,6 @@ def produce(
     return found
 
 
-def _prepare_folder(out: str | os.PathLike) -> None:
-    """Make the folder of the files. Raises OSError where it cannot be written: now, and not after the work is done."""
-    Path(out).mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=out):
-        pass
-
-
 def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
     return Path(out) / f"{figure.stem}.json"
 
@@ -233,12 +227,11 @@ def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool
         found = results.read_results(path)
     except (OSError, results.ResultsError):
         return False
-    commit = provenance.commit()
-    made_by = found["provenance"]
+    made_by, commit = found["provenance"], provenance.commit()
     clean = commit != "unknown" and not commit.endswith("+changes")
-    same_code = clean and made_by["commit"] == commit and made_by["packages"] == provenance.package_versions()
-    same_run = found["options"] == results.plain(options) and made_by["seed"] == seed
-    return same_code and same_run and found["id"] == figure.id
+    now = {"commit": commit, "packages": provenance.package_versions(), "seed": seed}
+    same = all(made_by[name] == value for name, value in now.items())
+    return clean and same and (found["id"], found["options"]) == (figure.id, results.plain(options))
 
 
 def _report(figure: Figure, found: dict, echo: Callable[[str], None]) -> None:

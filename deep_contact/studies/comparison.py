@@ -26,6 +26,9 @@ from deep_contact.warm_start import Sph, WarmStart, warm_start_of
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
 
+THESIS_SETTINGS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000}
+"""Options of the thesis's comparisons: circles, side of the box in m, steps, sweeps a step."""
+
 MODES = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
 """Ways to compare starts -> how pictures name them."""
 
@@ -246,7 +249,7 @@ def mean_sweeps(data: dict, mode: str = "independent") -> dict[str, float]:
     return {name: found["sweeps"]["mean"] for name, found in data[mode].items()}
 
 
-def draw_comparison(data: dict):
+def draw_comparison(data: dict, options: dict):
     """Two panels of θ by sweep: paired and independent."""
     figure, panels = plotting.subplots(1, 2, size=(10.0, 3.8), sharey=True)
     for ax, (mode, text) in zip(panels, MODES.items()):
@@ -306,16 +309,9 @@ def convergence_figure(
         described = starts(**given) if callable(starts) else starts
         return compare_starts(described, seed=seed, jobs=jobs, progress=progress, **options)
 
-    return Figure(
-        id=id,
-        title=title,
-        options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": sweeps, "scenes": 5} | own,
-        quick={"scenes": 1, "steps": 300},
-        compute=compute,
-        claims=claims,
-        table=table_of_starts,
-        draw=lambda data, options: draw_comparison(data),
-    )
+    options = THESIS_SETTINGS | {"sweeps": sweeps, "scenes": 5} | own
+    quick = {"scenes": 1, "steps": 300}
+    return Figure(id, title, compute, table_of_starts, draw_comparison, claims, options=options, quick=quick)
 
 
 def study_figure(*, id: str, kernel: str, claims: Callable) -> Figure:
@@ -345,26 +341,13 @@ def study_figure(*, id: str, kernel: str, claims: Callable) -> Figure:
                 draw_convergence(ax, data[part], mode, floor=1e-7, title=f"{title}, {text} for each")
         return figure
 
-    return Figure(
-        id=id,
-        title=f"Convergence with the kernel {kernel} by support and spacing",
-        options={
-            "n_bodies": 100,
-            "size": 30.0,
-            "steps": 600,
-            "sweeps": 3000,
-            "scenes": 3,
-            "d": 0.25,
-            "h": [0.1, 0.2, 0.25, 0.5],
-            "spacings": [0.25, 0.5, 0.75, 1.0],
-            "transfer": "thesis",
-        },
-        quick={"scenes": 1, "steps": 250, "sweeps": 1500},
-        compute=compute,
-        claims=claims,
-        table=lambda data: table_of_starts(data["h"]) + table_of_starts(data["d"])[1:],
-        draw=draw,
-    )
+    def table(data):
+        return table_of_starts(data["h"]) + table_of_starts(data["d"])[1:]
+
+    own = {"scenes": 3, "d": 0.25, "h": [0.1, 0.2, 0.25, 0.5], "spacings": [0.25, 0.5, 0.75, 1.0], "transfer": "thesis"}
+    quick = {"scenes": 1, "steps": 250, "sweeps": 1500}
+    title = f"Convergence with the kernel {kernel} by support and spacing"
+    return Figure(id, title, compute, table, draw, claims, options=THESIS_SETTINGS | own, quick=quick)
 
 
 def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinear") -> dict[str, float]:
@@ -447,7 +430,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         return figure
 
     options = {"n_bodies": 100, "size": 30.0, "times": list(times)}
-    return Figure(id=id, title=title, options=options, compute=compute, table=table, draw=draw)
+    return Figure(id, title, compute, table, draw, options=options)
 
 
 def contact_time(state: State, *, sweeps: int, repeats: int = 3) -> float:

@@ -394,8 +394,8 @@ TARGET_SETS = {
 class TargetTask:
     """One training of Table 6.1, small enough to be sent to another process.
 
-    targets: one of `TARGET_SETS`. options: of `architectures.compact`. simulations: number of simulations of `data`, the
-    first ones, for training and validation. settings: changes to `TrainingConfig`. out: folder of the run, which is
+    targets: one of `TARGET_SETS`. options: of `architectures.compact`. simulations: number of the first simulations
+    of `data` for training and validation. settings: changes to `TrainingConfig`. out: folder of the run, which is
     continued if it exists.
     """
 
@@ -460,8 +460,8 @@ def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Se
     """Held-out errors of one network for both impulses, or of two networks for one each.
 
     Returns means over the states: "normal" and "tangent", ‖λ'_n − λ_n‖ and ‖λ'_t − λ_t‖ relative to ‖λ‖ of the whole
-    solution, before any sweep; "velocity", the relative velocity error after each number of `sweeps` from both impulses,
-    projected on the cone. States with nothing to solve are omitted. Raises ValueError if no other is left.
+    solution, before any sweep; "velocity", the relative velocity error after each number of `sweeps`, from both
+    impulses projected on the cone. States with nothing to solve are omitted. Raises ValueError if no other is left.
     """
     from deep_contact.cnn.inference import projected
 
