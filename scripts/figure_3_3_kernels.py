@@ -46,7 +46,7 @@ def claims(data):
 
 
 def all_one(integrals):
-    """Whether all are one, to a tolerance well above the error of the quadrature."""
+    """Whether all integrals are one, to a tolerance well above the error of the quadrature."""
     return all(abs(value - 1) < 1e-6 for value in integrals.values())
 
 

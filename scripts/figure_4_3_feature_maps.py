@@ -1,4 +1,4 @@
-"""python scripts/figure_4_3_feature_maps.py: what a trained network makes of a state, layer by layer."""
+"""python scripts/figure_4_3_feature_maps.py: feature maps of a trained network on a state."""
 
 import numpy as np
 
@@ -64,7 +64,7 @@ def solved_state(options, seed):
 
 
 def kernel_depth(layer):
-    """How many maps a kernel reads: the last axis but one, and the last one of a transposed convolution."""
+    """Number of maps that a kernel reads: its last axis but one, or the last axis of a transposed convolution."""
     transposed = type(layer).__name__ == "Conv2DTranspose"
     return int(layer.kernel.shape[-1 if transposed else -2])
 
@@ -80,7 +80,7 @@ def panel(name, maps, labels, chosen):
 
 
 def claims(data):
-    """What section 4.2.2 says of kernels and maps, and whether the network has learned anything."""
+    """Section 4.2.2 on kernels and maps; and the error of the trained network."""
     layers, error = data["convolutions"], data["relative error of λ"]
     depths = {f"{c['name']}": f"{c['kernel depth']} of {c['input depth']}" for c in layers}
     deep = all(c["kernel depth"] == c["input depth"] for c in layers)

@@ -36,7 +36,7 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """What L829 says of ReLU."""
+    """The claims of L829 on ReLU."""
     ratios = data["gradient ratio, by gain"]
     below = np.array(data["line"]) < 0
     lost = {

@@ -6,7 +6,7 @@ from deep_contact.studies import comparison
 
 
 def claims(data):
-    """What the thesis concludes from Figure 5.4, by independent runs as in the thesis."""
+    """The conclusions of the thesis from Figure 5.4, by independent runs as in the thesis."""
     by_h, by_d = comparison.mean_sweeps(data["h"]), comparison.mean_sweeps(data["d"])
     equal = by_h["h = 0.25 m"]
     slower = min(by_h["h = 0.1 m"], by_h["h = 0.5 m"]) > equal

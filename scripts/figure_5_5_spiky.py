@@ -10,7 +10,7 @@ FINEST = "d = h = 0.25 m"
 
 
 def claims(data):
-    """What the thesis concludes from Figure 5.5, by independent runs as in the thesis."""
+    """The conclusions of the thesis from Figure 5.5, by independent runs as in the thesis."""
     by_h, by_d = comparison.mean_sweeps(data["h"]), comparison.mean_sweeps(data["d"])
     rises = {name: rise(found["theta"]) for name, found in data["d"]["independent"].items()}
     measured = {f"rise in all, decades, {name}": found for name, found in rises.items()}

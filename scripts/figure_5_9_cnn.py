@@ -16,7 +16,7 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """What the thesis sees in the figure, for each network."""
+    """The claims of the thesis on the figure, for each network."""
     found = []
     for name in data["networks"]:
         found += learned.claims_of_network(data, name, learned.LABELS.get(name, name))
@@ -41,7 +41,9 @@ def draw(data, options):
     velocity.set_xscale("log")
     velocity.set_yscale("log")
     plotting.label_axes(velocity, "sweep", "mean relative velocity error", title=comparison.MODES["paired"])
-    velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title="bands: quartiles of the scenes")
+    banded = all("quartiles" in found for found in data["paired"].values())  # older results files have none
+    title = "bands: quartiles of the scenes" if banded else None
+    velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title)
     return figure
 
 

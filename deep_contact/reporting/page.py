@@ -53,7 +53,7 @@ def write_report(folder: str | os.PathLike, *, expected: Iterable[str] = ()) -> 
 
 
 def _collect(folder: Path) -> tuple[list[dict], list[str]]:
-    """What the page shows of each results file, in the order of their ids, and a line for each file with a fault."""
+    """Content of the page for each results file, in the order of their ids, and a line for each file with a fault."""
     found, faults = [], []
     for path in folder.glob("*.json"):
         if re.fullmatch(r"(figure|table)_[0-9A-Z]+_[0-9]+\.json", path.name):

@@ -351,7 +351,7 @@ def study_figure(*, id: str, kernel: str, claims: Callable) -> Figure:
 
 
 def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinear") -> dict[str, float]:
-    """What the round trip of the solved impulses through the grid changes in them.
+    """Change of the solved impulses by the round trip through the grid.
 
     method: of the thesis's transfer for reading back, see `sph.gather`; the consistent transfer is bilinear.
     Returns {"relative error": mean over states of ‖λ' − λ‖ / ‖λ‖, "returned": Σ λ_n' / Σ λ_n}.
