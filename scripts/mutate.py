@@ -6,8 +6,8 @@ Cosmic Ray makes the mutants. The sample takes from every file by its share of p
 Every mutant is tried in a copy of the package: first without the compiler, by the tests that execute the mutated line,
 the quickest first; if it survives, compiled, by all tests of its folder. Running out of time kills it, too.
 
-The record is written after every mutant, and a stopped run goes on where it ended; `--again` tries the survivors again.
-`explained` says why a survivor cannot be told from the original: it is filled in by hand, and kept.
+The record is written after every mutant. Another run keeps what was killed there, and the survivors under `explained`
+of which somebody has written why they cannot be told from the original; it tries the others.
 """
 
 import argparse
@@ -17,120 +17,91 @@ import re
 import shutil
 import sys
 import tempfile
-from bisect import bisect
 from collections import Counter, defaultdict
 from concurrent.futures import ThreadPoolExecutor
-from itertools import accumulate
 from pathlib import Path
 from queue import SimpleQueue
 from time import perf_counter
 
 from cosmic_ray.ast import ast_nodes, get_ast
 from cosmic_ray.mutating import mutate_code
-from cosmic_ray.operators.operator import Operator
 from cosmic_ray.plugins import get_operator, operator_names
 from cosmic_ray.testing import run_tests
-from cosmic_ray.work_item import TestOutcome
 from coverage import CoverageData
 
 from deep_contact.reporting import results
 from deep_contact.reporting.figures import progress_bar
 
 ROOT = Path(__file__).resolve().parent.parent
-FOLDERS = ("physics", "sph")
-TESTS = "tests/physics tests/sph tests/test_state.py tests/test_warm_start.py"
-COVERAGE = " ".join(f"--cov=deep_contact/{folder}" for folder in FOLDERS) + " --cov-context=test --cov-report="
-TEST_S, TESTS_S, COMPILED_S = 10.0, 40.0, 900.0
-"""Limits without the compiler, of one test and of all tests of a mutant; limit of the compiled tests of a mutant."""
+TESTS = "tests/physics tests/sph tests/test_state.py tests/test_warm_start.py --durations 0 -vvv"
+COVERAGE = "--timeout 10 --cov=deep_contact --cov-context=test --cov-report="
+QUICK, INTERPRETED_S, COMPILED_S = 60, 180, 900
+"""How many tests run without the compiler; seconds that they may take, and that the compiled tests may take."""
 SKIPPED = re.compile(r"Decorator|Exception|Variable|BitOr_|_(.Shift|Bit\w+|Is|IsNot)$")
 """Operators that change nothing (`njit` removed), need arguments, or that any test finds (`<<` between floats)."""
+OPERATORS = {name: get_operator(name)() for name in operator_names() if not SKIPPED.search(name)}
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
-SWAPS = {"min": "max", "max": "min", "minimum": "maximum", "maximum": "minimum", "floor": "ceil", "ceil": "floor"}
 
 
-class SwapCall(Operator):
-    """`min` for `max` and the like, which Cosmic Ray does not have."""
-
-    examples = None
-
-    def mutation_positions(self, node):
-        if node.type == "name" and node.value in SWAPS and node.get_next_leaf().value == "(":
-            yield node.start_pos, node.end_pos
-
-    def mutate(self, node, index):
-        node.value = SWAPS[node.value]
-        return node
-
-
-OPERATORS = {name: get_operator(name)() for name in operator_names() if not SKIPPED.search(name)} | {"swap": SwapCall()}
-
-
-def draw(count: int, seed: int) -> list[dict]:
-    """`count` mutants, in random order."""
+def draw(count: int, seed: int) -> dict[str, dict]:
+    """`count` mutants, in random order, by a name without line numbers, which change with every edit."""
     rng, places = random.Random(seed), defaultdict(lambda: defaultdict(list))
-    for file in sorted(file for folder in FOLDERS for file in (ROOT / "deep_contact" / folder).rglob("*.py")):
-        nodes = list(ast_nodes(get_ast(file.read_text(encoding="utf-8"))))
+    for path in sorted(path for name in ("physics", "sph") for path in (ROOT / "deep_contact" / name).rglob("*.py")):
+        nodes = list(ast_nodes(get_ast(path.read_text(encoding="utf-8"))))
         for name, operator in OPERATORS.items():
             found = ((node, start) for node in nodes for start, _ in operator.mutation_positions(node))
             for occurrence, (node, start) in enumerate(found):
                 around = node.search_ancestor("funcdef", "raise_stmt", "param", "annassign")
                 if around is not None and around.type == "funcdef":
-                    places[file][start].append((name, occurrence, around.name.value))
+                    places[path][start].append((name, occurrence, around.name.value))
     total, drawn = sum(map(len, places.values())), []
-    for file, of_file in places.items():
-        source = file.read_text(encoding="utf-8")
-        for line, column in rng.sample(sorted(of_file), min(len(of_file), 1 + count * len(of_file) // total)):
-            operator, occurrence, function = rng.choice(of_file[line, column])
+    for path, of_file in places.items():
+        source = path.read_text(encoding="utf-8")
+        for start in rng.sample(sorted(of_file), min(len(of_file), 1 + count * len(of_file) // total)):
+            operator, occurrence, function = rng.choice(of_file[start])
             changed = mutate_code(source, OPERATORS[operator], occurrence)
-            old, new = (text.splitlines()[line - 1].strip() for text in (source, changed))
-            place = {"file": str(file.relative_to(ROOT)), "line": line, "function": function, "operator": operator}
-            drawn.append({**place, "occurrence": occurrence, "old": old, "new": new})
-    return rng.sample(drawn, min(count, len(drawn)))
+            old, new = (text.splitlines()[start[0] - 1].strip() for text in (source, changed))
+            mutant = {"file": str(path.relative_to(ROOT)), "line": start[0], "operator": operator}
+            mutant |= {"occurrence": occurrence, "old": old, "new": new}
+            drawn.append((f"{mutant['file']}, {function}: {old} -> {new}", mutant))
+    return dict(rng.sample(drawn, min(count, len(drawn))))
 
 
-def run_pytest(folder: Path, arguments: str, limit: float, *, compiled: bool) -> tuple[TestOutcome, str]:
-    """Run tests in a copy. With CI set, Hypothesis tries the same examples every time."""
+def run_pytest(folder: Path, arguments: str, limit: float, *, compiled: bool) -> tuple[str, str]:
+    """Run tests in a copy; "killed" or "survived", and the output. With CI set, Hypothesis has fixed examples."""
     pytest = f"{sys.executable} -m pytest -p no:cacheprovider --tb=no -rfE {arguments}"
     environment = f"PYTHONPATH={folder} OMP_NUM_THREADS=1 CI=1 NUMBA_DISABLE_JIT={int(not compiled)}"
     return run_tests(f'sh -c "cd {folder} && {environment} exec {pytest}"', limit)
 
 
 def tests_of_lines(folder: Path) -> dict[tuple[str, int], list[str]]:
-    """(File, line) -> tests that execute it without the compiler and pass; the quickest first, as many as fit."""
-    output = run_pytest(folder, f"{TESTS} --timeout {TEST_S} {COVERAGE} --durations 0 -vvv", 7200, compiled=False)[1]
+    """(File, line) -> the quickest tests that execute it, among those that pass without the compiler."""
+    _, output = run_pytest(folder, f"{TESTS} {COVERAGE}", 7200, compiled=False)
     seconds = {test: float(time) for time, test in re.findall(r"^([\d.]+)s call +(.+)$", output, re.MULTILINE)}
-    for test in FAILED.findall(output):
-        seconds.pop(test, None)
-    data, tests = CoverageData(str(folder / ".coverage")), {}
+    passed, data, tests = seconds.keys() - FAILED.findall(output), CoverageData(str(folder / ".coverage")), {}
     data.read()
-    for file in data.measured_files():
-        for line, contexts in data.contexts_by_lineno(file).items():
-            names = sorted({name.removesuffix("|run") for name in contexts} & seconds.keys(), key=seconds.get)
-            fitting = bisect(list(accumulate(map(seconds.get, names))), TESTS_S)
-            tests[str(Path(file).relative_to(folder)), line] = names[:fitting]
+    for path in data.measured_files():
+        for line, contexts in data.contexts_by_lineno(path).items():
+            found = passed & {name.removesuffix("|run") for name in contexts}
+            tests[str(Path(path).relative_to(folder)), line] = sorted(found, key=seconds.get)[:QUICK]
     return tests
 
 
 def try_mutant(mutant: dict, folder: Path, tests: list[str]) -> dict:
     """Run the tests of a mutant in a copy. Returns its entry in the record."""
     source, begin = (ROOT / mutant["file"]).read_text(encoding="utf-8"), perf_counter()
-    path, output = folder / mutant["file"], ""
+    path, outcome, output = folder / mutant["file"], "survived", ""
     path.write_text(mutate_code(source, OPERATORS[mutant["operator"]], mutant["occurrence"]), encoding="utf-8")
-    (folder / "tests.txt").write_text("\n".join(tests))
-    outcome = TestOutcome.SURVIVED
     if tests:
-        outcome, output = run_pytest(folder, "-x @tests.txt", 60 + 3 * TESTS_S, compiled=False)
-    if compiled := outcome == TestOutcome.SURVIVED:
-        outcome, output = run_pytest(folder, f"-x tests/{path.parts[-2]}", COMPILED_S, compiled=True)
+        (folder / "tests.txt").write_text("\n".join(tests))
+        outcome, output = run_pytest(folder, "-x @tests.txt", INTERPRETED_S, compiled=False)
+    if compiled := outcome == "survived":
+        of_folder = f"tests/{Path(mutant['file']).parts[1]}"
+        outcome, output = run_pytest(folder, f"-x {of_folder}", COMPILED_S, compiled=True)
     path.write_text(source, encoding="utf-8")
-    failed = FAILED.search(output)
-    by = failed[1] if failed else None if outcome == TestOutcome.SURVIVED else output[-200:]
-    return {**mutant, "outcome": outcome.value, "by": by, "compiled": compiled, "seconds": perf_counter() - begin}
-
-
-def identity(mutant: dict) -> tuple[str, ...]:
-    """What makes a mutant the same in another run, whatever its line number."""
-    return tuple(mutant[name] for name in ("file", "function", "old", "new"))
+    by = None if outcome == "survived" else (FAILED.findall(output) or [output[-200:]])[0]
+    found = {"outcome": outcome, "by": by, "compiled": compiled, "seconds": round(perf_counter() - begin, 1)}
+    return {**mutant, **found, "explained": None}
 
 
 def main() -> None:
@@ -139,33 +110,31 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=ROOT / "data" / "reference" / "mutants.json")
-    parser.add_argument("--again", action="store_true", help="try survivors again that have no explanation")
     given = parser.parse_args()
-    mutants = {identity(mutant): mutant for mutant in draw(given.mutants, given.seed)}
-    stored = json.loads(given.out.read_text())["mutants"] if given.out.exists() else []
-    done = {key: entry | mutants[key] for entry in stored if (key := identity(entry)) in mutants
-            and not (given.again and entry["outcome"] == "survived" and not entry["explained"])}  # fmt: skip
-    folders, waiting = SimpleQueue(), [mutant for key, mutant in mutants.items() if key not in done]
+    mutants, folders = draw(given.mutants, given.seed), SimpleQueue()
+    stored = json.loads(given.out.read_text())["mutants"] if given.out.exists() else {}
+    kept = {name for name, found in stored.items() if found["outcome"] == "killed" or found["explained"]}
+    done = {name: stored[name] | mutants[name] for name in mutants if name in kept}
     with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor(given.jobs) as pool:
         for job in range(given.jobs):
             folder = Path(temporary) / str(job)
-            for name in ("deep_contact", "tests", "scripts"):
-                shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+            for part in ("deep_contact", "tests", "scripts"):
+                shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
             shutil.copy(ROOT / "setup.cfg", folder)
             folders.put(folder)
         tests = tests_of_lines(folder)
 
-        def in_free_folder(mutant: dict) -> dict:
-            folder = folders.get()
+        def in_free_folder(name: str) -> tuple[str, dict]:
+            folder, mutant = folders.get(), mutants[name]
             entry = try_mutant(mutant, folder, tests.get((mutant["file"], mutant["line"]), []))
             folders.put(folder)
-            return entry | {"explained": None}
+            return name, entry
 
-        for entry in progress_bar(pool.map(in_free_folder, waiting), total=len(waiting), text="mutants"):
-            done[identity(entry)] = entry
+        waiting = [name for name in mutants if name not in done]
+        for name, entry in progress_bar(pool.map(in_free_folder, waiting), total=len(waiting), text="mutants"):
+            done[name] = entry
             counts = Counter(found["outcome"] for found in done.values())
-            record = {"seed": given.seed, "provenance": results.provenance(seed=given.seed), "tried": len(done),
-                      **counts, "mutants": list(done.values())}  # fmt: skip
+            record = {"tried": len(done), **counts, "provenance": results.provenance(seed=given.seed), "mutants": done}
             with results.replacing(given.out) as path:
                 path.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
