@@ -1,7 +1,7 @@
 """How accurate, and the fastest way there: `recommend`, and the presets of `simulate(accuracy=…)`.
 
 Nothing is typed in here. The settings are read from what `scripts/tradeoff.py --install` measured: velocity errors of
-single steps (`physics.errors.nearest_velocity_error`) on falling, settling and resting piles of equal circles.
+single steps (`physics.metrics.nearest_velocity_error`) on falling, settling and resting piles of equal circles.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def recommend(scene: State, *, velocity_error: float = 1e-2, table: Mapping | No
     """The fastest setting that was measured to keep the velocity error of a step within the one asked for.
 
     scene: a `State`; its number of circles picks the piles of the study nearest in size (by ratio), and its mean mass,
-    gravity and Δt scale the tolerance. velocity_error: relative, see `physics.errors.nearest_velocity_error`; it holds
+    gravity and Δt scale the tolerance. velocity_error: relative, see `physics.metrics.nearest_velocity_error`; it holds
     for 95 % of the states of each kind of pile, divided by the study's margin, where it has one: that with which it
     was met in 95 % of the states of other scenes too (`scripts/tradeoff.py --verify --install`).
     table: results of `scripts/tradeoff.py`; by default the ones in the package.
