@@ -1,16 +1,16 @@
 """The same scene in other engines: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
 
-Tests take them as oracles, benchmarks as rivals; nothing else in the package needs them. All three adapters
-have `step(dt, sweeps, position_sweeps)`, `bodies()` and `contact_count()`, and are built from a
-`deep_contact.state.State`: its circles with equal masses, its box, gravity, friction and restitution.
-Sleeping and continuous collision are off, warm starting is on. The contacts of the state are not handed
-over: a fresh world starts its first step from zero.
+Tests use them as oracles, benchmarks for comparison; nothing else in the package needs them. All three adapters have
+`step(dt, sweeps, position_sweeps)`, `bodies()` and `contact_count()`, and are built from a `deep_contact.state.State`:
+its circles with equal masses, its box, gravity, friction and restitution. Sleeping and continuous collision are off,
+warm starting is on. The contacts of the state are not passed on: a fresh world starts its first step from zero.
 """
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import math
+from collections.abc import Iterator
 from types import ModuleType
 from typing import NamedTuple
 
@@ -25,56 +25,83 @@ SPECULATIVE_DISTANCE = 4 * constants.LINEAR_SLOP
 
 
 class RecordedStep(NamedTuple):
-    """One step of Box2D 2.3, taken down.
+    """A recorded step of Box2D 2.3.
 
-    state: `State` with the bodies before the step (before gravity too), the contacts found there, the
-    impulses the step started from and those it solved; `solved` is True. order: (m,) indices into
-    `state.contacts`, which are sorted by bodies as ours always are; `order[k]` is the contact that Box2D
-    sweeps as its k-th.
+    state: `State` with the bodies before the step (before gravity too), the contacts found there, and the impulses that
+    the step started from and solved; `solved` is True. order: (m,) indices into `state.contacts`, which are sorted
+    as ours always are; Box2D sweeps contact `order[k]` as its k-th.
     """
 
     state: State
     order: np.ndarray
 
 
-class Box2D23:
+class _Peer:
+    """What the adapters share. A subclass builds its world and lists its bodies in `_bodies`, in our order.
+
+    name: of the engine. package: of its Python module and distribution. counts_next_step: whether `contact_count` is
+    that of the next step rather than of the last one.
+    """
+
+    name: str
+    package: str
+    counts_next_step = False
+    _fields: tuple[str, ...]
+    """The engine's names of position, velocity, angle, angular velocity and mass of a body."""
+
+    def __init__(self, state: State):
+        try:
+            self._library = importlib.import_module(self.package)
+        except ImportError as error:
+            message = f"{self.package} is not installed; it comes with `pip install deep-contact[peers]`"
+            raise ImportError(message) from error
+        self._state = check_state(state)
+
+    def _circles(self) -> Iterator[tuple]:
+        """Body by body: position, velocity, angle, spin, mass, radius as Python floats."""
+        bodies = self._state.bodies
+        vectors = (map(tuple, values.tolist()) for values in (bodies.position, bodies.velocity))
+        return zip(*vectors, *(values.tolist() for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius)))
+
+    def bodies(self) -> Bodies:
+        """The bodies now. The masses are the engine's (float32 in Box2D), the radii ours."""
+        columns = [[getattr(body, name) for body in self._bodies] for name in self._fields]
+        position, velocity = (np.array([tuple(xy) for xy in column]).reshape(-1, 2) for column in columns[:2])
+        angle, spin, mass = map(np.array, columns[2:])
+        return self._checked(position, velocity, angle, spin, mass)
+
+    def _checked(self, position, velocity, angle, spin, mass) -> Bodies:
+        return check_bodies(Bodies(position, velocity, angle, spin, mass, self._state.bodies.radius))
+
+
+class Box2D23(_Peer):
     """Box2D 2.3 through `pybox2d` 2.3.10, the engine of the thesis.
 
     The box is one loop shape, as in the thesis; its edges have a skin of 0.01 m. Raises ImportError where
     Box2D is not installed, ValueError for a bad state.
     """
 
-    name = "Box2D 2.3"
-    counts_next_step = False
+    name, package = "Box2D 2.3", "Box2D"
+    _fields = ("position", "linearVelocity", "angle", "angularVelocity", "mass")
 
     def __init__(self, state: State):
-        b2 = self._b2 = _import("Box2D", "Box2D")
-        state = self._state = check_state(state)
+        super().__init__(state)
+        b2, world = self._library, self._state.world
         self._steps, self._last_dt = 0, 0.0
-        self.world = b2.b2World(gravity=state.world.gravity, doSleep=False)
+        self.world = b2.b2World(gravity=world.gravity, doSleep=False)
         self.world.continuousPhysics = False
         self.world.warmStarting = True
-        material = {"friction": state.world.friction, "restitution": state.world.restitution}
-        walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=_corners(state.world)), **material)
-        # Which wall it is comes from the child edge, which counts as ours do: bottom, right, top, left.
+        material = {"friction": world.friction, "restitution": world.restitution}
+        walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=_corners(world)), **material)
+        # The child edge of a contact says which wall it is. They count as ours: bottom, right, top, left.
         self.world.CreateStaticBody(fixtures=walls).fixtures[0].userData = -1
-        self._bodies = [self._circle(i, material) for i in range(state.bodies.count)]
-
-    def _circle(self, i: int, material: dict):
-        bodies = self._state.bodies
-        radius = float(bodies.radius[i])
-        body = self.world.CreateDynamicBody(
-            position=tuple(bodies.position[i].tolist()),
-            linearVelocity=tuple(bodies.velocity[i].tolist()),
-            angle=float(bodies.angle[i]),
-            angularVelocity=float(bodies.spin[i]),
-            allowSleep=False,
-        )
-        fixture = body.CreateCircleFixture(
-            radius=radius, density=float(bodies.mass[i]) / (math.pi * radius**2), **material
-        )
-        fixture.userData = i
-        return body
+        self._bodies = []
+        for i, (position, velocity, angle, spin, mass, radius) in enumerate(self._circles()):
+            body = self.world.CreateDynamicBody(
+                position=position, linearVelocity=velocity, angle=angle, angularVelocity=spin, allowSleep=False
+            )
+            body.CreateCircleFixture(radius=radius, density=mass / (math.pi * radius**2), **material).userData = i
+            self._bodies.append(body)
 
     def step(self, dt: float, sweeps: int, position_sweeps: int) -> None:
         """One step: `sweeps` velocity iterations, at most `position_sweeps` position iterations."""
@@ -82,32 +109,18 @@ class Box2D23:
         self._steps += 1
         self._last_dt = dt
 
-    def bodies(self) -> Bodies:
-        """The bodies now, masses as Box2D has them (float32 in all but the radius)."""
-        return check_bodies(
-            Bodies(
-                position=np.array([tuple(b.position) for b in self._bodies]).reshape(-1, 2),
-                velocity=np.array([tuple(b.linearVelocity) for b in self._bodies]).reshape(-1, 2),
-                angle=np.array([b.angle for b in self._bodies]),
-                spin=np.array([b.angularVelocity for b in self._bodies]),
-                mass=np.array([b.mass for b in self._bodies]),
-                radius=self._state.bodies.radius,
-            )
-        )
-
     def contact_count(self) -> int:
         """Touching contacts in the last step."""
         return sum(contact.touching for contact in self.world.contacts_gen)
 
     def record_step(self, dt: float, sweeps: int, position_sweeps: int) -> RecordedStep:
-        """`step`, taken down by a contact listener: starts, solved impulses and the solver's order.
+        """`step`, recorded by a contact listener: starting impulses, solved impulses and the solver's order.
 
         Box2D integrates gravity first, then applies the starting impulses, then sweeps, friction row before
         normal row. Raises RuntimeError if the listener misses a contact.
         """
-        listener = _recorder(self._b2, self._state.bodies.count)
-        before = self.bodies()
-        step, time, last_dt = self._steps, self._state.time, self._last_dt
+        listener = _recorder(self._library, self._state.bodies.count)
+        before, step, last_dt = self.bodies(), self._steps, self._last_dt
         self.world.contactListener = listener
         try:
             self.step(dt, sweeps, position_sweeps)
@@ -115,14 +128,13 @@ class Box2D23:
             self.world.contactListener = None
         if listener.found.keys() != listener.solved.keys() or len(listener.order) != len(listener.found):
             raise RuntimeError(f"Box2D found {len(listener.found)} contacts and solved {len(listener.order)}")
-        # Box2D scales the impulses of the last step by the ratio of the time steps before it starts from
-        # them.
+        # Box2D scales the impulses of the last step by the ratio of the time steps before it starts from them.
         ratio = dt / last_dt if last_dt else 0.0
         contacts, order = _sorted_contacts(before, self._state.world, listener, ratio)
         state = self._state.replace(
             bodies=before,
             contacts=contacts,
-            time=time + dt * step,
+            time=self._state.time + dt * step,
             step=self._state.step + step,
             dt=dt,
             solver=PGS(sweeps=sweeps, tolerance=None, position_sweeps=position_sweeps),
@@ -131,63 +143,47 @@ class Box2D23:
         return RecordedStep(check_state(state), order)
 
 
-class Pymunk:
+class Pymunk(_Peer):
     """Chipmunk 2D through `pymunk`.
 
     One iteration sweeps normal and friction rows once and corrects positions by pseudo-velocities in the
-    same pass, so `sweeps` is its `iterations` and `position_sweeps` has no counterpart and is ignored. Slop
-    and walls are set as ours are, and the positional bias to 20 % of the penetration a step. Chipmunk
-    multiplies friction and restitution of the two shapes (where Box2D takes root and maximum), so each
-    shape is given the root. Two differences remain: restitution is felt at any approach speed, and
-    positions are integrated before contacts are looked for.
+    same pass, so `sweeps` is its `iterations`, and `position_sweeps` is ignored. Slop and walls are set as ours are,
+    and the positional bias to 20 % of the penetration a step. Chipmunk multiplies friction and restitution of the two
+    shapes (where Box2D takes root and maximum), so each shape is given the root. Two differences remain: restitution
+    acts at any approach speed, and positions are integrated before contacts are looked for.
 
     Raises ImportError where pymunk is not installed, ValueError for a bad state.
     """
 
-    name = "pymunk"
-    counts_next_step = False
+    name = package = "pymunk"
+    _fields = ("position", "velocity", "angle", "angular_velocity", "mass")
 
     def __init__(self, state: State):
-        pymunk = _import("pymunk", "pymunk")
-        self._state = state = check_state(state)
+        super().__init__(state)
+        pymunk, world = self._library, self._state.world
         self.space = pymunk.Space()
-        self.space.gravity = state.world.gravity
+        self.space.gravity = world.gravity
         self.space.collision_slop = constants.LINEAR_SLOP
         # Bias is the share of the penetration that is left after one second.
-        self.space.collision_bias = (1 - constants.BAUMGARTE) ** (1 / state.dt)
-        friction, elasticity = math.sqrt(state.world.friction), math.sqrt(state.world.restitution)
-        corners = _corners(state.world)
-        for k in range(4):
-            ends = corners[k], corners[(k + 1) % 4]
-            wall = pymunk.Segment(self.space.static_body, *ends, constants.WALL_SKIN)
-            wall.friction, wall.elasticity = friction, elasticity
-            self.space.add(wall)
+        self.space.collision_bias = (1 - constants.BAUMGARTE) ** (1 / self._state.dt)
+        self._material = math.sqrt(world.friction), math.sqrt(world.restitution)
+        for ends in _edges(world):
+            self._add(pymunk.Segment(self.space.static_body, *ends, constants.WALL_SKIN))
         self._bodies = []
-        for position, velocity, angle, spin, mass, radius in _rows(state.bodies):
+        for position, velocity, angle, spin, mass, radius in self._circles():
             body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, radius))
             body.position, body.velocity, body.angle, body.angular_velocity = position, velocity, angle, spin
-            circle = pymunk.Circle(body, radius)
-            circle.friction, circle.elasticity = friction, elasticity
-            self.space.add(body, circle)
+            self._add(pymunk.Circle(body, radius), body)
             self._bodies.append(body)
+
+    def _add(self, shape, *body) -> None:
+        shape.friction, shape.elasticity = self._material
+        self.space.add(*body, shape)
 
     def step(self, dt: float, sweeps: int, position_sweeps: int = 0) -> None:
         """One step of `sweeps` iterations."""
         self.space.iterations = sweeps
         self.space.step(dt)
-
-    def bodies(self) -> Bodies:
-        """The bodies now (float64)."""
-        return check_bodies(
-            Bodies(
-                position=np.array([tuple(b.position) for b in self._bodies]).reshape(-1, 2),
-                velocity=np.array([tuple(b.velocity) for b in self._bodies]).reshape(-1, 2),
-                angle=np.array([b.angle for b in self._bodies]),
-                spin=np.array([b.angular_velocity for b in self._bodies]),
-                mass=np.array([b.mass for b in self._bodies]),
-                radius=self._state.bodies.radius,
-            )
-        )
 
     def contact_count(self) -> int:
         """Arbiters of the last step. (Circles touch anything in one point at most.)"""
@@ -203,36 +199,33 @@ class Pymunk:
         return ends[0] // 2 + ends[1]
 
 
-class Box2D3:
+class Box2D3(_Peer):
     """Box2D v3 through `pyb2d3`, single-threaded.
 
     Its Soft Step solver has no velocity sweeps. A step is divided into substeps, and each substep goes over
     all contacts twice: once with soft position bias ("solve") and once without ("relax"), with an
     integration of positions in between. `sweeps` is the number of substeps here, so its "sweep" is such a
-    pair; contacts are looked for once a step. `position_sweeps` has no counterpart and is ignored. Walls
-    are capsules of the skin's radius, because v3's segments have none. It makes contacts ahead of touch,
-    from `SPECULATIVE_DISTANCE` on.
+    pair; contacts are looked for once a step. `position_sweeps` is ignored. Walls are capsules of the skin's radius,
+    because v3's segments have none. It makes contacts ahead of touch, from `SPECULATIVE_DISTANCE` on.
 
     Raises ImportError where pyb2d3 is not installed, ValueError for a bad state.
     """
 
-    name = "Box2D v3"
+    name, package = "Box2D v3", "pyb2d3"
     counts_next_step = True
 
     def __init__(self, state: State):
-        b3 = _import("pyb2d3", "pyb2d3")
-        self._state = state = check_state(state)
-        self.world = b3.World(gravity=state.world.gravity)
+        super().__init__(state)
+        b3, world = self._library, self._state.world
+        self.world = b3.World(gravity=world.gravity)
         self.world.sleeping_enabled = False
         self.world.continuous_enabled = False
-        material = b3.surface_material(friction=state.world.friction, restitution=state.world.restitution)
+        material = b3.surface_material(friction=world.friction, restitution=world.restitution)
         ground = self.world.create_static_body()
-        corners = _corners(state.world)
-        for k in range(4):
-            wall = b3.capsule(corners[k], corners[(k + 1) % 4], constants.WALL_SKIN)
-            ground.create_shape(b3.shape_def(material=material), wall)
+        for ends in _edges(world):
+            ground.create_shape(b3.shape_def(material=material), b3.capsule(*ends, constants.WALL_SKIN))
         self._bodies, self._batch = [], b3.Bodies()
-        for position, velocity, angle, spin, mass, radius in _rows(state.bodies):
+        for position, velocity, angle, spin, mass, radius in self._circles():
             body = self.world.create_dynamic_body(
                 position=position,
                 linear_velocity=velocity,
@@ -251,17 +244,11 @@ class Box2D3:
 
     def bodies(self) -> Bodies:
         """The bodies now, masses as Box2D has them (float32 in all but the radius). Angles lie in (-π, π]."""
-        cosine, sine = self._batch.get_rotations().astype(np.float64).T
-        return check_bodies(
-            Bodies(
-                position=self._batch.get_positions(),
-                velocity=self._batch.get_linear_velocities(),
-                angle=np.arctan2(sine, cosine),
-                spin=self._batch.get_angular_velocities(),
-                mass=np.array([b.mass for b in self._bodies]),
-                radius=self._state.bodies.radius,
-            )
-        )
+        batch = self._batch
+        cosine, sine = batch.get_rotations().astype(np.float64).T
+        velocity, spin = batch.get_linear_velocities(), batch.get_angular_velocities()
+        mass = np.array([body.mass for body in self._bodies])
+        return self._checked(batch.get_positions(), velocity, np.arctan2(sine, cosine), spin, mass)
 
     def contact_count(self) -> int:
         """Contacts that the next step will solve, found from the positions.
@@ -272,12 +259,13 @@ class Box2D3:
         return _pairs_within(self._batch.get_positions(), self._state.bodies.radius, self._state.world)
 
 
-def _import(module: str, package: str) -> ModuleType:
-    try:
-        return importlib.import_module(module)
-    except ImportError as error:
-        message = f"{package} is not installed; it comes with `pip install deep-contact[peers]`"
-        raise ImportError(message) from error
+ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
+"""Name -> adapter."""
+
+
+def installed() -> list[str]:
+    """Names of the engines whose packages are installed."""
+    return [name for name, adapter in ENGINES.items() if importlib.util.find_spec(adapter.package)]
 
 
 def _corners(world: World) -> list[tuple[float, float]]:
@@ -286,23 +274,17 @@ def _corners(world: World) -> list[tuple[float, float]]:
     return [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
 
 
-def _rows(bodies: Bodies):
-    """Body by body: position, velocity, angle, spin, mass, radius as Python floats."""
-    return zip(
-        map(tuple, bodies.position.tolist()),
-        map(tuple, bodies.velocity.tolist()),
-        bodies.angle.tolist(),
-        bodies.spin.tolist(),
-        bodies.mass.tolist(),
-        bodies.radius.tolist(),
-    )
+def _edges(world: World) -> list[tuple]:
+    """The two ends of each wall, in the order of `_corners`."""
+    corners = _corners(world)
+    return list(zip(corners, corners[1:] + corners[:1]))
 
 
 def _recorder(b2: ModuleType, n: int):
-    """A contact listener that keeps what a step starts from and what it solves, in our convention.
+    """A contact listener that keeps the starting and the solved impulses of a step, in our convention.
 
     found: (body_a, body_b) -> (x, y, n_x, n_y, starting λ_n, starting λ_t). solved: (body_a, body_b) ->
-    (λ_n, λ_t). order: the pairs as the solver had them.
+    (λ_n, λ_t). order: the pairs in the solver's order.
     """
 
     class Recorder(b2.b2ContactListener):
@@ -311,8 +293,8 @@ def _recorder(b2: ModuleType, n: int):
             self.found, self.solved, self.order = {}, {}, []
 
         def PreSolve(self, contact, old_manifold):
-            # The normal must be read here: by PostSolve the bodies have moved. Both manifolds are bound to
-            # a name first, because pybox2d lets go of the object that the fields belong to otherwise.
+            # The normal must be read here: by PostSolve the bodies have moved. Both manifolds are bound to a name
+            # first, because pybox2d otherwise frees the object that the fields belong to.
             pair, sign = _pair(contact, n)
             world_manifold = contact.worldManifold
             x, y = world_manifold.points[0]
@@ -320,14 +302,7 @@ def _recorder(b2: ModuleType, n: int):
             manifold = contact.manifold
             point = manifold.points[0]
             # λ_t keeps its sign when the bodies change roles: tangent and relative velocity flip together.
-            self.found[pair] = (
-                x,
-                y,
-                sign * normal_x,
-                sign * normal_y,
-                point.normalImpulse,
-                point.tangentImpulse,
-            )
+            self.found[pair] = (x, y, sign * normal_x, sign * normal_y, point.normalImpulse, point.tangentImpulse)
 
         def PostSolve(self, contact, impulse):
             pair, _ = _pair(contact, n)
