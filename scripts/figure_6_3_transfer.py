@@ -1,4 +1,6 @@
-"""python scripts/figure_6_3_transfer.py: what the way through the grid loses, by kernel, d, h and radii."""
+"""python scripts/figure_6_3_transfer.py: loss of the transfer to the grid and back, by kernel, d, h and radii."""
+
+from itertools import product
 
 import numpy as np
 
@@ -28,35 +30,34 @@ WAYS = {
 }
 
 
+RADII = {"equal": (1.0, 1.0), "mixed": (0.5, 2.0)}
+
+
 def compute(options, seed, jobs, progress):
     """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii."""
     isolated = comparison.isolated_contacts(options["isolated"], seed=seed)
     piles = {name: pile(options, radius, seed) for name, radius in RADII.items()}
+
+    def loss(states, method="bilinear", **start):
+        return comparison.transfer_loss(states, Sph(**start), method=method)["relative error"]
+
     rows = []
     for kernel in progress(options["kernels"], text="kernels"):
-        for d in options["spacings"]:
-            for h in options["supports"]:
-                losses = {"kernel": kernel, "d": d, "h": h}
-                for name, (transfer, method) in WAYS.items():
-                    start = Sph(spacing=d, support=h, kernel=kernel, transfer=transfer)
-                    for what, states in (("isolated", isolated), ("pile", piles["equal"])):
-                        loss = comparison.transfer_loss(states, start, method=method)
-                        losses[f"{what}, {name}"] = loss["relative error"]
-                rows.append(losses)
+        for d, h in product(options["spacings"], options["supports"]):
+            losses = {"kernel": kernel, "d": d, "h": h}
+            for name, (transfer, method) in WAYS.items():
+                start = {"spacing": d, "support": h, "kernel": kernel, "transfer": transfer}
+                for what, states in (("isolated", isolated), ("pile", piles["equal"])):
+                    losses[f"{what}, {name}"] = loss(states, method, **start)
+            rows.append(losses)
     by_spacing = {
         radii: {
-            transfer: [
-                comparison.transfer_loss(states, Sph(spacing=d, transfer=transfer))["relative error"]
-                for d in options["charted"]
-            ]
+            transfer: [loss(states, spacing=d, transfer=transfer) for d in options["charted"]]
             for transfer in ("thesis", "consistent")
         }
         for radii, states in piles.items()
     }
     return {"rows": rows, "charted": options["charted"], "by spacing": by_spacing, "sibling": SIBLING}
-
-
-RADII = {"equal": (1.0, 1.0), "mixed": (0.5, 2.0)}
 
 
 def pile(options, radius, seed):
@@ -67,7 +68,7 @@ def pile(options, radius, seed):
 
 
 def claims(data):
-    """What the way through the grid loses, that it is the transfer and not SPH that does, and how exact ours is."""
+    """How much the transfer loses, which part of it does, and how exact the consistent transfer is."""
     rows = {(row["kernel"], row["d"], row["h"]): row for row in data["rows"]}
     chosen = rows[("poly6", 0.5, 0.5)]
     by_h = {f"h = {h:g} m": rows[("poly6", 0.25, h)]["pile, thesis"] for h in (0.125, 0.25, 0.5)}
@@ -141,16 +142,12 @@ def draw(data, options):
     plotting.label_axes(left, "h", "relative error of λ", x_unit="m", title="a) pile of equal circles, poly6")
     for radii, marker in (("equal", "o"), ("mixed", "s")):
         for transfer, error in data["by spacing"][radii].items():
-            line = "-" if radii == "equal" else "--"
-            label = f"{transfer}, {radii} radii"
-            right.plot(
-                data["charted"], np.maximum(error, floor), line, color=looks[transfer], marker=marker, label=label
-            )
+            look = {"color": looks[transfer], "marker": marker, "label": f"{transfer}, {radii} radii"}
+            right.plot(data["charted"], np.maximum(error, floor), "-" if radii == "equal" else "--", **look)
     plotting.label_axes(right, "d = h", "relative error of λ", x_unit="m", title="b) radii 1, and 0.5 to 2 mixed")
     for ax in (left, right):
         ax.set_xscale("log", base=2)
-        ax.set_yscale("log")
-        ax.set_ylim(floor / 2, 2)
+        ax.set(yscale="log", ylim=(floor / 2, 2))
         ax.legend(fontsize=7)
         ax.xaxis.set_major_formatter("{x:g}")
     left.text(0.01, 0.01, "errors below 1e-6 are drawn there", transform=left.transAxes, fontsize=7, va="bottom")
