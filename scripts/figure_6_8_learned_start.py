@@ -31,29 +31,15 @@ def claims(data):
     def measured(found):
         return {f"after {data['after'][i]} sweeps": [float(v) for v in found[i]] for i in few}
 
-    return [
-        Claim(
-            "where Builtin is off by more than 5 %, the network leaves at most 0.33 of its error",
-            None,
-            bool(learned[few, 0].max() <= 0.33),
-            measured(learned),
-        ),
-        Claim(
-            "guarded, over all steps, at most 0.6 of Builtin's error",
-            None,
-            bool(guarded[few, 0].max() <= 0.6),
-            measured(guarded),
-        ),
-        Claim(
-            "guarded, in no tenth of the run worse than 1.02 of Builtin", None, bool(worst <= 1.02), {"worst": worst}
-        ),
-        Claim(
-            "guarded mean sweeps to θ < 6e-5 at most 0.7 of Builtin's",
-            None,
-            sweeps["guarded"] <= 0.7 * sweeps["builtin"],
-            {**sweeps, "ratio": sweeps["guarded"] / sweeps["builtin"]},
-        ),
-    ]
+    text = "where Builtin is off by more than 5 %, the network leaves at most 0.33 of its error"
+    found = [Claim(text, None, bool(learned[few, 0].max() <= 0.33), measured(learned))]
+    text = "guarded, over all steps, at most 0.6 of Builtin's error"
+    found.append(Claim(text, None, bool(guarded[few, 0].max() <= 0.6), measured(guarded)))
+    text = "guarded, in no tenth of the run worse than 1.02 of Builtin"
+    found.append(Claim(text, None, bool(worst <= 1.02), {"worst": worst}))
+    text = "guarded mean sweeps to θ < 6e-5 at most 0.7 of Builtin's"
+    ratio = sweeps["guarded"] / sweeps["builtin"]
+    return [*found, Claim(text, None, ratio <= 0.7, {**sweeps, "ratio": ratio})]
 
 
 def table(data):

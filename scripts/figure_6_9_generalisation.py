@@ -31,24 +31,18 @@ def label(kind):
 def claims(data):
     """Whether the guarded start is ever worse than Builtin, and where the network alone is better."""
     few = after_few(data)
-    guarded, alone = {}, {}
-    for kind, scenes in zip(data["kinds"], data["scenes"]):
-        guarded[label(kind)] = [float(v) for v in ratios_to_builtin(scenes, "guarded", "all")[few, 0]]
-        alone[label(kind)] = [float(v) for v in ratios_to_builtin(scenes, "far field", "off")[few, 0]]
-    return [
-        Claim(
-            "guarded, on no kind of scene worse than 1.02 of Builtin after 3, 10 and 30 sweeps",
-            None,
-            max(map(max, guarded.values())) <= 1.02,
-            guarded,
-        ),
-        Claim(
-            "where Builtin is off, the network alone is better than Builtin on every kind of scene",
-            None,
-            max(map(max, alone.values())) < 1.0,
-            alone,
-        ),
-    ]
+
+    def by_kind(name, where):
+        return {
+            label(kind): [float(v) for v in ratios_to_builtin(scenes, name, where)[few, 0]]
+            for kind, scenes in zip(data["kinds"], data["scenes"])
+        }
+
+    guarded, alone = by_kind("guarded", "all"), by_kind("far field", "off")
+    text = "guarded, on no kind of scene worse than 1.02 of Builtin after 3, 10 and 30 sweeps"
+    found = [Claim(text, None, max(map(max, guarded.values())) <= 1.02, guarded)]
+    text = "where Builtin is off, the network alone is better than Builtin on every kind of scene"
+    return [*found, Claim(text, None, max(map(max, alone.values())) < 1.0, alone)]
 
 
 def table(data):

@@ -25,15 +25,11 @@ PLAIN = "width_24"
 
 def compute(options, seed, jobs, progress):
     """Every network's start on the same states of held-out scenes."""
-    starts = {"builtin": "builtin"} | {name: {"model": path_of(options["folder"], name)} for name in NETWORKS}
+    paths = {name: f"{options['folder']}/{name}.h5" for name in NETWORKS}
+    starts = {"builtin": "builtin"} | {name: {"model": path} for name, path in paths.items()}
     scenes = errors_on_scenes(starts, options, seed=seed + 40_000, jobs=jobs, progress=progress)
-    budget = {name: budget_of(path_of(options["folder"], name)) for name in NETWORKS}
+    budget = {name: budget_of(path) for name, path in paths.items()}
     return {"after": options["after"], "scenes": scenes, "budget": budget}
-
-
-def path_of(folder, name):
-    """The file of a network."""
-    return f"{folder}/{name}.h5"
 
 
 def budget_of(path):
@@ -42,12 +38,8 @@ def budget_of(path):
     from deep_contact.cnn.model_file import read_metadata
 
     card = read_metadata(network_file(path))["card"]
-    return {
-        "parameters": card["parameters"],
-        "epochs": len(card["history"]),
-        "states_per_epoch": card["config"]["states_per_epoch"],
-        "command": card["command"],
-    }
+    found = {"parameters": card["parameters"], "epochs": len(card["history"])}
+    return found | {"states_per_epoch": card["config"]["states_per_epoch"], "command": card["command"]}
 
 
 def claims(data):
@@ -55,17 +47,20 @@ def claims(data):
     few = after_few(data)
     found = {name: ratios_to_builtin(data["scenes"], name, "off")[few, 0] for name in NETWORKS}
 
-    def better(text, *others):
-        shown = {name: [float(v) for v in found[name]] for name in (PLAIN, *others)}
-        return Claim(text, None, all(bool((found[PLAIN] < found[name]).all()) for name in others), shown)
-
+    goals = {
+        "with contact rows the network is better than with the thesis's inputs, at 3, 10 and 30 sweeps": ("bodies",),
+        "a correction of Builtin is better than λ from zero": ("no_correction",),
+        "velocities after sweeps are a better loss than λ, or velocities before any": ("impulses", "no_sweep"),
+        "labels are worth their price: the residual alone teaches less": ("residual",),
+    }
     return [
-        better(
-            "with contact rows the network is better than with the thesis's inputs, at 3, 10 and 30 sweeps", "bodies"
-        ),
-        better("a correction of Builtin is better than λ from zero", "no_correction"),
-        better("velocities after sweeps are a better loss than λ, or velocities before any", "impulses", "no_sweep"),
-        better("labels are worth their price: the residual alone teaches less", "residual"),
+        Claim(
+            text,
+            None,
+            all(bool((found[PLAIN] < found[name]).all()) for name in others),
+            {name: [float(v) for v in found[name]] for name in (PLAIN, *others)},
+        )
+        for text, others in goals.items()
     ]
 
 

@@ -21,7 +21,8 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.constants import LINEAR_SLOP, WALL_SKIN
-from deep_contact.physics.engine import contacts_of, solve
+from deep_contact.physics import metrics
+from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.methods import METHODS, PGS, PRECISIONS
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.simulation import ready, simulate
@@ -148,8 +149,7 @@ class _Watch:
         self.lost = ""
 
     def see(self, bodies: Bodies) -> None:
-        found = contacts_of(self.scene.replace(bodies=bodies))
-        self.penetration[self.steps] = max(0.0, -found.separation.min(initial=0.0))
+        self.penetration[self.steps] = metrics.penetration(self.scene.replace(bodies=bodies))
         self.energy = max(self.energy, (mechanical_energy(self.scene, bodies) - self.first) / self.scale)
         self.speed = float(np.hypot(*bodies.velocity.T).max())
         self.lost = self.lost or self._what_is_lost(bodies)
@@ -259,22 +259,6 @@ def mechanical_energy(scene: State, bodies: Bodies) -> float:
     lowest = np.where(gravity < 0, (x_min, y_min), (x_max, y_max))
     height = bodies.position - lowest
     return kinetic_energy(bodies) - float(np.einsum("i,ij,j->", bodies.mass, height, gravity))
-
-
-def solve_gain(state: State, solver, start) -> tuple[float, float]:
-    """Kinetic energy after the velocity sweeps, and after the start alone, less that before both, J.
-
-    Before: with gravity's change of velocity in it. start: (normal, tangent), (m,) each, N·s. Without friction, sweeps
-    can only lower the kinetic energy that the start leaves.
-    """
-    gravity = state.dt * np.asarray(state.world.gravity)
-    free = kinetic_energy(state.bodies._replace(velocity=state.bodies.velocity + gravity))
-
-    def after(options):
-        found = solve(state, options, *start)
-        return kinetic_energy(state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities))
-
-    return after(solver) - free, after(replace(solver, sweeps=0)) - free
 
 
 # ---- the scenes ----
@@ -572,8 +556,7 @@ def stand(scene: State, engine: str, *, solver, seconds: float) -> dict:
                 _run_peer(scene, engine, solver, round(seconds) * per_second), per_second - 1, None, per_second
             )
         for bodies in islice(run, round(seconds)):
-            found = contacts_of(scene.replace(bodies=bodies))
-            depth.append(max(0.0, -found.separation.min(initial=0.0)))
+            depth.append(metrics.penetration(scene.replace(bodies=bodies)))
             speed.append(float(np.hypot(*bodies.velocity.T).max()))
     except ImportError:
         return {"verdict": ABSENT}
@@ -597,9 +580,6 @@ def leaning_silo(n: int, *, lean: float = 0.05) -> State:
     across, reach = lean + 2 * PRESSED, 2.0 - PRESSED
     wall = WALL_SKIN + 1.0 - PRESSED
     order = np.arange(n)
-    position = np.column_stack(
-        [x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order]
-    )
-    return with_bodies(scene, position=position).replace(
-        world=replace(scene.world, box=(x_min, y_min, x_max + lean, y_max))
-    )
+    x, y = x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order
+    scene = with_bodies(scene, position=np.column_stack([x, y]))
+    return scene.replace(world=replace(scene.world, box=(x_min, y_min, x_max + lean, y_max)))
