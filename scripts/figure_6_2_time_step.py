@@ -64,12 +64,7 @@ def draw(data, options):
 FIGURE = Figure(
     id="6.2",
     title="Time step, sweeps and substeps in a pile at rest",
-    options={
-        "results": "data/reference/tradeoff.json",
-        "n_bodies": 1000,
-        "seconds": 2.0,
-        "steps": [0.02, 0.01, 0.005],
-    },
+    options={"results": "data/reference/tradeoff.json", "n_bodies": 1000, "seconds": 2.0, "steps": [0.02, 0.01, 0.005]},
     quick={"results": "", "n_bodies": 60, "seconds": 0.3, "steps": [0.02, 0.01]},
     compute=compute,
     claims=claims,

@@ -62,11 +62,7 @@ def compute(options, seed, jobs, progress):
             data["memory"].append({"engine": name, "n_bodies": n_bodies, "peak": scaling.peak_memory(path, name)})
     data["stages"] = {name: scaling.stages(state, name, repeats=options["repeats"]) for name in PROFILED}
     data["convergence"] = scaling.convergence(
-        options["convergence_bodies"],
-        seed,
-        states=options["states"],
-        sweeps=BUDGETS,
-        past_need=options["past_need"],
+        options["convergence_bodies"], seed, states=options["states"], sweeps=BUDGETS, past_need=options["past_need"]
     )
     return data
 

@@ -24,10 +24,7 @@ NAMES = {
     "islands, heaps": "islands, scattered heaps: relaxations",
     "islands, heaps, time": "islands, scattered heaps: time",
 }
-CONTEXTS = {
-    "islands, one pile": ("the thesis's scene", {}),
-    "islands, heaps": ("scattered heaps", savings.SCATTERED),
-}
+CONTEXTS = {"islands, one pile": ("the thesis's scene", {}), "islands, heaps": ("scattered heaps", savings.SCATTERED)}
 """Saving of islands -> the scenes in words, and their options."""
 
 

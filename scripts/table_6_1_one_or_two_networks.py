@@ -19,11 +19,7 @@ from deep_contact.studies import learned
 
 ONE, DEEPER, EACH = learned.VARIANTS
 
-TITLES = {
-    "normal": "error of λ_n, of ‖λ‖",
-    "tangent": "error of λ_t, of ‖λ‖",
-    "velocity": "velocity error",
-}
+TITLES = {"normal": "error of λ_n, of ‖λ‖", "tangent": "error of λ_t, of ‖λ‖", "velocity": "velocity error"}
 
 
 def compute(options, seed, jobs, progress):
