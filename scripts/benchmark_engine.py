@@ -45,7 +45,7 @@ def measure(kind: str, n_bodies: int, seed: int, *, steps: int, repeats: int) ->
     name = f"{kind}_{n_bodies}_seed_{seed}_dt_{engines.TIME_STEP}_sweeps_{engines.FEW}_rest_{RESTING_SPEED}.npz"
     path = engines.stored_pile(PILES / name, lambda: engines.dropped_pile(kind, n_bodies, seed))
     state = engines.read_pile(path)
-    measured = engines.costs_of_engines(state, steps, repeats)
+    measured = engines.measure(state, engines.ENGINES, steps=steps, repeats=repeats)
     return {
         "n_bodies": n_bodies,
         "kind": kind,

@@ -36,7 +36,7 @@ def compute(options, seed, jobs, progress):
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
     found = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
     cells = [
-        {"quantity": case.quantity, "value": float(case.value), "engine": case.engine, **outcome}
+        {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"], **outcome}
         for case, outcome in zip(cases, found)
     ]
     silos = {}

@@ -11,8 +11,8 @@ positions as well. These two also have contacts of their own, so costs are per c
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -75,24 +75,20 @@ def dropped_pile(kind: str, n_bodies: int, seed: int) -> State:
 
 
 class Ours:
-    """Our engine as users run it, one `simulate` for a block of steps."""
+    """Our engine as users run it, one `simulate` for a block of steps. options: of `solver_of`."""
 
-    name = "ours"
-
-    def __init__(self, state: State):
-        self.state = state
+    def __init__(self, state: State, **options):
+        self.state, self.options = state, options
 
     def run(self, steps: int, sweeps: int, *, count: bool = False) -> int:
         """Do so many steps. Returns the sum of their contacts."""
-        done = simulate(self.state, steps=steps, dt=TIME_STEP, solver=solver_of(sweeps))
+        done = simulate(self.state, steps=steps, dt=TIME_STEP, solver=solver_of(sweeps, **self.options))
         self.state = done.state
         return int(done.contacts.sum())
 
 
 class OursByStep(Ours):
     """Our engine by `step`, which validates the state every time."""
-
-    name = "dc.step"
 
     def run(self, steps: int, sweeps: int, *, count: bool = False) -> int:
         """As `Ours.run`; 0 unless the contacts are to be counted."""
@@ -106,8 +102,8 @@ class OursByStep(Ours):
 class Peer:
     """An adapter of `peers`, with the method of `Ours`."""
 
-    def __init__(self, name: str, state: State):
-        self.world = peers.ENGINES[name](state)
+    def __init__(self, state: State, *, adapter):
+        self.world = adapter(state)
 
     def run(self, steps: int, sweeps: int, *, count: bool = False) -> int:
         """As `Ours.run`; 0 unless the contacts are to be counted."""
@@ -121,18 +117,19 @@ class Peer:
         return contacts
 
 
-ENGINES = {engine.name: engine for engine in (Ours, OursByStep)}
-ENGINES |= {name: functools.partial(Peer, name) for name in peers.ENGINES}
+PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()}
+ENGINES = {"ours": Ours, "dc.step": OursByStep} | PEERS
 """Name -> callable that takes a state and returns an engine that can `run`."""
 
 
-def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
-    """Name of the engine -> its `costs` on the pile. Every repeat starts from the same pile, engines interleaved.
+def measure(state: State, engines: Mapping[str, Callable], *, steps: int, repeats: int) -> dict[str, dict]:
+    """Name of the engine -> its `costs` on a pile, in blocks of so many steps.
 
-    Contacts are counted in a run that is not timed: an engine does the same work every time.
+    Engines are interleaved, and every repeat starts from the same pile. Contacts are counted in a run that is not
+    timed: an engine does the same work every time.
     """
     worlds, contacts, runs, setup = {}, {}, {}, {}
-    for name, engine in ENGINES.items():
+    for name, engine in engines.items():
 
         def restart(name=name, engine=engine):
             worlds[name] = engine(state)
@@ -144,10 +141,8 @@ def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
         for block, sweeps in enumerate(BLOCKS):
             runs[name, block] = lambda name=name, sweeps=sweeps: worlds[name].run(steps, sweeps)
     least = timing.interleaved(runs, repeats=repeats, setup=setup)
-    return {
-        name: costs(np.array([least[name, block] for block in range(len(BLOCKS))]), contacts[name], steps)
-        for name in ENGINES
-    }
+    seconds = {name: np.array([least[name, block] for block in range(len(BLOCKS))]) for name in engines}
+    return {name: costs(seconds[name], contacts[name], steps) for name in engines}
 
 
 def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, float]:
@@ -167,9 +162,5 @@ def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, fl
 
 def ratios(measured: dict[str, dict]) -> dict[str, dict]:
     """Other engine -> its costs as multiples of ours."""
-    ours = measured[Ours.name]
-    return {
-        name: {cost: measured[name][cost] / ours[cost] for cost in ("sweep_ns", "overhead_us", "step_us")}
-        for name in peers.ENGINES
-        if name in measured
-    }
+    names = ("sweep_ns", "overhead_us", "step_us")
+    return {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}

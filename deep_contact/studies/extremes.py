@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from itertools import islice
+from itertools import islice, product
 
 import numpy as np
 
@@ -478,38 +478,31 @@ QUANTITIES: dict[str, Quantity] = {
 """What Figure 6.6 pushes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """One cell of the chart, small enough to send to another process."""
+def cases(names, *, quick: bool, steps: int, engines=ENGINES) -> list[dict]:
+    """The cells of the chart of some quantities, {"quantity", "value", "engine", "steps"} each.
 
-    quantity: str
-    value: float
-    engine: str
-    steps: int
-
-
-def cases(names, *, quick: bool, steps: int, engines=ENGINES) -> list[Case]:
-    """The cases of some quantities. Raises ValueError on an unknown name."""
+    Raises ValueError on an unknown name.
+    """
     found = []
     for name in names:
         if name not in QUANTITIES:
             raise ValueError(f"quantities: expected some of {', '.join(QUANTITIES)}, got {name!r}")
         quantity = QUANTITIES[name]
-        for value in quantity.quick if quick else quantity.values:
-            for engine in engines if quantity.peers else engines[:1]:
-                found.append(Case(quantity=name, value=value, engine=engine, steps=steps))
+        chosen = engines if quantity.peers else engines[:1]
+        for value, engine in product(quantity.quick if quick else quantity.values, chosen):
+            found.append({"quantity": name, "value": value, "engine": engine, "steps": steps})
     return found
 
 
-def run_case(case: Case) -> dict:
+def run_case(case: dict) -> dict:
     """`measure` of a case; a scene that cannot be built is refused."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            trial = QUANTITIES[case.quantity].trial(case.value, case.steps)
+            trial = QUANTITIES[case["quantity"]].trial(case["value"], case["steps"])
     except ValueError as error:
         nothing = dict.fromkeys(("energy", "sweep_gain", "correction", "worst", "settled", "recovered", "speed"))
         return {"verdict": REFUSED, "message": str(error), "finite": True, **nothing}
-    return measure(trial, case.engine)
+    return measure(trial, case["engine"])
 
 
 SOLVERS = (

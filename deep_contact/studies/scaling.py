@@ -1,7 +1,6 @@
 """Cost of a step from ten circles to a hundred thousand: time, its stages, memory, and the limits of the machine.
 
-Times are minima of interleaved runs on the same pile. A step of k sweeps over m contacts is taken to cost
-overhead + cost · k · m (`engines`), whose two unknowns follow from two numbers of sweeps.
+Times are minima of interleaved runs on the same pile; the cost of a step has the two unknowns of `engines`.
 """
 
 from __future__ import annotations
@@ -10,6 +9,7 @@ import math
 import multiprocessing
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -23,9 +23,7 @@ from deep_contact.recommendation import weight_impulse
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import Bodies, State, World, make_bodies
 from deep_contact.studies import engines, timing, tradeoff
-
-FEW, MANY = 10, 40
-"""Numbers of velocity sweeps that the two unknowns follow from."""
+from deep_contact.studies.engines import FEW
 
 OURS = {
     "sequential": {"method": PGS},
@@ -81,34 +79,11 @@ def solver_of(name: str, sweeps: int):
 
 
 def step_costs(state: State, names: Sequence[str], *, steps: int, repeats: int) -> list[dict]:
-    """Rows: of each engine on the pile, contacts, time of a step of `FEW` sweeps, and the two unknowns.
-
-    Ours always start from the same state, others continue: the pile is at rest.
-    """
-    runs, contacts = {}, {}
-    for name in names:
-        if name in OURS:
-            contacts[name] = state.contacts.count
-
-            def run(sweeps, name=name):
-                simulate(state, steps=steps, solver=solver_of(name, sweeps))
-        else:
-            peer = engines.Peer(name, state)
-            peer.run(1, FEW)
-            contacts[name] = peer.world.contact_count()
-
-            def run(sweeps, peer=peer):
-                peer.run(steps, sweeps)
-
-        runs |= {(name, sweeps): lambda run=run, sweeps=sweeps: run(sweeps) for sweeps in (FEW, MANY)}
-    seconds = timing.interleaved(runs, repeats=repeats)
-    found = []
-    for name, m in contacts.items():
-        few, many = (seconds[name, sweeps] / steps for sweeps in (FEW, MANY))
-        slope, overhead = timing.slope_and_overhead((FEW * m, few), (MANY * m, many))
-        row = {"engine": name, "n_bodies": state.bodies.count, "contacts": m, "step_us": 1e6 * few}
-        found.append(row | {"sweep_ns": 1e9 * slope, "overhead_us": 1e6 * overhead})
-    return found
+    """Rows: of each engine on the pile, contacts, time of a step of ten sweeps, and the two unknowns."""
+    ours = {name: partial(engines.Ours, **options) for name, options in OURS.items()}
+    chosen = {name: (ours | engines.PEERS)[name] for name in names}
+    measured = engines.measure(state, chosen, steps=steps, repeats=repeats)
+    return [{"engine": name, "n_bodies": state.bodies.count, **costs} for name, costs in measured.items()]
 
 
 def exponent(rows: Sequence[dict], least: int = 1000) -> float:
