@@ -9,6 +9,7 @@ import sys
 
 import numpy as np
 import pytest
+from box2d_recorder import RecordingBox2D
 
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World, make_bodies
@@ -30,7 +31,7 @@ def engine(request):
 @pytest.fixture
 def box2d():
     pytest.importorskip("Box2D")
-    return peers.Box2D23
+    return RecordingBox2D
 
 
 def scene(position, *, box=(0, 0, 20, 30), gravity=(0, -9.81), friction=0.5, restitution=0.0, **bodies) -> State:
