@@ -29,7 +29,7 @@ CONTEXTS = {"islands, one pile": ("the thesis's scene", {}), "islands, heaps": (
 
 
 def compute(options, seed, jobs, progress):
-    """Every saving, one after the other, whatever the number of jobs: they are times."""
+    """Every saving, one after the other: nothing may run beside what is timed."""
     bar = progress(total=len(options["sizes"]) + 1 + 2 * options["scenes"] + len(options["jobs"]), text="savings")
 
     def counted(found):

@@ -285,7 +285,7 @@ def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
 
 
 def struck_silo(n: int, *, speed: float = 5.0, after: int = 20, **options) -> State:
-    """A silo whose top circle arrives at `speed` (m/s) in step `after`, whatever Δt is (`dt` in options) and gravity.
+    """A silo whose top circle arrives at `speed` (m/s) in step `after` with every Δt and gravity.
 
     options: those of `column`, and dt, s.
     """
@@ -567,7 +567,7 @@ PRESSED = 1e-4
 
 
 def leaning_silo(n: int, *, lean: float = 0.05) -> State:
-    """`silo` with room, `lean` m, in which the circles stand in zigzag, each pressed into the next and into a wall."""
+    """A `silo` that is `lean` m wider: the circles stand in zigzag, each pressed into the next and into a wall."""
     scene = silo(n)
     x_min, y_min, x_max, y_max = scene.world.box
     across, reach = lean + 2 * PRESSED, 2.0 - PRESSED
