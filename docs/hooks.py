@@ -1,0 +1,81 @@
+"""What the site has beyond its Markdown: executed examples, a page for every module, the pictures of the results.
+
+MkDocs calls the `on_` functions (mkdocs.yml). Any failure stops the build.
+"""
+
+import os
+import pkgutil
+import re
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
+
+import deep_contact
+
+ROOT = Path(__file__).resolve().parent.parent
+EXAMPLES = {path.stem: path for path in sorted((ROOT / "docs" / "gallery").glob("*.py"))}
+PICTURES = (".png", ".gif")
+TIMEOUT_S = 240
+MODULES = [module.name for module in pkgutil.iter_modules(deep_contact.__path__) if not module.name.startswith("_")]
+PUBLIC = "::: {}\n    options:\n      show_root_heading: true\n      show_root_full_path: false\n\n"
+_work = tempfile.TemporaryDirectory()
+
+
+def on_config(config):
+    """Add the examples, in the order of the gallery's index, and the modules to the navigation."""
+    index = (ROOT / "docs" / "gallery" / "index.md").read_text(encoding="utf-8")
+    order = dict.fromkeys(re.findall(r"\((\w+)\.py\)", index))
+    if set(order) != set(EXAMPLES):
+        raise PluginError(f"docs/gallery/index.md: expected links to {sorted(EXAMPLES)}, got {sorted(order)}")
+    config.nav += [
+        {"Gallery": ["gallery/index.md", *(f"gallery/{name}.md" for name in order)]},
+        {"API": ["api/index.md", *(f"api/{name}.md" for name in MODULES)]},
+    ]
+    return config
+
+
+def on_files(files, config):
+    """Run the examples, two at a time, and add their pages, those of the API, and the pictures of the results."""
+    with ThreadPoolExecutor(2) as pool:
+        for name, (page, pictures) in zip(EXAMPLES, pool.map(_example, EXAMPLES.values())):
+            files.append(File.generated(config, f"gallery/{name}.md", content=page))
+            for path in pictures:
+                files.append(File.generated(config, f"gallery/{name}/{path.name}", abs_src_path=str(path)))
+    for name in MODULES:
+        text = f"# {name}\n\n::: deep_contact.{name}\n"
+        files.append(File.generated(config, f"api/{name}.md", content=text))
+    names = "".join(PUBLIC.format(f"{module}.{name}") for name, module in deep_contact._MODULE_OF.items())
+    head = "# Public names\n\nThe names of `import deep_contact as dc`: `dc.PGS`, `dc.simulate` and the others.\n\n"
+    files.append(File.generated(config, "api/index.md", content=head + names))
+    for path in (ROOT / "data" / "reference").glob("*.png"):
+        files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Turn links that are right in the repository into links of the site."""
+    markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
+    return markdown.replace("](../data/reference/", "](reference/")
+
+
+def _example(path: Path) -> tuple[str, list[Path]]:
+    """The page of an example that has been run, and the pictures that it wrote."""
+    folder = Path(_work.name) / path.stem
+    folder.mkdir()
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3", "CUDA_VISIBLE_DEVICES": ""}
+    options = {"capture_output": True, "text": True, "timeout": TIMEOUT_S, "check": False}
+    run = subprocess.run([sys.executable, path], cwd=folder, env=environment, **options)
+    if run.returncode:
+        raise PluginError(f"docs/gallery/{path.name} failed:\n{run.stderr}")
+    _, docstring, code = path.read_text(encoding="utf-8").split('"""', 2)
+    title, _, text = docstring.partition("\n")
+    pictures = sorted(found for found in folder.iterdir() if found.suffix in PICTURES)
+    shown = "\n".join(f"![{found.stem}]({path.stem}/{found.name})" for found in pictures)
+    printed = f"It prints\n\n```text\n{run.stdout.rstrip()}\n```\n" if run.stdout else ""
+    page = f"# {title.rstrip('.')}\n{text}\n```python\n{code.strip()}\n```\n\n{shown}\n\n{printed}"
+    return f"{page}\nThe file is `docs/gallery/{path.name}`.\n", pictures
