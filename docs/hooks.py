@@ -3,6 +3,7 @@
 MkDocs calls the `on_` functions (mkdocs.yml). Any failure stops the build.
 """
 
+import inspect
 import os
 import pkgutil
 import re
@@ -22,7 +23,6 @@ EXAMPLES = {path.stem: path for path in sorted((ROOT / "docs" / "gallery").glob(
 PICTURES = (".png", ".gif")
 TIMEOUT_S = 240
 MODULES = [module.name for module in pkgutil.iter_modules(deep_contact.__path__) if not module.name.startswith("_")]
-PUBLIC = "::: {}\n    options:\n      show_root_heading: true\n      show_root_full_path: false\n\n"
 _work = tempfile.TemporaryDirectory()
 
 
@@ -49,9 +49,7 @@ def on_files(files, config):
     for name in MODULES:
         text = f"# {name}\n\n::: deep_contact.{name}\n"
         files.append(File.generated(config, f"api/{name}.md", content=text))
-    names = "".join(PUBLIC.format(f"{module}.{name}") for name, module in deep_contact._MODULE_OF.items())
-    head = "# Public names\n\nThe names of `import deep_contact as dc`: `dc.PGS`, `dc.simulate` and the others.\n\n"
-    files.append(File.generated(config, "api/index.md", content=head + names))
+    files.append(File.generated(config, "api/index.md", content=_public_names()))
     for path in (ROOT / "data" / "reference").glob("*.png"):
         files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
     return files
@@ -61,6 +59,16 @@ def on_page_markdown(markdown, page, config, files):
     """Turn links that are right in the repository into links of the site."""
     markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
     return markdown.replace("](../data/reference/", "](reference/")
+
+
+def _public_names() -> str:
+    """The page that lists what `import deep_contact` offers, with links to where it is described."""
+    rows = []
+    for name in deep_contact._MODULE_OF:
+        found = getattr(deep_contact, name)
+        first = inspect.getdoc(found).partition("\n")[0]
+        rows.append(f"| [`dc.{name}`][{found.__module__}.{found.__qualname__}] | {first} |\n")
+    return f"# Public names\n\nAfter `import deep_contact as dc`:\n\n| Name | |\n| --- | --- |\n{''.join(rows)}"
 
 
 def _example(path: Path) -> tuple[str, list[Path]]:

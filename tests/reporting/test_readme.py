@@ -1,4 +1,4 @@
-"""README and the documentation: the tables are what the results files say, and every block of code does what it says."""
+"""README and the documentation: tables are what the results files say, and every block of code does what it says."""
 
 import ast
 import os
