@@ -23,6 +23,7 @@ EXAMPLES = {path.stem: path for path in sorted((ROOT / "docs" / "gallery").glob(
 PICTURES = (".png", ".gif")
 TIMEOUT_S = 240
 MODULES = [module.name for module in pkgutil.iter_modules(deep_contact.__path__) if not module.name.startswith("_")]
+_pictures = {}
 _work = tempfile.TemporaryDirectory()
 
 
@@ -43,6 +44,7 @@ def on_files(files, config):
     """Run the examples, two at a time, and add their pages, those of the API, and the pictures of the results."""
     with ThreadPoolExecutor(2) as pool:
         for name, (page, pictures) in zip(EXAMPLES, pool.map(_example, EXAMPLES.values())):
+            _pictures[name] = pictures
             files.append(File.generated(config, f"gallery/{name}.md", content=page))
             for path in pictures:
                 files.append(File.generated(config, f"gallery/{name}/{path.name}", abs_src_path=str(path)))
@@ -56,7 +58,10 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Turn links that are right in the repository into links of the site."""
+    """Turn links that are right in the repository into links of the site, and add the pictures to the gallery."""
+    if page.file.src_uri == "gallery/index.md":
+        shown = [(name, found[0].name) for name, found in _pictures.items() if found]
+        markdown += "\n".join(f"[![{name}]({name}/{file}){{ width=300 }}]({name}.md)" for name, file in shown)
     markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
     return markdown.replace("](../data/reference/", "](reference/")
 

@@ -57,19 +57,17 @@ def printed(stem: str, having: str | None = None) -> list[list]:
 
 def learned() -> list[list]:
     """What a learned start gains and where it does not, in five rows."""
-
-    def ratios(stem: str, name: str, columns: slice) -> str:
-        row = next(row for row in printed(stem) if row[0] == name)
-        return " / ".join(value.split(" ")[0] for value in row[columns])
-
-    sweeps = stored("figure_6_8")["claims"][3]["measured"]
+    near = next(row[3:6] for row in printed("figure_6_8") if row[0] == "far field / builtin")
+    large = next(row[1:4] for row in printed("figure_6_9") if row[0] == "circles 300")
+    near, large = (" / ".join(value.split(" ")[0] for value in row) for row in (near, large))
+    (sweeps,) = (one["measured"] for one in stored("figure_6_8")["claims"] if "mean sweeps" in one["text"])
     time = stored("figure_6_10")["claims"][0]["measured"]
     price = [time["far field"][f"{circles} circles"]["in sweeps"] for circles in (100, 1000)]
     error, piles = "velocity error over Builtin's after 3 / 10 / 30 sweeps", "20 held-back scenes of about 100 circles"
     return [
         ["learned start", "measured", "figure"],
-        [f"{error}, {piles}", ratios("figure_6_8", "far field / builtin", slice(3, 6)), "6.8"],
-        ["the same, piles of 300 circles", ratios("figure_6_9", "circles 300", slice(1, 4)), "6.9"],
+        [f"{error}, {piles}", near, "6.8"],
+        ["the same, piles of 300 circles", large, "6.9"],
         ["mean sweeps to θ < 6e-5 N·s", f"{sweeps['guarded']:.0f}, Builtin {sweeps['builtin']:.0f}", "6.8"],
         ["price of a start at 100 and at 1,000 circles", "{:.0f} and {:.0f} sweeps".format(*price), "6.10"],
         ["cases in which it is faster than Builtin to an error", f"{time['wins']} of {time['cases']}", "6.10"],
@@ -92,12 +90,11 @@ def engine() -> list[list]:
 def transfer() -> list[list]:
     """Times of the transfer and of state files."""
     case, files = stored("benchmark_transfer"), stored("benchmark_state_xml")
-    rows = [["what", "time"]]
-    rows += [[name, f"{_text(1e6 * seconds, 4)} µs"] for name, seconds in case["case"].items()]
-    rows += [[name, f"{_text(ratio)}×"] for name, ratio in case["ratio"].items()]
-    for suffix in (".xml", ".xml.gz"):
-        rows += [[f"{way} a state as {suffix}", f"{files[suffix][way]['min_ms']:.3g} ms"] for way in ("write", "read")]
-    return rows
+    times = [[name, f"{_text(1e6 * seconds, 4)} µs"] for name, seconds in case["case"].items()]
+    times += [[name, f"{_text(ratio)}×"] for name, ratio in case["ratio"].items()]
+    kinds = [(way, suffix) for suffix in (".xml", ".xml.gz") for way in ("write", "read")]
+    files = [[f"{way} a state as {suffix}", f"{files[suffix][way]['min_ms']:.3g} ms"] for way, suffix in kinds]
+    return [["what", "time"], *times, *files]
 
 
 def tried() -> list[list]:
@@ -106,30 +103,20 @@ def tried() -> list[list]:
     rows = [["tried", "how many", "found", "change nothing"]]
     for kind, name in (("planted", "faults planted by hand"), ("automatic", "mutants of `physics/` and `sph/`")):
         rows.append([name, *(mutants[kind][key] for key in ("tried", "found", "equivalent"))])
-    return [
-        *rows,
-        ["damaged state files that crash or hang the reader", f"{fuzz['inputs']:,}", len(fuzz["faults"]), None],
-    ]
+    return [*rows, ["damaged state files: crashes or hangs", f"{fuzz['inputs']:,}", len(fuzz["faults"]), None]]
 
 
-def claims() -> list[list]:
-    """Every claim of the thesis that a reference run has tested."""
-    return [["figure", "thesis", "claim", "holds"], *_claims("thesis", "text", "holds", of_thesis=True)]
-
-
-def goals() -> list[list]:
-    """Every goal of ours, and what was measured."""
-    return [["results", "goal", "met", "measured"], *_claims("text", "holds", "measured", of_thesis=False)]
-
-
-def _claims(*keys: str, of_thesis: bool) -> list[list]:
+def claims(*, of_thesis: bool) -> list[list]:
+    """Every claim of the thesis that a reference run has tested; or every goal of ours, with what was measured."""
+    head = ["figure", "thesis", "claim", "holds"] if of_thesis else ["results", "goal", "met", "measured"]
+    keys = ("thesis", "text", "holds") if of_thesis else ("text", "holds", "measured")
     files = [one for one in (stored(path.stem) for path in sorted(REFERENCE.glob("*.json"))) if "claims" in one]
     files.sort(key=lambda one: (one["id"][0] > "9", [int(n) for n in re.findall(r"\d+", one["id"])]))
     found = [(one["id"], claim) for one in files for claim in one["claims"] if bool(claim["thesis"]) == of_thesis]
     for _, claim in found:
-        claim["holds"] = "yes" if claim["holds"] else "**no**"
+        claim["holds"] = {True: "yes", False: "**no**", None: "open"}[claim["holds"]]
         claim["measured"] = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
-    return [[id, *(claim[key] for key in keys)] for id, claim in found]
+    return [head, *([id, *(claim[key] for key in keys)] for id, claim in found)]
 
 
 def figures() -> list[list]:
@@ -142,8 +129,11 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, claims, goals, figures)}
-TABLES["errata"] = lambda: [errata.HEAD, *errata.ERRATA]
+TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, figures)} | {
+    "claims": lambda: claims(of_thesis=True),
+    "goals": lambda: claims(of_thesis=False),
+    "errata": lambda: [errata.HEAD, *errata.ERRATA],
+}
 
 
 def filled(text: str) -> str:
