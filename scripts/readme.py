@@ -63,7 +63,7 @@ def learned() -> list[list]:
     (sweeps,) = (one["measured"] for one in stored("figure_6_8")["claims"] if "mean sweeps" in one["text"])
     time = stored("figure_6_10")["claims"][0]["measured"]
     price = [time["far field"][f"{circles} circles"]["in sweeps"] for circles in (100, 1000)]
-    error, piles = "velocity error over Builtin's after 3 / 10 / 30 sweeps", "20 held-back scenes of about 100 circles"
+    error, piles = "velocity error over Builtin's after 3 / 10 / 30 sweeps", "20 held-back scenes of 70 to 110 circles"
     return [
         ["learned start", "measured", "figure"],
         [f"{error}, {piles}", near, "6.8"],

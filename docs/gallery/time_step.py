@@ -1,6 +1,6 @@
 """Trade the time step for penetration.
 
-For engine builders: the same pile falls for two seconds with three time steps, 10 sweeps a step. A smaller time step
+For engine builders: the same pile falls for two seconds with four time steps, 10 sweeps a step. A smaller time step
 costs more steps and leaves less overlap. Overlap is given in slops of 5 mm, which position correction leaves on
 purpose.
 """

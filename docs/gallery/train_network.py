@@ -1,6 +1,6 @@
 """Train a tiny network.
 
-For trainers: three short simulations, a network of a few thousand weights, two epochs. The same call with the
+For trainers: four short simulations, a network of a few thousand weights, two epochs. The same call with the
 settings of `models/README.md` makes the network that is shipped. A run that is stopped goes on when it is started
 again.
 """
