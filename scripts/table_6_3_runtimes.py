@@ -48,7 +48,7 @@ def one_window(task):
             stages.append(common | one_start(model, state, task["repeats"]))
         for batch in task["batches"]:
             images = np.repeat(image[None], batch, axis=0)
-            for runtime, run in runtimes(model.keras, images.shape, task["threads"]).items():
+            for runtime, run in runtimes(model.network, images.shape, task["threads"]).items():
                 us = fastest(lambda: run(images), task["repeats"]) / batch  # noqa: B023
                 times.append(common | {"runtime": runtime, "batch": batch, "us": us})
     return {"times": times, "stages": stages}

@@ -565,7 +565,7 @@ def one_or_two_networks(
         for seed in seeds:
             of_seed = [path for path, key in zip(paths, of_variant) if key == (variant, seed)]
             errors.append(errors_of_networks(of_seed, tested, sweeps))
-            parameters = sum(network_start(path).model.keras.count_params() for path in of_seed)
+            parameters = sum(network_start(path).model.network.count_params() for path in of_seed)
         found[variant] = {"parameters": int(parameters), "errors": errors}
     return {"variants": found, "sweeps": list(sweeps), "seeds": list(seeds), "held-out states": len(tested)}
 

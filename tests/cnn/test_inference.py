@@ -63,7 +63,7 @@ def test_round_trip_of_a_model_file(file, network, falling_states):
     assert (model.spec, model.card, model.coarsening, model.box) == (SPEC, CARD, 4, None)
     for ours, theirs in zip(network.get_weights(), model.keras.get_weights()):
         np.testing.assert_array_equal(ours, theirs)
-    plain = LearnedModel(keras=network, spec=SPEC, coarsening=4).predict(falling_states[5])
+    plain = LearnedModel(source=network, spec=SPEC, coarsening=4).predict(falling_states[5])
     np.testing.assert_array_equal(model.predict(falling_states[5]), plain)
 
 
@@ -211,7 +211,7 @@ def test_network_of_fixed_size_needs_its_box(tmp_path):
 @pytest.mark.parametrize("size", [(6.0, 6.0), (7.3, 4.1)])
 def test_convolutional_network_takes_any_box(network, size):
     state = small_state(size)
-    image = LearnedModel(keras=network, spec=SPEC, coarsening=4).predict_image(state)
+    image = LearnedModel(source=network, spec=SPEC, coarsening=4).predict_image(state)
     assert image.shape == (*SPEC.shape(state.world), 2)
 
 
@@ -226,7 +226,7 @@ def test_padded_shape(shape, coarsening, expected):
 
 
 def test_inference_is_the_network(network, falling_states):
-    model = LearnedModel(keras=network, spec=SPEC, coarsening=4)
+    model = LearnedModel(source=network, spec=SPEC, coarsening=4)
     image = input_image(falling_states[5], SPEC)
     np.testing.assert_allclose(model.run(image), np.asarray(network(image[None]))[0], rtol=1e-5, atol=1e-6)
 
@@ -236,7 +236,7 @@ def test_inference_is_traced_once(network, falling_states, monkeypatch):
     monkeypatch.setattr(
         inference, "compiled", lambda *given, **more: compilations.append(given[1]) or (lambda image: image[..., :2])
     )
-    model = LearnedModel(keras=network, spec=SPEC, coarsening=4)
+    model = LearnedModel(source=network, spec=SPEC, coarsening=4)
     for state in falling_states:
         model.predict(state)
     assert compilations == [(61, 61, len(SPEC.channels))]
