@@ -23,11 +23,13 @@ ABOUT = {
 HEAD = """# Models
 
 Made by `python scripts/model_cards.py` from the files themselves. `dc.load_model(name)` or `dc.load_model(path)` opens
-every file with every version of Keras from 3.4 on, checks it, and never runs code from it; the far-field networks need no
-Keras at all. Plain `keras.models.load_model(path, compile=False)` opens them as well (thesis_factored.h5 from Keras 3.15
-on). `registry.json` has the SHA-256 of every file and the command that made it; the environment variable
-`DEEP_CONTACT_MODELS` names another folder with the same files. Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that
-were used neither for training nor for choosing the epoch; phases as in `data/README.md`.
+each with every Keras from 3.4 on, checks it, and never runs code from it; the far-field networks need no Keras at all.
+Plain `keras.models.load_model(path, compile=False)` opens them as well (thesis_factored.h5 from Keras 3.15 on).
+`registry.json` has the SHA-256 of every file and the command that made it. The environment variable
+`DEEP_CONTACT_MODELS` names another folder with the same files.
+
+Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that were used
+neither for training nor for choosing the epoch; phases as in `data/README.md`.
 
 The data of compact.h5 and thesis_factored.h5 are those of `scripts/generate_data.py` before the engine's sweep changed
 its order of operations: the same command now gives runs that part from them by rounding, with another hash. Those of

@@ -48,9 +48,10 @@ _LAYERS = frozenset(
 """Layers that a file may hold."""
 
 _ARGUMENTS = frozenset(
-    "name batch_shape data_format filters units kernel_size strides padding output_padding dilation_rate groups "
-    "depth_multiplier pool_size size interpolation cropping target_shape activation use_bias axis momentum epsilon center "
-    "scale rms_scaling offset rate keepdims max_value threshold negative_slope kernel_regularizer bias_regularizer".split()
+    "activation axis batch_shape bias_regularizer center cropping data_format depth_multiplier dilation_rate epsilon "
+    "filters groups interpolation keepdims kernel_regularizer kernel_size max_value momentum name negative_slope "
+    "offset output_padding padding pool_size rate rms_scaling scale size strides target_shape threshold units "
+    "use_bias".split()
 )
 """Their arguments that are kept. Without the initializers, whose arguments change most and which weights replace."""
 
