@@ -83,16 +83,23 @@ class LearnedModel:
         """
         if not isinstance(state, State):
             return [self.predict(one) for one in state]
+        self.check_scene(state)
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
         return self._impulses(_native(state))
 
     def _impulses(self, state):
-        return read_back(self.predict_image(state), state, self.spec)
+        return read_back(self._image(state), state, self.spec)
 
     def predict_image(self, state: State) -> np.ndarray:
-        """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units."""
+        """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units.
+
+        A far-field network's is of coefficients, (rows, columns, 12), at every second node of the window.
+        """
         self.check_scene(state)
+        return self._image(_native(state))
+
+    def _image(self, state):
         return self.run(input_image(state, self.spec))
 
     def run(self, image: np.ndarray) -> np.ndarray:
@@ -170,9 +177,8 @@ class FarFieldModel(LearnedModel):
         impulses = correct(self.run(description.image), description, self.spec)
         return np.ascontiguousarray(impulses[:, 0]), np.ascontiguousarray(impulses[:, 1])
 
-    def predict_image(self, state: State) -> np.ndarray:
-        """The predicted image of coefficients, float32, (rows, columns, 12): every second node of the window."""
-        return self.run(describe(_native(state), self.spec).image)
+    def _image(self, state):
+        return self.run(describe(state, self.spec).image)
 
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to coefficients (rows, columns, 12), float32."""

@@ -112,7 +112,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coars
         with h5py.File(temporary, "w") as file:
             group = file.create_group("model_weights")
             for attributes in (file.attrs, group.attrs):
-                attributes |= {"keras_version": keras.__version__, "backend": keras.backend.backend()}
+                attributes.update({"keras_version": keras.__version__, "backend": keras.backend.backend()})
             file.attrs["model_config"] = config
             group.attrs["layer_names"] = [layer.name for layer in model.layers]
             for layer in model.layers:
