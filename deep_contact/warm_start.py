@@ -135,7 +135,7 @@ class Sph:
 
 
 def _cnn() -> WarmStart:
-    from deep_contact.cnn.inference import Cnn, known_model  # TensorFlow, for those who predict
+    from deep_contact.cnn.inference import Cnn, known_model
 
     return Cnn(known_model())
 

@@ -16,10 +16,10 @@ def compute(options, seed, jobs, progress):
     model = load_model(network_file(options["model"]))
     state = solved_state(options, seed)
     image = input_image(state, model.spec)
-    layers = worked.convolutions(model.keras)
+    layers = worked.convolutions(model.network)
     names = [layer.name for layer in layers]
     evenly = np.unique(np.linspace(0, len(names) - 1, options["layers"]).round().astype(int))
-    found = worked.feature_maps(model.keras, image, [names[i] for i in evenly])
+    found = worked.feature_maps(model.network, image, [names[i] for i in evenly])
     shown = options["maps"]
     panels = [panel("input", image, model.spec.channels, worked.strongest(image, shown))]
     panels += [panel(name, maps, None, worked.strongest(maps, shown)) for name, maps in found.items()]
@@ -44,7 +44,7 @@ def compute(options, seed, jobs, progress):
                 "kernel depth": kernel_depth(layer),
                 "nodes": int(maps.shape[0]),
             }
-            for layer, maps in zip(layers, worked.feature_maps(model.keras, image, names).values())
+            for layer, maps in zip(layers, worked.feature_maps(model.network, image, names).values())
         ],
         "relative error of λ": {
             "network": error(normal, tangent),

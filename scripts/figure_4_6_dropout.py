@@ -19,7 +19,7 @@ def compute(options, seed, jobs, progress):
     state = dc.simulate(scene, steps=options["steps"]).state
     image = input_image(state, model.spec)
     off = [read_back(model.run(image), state, model.spec)[0] for _ in range(2)]
-    dropping, source, name = worked.with_dropout(model.keras, rate, seed)
+    dropping, source, name = worked.with_dropout(model.network, rate, seed)
     before = worked.feature_maps(dropping, image, [source])[source]
     mean, on = np.zeros_like(before), []
     maps_and_output = dropping_model(dropping, name)

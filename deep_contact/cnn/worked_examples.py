@@ -57,7 +57,7 @@ def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1)
 
     image: (n_y, n_x, d); kernel: (k_y, k_x, d, f).
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     options = {"strides": stride, "use_bias": False, "dtype": "float64"}
     layer = keras.layers.Conv2D(kernel.shape[3], kernel.shape[:2], **options)
@@ -104,7 +104,7 @@ def random_layers(sizes: Sequence[int], seed: int) -> list[Layer]:
 
 def keras_forward(x: np.ndarray, layers: Sequence[Layer]) -> np.ndarray:
     """The last of `forward`'s values by Keras's `Dense`."""
-    import keras
+    from deep_contact.cnn.backend import keras
 
     network = keras.Sequential([keras.Input((len(x),), dtype="float64")])
     for number, layer in enumerate(layers, start=1):
@@ -155,7 +155,7 @@ def max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
 
 def keras_max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
     """The same by Keras's `MaxPooling2D`; image: (n_y, n_x, d)."""
-    import keras
+    from deep_contact.cnn.backend import keras
 
     layer = keras.layers.MaxPooling2D(size, strides=size, padding="same", dtype="float64")
     return np.asarray(layer(image[None])[0])
@@ -215,7 +215,7 @@ def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
 
     Returns "output" (J,), "hidden" (I, J), and the factors of the chain by the names of `Backpropagation.chain`.
     """
-    import tensorflow as tf
+    from deep_contact.cnn.backend import tensorflow as tf
 
     x, w_h, w_o, d = (tf.constant(value, tf.float64) for value in (x, w_hidden, w_output, target))
     with tf.GradientTape(persistent=True) as tape:
@@ -252,7 +252,7 @@ def printed_hidden_update(w_hidden, w_output, x, found: Backpropagation, rate: f
 
 def convolutions(model) -> list:
     """The layers of a Keras model with kernels larger than one node, in their order."""
-    import keras
+    from deep_contact.cnn.backend import keras
 
     kinds = (keras.layers.Conv2D, keras.layers.Conv2DTranspose)
     return [layer for layer in model.layers if isinstance(layer, kinds) and max(layer.kernel_size) > 1]
@@ -263,7 +263,7 @@ def feature_maps(model, image: np.ndarray, names: Sequence[str]) -> dict[str, np
 
     Raises ValueError for a name that the model does not have.
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     known = {layer.name: layer for layer in model.layers}
     for name in names:
@@ -287,7 +287,7 @@ def with_dropout(model, rate: float, seed: int = 0):
     change the numbers too. The names are those of the first layer with dropout and of the dropout after it. Every call
     draws new masks.
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     own = [layer.name for layer in model.layers if isinstance(layer, keras.layers.Dropout)]
     hidden = [layer.name for layer in convolutions(model) if getattr(layer.activation, "__name__", "") == "relu"]

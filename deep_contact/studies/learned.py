@@ -539,7 +539,7 @@ def one_or_two_networks(
     for variant, targets in VARIANTS.items():
         networks = [[paths[variant, seed, target] for target in targets] for seed in seeds]
         errors = [errors_of_networks(of_seed, tested, sweeps) for of_seed in networks]
-        parameters = sum(network_start(path).model.keras.count_params() for path in networks[-1])
+        parameters = sum(network_start(path).model.network.count_params() for path in networks[-1])
         found[variant] = {"parameters": int(parameters), "errors": errors}
     return {"variants": found, "sweeps": list(sweeps), "seeds": list(seeds), "held-out states": len(tested)}
 

@@ -406,10 +406,11 @@ def test_the_fuzzer_notices_files_and_connections_above_and_below_python(tmp_pat
 @pytest.mark.slow
 def test_a_damaged_model_file_is_a_model_file_error(tmp_path):
     """One byte changed or the end cut off, a thousand times: read as before, or refused; nothing else."""
-    from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_metadata
+    from deep_contact.cnn.model_file import ModelFileError, read_metadata
+    from deep_contact.cnn.registry import path_of
 
     try:
-        whole = default_model_path().read_bytes()
+        whole = path_of("model").read_bytes()
     except FileNotFoundError:
         pytest.skip("there is no shipped model")
     rng = np.random.default_rng(0)
