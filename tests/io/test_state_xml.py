@@ -354,7 +354,7 @@ BAD = {
     "unknown option": (' sweeps="', ' sweep="', "<solver>", "sweep: .*'3000'"),
     "bad option": (' sweeps="3000"', ' sweeps="-3"', "<solver>", "sweeps: .*-3"),
     "missing setting": (' friction="0.5"', "", "<configuration>", "friction: .*missing"),
-    "bad restitution": ('restitution="0.0"', 'restitution="2.0"', "<configuration>", "restitution: .*'2.0'"),
+    "bad restitution": ('restitution="0.0"', 'restitution="2.0"', "<configuration>", "restitution: .*2.0"),
     "bad type": ('type="free"', 'type="flying"', "<body> '0'", "type: .*'flying'"),
     "not a circle": ('value="circle"', 'value="square"', "<shape>", "'square'"),
     "no unit vector": ('<normal x="1.0" y="0.0"/>', '<normal x="2.0" y="0.0"/>', "<normal>", r"\(2.0, 0.0\)"),
