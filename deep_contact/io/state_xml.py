@@ -37,53 +37,48 @@ has none or calls it `ground`, by the thesis's 30 × 30 box, if all centres are 
 after its slave (the box comes after all circles) is turned round: n, t and the relative velocity flip together, so the
 impulses keep their signs.
 
-Shapes are parsed, never evaluated. A DOCTYPE is refused, so there are no entities. Files beyond `MAX_BYTES`, `MAX_TAGS`
-or `MAX_ATTRIBUTES` (about 35,000 circles) are refused before they are parsed, compressed ones while they are unpacked.
-Every fault of a file is a `StateFileError` that names file, line, element and value. (libxml2 counts lines exactly up
-to 65,535; beyond, the line may be one off.)
+Shapes are parsed, never evaluated. Every fault of a file is a `StateFileError` that names file, line, element and
+value. `xml_tree` says which files are refused before they are parsed.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import gzip
-import io
 import itertools
 import math
-import os
 import re
-import stat
-import zlib
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from lxml import etree
 
 from deep_contact import constants
 from deep_contact.io.files import replacing
+from deep_contact.io.xml_tree import (
+    INTEGER,
+    Rows,
+    StateFileError,
+    children,
+    expect,
+    fault,
+    load,
+    parse_tree,
+    read_integer,
+    read_number,
+    read_text,
+    refuse_attributes,
+    refuse_too_large,
+    to_float,
+)
 from deep_contact.physics.methods import METHODS
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.validation import integer
-
-MAX_BYTES = 64 * 2**20
-"""Largest file that is read or written, unpacked; also the most that is read of a compressed one."""
-
-MAX_TAGS = 750_000
-"""Most '<' in a file. With `MAX_ATTRIBUTES` it bounds the memory of the parsed tree to under 1 GB."""
-
-MAX_ATTRIBUTES = 1_500_000
-"""Most '=' in a file."""
-
-MAX_MEMBERS = 1000
-"""Most members of a gzip file."""
 
 INERTIA_TOLERANCE = 1e-3
 """Largest relative difference between a stored inertia and m r²/2. Old files hold float32."""
 
 _UNIT_TOLERANCE = 1e-4
 _MAX_TEXT = 1000
-_MAX_QUOTED = 80
 
 _SETTINGS = ("step", "gravity_x", "gravity_y", "friction", "restitution", "solved")
 _ROOT_ATTRIBUTES = {"name", "time", "dt", *_SETTINGS, "vel_iter", "pos_iter", "vel_thres", "pos_thres"}
@@ -94,14 +89,11 @@ _CONTACT_TAGS = {"position", "normal", "impulse", "start"}
 _CONTACT_ATTRIBUTES = {"index", "master", "slave", "separation", "master_shape", "slave_shape"}
 
 _NUMBER = r"([0-9.eE+\-]+)"
-_NUMBER_TEXT = re.compile(r"[0-9.eE+\-]{1,1000}")
-_INTEGER = re.compile(r"-?[0-9]{1,18}")
 _PAIR = re.compile(rf"\({_NUMBER},{_NUMBER}\)")
 _VECTOR = re.compile(rf"b2Vec2\({_NUMBER},{_NUMBER}\)")
 _PRINTED_CIRCLE = re.compile(rf"(?:dc|b2)CircleShape\((?:.*,)?radius[=:]{_NUMBER},?(?:[a-z].*)?\)")
 _PRINTED_LOOP = re.compile(r"(?:dcLoop|b2Loop|b2Chain)Shape\((?:.*,)?vertices[=:]\[([^\]]*)\].*\)")
 _PRINTED_CENTRE = re.compile(r"[(,]pos[=:](?!b2Vec2\(-?0,-?0\)|\(-?0(?:\.0)?,-?0(?:\.0)?\))")
-_ENCODING = re.compile(rb"\s*<\?xml[^>]*?\sencoding\s*=\s*[\"'](?!(?i:utf-?8|(?:us-)?ascii)[\"'])([^\"'>]*)")
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _ESCAPES = {"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\t": "&#9;", "\n": "&#10;", "\r": "&#13;"}
 
@@ -128,17 +120,13 @@ _CONTACT_TEXT = """\
 """
 
 
-class StateFileError(ValueError):
-    """A file that cannot be read, or a state that cannot be stored; names file, line, element and value."""
-
-
 def read_state(path) -> State:
     """The state in a file `….xml` or `….xml.gz`, in canonical form or an older dialect (module docstring).
 
     Raises StateFileError naming file, line, element and value, and OSError where the file cannot be opened.
     """
     path = Path(path)
-    return parse_state(_load(path), path)
+    return parse_state(load(path), path)
 
 
 def write_state(path, state: State) -> None:
@@ -194,7 +182,7 @@ def format_state(state: State) -> bytes:
         )
     )
     data = text.encode("utf-8")
-    _refuse_too_large(data)
+    refuse_too_large(data)
     return data
 
 
@@ -204,12 +192,13 @@ def parse_state(data: bytes, source) -> State:
     Raises StateFileError naming source, line, element and value.
     """
     try:
-        return _read_tree(_parse_tree(data), str(source))
+        return _read_tree(parse_tree(data), str(source))
     except StateFileError as error:
         raise StateFileError(f"{source}, {error}") from None
 
 
 def _read_tree(root, source: str) -> State:
+    expect(root.tag in ("configuration", "Configuration"), root, "expected the root <configuration>", root.tag)
     # An old file has none of our settings, a canonical one has all: a damaged canonical file must not pass for old.
     canonical = any(name in root.attrib for name in _SETTINGS)
     settings, world = _read_settings(root, source, canonical)
@@ -218,242 +207,35 @@ def _read_tree(root, source: str) -> State:
         settings["solver"] = _read_solver(containers["solver"])
     circles, box_body, rank = _number_bodies(bodies)
     printed = {} if canonical else _printed_shapes(contacts)
-    bodies = _read_bodies(_Rows(circles, _BODY_TAGS), printed)
+    bodies = _read_bodies(Rows(circles, _BODY_TAGS), printed)
     box = _read_box(root, box_body, bodies, printed, canonical)
     found, solved = None, False
     if "contacts" in containers or contacts or not (canonical or "bodies" in containers):
-        found, solved = _read_contacts(_Rows(contacts, _CONTACT_TAGS), bodies, box, rank, canonical)
+        found, solved = _read_contacts(Rows(contacts, _CONTACT_TAGS), bodies, box, rank, canonical)
     try:
         state = State(world=World(box=box, **world), bodies=bodies, contacts=found, **{"solved": solved} | settings)
         return check_state(state)
     except ValueError as error:
-        raise _fault(root, str(error)) from None
-
-
-# ---- files ----
-
-
-def _load(path: Path) -> bytes:
-    status = os.stat(path)
-    if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for its writer
-        raise StateFileError(f"{path}: expected a file, got a folder, pipe or device")
-    if status.st_size > MAX_BYTES:
-        raise StateFileError(f"{path}, line 1: expected at most {MAX_BYTES} bytes, got {status.st_size}")
-    data = path.read_bytes()
-    try:
-        return b"".join(_unpacked(data)) if path.suffix == ".gz" else data
-    except zlib.error as error:
-        raise StateFileError(f"{path}: expected gzip data, whole and undamaged: {error}") from None
-
-
-def _unpacked(data: bytes) -> Iterator[bytes]:
-    """The contents of gzip data, in pieces. (`gzip.open` takes microseconds for each member, even an empty one.)"""
-    member, members, size = zlib.decompressobj(wbits=31), 1, 0
-    for start in range(0, len(data), 2**16):
-        piece = data[start : start + 2**16]
-        while piece:
-            if member.eof:
-                member, members = zlib.decompressobj(wbits=31), members + 1
-            unpacked = member.decompress(piece, 2**20)
-            size += len(unpacked)
-            if size > MAX_BYTES or members > MAX_MEMBERS:
-                raise zlib.error(f"expected at most {MAX_BYTES} bytes (unpacked) in {MAX_MEMBERS} members, got more")
-            yield unpacked
-            piece = member.unconsumed_tail or member.unused_data
-    if not member.eof:
-        raise zlib.error("the data end before the last member does")
-
-
-def _refuse_too_large(data: bytes) -> None:
-    for what, count, most in (
-        ("bytes", len(data), MAX_BYTES),
-        ("'<'", data.count(b"<"), MAX_TAGS),
-        ("'='", data.count(b"="), MAX_ATTRIBUTES),
-    ):
-        if count > most:
-            raise StateFileError(f"line 1: expected at most {most} {what}, got {count}: too large for a file")
-
-
-def _parse_tree(data: bytes):
-    _refuse_too_large(data)
-    if not data.strip():
-        raise StateFileError("line 1: expected an XML file, got an empty one")
-    try:
-        data.decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise _fault_at(data, error.start, "expected UTF-8", error.start + 1) from None
-    declared = _ENCODING.match(data[:1024].removeprefix(b"\xef\xbb\xbf"))
-    if declared:
-        raise StateFileError(f"line 1: <?xml?> encoding: expected UTF-8, got {_quote(declared[1])}")
-    for forbidden in (b"\0", b"<!DOCTYPE", b"<!ENTITY"):
-        if forbidden in data:
-            raise _fault_at(data, data.index(forbidden), "expected no DOCTYPE, entities or NUL")
-    # The encoding is fixed: no declaration can make the parser see a DOCTYPE where the search above saw none. By
-    # default lxml loads no DTD and refuses deep trees and long texts.
-    parser = etree.XMLParser(
-        encoding="utf-8",
-        resolve_entities=False,
-        no_network=True,
-        collect_ids=False,
-        remove_comments=True,
-        remove_pis=True,
-    )
-    try:
-        root = etree.fromstring(data, parser)
-    except etree.XMLSyntaxError as error:
-        line = error.lineno or 1
-        quoted = next(itertools.islice(io.BytesIO(data), line - 1, None), b"").strip()
-        message = f"not well-formed XML, {error.msg[:_MAX_QUOTED]}, got {_quote(quoted)}"
-        raise StateFileError(f"line {line}: {message}") from None
-    _expect(root.tag in ("configuration", "Configuration"), root, "expected the root <configuration>", root.tag)
-    return root
-
-
-# ---- messages: `parse_state` puts the name of the file before them ----
-
-
-def _fault(element, message: str, value=None) -> StateFileError:
-    """The error about an element, naming its line and the body or contact that it is, or belongs to."""
-    parent, owner = element.getparent(), ""
-    if element.tag in ("body", "contact") and "index" in element.attrib:
-        owner = f" {_quote(element.get('index'))}"
-    elif parent is not None and parent.tag in ("body", "contact") and "index" in parent.attrib:
-        owner = f" of {parent.tag} {_quote(parent.get('index'))}"
-    got = "" if value is None else f", got {_quote(value)}"
-    return StateFileError(f"line {element.sourceline or 1}, <{element.tag[:_MAX_QUOTED]}>{owner}: {message}{got}")
-
-
-def _expect(condition: bool, element, message: str, value=None) -> None:
-    if not condition:
-        raise _fault(element, message, value)
-
-
-def _fault_at(data: bytes, start: int, message: str, end: int | None = None) -> StateFileError:
-    """The error about the bytes from `start`, quoting them up to `end`."""
-    line = data.count(b"\n", 0, start) + 1
-    return StateFileError(f"line {line}: {message}, got {_quote(data[start:end])}")
-
-
-def _quote(value) -> str:
-    """What a file holds, cut to a length that a message can show."""
-    if isinstance(value, bytes):
-        value = value[: 4 * _MAX_QUOTED].decode("utf-8", "backslashreplace")
-    return repr(value if len(value) <= _MAX_QUOTED else value[:_MAX_QUOTED] + "…")
-
-
-# ---- reading: elements and attributes ----
+        raise fault(root, str(error)) from None
 
 
 def _sort_elements(root):
     """Containers by tag, and all bodies and contacts, whether in containers or directly under the root."""
     others = (child for child in root if child.tag not in ("body", "contact"))
-    containers, sorted_elements = _children(others, {"solver", "bodies", "contacts"}), []
+    containers, sorted_elements = children(others, {"solver", "bodies", "contacts"}), []
     for container, tag in (("bodies", "body"), ("contacts", "contact")):
         elements = root.findall(tag)
         if container in containers:
             element = containers[container]
-            _expect(not elements, root, f"expected every <{tag}> inside <{container}>")
-            _refuse_attributes(element, {"count"})
+            expect(not elements, root, f"expected every <{tag}> inside <{container}>")
+            refuse_attributes(element, {"count"})
             count = element.get("count", str(len(element)))  # a claim to be checked, never to be believed
-            _expect(count == str(len(element)), element, f"count: expected {len(element)}, as there are", count)
+            expect(count == str(len(element)), element, f"count: expected {len(element)}, as there are", count)
             elements = list(element)
             for child in elements:
-                _expect(child.tag == tag, child, f"expected a <{tag}> here", child.tag)
+                expect(child.tag == tag, child, f"expected a <{tag}> here", child.tag)
         sorted_elements.append(elements)
     return containers, *sorted_elements
-
-
-def _refuse_attributes(element, known) -> None:
-    for name in element.keys():  # not items(), which looks every value up from the first attribute on
-        if name not in known:
-            message = f"{name[:_MAX_QUOTED]}: no such attribute, expected {', '.join(sorted(known))}"
-            raise _fault(element, message, element.get(name))
-
-
-def _children(elements, tags) -> dict:
-    """Elements by tag, each of `tags` at most once."""
-    parts = {}
-    for element in elements:
-        if element.tag not in tags:
-            raise _fault(element, f"expected one of {', '.join(sorted(tags))}", element.tag)
-        _expect(element.tag not in parts, element, "expected this element once, got a second")
-        parts[element.tag] = element
-    return parts
-
-
-class _Rows:
-    """Elements of one kind with their children by tag, read by columns.
-
-    A column is named "element attribute", with its spellings: "velocity x|velocity vx", the canonical one first.
-    """
-
-    def __init__(self, elements, tags):
-        self.elements = elements
-        self.parts = [_children(element, tags) for element in elements]
-
-    def column(self, spelling: str) -> list:
-        """(element, attribute, text) of every row, in the first spelling that it has."""
-        spellings, found = [each.split() for each in spelling.split("|")], []
-        for row, parts in zip(self.elements, self.parts):
-            for tag, attribute in spellings:
-                text = parts[tag].get(attribute) if tag in parts else None
-                if text is not None:
-                    found.append((parts[tag], attribute, text))
-                    break
-            else:
-                tag, attribute = next((each for each in spellings if each[0] in parts), spellings[0])
-                _expect(tag in parts, row, f"element <{tag}> is missing")
-                raise _fault(parts[tag], f"{attribute}: attribute is missing")
-        return found
-
-    def numbers(self, spelling: str) -> np.ndarray:
-        """One finite float64 per row."""
-        numbers = np.array([_float(text) for _, _, text in self.column(spelling)], dtype=np.float64)
-        self.refuse(~np.isfinite(numbers), spelling, "a finite number")
-        return numbers
-
-    def vectors(self, x: str, y: str) -> np.ndarray:
-        """(rows, 2) finite float64."""
-        return np.column_stack([self.numbers(x), self.numbers(y)])
-
-    def refuse(self, bad: np.ndarray, spelling: str, expected: str) -> None:
-        """Raise for the first row that is bad, quoting its text."""
-        if bad.any():
-            element, attribute, text = self.column(spelling)[np.argmax(bad)]
-            raise _fault(element, f"{attribute}: expected {expected}", text)
-
-    def have(self, tag: str, required: bool) -> bool:
-        """Whether the rows have the child: all or none (all, if required)."""
-        lacking = [row for row, parts in zip(self.elements, self.parts) if tag not in parts]
-        if lacking and (required or len(lacking) < len(self.parts)):
-            others = "" if required else ", though other contacts have it"
-            raise _fault(lacking[0], f"element <{tag}> is missing{others}")
-        return not lacking
-
-
-def _float(text: str) -> float:
-    """The number in a text, NaN if it is none; infinite if it overflows."""
-    try:
-        return float(text) if _NUMBER_TEXT.fullmatch(text) else math.nan
-    except ValueError:
-        return math.nan
-
-
-def _text(element, name: str) -> str:
-    _expect(name in element.attrib, element, f"{name}: attribute is missing")
-    return element.get(name)
-
-
-def _number(element, name: str) -> float:
-    number = _float(_text(element, name))
-    _expect(math.isfinite(number), element, f"{name}: expected a finite number", element.get(name))
-    return number
-
-
-def _integer(element, name: str) -> int:
-    text = _text(element, name)
-    _expect(bool(_INTEGER.fullmatch(text)), element, f"{name}: expected an integer of at most 18 digits", text)
-    return int(text)
 
 
 # ---- reading: settings ----
@@ -461,38 +243,38 @@ def _integer(element, name: str) -> int:
 
 def _read_settings(root, source: str, canonical: bool) -> tuple[dict, dict]:
     """Fields of the state, and of its world."""
-    _refuse_attributes(root, _ROOT_ATTRIBUTES)
-    settings = {"name": _text(root, "name"), "time": _number(root, "time")}
+    refuse_attributes(root, _ROOT_ATTRIBUTES)
+    settings = {"name": read_text(root, "name"), "time": read_number(root, "time")}
     if canonical or "dt" in root.attrib:
-        settings["dt"] = _number(root, "dt")
+        settings["dt"] = read_number(root, "dt")
     if not canonical:
         number = re.search(r"(?:^|[_/\\])([0-9]{1,18})\.xml(?:\.gz)?$", source)
         return settings | {"step": int(number[1]) if number else 0}, {}
-    solved = _text(root, "solved")
-    _expect(solved in ("true", "false"), root, "solved: expected true or false", solved)
-    world = {name: _number(root, name) for name in ("friction", "restitution")}
-    world["gravity"] = _number(root, "gravity_x"), _number(root, "gravity_y")
-    return settings | {"step": _integer(root, "step"), "solved": solved == "true"}, world
+    solved = read_text(root, "solved")
+    expect(solved in ("true", "false"), root, "solved: expected true or false", solved)
+    world = {name: read_number(root, name) for name in ("friction", "restitution")}
+    world["gravity"] = read_number(root, "gravity_x"), read_number(root, "gravity_y")
+    return settings | {"step": read_integer(root, "step"), "solved": solved == "true"}, world
 
 
 def _read_solver(element):
-    method = _text(element, "method")
-    _expect(method in METHODS, element, f"method: expected one of {', '.join(sorted(METHODS))}", method)
-    _refuse_attributes(element, {"method", *(field.name for field in dataclasses.fields(METHODS[method]))})
+    method = read_text(element, "method")
+    expect(method in METHODS, element, f"method: expected one of {', '.join(sorted(METHODS))}", method)
+    refuse_attributes(element, {"method", *(field.name for field in dataclasses.fields(METHODS[method]))})
     options = {name: _option_value(text) for name, text in element.items() if name != "method"}
     try:
         return METHODS[method](**options)
     except (TypeError, ValueError) as error:
-        raise _fault(element, f"expected options of {method}: {str(error)[:200]}", str(options)) from None
+        raise fault(element, f"expected options of {method}: {str(error)[:200]}", str(options)) from None
 
 
 def _option_value(text: str):
     """None, a bool, an int, a float or a str, by how it looks; `_option_text` makes sure of the inverse."""
     if text in ("none", "true", "false"):
         return {"none": None, "true": True, "false": False}[text]
-    if _INTEGER.fullmatch(text):
+    if INTEGER.fullmatch(text):
         return int(text)
-    number = _float(text)
+    number = to_float(text)
     return number if math.isfinite(number) else text
 
 
@@ -513,26 +295,26 @@ def _number_bodies(bodies):
     """Circles in the order of their indices, the fixed body or None, {index in the file: index in memory}."""
     free, fixed = {}, {}
     for body in bodies:
-        _refuse_attributes(body, {"index", "type"})
-        index, kind = _integer(body, "index"), _text(body, "type")
+        refuse_attributes(body, {"index", "type"})
+        index, kind = read_integer(body, "index"), read_text(body, "type")
         duplicate = index in free or index in fixed
-        _expect(not duplicate, body, "index: expected each once, got a duplicate of", str(index))
-        _expect(kind in ("free", "fixed"), body, "type: expected free or fixed", kind)
-        _expect(kind == "free" or not fixed, body, "expected one fixed body, the box, got a second")
+        expect(not duplicate, body, "index: expected each once, got a duplicate of", str(index))
+        expect(kind in ("free", "fixed"), body, "type: expected free or fixed", kind)
+        expect(kind == "free" or not fixed, body, "expected one fixed body, the box, got a second")
         (free if kind == "free" else fixed)[index] = body
     order = sorted(free)
     for index, following in zip(order, order[1:]):
         near = following == index + 1 or (following == index + 2 and index + 1 in fixed)
-        _expect(near, free[following], f"index: expected no gap, there is no {index + 1}", str(following))
+        expect(near, free[following], f"index: expected no gap, there is no {index + 1}", str(following))
     rank = {index: i for i, index in enumerate([*order, *fixed])}
     return [free[index] for index in order], next(iter(fixed.values()), None), rank
 
 
-def _read_bodies(rows: _Rows, printed: dict) -> Bodies:
+def _read_bodies(rows: Rows, printed: dict) -> Bodies:
     mass = rows.numbers("mass value")
     rows.refuse(mass <= 0, "mass value", "a mass > 0")
     # m r²/2 of a disc may overflow where m and r do not; "inf" is then what was written.
-    inertia = np.array([math.inf if text == "inf" else _float(text) for _, _, text in rows.column("inertia value")])
+    inertia = np.array([math.inf if text == "inf" else to_float(text) for _, _, text in rows.column("inertia value")])
     rows.refuse(np.isnan(inertia), "inertia value", "a finite number")
     radius = np.array([_radius(*row, printed) for row in zip(rows.elements, rows.parts)], dtype=np.float64)
     # Nothing in the file says how large the other circles are, but a solid disc's inertia does.
@@ -566,30 +348,30 @@ def _radius(body, parts: dict, printed: dict) -> float:
     """Radius of a circle, NaN where neither its shape nor a contact tells."""
     element, text = _shape(body, parts)
     if text == "circle" and "radius" in element.attrib:
-        text, radius = element.get("radius"), _number(element, "radius")
+        text, radius = element.get("radius"), read_number(element, "radius")
     else:
         if text == "circle":
-            if _integer(body, "index") not in printed:
+            if read_integer(body, "index") not in printed:
                 return math.nan
-            element, text = printed[_integer(body, "index")]
+            element, text = printed[read_integer(body, "index")]
         compact = _compact(element, text)
         match = _PRINTED_CIRCLE.fullmatch(compact)
-        radius = _float(match[1]) if match else math.nan
+        radius = to_float(match[1]) if match else math.nan
         fits = math.isfinite(radius) and not _PRINTED_CENTRE.search(compact)
-        _expect(fits, element, "shape: expected circle, or CircleShape(radius=…) around the centre", text)
-    _expect(radius > 0, element, "radius: expected a number > 0", text)
+        expect(fits, element, "shape: expected circle, or CircleShape(radius=…) around the centre", text)
+    expect(radius > 0, element, "radius: expected a number > 0", text)
     return radius
 
 
 def _shape(body, parts: dict):
     """The shape of a body, and what it says."""
-    _expect("shape" in parts, body, "element <shape> is missing")
+    expect("shape" in parts, body, "element <shape> is missing")
     shape = parts["shape"]
     return shape, shape.get("value", shape.text or "").strip()
 
 
 def _compact(element, text: str) -> str:
-    _expect(len(text) <= _MAX_TEXT, element, f"expected at most {_MAX_TEXT} characters", text)
+    expect(len(text) <= _MAX_TEXT, element, f"expected at most {_MAX_TEXT} characters", text)
     return "".join(text.split())
 
 
@@ -600,46 +382,46 @@ def _printed_shapes(contacts) -> dict:
         for role in ("master", "slave"):
             text = contact.get(f"{role}_shape")
             if text is not None:
-                printed.setdefault(_integer(contact, role), (contact, text))
+                printed.setdefault(read_integer(contact, role), (contact, text))
     return printed
 
 
 def _read_box(root, body, bodies: Bodies, printed: dict, canonical: bool) -> tuple:
     """(x_min, y_min, x_max, y_max)"""
     if body is None:
-        _expect(not canonical, root, "expected a fixed body, the box")
+        expect(not canonical, root, "expected a fixed body, the box")
         return _thesis_box(root, bodies)
-    parts = _children(body, _BODY_TAGS)
+    parts = children(body, _BODY_TAGS)
     for tag in _MOTION_TAGS & parts.keys():
         for name in _MOTION_ATTRIBUTES:
-            still = name not in parts[tag].attrib or _number(parts[tag], name) == 0
-            _expect(still, parts[tag], f"{name}: expected 0, the box neither moves nor turns", parts[tag].get(name))
+            still = name not in parts[tag].attrib or read_number(parts[tag], name) == 0
+            expect(still, parts[tag], f"{name}: expected 0, the box neither moves nor turns", parts[tag].get(name))
     element, text = _shape(body, parts)
     if text in ("ground", "box") and len(element) == 0 and not canonical:
-        element, text = printed.get(_integer(body, "index"), (element, ""))
+        element, text = printed.get(read_integer(body, "index"), (element, ""))
         if not _PRINTED_LOOP.fullmatch(_compact(element, text)):
             return _thesis_box(body, bodies)
     if text == "box":
         for corner in element:
-            _expect(corner.tag == "corner", corner, "expected a <corner> here", corner.tag)
-        corners = [(_number(corner, "x"), _number(corner, "y")) for corner in element]
+            expect(corner.tag == "corner", corner, "expected a <corner> here", corner.tag)
+        corners = [(read_number(corner, "x"), read_number(corner, "y")) for corner in element]
     else:
         corners = _printed_vertices(element, text)
     if "position" in parts:
-        x, y = (_number(parts["position"], name) for name in ("x", "y"))
+        x, y = (read_number(parts["position"], name) for name in ("x", "y"))
         # Adding 0.0 would turn -0.0 into 0.0.
         corners = [(a + x if x else a, b + y if y else b) for a, b in corners]
     box = tuple(pick(corner[axis] for corner in corners) for pick in (min, max) for axis in (0, 1)) if corners else ()
     upright = len(set(corners)) == 4 and set(corners) == set(_corners(box))
-    _expect(upright, element, "expected the four corners of an upright box", str(corners))
+    expect(upright, element, "expected the four corners of an upright box", str(corners))
     return box
 
 
 def _printed_vertices(element, text: str) -> list:
     match = _PRINTED_LOOP.fullmatch(_compact(element, text))
-    corners = [(_float(x), _float(y)) for x, y in _PAIR.findall(match[1])] if match else []
+    corners = [(to_float(x), to_float(y)) for x, y in _PAIR.findall(match[1])] if match else []
     fits = match and not _PAIR.sub("", match[1]).strip(",") and np.isfinite(corners).all()
-    _expect(fits, element, "shape: expected box with four corners, or LoopShape(vertices=[(x, y), …])", text)
+    expect(fits, element, "shape: expected box with four corners, or LoopShape(vertices=[(x, y), …])", text)
     return corners
 
 
@@ -653,14 +435,14 @@ def _thesis_box(element, bodies: Bodies) -> tuple:
     outside = ((bodies.position < box[:2]) | (bodies.position > box[2:])).any(axis=1)
     if outside.any():
         centre = tuple(bodies.position[np.argmax(outside)].tolist())
-        raise _fault(element, f"the file has no box, and a circle is outside the thesis's {box}", str(centre))
+        raise fault(element, f"the file has no box, and a circle is outside the thesis's {box}", str(centre))
     return box
 
 
 # ---- reading: contacts ----
 
 
-def _read_contacts(rows: _Rows, bodies: Bodies, box, rank: dict, canonical: bool):
+def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, canonical: bool):
     """(contacts, whether they hold solved impulses)"""
     if not rows.elements:
         return no_contacts(), True
@@ -676,7 +458,7 @@ def _read_contacts(rows: _Rows, bodies: Bodies, box, rank: dict, canonical: bool
     separation = _separations(a, b, bodies, box)
     for i, element in enumerate(rows.elements):
         if canonical or "separation" in element.attrib:
-            separation[i] = _number(element, "separation")
+            separation[i] = read_number(element, "separation")
     position = rows.vectors("position x", "position y")
     start = np.zeros((a.size, 2))
     if rows.have("start", required=canonical):
@@ -693,31 +475,31 @@ def _read_pairs(elements, rank: dict):
     """Memory indices of master and slave, the box as n."""
     pairs, seen = [], set()
     for element in elements:
-        _refuse_attributes(element, _CONTACT_ATTRIBUTES)
-        index = _integer(element, "index")
-        _expect(index not in seen, element, "index: expected each once, got a duplicate of", element.get("index"))
+        refuse_attributes(element, _CONTACT_ATTRIBUTES)
+        index = read_integer(element, "index")
+        expect(index not in seen, element, "index: expected each once, got a duplicate of", element.get("index"))
         seen.add(index)
         for role in ("master", "slave"):
-            known = _integer(element, role) in rank
-            _expect(known, element, f"{role}: expected the index of a body in the file", element.get(role))
+            known = read_integer(element, role) in rank
+            expect(known, element, f"{role}: expected the index of a body in the file", element.get(role))
         pairs.append([rank[int(element.get(role))] for role in ("master", "slave")])
         distinct = pairs[-1][0] != pairs[-1][1]
-        _expect(distinct, element, "slave: expected another body than master", element.get("slave"))
+        expect(distinct, element, "slave: expected another body than master", element.get("slave"))
     return np.array(pairs, dtype=np.int64).T
 
 
-def _read_normals(rows: _Rows) -> np.ndarray:
+def _read_normals(rows: Rows) -> np.ndarray:
     if "normal" in rows.parts[0] and "normal" in rows.parts[0]["normal"].attrib:
         texts = [_compact(element, text) for element, _, text in rows.column("normal normal")]
         matches = [_VECTOR.fullmatch(text) for text in texts]
-        normal = np.array([[_float(x) for x in match.groups()] if match else [math.nan] * 2 for match in matches])
+        normal = np.array([[to_float(x) for x in match.groups()] if match else [math.nan] * 2 for match in matches])
         rows.refuse(~np.isfinite(normal).all(axis=1), "normal normal", "b2Vec2(x, y)")
     else:
         normal = rows.vectors("normal x|normal nx", "normal y|normal ny")
     with np.errstate(over="ignore"):
         bad = np.abs(np.hypot(*normal.T) - 1) > _UNIT_TOLERANCE
     i = int(np.argmax(bad))
-    _expect(not bad[i], rows.parts[i]["normal"], "expected a unit vector", str(tuple(normal[i].tolist())))
+    expect(not bad[i], rows.parts[i]["normal"], "expected a unit vector", str(tuple(normal[i].tolist())))
     return normal
 
 
@@ -733,7 +515,7 @@ def _refuse_twins(elements, a, b, n: int) -> None:
             wall = f" ({WALLS[pair[1] - n]} wall)" if pair[1] >= n else ""
             names = f"{elements[i].get('master')}, {elements[i].get('slave')}"
             first = elements[seen[pair]].get("index")
-            raise _fault(elements[i], f"expected no second contact of a pair, the first is {first}", names + wall)
+            raise fault(elements[i], f"expected no second contact of a pair, the first is {first}", names + wall)
 
 
 def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
