@@ -32,7 +32,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from deep_contact.compiled import code_cache
 from deep_contact.reporting import results
 from deep_contact.reporting.figures import progress_bar
 
@@ -346,39 +345,10 @@ def make_copy(folder: Path) -> None:
             shutil.copy(ROOT / name, folder / name)
 
 
-def reached(package: Path, file: str) -> set[str]:
-    """A file and all those of the package that import it, directly or not: whose compiled code it may be part of."""
-    importers = {}
-    for path in package.rglob("*.py"):
-        name = path.relative_to(package).as_posix()
-        for node in ast.walk(ast.parse(path.read_bytes())):
-            if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == package.name:
-                module = "/".join(node.module.split(".")[1:])
-                for imported in (module, *(f"{module}/{alias.name}".lstrip("/") for alias in node.names)):
-                    for source in (f"{imported}.py", f"{imported}/__init__.py"):
-                        importers.setdefault(source, set()).add(name)
-    found, waiting = set(), [file]
-    while waiting:
-        name = waiting.pop()
-        if name not in found:
-            found.add(name)
-            waiting.extend(importers.get(name, ()))
-    return found
-
-
-def keep_code(folder: Path, file: str) -> None:
-    """Let the package in a copy take the compiled code of the tests without a mutant, but not where the file reaches.
-
-    The package deletes all of it once any source has changed (`code_cache`), so that is done before, and then undone.
-    """
-    package, warm = folder / "deep_contact", folder / "warm"
-    code_cache.drop_stale_code(package)
-    stale = {Path(name).with_suffix("").as_posix() for name in reached(package, file)}
-    for path in warm.rglob("*.nb?"):
-        place = path.relative_to(warm)
-        if (place.parent.parent / place.name.split(".")[0]).as_posix() not in stale:
-            (package / place.parent).mkdir(exist_ok=True)
-            shutil.copy2(path, package / place)
+def keep_code(folder: Path) -> None:
+    """Let the package in a copy take the compiled code of the tests without a mutant; what the mutant is part of is
+    stale (`deep_contact.compiled.code_cache`)."""
+    shutil.copytree(folder / "warm", folder / "deep_contact", dirs_exist_ok=True)
 
 
 def _limit_time() -> None:
@@ -402,7 +372,7 @@ def try_mutant(mutant: Mutant | None, folder: Path, tests: list[str]) -> dict:
         if original[mutant.start : mutant.end].decode() != mutant.old:
             raise ValueError(f"{mutant.file}:{mutant.line}: expected {mutant.old!r}: the source has changed")
         path.write_bytes(original[: mutant.start] + mutant.new.encode() + original[mutant.end :])
-        keep_code(folder, mutant.file)
+        keep_code(folder)
     tests = tests or [file for name in dict.fromkeys(names) if (folder / (file := f"tests/{name}.py")).exists()]
     command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", "-rfE"]
     command += ["-k", f"not {NOT_TRIED}", *tests]
@@ -417,7 +387,7 @@ def try_mutant(mutant: Mutant | None, folder: Path, tests: list[str]) -> dict:
             path.write_bytes(original)
     if done.returncode == 0:
         if mutant is None:
-            shutil.copytree(package, folder / "warm", ignore=shutil.ignore_patterns("*.py", "*.json", "*.sums"))
+            shutil.copytree(package, folder / "warm", ignore=shutil.ignore_patterns("*.py", "*.json"))
         return {"found": False, "by": None}
     if done.returncode in (-signal.SIGXCPU, -signal.SIGKILL):
         return {"found": True, "by": "time"}
