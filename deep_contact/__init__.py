@@ -1,64 +1,57 @@
 """Deep Contact: rigid contact made faster by learning where the solver should start.
 
-The public names below are looked up when they are first used, so that `import deep_contact` costs next to nothing
-and a job that predicts nothing never loads TensorFlow.
+Type checkers and editors see the imports below. At run time they are only read, and `__getattr__` imports a name when
+it is first used: `import deep_contact` costs next to nothing, and a job that predicts nothing never loads TensorFlow.
 """
 
 from __future__ import annotations
 
 import importlib
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from deep_contact.version import VERSION as __version__
 
-_HOME = {
-    "deep_contact.state": ("Bodies", "Contacts", "State", "World", "make_bodies"),
-    "deep_contact.physics.scenes": (
-        "circles_in_box",
-        "column",
-        "drifting_circles",
-        "lattice_in_box",
-        "single_body",
-        "two_bodies",
-    ),
-    "deep_contact.physics.solvers": (
-        "APGD",
-        "BatchedPGS",
-        "NNCG",
-        "NesterovPGS",
-        "PGS",
-        "PSOR",
-        "SoftSteps",
-        "SymmetricPGS",
-    ),
-    "deep_contact.physics.exact": ("solve_exactly",),
-    "deep_contact.cnn.inference": ("load_model",),
-    "deep_contact.planning": ("plan",),
-    "deep_contact.recommendation": ("recommend",),
-    "deep_contact.simulation": ("simulate", "solve_contacts", "step"),
-    "deep_contact.io.state_xml": ("read_state", "write_state"),
-}
-_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
-_MODULES = {
-    "cnn": "deep_contact.cnn",
-    "experiments": "deep_contact.studies.comparison",
-    "figures": "deep_contact.reporting.figures",
-    "peers": "deep_contact.studies.peers",
-    "physics": "deep_contact.physics",
-    "plotting": "deep_contact.reporting.plotting",
-    "results": "deep_contact.reporting.results",
-    "sph": "deep_contact.sph",
-    "warm_start": "deep_contact.warm_start",
+# ruff: noqa: F401
+if TYPE_CHECKING:
+    from deep_contact import cnn, physics, sph, warm_start
+    from deep_contact.cnn.inference import load_model
+    from deep_contact.io.state_xml import read_state, write_state
+    from deep_contact.physics.exact import solve_exactly
+    from deep_contact.physics.scenes import (
+        circles_in_box,
+        column,
+        drifting_circles,
+        lattice_in_box,
+        single_body,
+        two_bodies,
+    )
+    from deep_contact.physics.solvers import APGD, NNCG, PGS, PSOR, BatchedPGS, NesterovPGS, SoftSteps, SymmetricPGS
+    from deep_contact.planning import plan
+    from deep_contact.recommendation import recommend
+    from deep_contact.reporting import figures, plotting, results
+    from deep_contact.simulation import simulate, solve_contacts, step
+    from deep_contact.state import Bodies, Contacts, State, World, make_bodies
+    from deep_contact.studies import comparison as experiments
+    from deep_contact.studies import peers
+
+_IMPORT = re.compile(r"^    from ([\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)
+_HOME = {  # public name -> (module or package, name in it)
+    public or name: (module, name)
+    for module, names in _IMPORT.findall(Path(__file__).read_text(encoding="utf-8"))
+    for name, public in re.findall(r"(\w+)(?: as (\w+))?", names)
 }
 
-__all__ = [*_MODULE_OF, *_MODULES, "__version__"]
+__all__ = [*_HOME, "__version__"]
 
 
-def __getattr__(name: str):
-    if name in _MODULE_OF:
-        return getattr(importlib.import_module(_MODULE_OF[name]), name)
-    if name in _MODULES:
-        return importlib.import_module(_MODULES[name])
-    raise AttributeError(f"module 'deep_contact' has no attribute {name!r}")
+def __getattr__(public: str):
+    if public not in _HOME:
+        raise AttributeError(f"module 'deep_contact' has no attribute {public!r}")
+    module, name = _HOME[public]
+    home = importlib.import_module(module)
+    return importlib.import_module(f"{module}.{name}") if hasattr(home, "__path__") else getattr(home, name)
 
 
 def __dir__() -> list[str]:

@@ -1,15 +1,18 @@
-"""Where independent tasks run: processes of this machine, or the workers of a Dask cluster.
+"""Where independent tasks run: in processes of this machine, or on the workers of a Dask cluster.
 
-Both are behind the standard interface, `concurrent.futures.Executor`. Whatever takes `jobs` takes the number of local
-processes or an executor, such as `cluster`'s, and the results are the same bits:
+Both are used through the standard interface, `concurrent.futures.Executor`. An argument `jobs` takes the number of
+local processes or an executor, such as that of `cluster`, and the results have the same bits:
 
-    with executors.cluster("tcp://10.0.0.1:8786") as workers:
+    with parallel.cluster("tcp://10.0.0.1:8786") as workers:
         figures.produce(FIGURE, jobs=workers)
 
 A cluster is started by Dask's own commands, in an environment where this package and the extra `cluster` are installed:
 `dask scheduler`, and on every machine `dask worker ADDRESS --nworkers auto --nthreads 1`. Workers need no file system
-of the client: a task is sent to them, and what comes back is what it returns. A task that reads a file, such as a
-network of `models/`, reads the worker's own, below the folder in which the worker was started.
+of the client: a task is sent to them, and they send back what it returns. A task that reads a file, such as a network
+of `models/`, reads the worker's own, below the folder in which the worker was started.
+
+joblib and loky were tried in place of the local pool: their workers outlive a killed parent, get Ctrl-C themselves and
+set the number of Numba's threads, and to prevent that takes more code than the pool.
 """
 
 from __future__ import annotations
@@ -50,13 +53,15 @@ def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -
 
     jobs: number of local processes, which are spawned; with one, or one item, everything happens in this process.
     Or an executor, which stays open. `function` has to be found by import (a script's own functions are), and items and
-    results have to be picklable. The first error, an interrupt, or closing the iterator ends the tasks that have not
-    begun, and local processes at once; use `contextlib.closing` where the loop itself may raise. Results are handed on
-    and not kept. Raises ValueError for other `jobs`.
+    results have to be picklable. The first error, an interrupt, or closing the iterator cancels the tasks that have not
+    begun, and ends local processes at once; use `contextlib.closing` where the loop itself may raise. Results are
+    handed on and not kept. Raises ValueError for other `jobs`.
     """
     if not isinstance(jobs, Executor) and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
         raise ValueError(f"jobs: expected an integer >= 1 or an Executor, got {jobs!r}")
-    return _finished(function, list(items), jobs)
+    return _finished(
+        function, list(items), jobs
+    )  # a function of its own, so that bad `jobs` raise before the first item
 
 
 def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator[tuple[int, object]]:
@@ -64,8 +69,8 @@ def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator
         for i, item in enumerate(items):
             yield i, function(item)
         return
+    numbers = {}
     with nullcontext(jobs) if isinstance(jobs, Executor) else _processes(min(jobs, len(items))) as executor:
-        numbers = {}
         try:
             with _interrupts_held_back():
                 for i, item in enumerate(items):
@@ -73,7 +78,7 @@ def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator
             for future in as_completed(list(numbers)):
                 yield numbers.pop(future), future.result()
         except BaseException:
-            if isinstance(jobs, Executor):  # local processes, and their tasks, are ended by `_processes`
+            if executor is jobs:  # a pool of our own cancels its tasks itself, and must not find them cancelled
                 for future in numbers:
                     future.cancel()
             raise
@@ -88,13 +93,13 @@ def opened(jobs: int, scheduler: str | None = None) -> AbstractContextManager[in
 def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
     """The workers of the Dask cluster whose scheduler is at `address`, as an executor.
 
-    timeout: seconds within which the scheduler has to answer. Tasks wait until there is a worker, and a task whose
-    worker died is done by another, up to Dask's limit (`distributed.scheduler.allowed-failures`). Worker processes do
-    one task at a time, whatever their threads. A worker refuses tasks where its sources or versions are not those of
-    this process, since its results could be others. Tasks that have begun cannot be called back: after an error or
-    Ctrl-C the workers finish them, for nobody.
-    Raises ClusterError naming the address where no scheduler answers or it is lost, and where the package `distributed`
-    is missing.
+    timeout: seconds within which the scheduler has to answer. Tasks wait until there is a worker. If a worker dies,
+    another does its task, up to Dask's limit (`distributed.scheduler.allowed-failures`). Worker processes do one task
+    at a time, whatever their threads. A worker whose sources or versions differ from those of this process refuses
+    tasks, since its results could differ. Tasks that have begun cannot be stopped: after an error or Ctrl-C the workers
+    finish them, and the results are dropped.
+    Raises ClusterError naming the address if no scheduler answers or the connection is lost, and if the package
+    `distributed` is missing.
     """
     try:
         from distributed import Client
@@ -105,7 +110,7 @@ def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
         ) from None
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
-    except Exception as error:  # Dask raises OSError, ValueError, TypeError and others, by what is wrong of the address
+    except Exception as error:  # OSError, ValueError, TypeError and others, depending on what is wrong with the address
         raise ClusterError(
             f"scheduler: expected a Dask scheduler that answers at {address} within {timeout:g} s, got none: "
             f"{str(error) or type(error).__name__}"
@@ -118,10 +123,10 @@ def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
 
 
 class _Cluster(Executor):
-    """Dask's executor, its tasks held to our code."""
+    """Dask's executor; the workers check that they run our code before each task."""
 
     def __init__(self, client):
-        # Impure: Dask may neither take two equal tasks for one nor hand out what an older code has found.
+        # Impure: Dask must neither merge two equal tasks nor return a result that older code has computed.
         self._executor = client.get_executor(pure=False)
 
     def submit(self, function, /, *args, **kwargs):
@@ -129,8 +134,8 @@ class _Cluster(Executor):
 
         task, expected = cloudpickle.dumps((function, args, kwargs)), code()
 
-        # A nested function and bytes travel by value: Dask's worker would fall over a message that it cannot unpickle,
-        # where this one ends in an ordinary error, also on a worker without this package.
+        # A nested function and bytes are pickled by value. A worker that cannot import the task, or this package, then
+        # reports an ordinary error; a message that it cannot unpickle would end the worker.
         def task_of_deep_contact():
             from deep_contact.parallel import on_worker
 
@@ -143,7 +148,7 @@ class _Cluster(Executor):
 
 
 def on_worker(task: bytes, expected: dict[str, str]):
-    """Do a pickled task (function, args, kwargs) here. Raises ClusterError where `code` is not what is expected."""
+    """Do a pickled task (function, args, kwargs) here. Raises ClusterError if `code` is not what is expected."""
     import cloudpickle
 
     for name, found in code().items():
@@ -160,7 +165,7 @@ def on_worker(task: bytes, expected: dict[str, str]):
 
 @cache
 def code() -> dict[str, str]:
-    """What results depend on beside the task: versions, and a digest of the sources, by name."""
+    """Versions, and a digest of the sources, by name: results depend on them beside the task."""
     digest, folder = hashlib.sha256(), Path(__file__).parent
     for path in sorted(folder.rglob("*.py")):
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
@@ -171,8 +176,8 @@ def code() -> dict[str, str]:
 
 @contextmanager
 def _processes(count: int) -> Iterator[Executor]:
-    """Spawned processes of this machine; after an error they are ended at once, whatever they are at."""
-    # Spawned, not forked: a fork would copy whatever threads the parent's libraries have in whatever state.
+    """Spawned processes of this machine; after an error they are ended at once, even in the middle of a task."""
+    # Spawned, not forked: a fork would copy the threads of the parent's libraries in an unknown state.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())
     with ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent) as executor:
@@ -186,7 +191,7 @@ def _processes(count: int) -> Iterator[Executor]:
 
 
 def _end_with_parent() -> None:
-    """End this process once its parent is gone: a pool's processes wait for tasks even where nobody can send any."""
+    """End this process once its parent is gone; a pool's process would wait for tasks that nobody can send."""
 
     def wait():
         multiprocessing.parent_process().join()

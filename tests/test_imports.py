@@ -23,9 +23,10 @@ def test_import_alone_loads_nothing_heavy():
     assert not modules_after("import deep_contact") & {"numba", "numpy", "scipy", "tensorflow", "keras", "matplotlib"}
 
 
-def test_a_simulation_loads_no_network_and_no_plotting():
+def test_a_simulation_loads_no_network_no_plotting_and_no_scipy():
+    """Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `prepare_numba`."""
     loaded = modules_after("import deep_contact as dc; dc.simulate(dc.column(2), steps=1)")
-    assert not loaded & {"tensorflow", "keras", "matplotlib", "h5py"}
+    assert not loaded & {"tensorflow", "keras", "matplotlib", "h5py", "scipy.linalg", "scipy.spatial"}
 
 
 def test_imports_point_down_and_make_no_circle(capsys):
@@ -37,6 +38,13 @@ def test_imports_point_down_and_make_no_circle(capsys):
 def test_every_public_name_is_there():
     for name in dc.__all__:
         assert getattr(dc, name) is not None
+
+
+def test_a_public_name_may_differ_from_that_of_its_module():
+    from deep_contact.studies import comparison
+
+    assert dc.experiments is comparison
+    assert "comparison" not in dir(dc)
 
 
 def test_an_unknown_name_is_an_attribute_error():

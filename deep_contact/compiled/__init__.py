@@ -1,1 +1,20 @@
-"""What Numba needs and nobody has to read for the physics: the cache of compiled code, vector instructions, threads."""
+"""What Numba needs and no physicist has to read: its cache of compiled code, and vector instructions."""
+
+from functools import cache
+
+
+@cache
+def prepare_numba() -> None:
+    """Make Numba's cache safe, and keep SciPy out of processes that do not use it. Call it before `njit` is used."""
+    from numba.np import linalg
+
+    from deep_contact.compiled import code_cache
+
+    code_cache.install()
+    # Numba imports scipy.linalg only to know whether it can compile `np.dot`, which takes a quarter of the time to the
+    # first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.
+    check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
+    try:
+        import numba.np.arraymath  # noqa: F401
+    finally:
+        linalg.ensure_blas = check

@@ -22,7 +22,8 @@ import io
 import json
 import math
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -33,6 +34,7 @@ import numpy as np
 from deep_contact.io.files import replacing
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import Bodies, Contacts, State, World, check_state
+from deep_contact.validation import integer, number, one_of
 
 FORMAT = "deep-contact simulation"
 VERSION = 1
@@ -45,19 +47,32 @@ SETTLING, REST = 0.5, 0.05
 """Relative errors of Builtin's start below which a state is settling, or at rest."""
 
 _MAX_TEXT = 2**16
-_STATES = {"step": "<i8", "time": "<f8", "solved": "|u1", "sweeps": "<i4", "theta": "<f8"}
-_BODIES = {"position": 2, "velocity": 2, "angle": 0, "spin": 0}
-_CONTACTS = {
-    "body_a": 0,
-    "body_b": 0,
-    "contact_position": 2,
-    "normal": 2,
-    "separation": 0,
-    "normal_impulse": 0,
-    "tangent_impulse": 0,
-    "normal_start": 0,
-    "tangent_start": 0,
+_ARRAYS = {
+    "step": ("<i8", "T"),
+    "time": ("<f8", "T"),
+    "solved": ("|u1", "T"),
+    "sweeps": ("<i4", "T"),
+    "theta": ("<f8", "T"),
+    "contact_offset": ("<i8", "E"),
+    "mass": ("<f8", "n"),
+    "radius": ("<f8", "n"),
+    "position": ("<f8", "Tn2"),
+    "velocity": ("<f8", "Tn2"),
+    "angle": ("<f8", "Tn"),
+    "spin": ("<f8", "Tn"),
+    "body_a": ("<i4", "M"),
+    "body_b": ("<i4", "M"),
+    "contact_position": ("<f8", "M2"),
+    "normal": ("<f8", "M2"),
+    "separation": ("<f8", "M"),
+    "normal_impulse": ("<f8", "M"),
+    "tangent_impulse": ("<f8", "M"),
+    "normal_start": ("<f8", "M"),
+    "tangent_start": ("<f8", "M"),
 }
+"""Name -> type in the file, and the sizes of the dimensions: T, E = T + 1, n, M of the table above, 2 for x and y."""
+
+_BODIES, _CONTACTS = ("position", "velocity", "angle", "spin"), tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _NUMBERS = {"version": 0, "dt": 0, "box": 4, "gravity": 2, "friction": 0, "restitution": 0}
 
@@ -108,15 +123,17 @@ class StoredSimulation:
 
     def state(self, index: int) -> State:
         """State `index`, 0 … T − 1, in arrays of its own; to the last bit what was written."""
-        if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not 0 <= index < self.count:
-            raise IndexError(f"index: expected a state, 0 to {self.count - 1}, got {index!r}")
+        try:
+            index = integer("index", index, most=self.count - 1)
+        except ValueError as error:
+            raise IndexError(str(error)) from None
         a, head = self.arrays, self.header
         first, last = a["contact_offset"][index : index + 2]
         return State(
             name=head["name"],
             world=head["world"],
             bodies=Bodies(
-                *(a[name][index].copy() for name in ("position", "velocity", "angle", "spin")),
+                *(a[name][index].copy() for name in _BODIES),
                 a["mass"].copy(),
                 a["radius"].copy(),
             ),
@@ -231,8 +248,7 @@ def write_simulation(
 
 def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> bytes:
     """The bytes of a simulation's file. compression and errors as for `write_simulation`."""
-    if compression not in ("gzip", "lzf", None):
-        raise ValueError(f"compression: expected 'gzip', 'lzf' or None, got {compression!r}")
+    one_of("compression", compression, ("gzip", "lzf", None))
     if simulation.bytes > MAX_BYTES:
         raise ValueError(f"states: expected at most {MAX_BYTES} bytes a file, got {simulation.bytes}")
     buffer = io.BytesIO()
@@ -250,7 +266,7 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
                 rows = max(1, 2**18 // max(1, array.nbytes // array.shape[0]))
                 options = {"chunks": (min(rows, array.shape[0]), *array.shape[1:]), "shuffle": True}
                 options |= {"compression": compression, "compression_opts": 1 if compression == "gzip" else None}
-            dataset = file.create_dataset(name, data=array.astype(_stored_type(name)), **options)
+            dataset = file.create_dataset(name, data=array.astype(_ARRAYS[name][0]), **options)
             # Now, not when it is closed: whatever looks at running frames, as profilers do (Dask's workers have one),
             # may hold it open for a moment, and then its bytes would come to lie behind those of the next.
             dataset.flush()
@@ -263,16 +279,16 @@ def read_simulation(path) -> StoredSimulation:
     Raises DataFileError naming file, field and value where it is truncated, foreign or altered; OSError where the file
     cannot be opened.
     """
-    path = Path(path)
-    with _open(path) as file:
-        header, attributes, shapes = _read_header(path, file)
-        arrays = {name: _read_array(path, file, name, shape) for name, shape in shapes.items()}
-    _check_arrays(path, arrays)
-    digest = attributes.pop("digest")
-    # Of the attributes as they are in the file: what is made of them may gain options that old files do not have.
-    found = _digest(attributes, arrays)
-    if found != digest:
-        raise DataFileError(f"{path}: digest: expected that of the contents, {found}, got {digest}: altered or damaged")
+    with _opened(Path(path)) as file:
+        attributes, shapes = _read_attributes(file), _read_shapes(file)
+        header = _header(attributes)
+        arrays = {name: file[name][...] for name in shapes}
+        arrays |= {name: arrays[name].astype(np.int64) for name in ("body_a", "body_b")}
+        _check_arrays(arrays)
+        digest = attributes.pop("digest")
+        # Of the attributes as they are in the file: the header may hold options that are newer than the file.
+        found = _digest(attributes, arrays)
+        _expect(found == digest, f"digest: expected that of the contents, {found}, got {digest}: altered or damaged")
     return StoredSimulation(header=header, arrays=arrays, digest=digest)
 
 
@@ -295,41 +311,34 @@ class SimulationInfo(NamedTuple):
 
 def simulation_info(path) -> SimulationInfo:
     """The header of a file. Errors as for `read_simulation`."""
-    path = Path(path)
-    with _open(path) as file:
-        header, attributes, shapes = _read_header(path, file)
-    return SimulationInfo(header, attributes["digest"], shapes["step"][0], _memory(shapes))
+    with _opened(Path(path)) as file:
+        attributes, shapes = _read_attributes(file), _read_shapes(file)
+        return SimulationInfo(_header(attributes), attributes["digest"], shapes["step"][0], _memory(shapes))
 
 
 # ---- details of a file ----
 
 
-class _open:
-    """A file of ours, open for reading; whatever HDF5 stumbles over inside the block becomes a DataFileError."""
-
-    def __init__(self, path: Path):
-        self.path = path
-
-    def __enter__(self) -> h5py.File:
-        if not stat.S_ISREG(self.path.stat().st_mode):
-            raise DataFileError(f"{self.path}: expected a file, got a folder, pipe or device")
-        with open(self.path, "rb"):
-            pass  # a file that may not be read is an OSError, not a fault of its contents
-        try:
-            self.file = h5py.File(self.path, "r", locking=False)
-        except (OSError, RuntimeError, ValueError) as error:
-            raise DataFileError(f"{self.path}: expected an HDF5 file, whole and undamaged: {error}") from None
-        return self.file
-
-    def __exit__(self, kind, error, _):
-        self.file.close()
-        hdf5_faults = (OSError, RuntimeError, KeyError, TypeError, OverflowError, MemoryError)
-        if kind is not None and (issubclass(kind, hdf5_faults) or kind in (ValueError, UnicodeDecodeError)):
-            raise DataFileError(f"{self.path}: expected an undamaged file: {error}") from None
+@contextmanager
+def _opened(path: Path) -> Iterator[h5py.File]:
+    """A file, open for reading. Every fault that its contents cause in the block becomes a DataFileError naming it."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise DataFileError(f"{path}: expected a file, got a folder, pipe or device")
+    with open(path, "rb"):
+        pass  # a file that may not be read is an OSError, not a fault of its contents
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
+    except DataFileError as error:
+        raise DataFileError(f"{path}: {error}") from None
+    except (OSError, RuntimeError, KeyError, TypeError, OverflowError, MemoryError, ValueError) as error:
+        raise DataFileError(f"{path}: expected an HDF5 file of a simulation, whole and undamaged: {error}") from None
 
 
-def _stored_type(name: str) -> str:
-    return _STATES.get(name) or {"contact_offset": "<i8", "body_a": "<i4", "body_b": "<i4"}.get(name, "<f8")
+def _expect(condition, message: str) -> None:
+    """Raise DataFileError unless the condition holds; `_opened` names the file."""
+    if not condition:
+        raise DataFileError(message)
 
 
 def _per_state(name: str, given, count: int, dtype, missing) -> np.ndarray:
@@ -365,141 +374,100 @@ def _attributes(header: dict) -> dict:
         "gravity": world.gravity,
         "friction": world.friction,
         "restitution": world.restitution,
-        "solver": json.dumps(settings, sort_keys=True, default=_number),
+        "solver": json.dumps(settings, sort_keys=True, default=lambda value: value.item()),
         "seed": json.dumps(header["seed"], sort_keys=True),
         "options": json.dumps(header["options"], sort_keys=True),
     }
 
 
-def _number(value):
-    return value.item() if isinstance(value, np.generic) else value
-
-
 def _digest(attributes: dict, arrays: dict) -> str:
     sha = hashlib.sha256(json.dumps(attributes, sort_keys=True).encode())
     for name in sorted(arrays):
-        stored = np.ascontiguousarray(arrays[name].astype(_stored_type(name), copy=False))
+        stored = np.ascontiguousarray(arrays[name].astype(_ARRAYS[name][0], copy=False))
         sha.update(f"\n{name} {stored.dtype.str} {stored.shape}\n".encode())
         sha.update(stored)
     return sha.hexdigest()
 
 
-def _read_header(path: Path, file: h5py.File) -> tuple[dict, dict, dict]:
-    """(header, attributes as they are, shape of every array); all sizes are checked before any array is read."""
-    texts = {name: _read_text(path, file, name) for name in _TEXTS}
-    if texts["format"] != FORMAT:
-        raise DataFileError(f"{path}: format: expected {FORMAT!r}, got {texts['format']!r}")
-    numbers = {name: _read_number(path, file, name, size) for name, size in _NUMBERS.items()}
-    if numbers["version"] != VERSION:
-        raise DataFileError(f"{path}: version: expected {VERSION}, got {numbers['version']!r}")
-    decoded = {}
+def _read_attributes(file: h5py.File) -> dict:
+    found = {}
+    for name in (*_TEXTS, *_NUMBERS):
+        _expect(name in file.attrs, f"{name}: expected this attribute, got none: not a file of ours")
+        attribute = file.attrs.get_id(name)  # tells type and size, before anything is read
+        got = f"got {attribute.dtype}, shape {attribute.shape}"
+        if name in _TEXTS:
+            fits = attribute.dtype.kind == "S" and attribute.shape == () and attribute.dtype.itemsize <= 4 * _MAX_TEXT
+            _expect(fits, f"{name}: expected a text of fixed length, {got}")
+            found[name] = bytes(file.attrs[name]).decode()
+        else:
+            dtype, shape = "<i8" if name == "version" else "<f8", (_NUMBERS[name],) if _NUMBERS[name] else ()
+            fits = attribute.dtype.str == dtype and attribute.shape == shape
+            _expect(fits, f"{name}: expected {dtype}, shape {shape}, {got}")
+            found[name] = tuple(file.attrs[name].tolist()) if shape else file.attrs[name].item()
+    return found
+
+
+def _header(attributes: dict) -> dict:
+    """What the attributes of a file mean."""
+    for name, expected in (("format", FORMAT), ("version", VERSION)):
+        _expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
+    header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
+    header["world"] = World(**{name: attributes[name] for name in ("box", "gravity", "friction", "restitution")})
     for name in ("solver", "seed", "options"):
         try:
-            decoded[name] = json.loads(texts[name])
+            header[name] = json.loads(attributes[name])
         except (ValueError, RecursionError) as error:
-            raise DataFileError(f"{path}: {name}: expected JSON, got {texts[name][:80]!r}: {error}") from None
-    try:
-        world = World(**{name: numbers[name] for name in ("box", "gravity", "friction", "restitution")})
-    except ValueError as error:
-        raise DataFileError(f"{path}: {error}") from None
-    if not (math.isfinite(numbers["dt"]) and numbers["dt"] > 0):
-        raise DataFileError(f"{path}: dt: expected a finite number > 0, got {numbers['dt']}")
-    header = {"name": texts["name"], "dt": numbers["dt"], "world": world, **decoded}
-    header["solver"] = _solver_of(path, decoded["solver"])
-    expected = {*_STATES, *_BODIES, *_CONTACTS, "contact_offset", "mass", "radius"}
-    if set(file) != expected:
-        strange = sorted(set(file) ^ expected)
-        raise DataFileError(f"{path}: arrays: expected {', '.join(sorted(expected))}, missing or unknown: {strange}")
-    return header, texts | numbers, _checked_shapes(path, file)
+            raise DataFileError(f"{name}: expected JSON, got {attributes[name][:80]!r}: {error}") from None
+    settings = header["solver"]
+    if settings is not None:
+        method = settings.pop("method", None) if isinstance(settings, dict) else None
+        known = isinstance(method, str) and method in METHODS
+        _expect(known, f"solver: expected null or a method among {', '.join(METHODS)}, got {attributes['solver']}")
+        try:
+            header["solver"] = METHODS[method](**settings)
+        except (TypeError, ValueError) as error:
+            raise DataFileError(f"solver: expected options of {method}, got {settings!r}: {error}") from None
+    return header
 
 
-def _solver_of(path: Path, settings):
-    if settings is None:
-        return None
-    method = settings.get("method") if isinstance(settings, dict) else None
-    if not isinstance(method, str) or method not in METHODS:
-        raise DataFileError(f"{path}: solver: expected null or a method among {', '.join(METHODS)}, got {settings!r}")
-    try:
-        return METHODS[method](**{name: value for name, value in settings.items() if name != "method"})
-    except (TypeError, ValueError) as error:
-        raise DataFileError(f"{path}: solver: expected options of {method}, got {settings!r}: {error}") from None
-
-
-def _read_text(path: Path, file: h5py.File, name: str) -> str:
-    dtype, shape = _attribute(path, file, name)
-    if dtype.kind != "S" or shape != () or dtype.itemsize > 4 * _MAX_TEXT:
-        raise DataFileError(f"{path}: {name}: expected a text of fixed length, got {dtype}, shape {shape}")
-    try:
-        return bytes(file.attrs[name]).decode()
-    except UnicodeDecodeError as error:
-        raise DataFileError(f"{path}: {name}: expected UTF-8: {error}") from None
-
-
-def _read_number(path: Path, file: h5py.File, name: str, size: int):
-    dtype, shape = _attribute(path, file, name)
-    if dtype.str != ("<i8" if name == "version" else "<f8") or shape != ((size,) if size else ()):
-        expected = f"{size} numbers" if size else "a number"
-        raise DataFileError(f"{path}: {name}: expected {expected}, got {dtype}, shape {shape}")
-    value = file.attrs[name]
-    return tuple(value.tolist()) if size else value.item()
-
-
-def _attribute(path: Path, file: h5py.File, name: str):
-    if name not in file.attrs:
-        raise DataFileError(f"{path}: {name}: expected this attribute, got none: not a file of ours")
-    attribute = file.attrs.get_id(name)
-    return attribute.dtype, attribute.shape
-
-
-def _checked_shapes(path: Path, file: h5py.File) -> dict[str, tuple[int, ...]]:
+def _read_shapes(file: h5py.File) -> dict[str, tuple[int, ...]]:
+    """Shape of every array; all types and sizes are checked before any array is read."""
+    strange = sorted(set(file) ^ set(_ARRAYS))
+    _expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
     shapes = {}
-    for name in file:
+    for name, (dtype, _) in _ARRAYS.items():
         # Links and external storage would read other files.
         link = file.get(name, getlink=True)
         array = file[name] if isinstance(link, h5py.HardLink) else None
-        if not isinstance(array, h5py.Dataset) or array.is_virtual or array.external:
-            raise DataFileError(f"{path}: {name}: expected an array in this file, got {array or link}")
-        if array.dtype.str != _stored_type(name):
-            raise DataFileError(f"{path}: {name}: expected numbers of type {_stored_type(name)}, got {array.dtype.str}")
+        inside = isinstance(array, h5py.Dataset) and not array.is_virtual and not array.external
+        _expect(inside, f"{name}: expected an array in this file, got {array or link}")
+        _expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
         shapes[name] = array.shape
     for name in ("step", "mass", "body_a"):
-        if shapes[name] is None or len(shapes[name]) != 1:
-            raise DataFileError(f"{path}: {name}: expected one dimension, got shape {shapes[name]}")
+        dimensions = len(shapes[name] or ())
+        _expect(dimensions == 1, f"{name}: expected one dimension, got shape {shapes[name]}")
     (count,), (n,), (m,) = shapes["step"], shapes["mass"], shapes["body_a"]
-    expected = {name: (count,) for name in _STATES} | {"contact_offset": (count + 1,), "mass": (n,), "radius": (n,)}
-    expected |= {name: (count, n, columns) if columns else (count, n) for name, columns in _BODIES.items()}
-    expected |= {name: (m, columns) if columns else (m,) for name, columns in _CONTACTS.items()}
-    for name, shape in expected.items():
-        if shapes[name] != shape:
-            raise DataFileError(f"{path}: {name}: expected shape {shape}, got {shapes[name]}")
-    if count == 0 or _memory(shapes) > MAX_BYTES:
-        raise DataFileError(
-            f"{path}: expected at least one state and at most {MAX_BYTES} bytes unpacked, got {count} states, "
-            f"{_memory(shapes)} bytes"
-        )
-    return {name: shapes[name] for name in expected}
+    sizes = {"T": count, "E": count + 1, "n": n, "M": m, "2": 2}
+    for name, (_, dimensions) in _ARRAYS.items():
+        shape = tuple(sizes[letter] for letter in dimensions)
+        _expect(shapes[name] == shape, f"{name}: expected shape {shape}, got {shapes[name]}")
+    expected = f"expected at least one state and at most {MAX_BYTES} bytes unpacked"
+    _expect(0 < count and _memory(shapes) <= MAX_BYTES, f"{expected}, got {count} states, {_memory(shapes)} bytes")
+    return shapes
 
 
 def _memory(shapes: dict) -> int:
     return sum(8 * math.prod(shape) for shape in shapes.values())
 
 
-def _read_array(path: Path, file: h5py.File, name: str, shape) -> np.ndarray:
-    try:
-        array = file[name][...]
-    except (OSError, RuntimeError) as error:
-        raise DataFileError(f"{path}: {name}: expected an array, whole and undamaged: {error}") from None
-    return array.astype(np.int64) if name in ("body_a", "body_b") else array
-
-
-def _check_arrays(path: Path, arrays: dict) -> None:
+def _check_arrays(arrays: dict) -> None:
     """What `check_state` asks of every state, for all at once."""
 
     def refuse(bad, name, expected):
         if bad.any():
             at = tuple(int(i) for i in np.argwhere(bad)[0])
             where = ", ".join(map(str, at))
-            raise DataFileError(f"{path}: {name}[{where}]: expected {expected}, got {arrays[name][at]}")
+            raise DataFileError(f"{name}[{where}]: expected {expected}, got {arrays[name][at]}")
 
     for name, array in arrays.items():
         if array.dtype.kind == "f" and name != "theta":
@@ -512,8 +480,8 @@ def _check_arrays(path: Path, arrays: dict) -> None:
     offset, n, a, b = arrays["contact_offset"], arrays["mass"].size, arrays["body_a"], arrays["body_b"]
     steps = np.diff(offset, prepend=0)
     refuse((steps < 0) | (offset > a.size), "contact_offset", "rising numbers within the contacts")
-    if offset[0] != 0 or offset[-1] != a.size:
-        raise DataFileError(f"{path}: contact_offset: expected 0 to {a.size}, got {offset[0]} to {offset[-1]}")
+    first, last = offset[[0, -1]].tolist()
+    _expect((first, last) == (0, a.size), f"contact_offset: expected 0 to {a.size}, got {first} to {last}")
     refuse((a < 0) | (a >= n), "body_a", f"a circle, 0 to {n - 1}")
     refuse((b <= a) | (b >= n + 4), "body_b", f"a body after body_a, up to {n + 3}")
     length = np.hypot(*arrays["normal"].T)

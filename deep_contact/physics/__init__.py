@@ -1,5 +1,5 @@
 """Chapter 2: scenes, collision, the contact solver and the engine."""
 
-from deep_contact.compiled.code_cache import drop_unfit_code
+from deep_contact.compiled import prepare_numba
 
-drop_unfit_code()
+prepare_numba()

@@ -5,9 +5,9 @@ Transfer: `Grid`, `splat`, `density`, `gather`. The slow witness, by k-d tree, i
 `deep_contact.sph.neighbours`.
 """
 
-from deep_contact.compiled.code_cache import drop_unfit_code
+from deep_contact.compiled import prepare_numba
 
-drop_unfit_code()
+prepare_numba()
 
 from deep_contact.sph.grid import Grid, density, gather, splat  # noqa: E402
 from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, value  # noqa: E402

@@ -45,7 +45,7 @@ def times(task: Mapping) -> dict[str, list]:
             found["stages"].append(common | parts_of_start(model, state, task["repeats"]))
         for batch in task["batches"]:
             images = np.repeat(image[None], batch, axis=0)
-            for runtime, run in runtimes(model.keras, images.shape, task["threads"]).items():
+            for runtime, run in runtimes(model.network, images.shape, task["threads"]).items():
                 us = _us(lambda: run(images), task["repeats"]) / batch  # noqa: B023
                 found["times"].append(common | {"runtime": runtime, "batch": batch, "us": us})
     return found
@@ -57,8 +57,7 @@ def _us(function: Callable, repeats: int) -> float:
 
 def runtimes(network, shape: tuple, threads: int) -> dict[str, Callable]:
     """Runtime -> function of a batch of images of this shape."""
-    import tensorflow as tf
-
+    from deep_contact.cnn.backend import tensorflow as tf
     from deep_contact.cnn.convolution import Program
 
     program = Program(network, shape[1:3], threads=threads)

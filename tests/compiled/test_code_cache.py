@@ -1,19 +1,100 @@
-"""Numba's cache does not outlive a change of any source of the package."""
+"""Numba's cache does not outlive a change of any source that was compiled into it, nor does damage go unnoticed."""
 
-import os
+import importlib
+import sys
 
-from deep_contact.compiled.code_cache import drop_stale_code
+import numpy as np
+import pytest
+from numba.core import caching
+
+import deep_contact.compiled as compiled
+from deep_contact.compiled.code_cache import source_stamp
+
+SOURCES = {
+    "constants.py": "SLOP = 1\n",
+    "physics/rows.py": "from deep_contact import constants\n",
+    "physics/sweep.py": "import numba\nfrom deep_contact.physics import (\n    islands,\n    rows,\n)\n",
+    "physics/islands.py": "x = 1\n",
+    "plotting.py": "import deep_contact.physics.sweep\n",
+}
 
 
-def test_cached_code_goes_when_any_source_changes(tmp_path):
-    cached = tmp_path / "sub" / "__pycache__" / "solver.nbc"
-    cached.parent.mkdir(parents=True)
-    source = tmp_path / "constants.py"
-    source.write_text("SLOP = 1\n")
-    drop_stale_code(tmp_path)
-    cached.write_bytes(b"machine code")
-    assert not drop_stale_code(tmp_path)
-    assert cached.exists()
-    os.utime(source, ns=(1, 1))
-    assert drop_stale_code(tmp_path)
-    assert not cached.exists()
+@pytest.fixture
+def stamp(tmp_path):
+    """A function that writes a source and tells the stamp of the module sweep after it."""
+    (tmp_path / "deep_contact" / "physics").mkdir(parents=True)
+    for name, text in SOURCES.items():
+        (tmp_path / "deep_contact" / name).write_text(text)
+
+    def write(name, text):
+        source_stamp.cache_clear()
+        compiled.code_cache._read.cache_clear()
+        (tmp_path / "deep_contact" / name).write_text(text)
+        return source_stamp(tmp_path / "deep_contact" / "physics" / "sweep.py", tmp_path)
+
+    return write
+
+
+@pytest.mark.parametrize("name", ["constants.py", "physics/rows.py", "physics/sweep.py", "physics/islands.py"])
+def test_code_is_stale_once_anything_changed_that_its_module_imports(stamp, name):
+    before = stamp(name, SOURCES[name])
+    assert stamp(name, SOURCES[name] + "# changed\n") != before
+    assert stamp(name, SOURCES[name]) == before
+
+
+def test_code_stays_when_another_module_changes(stamp):
+    assert stamp("plotting.py", "x = 2\n") == stamp("plotting.py", SOURCES["plotting.py"])
+
+
+def test_modules_that_import_each_other_have_a_stamp(stamp):
+    assert stamp("constants.py", "from deep_contact.physics.sweep import x\n")
+
+
+@pytest.fixture
+def cached(tmp_path):
+    """A cache as `prepare_numba` has Numba make it, with one entry."""
+    compiled.prepare_numba()
+    cache = caching.IndexDataCacheFile(str(tmp_path), "sweep", "stamp")
+    cache.save("key", {"code": np.arange(100)})
+    return cache
+
+
+@pytest.mark.parametrize("name", ["sweep.nbi", "sweep.1.nbc"])
+@pytest.mark.parametrize("how", ["flipped", "cut", "empty", "garbage", "missing"])
+def test_a_damaged_file_counts_as_missing_and_is_replaced(cached, tmp_path, name, how):
+    assert cached.load("key")["code"].sum() == 4950
+    path = tmp_path / name
+    data = path.read_bytes()
+    middle = len(data) // 2
+    flipped = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
+    path.write_bytes({"flipped": flipped, "cut": data[:50], "empty": b"", "garbage": b"garbage"}.get(how, b""))
+    if how == "missing":
+        path.unlink()
+    assert cached.load("key") is None
+    cached.save("key", {"code": np.ones(1)})
+    assert cached.load("key")["code"].sum() == 1
+
+
+def test_code_of_another_stamp_is_not_loaded(cached, tmp_path):
+    assert caching.IndexDataCacheFile(str(tmp_path), "sweep", "other").load("key") is None
+
+
+def test_a_users_function_is_stale_once_the_package_changed(tmp_path, monkeypatch):
+    """One that is compiled with kernels of this package has to be compiled again with them."""
+    (tmp_path / "of_a_user.py").write_text(
+        "from numba import njit\nfrom deep_contact.physics import collision\n"
+        "@njit(cache=True)\ndef f():\n    return 1\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    compiled.prepare_numba()
+    found = importlib.import_module("of_a_user").f._cache._cache_file._source_stamp
+    del sys.modules["of_a_user"]
+    assert found == source_stamp(tmp_path / "of_a_user.py")
+    assert found != source_stamp(tmp_path / "of_a_user.py", tmp_path)  # where no deep_contact is
+
+
+def test_numba_compiles_what_needs_blas_without_importing_it_before():
+    from numba import njit
+
+    compiled.prepare_numba()
+    assert njit(lambda a: np.dot(a, a))(np.full((2, 2), 2.0)).tolist() == [[8.0, 8.0], [8.0, 8.0]]

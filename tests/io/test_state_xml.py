@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 import tracemalloc
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deep_contact import constants
-from deep_contact.io import state_xml
+from deep_contact.io import xml_tree
 from deep_contact.io.state_xml import (
     StateFileError,
     format_state,
@@ -353,7 +354,7 @@ BAD = {
     "unknown option": (' sweeps="', ' sweep="', "<solver>", "sweep: .*'3000'"),
     "bad option": (' sweeps="3000"', ' sweeps="-3"', "<solver>", "sweeps: .*-3"),
     "missing setting": (' friction="0.5"', "", "<configuration>", "friction: .*missing"),
-    "bad restitution": ('restitution="0.0"', 'restitution="2.0"', "<configuration>", "restitution: .*'2.0'"),
+    "bad restitution": ('restitution="0.0"', 'restitution="2.0"', "<configuration>", "restitution: .*2.0"),
     "bad type": ('type="free"', 'type="flying"', "<body> '0'", "type: .*'flying'"),
     "not a circle": ('value="circle"', 'value="square"', "<shape>", "'square'"),
     "no unit vector": ('<normal x="1.0" y="0.0"/>', '<normal x="2.0" y="0.0"/>', "<normal>", r"\(2.0, 0.0\)"),
@@ -484,6 +485,26 @@ def test_gzip_bomb_is_refused_while_it_is_unpacked(tmp_path):
     assert peak < 150 * 2**20
 
 
+def test_many_attributes_of_one_element_are_refused_in_linear_time():
+    """To look up each of 80,000 values from the first attribute on took 8 s and more."""
+    names = b" ".join(b'a%d="1"' % i for i in range(80_000))
+    start = time.process_time()
+    with pytest.raises(StateFileError, match="a0: no such attribute"):
+        parse_state(b"<configuration " + names + b"/>", "x.xml")
+    with pytest.raises(StateFileError, match="x: attribute is missing"):
+        parse_state(OLD_A.read_bytes().replace(b'<position x="0.0" y="0.0"', b"<position " + names), "x.xml")
+    assert time.process_time() - start < 2
+
+
+def test_many_empty_gzip_members_are_refused(tmp_path):
+    """Two million took 6 s."""
+    (tmp_path / "s.xml.gz").write_bytes(gzip.compress(b"") * 2_000_000)
+    start = time.process_time()
+    with pytest.raises(StateFileError, match=r"s\.xml\.gz: .* 1000 members"):
+        read_state(tmp_path / "s.xml.gz")
+    assert time.process_time() - start < 1
+
+
 @pytest.mark.parametrize("damage", [lambda d: d[:-9], lambda d: d[:20] + b"\xff" + d[21:], lambda d: b"<xml>"])
 def test_damaged_gzip(tmp_path, damage):
     path = tmp_path / "s.xml.gz"
@@ -515,6 +536,13 @@ def test_missing_file_is_an_oserror(tmp_path):
 # Writing
 
 
+@pytest.mark.parametrize("name", ["a.h5", "a", "a.gz", "xml"])
+def test_a_name_that_is_none_of_an_xml_file_is_refused(tmp_path, name):
+    with pytest.raises(StateFileError, match=rf"expected a name that ends in \.xml or \.xml\.gz, got '{name}'"):
+        write_state(tmp_path / name, example())
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_invalid_state_is_not_written(tmp_path):
     bodies = example().bodies._replace(mass=np.array([1.0, np.nan]))
     with pytest.raises(StateFileError, match=r"s\.xml: not written: bodies\.mass\[1\]"):
@@ -539,7 +567,7 @@ def test_what_would_not_come_back_is_not_written(tmp_path, change, words):
 
 
 def test_state_larger_than_can_be_read_is_not_written(monkeypatch):
-    monkeypatch.setattr(state_xml, "MAX_TAGS", 30)
+    monkeypatch.setattr(xml_tree, "MAX_TAGS", 30)
     with pytest.raises(ValueError, match="too large"):
         format_state(example())
 

@@ -21,8 +21,6 @@ from conftest import load_script
 from lxml import etree
 
 import deep_contact as dc
-from deep_contact.compiled import code_cache
-from deep_contact.compiled.code_cache import drop_damaged_code, drop_stale_code, note_code
 from deep_contact.io.state_xml import read_state, write_state
 from deep_contact.reporting import figures, results
 
@@ -245,61 +243,6 @@ def test_training_survives_a_full_disk_and_two_processes_in_one_folder(tmp_path)
 # ---- compiled code ----
 
 
-@pytest.fixture
-def cache(tmp_path):
-    """A package of one source and two cached files, noted."""
-    (tmp_path / "physics" / "__pycache__").mkdir(parents=True)
-    (tmp_path / "physics" / "engine.py").write_text("x = 1\n")
-    drop_stale_code(tmp_path)
-    for name in ("engine.nbi", "engine.1.nbc"):
-        (tmp_path / "physics" / "__pycache__" / name).write_bytes(b"\x80" + name.encode() * 100 + b".")
-    note_code(tmp_path)
-    return tmp_path
-
-
-def cached(package):
-    return sorted(path.name for path in package.rglob("*.nb?"))
-
-
-@pytest.mark.parametrize("how", ["flipped", "cut", "empty", "longer"])
-def test_a_damaged_cached_file_goes_and_the_others_stay(cache, how):
-    path = cache / "physics" / "__pycache__" / "engine.1.nbc"
-    data, times = path.read_bytes(), path.stat()
-    middle = len(data) // 2
-    flipped = data[:middle] + bytes([data[middle] ^ 1]) + data[middle + 1 :]
-    path.write_bytes({"flipped": flipped, "cut": data[:50], "empty": b"", "longer": data + b"x"}[how])
-    if how == "flipped":
-        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))  # a disk that fails does not tell
-    assert drop_damaged_code(cache) == 1
-    assert cached(cache) == ["engine.nbi"]
-
-
-def test_whole_files_and_new_ones_stay(cache):
-    (cache / "physics" / "__pycache__" / "engine.2.nbc").write_bytes(b"\x80compiled since.")
-    (cache / "physics" / "__pycache__" / "engine.nbi").write_bytes(b"\x80with one more signature.")
-    assert drop_damaged_code(cache) == 0
-    assert len(cached(cache)) == 3
-
-
-@pytest.mark.parametrize("notes", ["", "{", "[]", '{"a": 1}', '{"a": [1]}', "\x00"])
-def test_damaged_notes_are_no_notes(cache, notes):
-    (cache / "__pycache__" / "code.sums").write_text(notes)
-    assert drop_damaged_code(cache) == 0
-    note_code(cache)
-    assert set(code_cache._noted(cache)) == {"physics/__pycache__/engine.nbi", "physics/__pycache__/engine.1.nbc"}
-
-
-@pytest.mark.parametrize("hours", [-24, 24])
-def test_a_clock_set_back_or_ahead_does_not_keep_stale_code(cache, hours):
-    # Times are compared for being equal, not for their order: a source edited "before" it was compiled is still new.
-    source = cache / "physics" / "engine.py"
-    stamp = source.stat().st_mtime_ns + hours * 3600 * 10**9
-    source.write_text("x = 2\n")
-    os.utime(source, ns=(stamp, stamp))
-    assert drop_stale_code(cache)
-    assert cached(cache) == []
-
-
 SHORT_RUN = """
 import deep_contact as dc, hashlib
 state = dc.simulate(dc.column(3), steps=20, solver=dc.PGS(sweeps=5)).state
@@ -310,7 +253,7 @@ print(hashlib.sha256(state.bodies.position.tobytes() + state.contacts.normal_imp
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["garbage", "cut", "flipped code", "index"])
 def test_damaged_machine_code_is_compiled_again_with_the_same_result(tmp_path, how):
-    # Without `drop_damaged_code` these end in an UnpicklingError, an EOFError, or a segmentation fault.
+    # Without checksums these end in an UnpicklingError, an EOFError, or a segmentation fault.
     shutil.copytree(PACKAGE, tmp_path / "deep_contact", ignore=shutil.ignore_patterns("__pycache__"))
     whole = run(SHORT_RUN, cwd=tmp_path)
     assert whole.returncode == 0, whole.stderr
