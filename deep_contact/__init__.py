@@ -1,4 +1,4 @@
-"""Deep Contact: rigid contact made faster by learning where the solver should start.
+"""Deep Contact: rigid circles, contact solvers, and how much these gain from a learned start.
 
 Type checkers and editors see the imports below. At run time they are only read, and `__getattr__` imports a name when
 it is first used: `import deep_contact` costs next to nothing, and a job that predicts nothing never loads TensorFlow.

@@ -77,8 +77,10 @@ def _order() -> list[str]:
 def _public_names() -> str:
     """The page that lists what `import deep_contact` offers, with links to where it is described."""
     rows = []
-    for name in deep_contact._MODULE_OF:
+    for name in deep_contact._HOME:
         found = getattr(deep_contact, name)
+        if inspect.ismodule(found):
+            continue
         first = inspect.getdoc(found).partition("\n")[0]
         rows.append(f"| [`dc.{name}`][{found.__module__}.{found.__qualname__}] | {first} |\n")
     return f"# Public names\n\nAfter `import deep_contact as dc`:\n\n| Name | |\n| --- | --- |\n{''.join(rows)}"

@@ -9,7 +9,6 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
-import deep_contact
 from deep_contact.version import VERSION
 
 PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
@@ -48,7 +47,7 @@ def commit() -> str:
 
 
 def _git(*arguments: str) -> str:
-    package = Path(deep_contact.__file__).resolve().parent
+    package = Path(__file__).resolve().parents[1]
     done = subprocess.run(["git", *arguments], cwd=package, capture_output=True, text=True, timeout=20, check=True)
     return done.stdout.strip()
 

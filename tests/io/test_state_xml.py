@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deep_contact import constants
-from deep_contact.io import xml_tree
+from deep_contact.io import state_xml, xml_tree
 from deep_contact.io.state_xml import (
     StateFileError,
     format_state,
