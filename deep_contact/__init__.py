@@ -51,7 +51,9 @@ def __getattr__(public: str):
         raise AttributeError(f"module 'deep_contact' has no attribute {public!r}")
     module, name = _HOME[public]
     home = importlib.import_module(module)
-    return importlib.import_module(f"{module}.{name}") if hasattr(home, "__path__") else getattr(home, name)
+    if module == __name__ or not hasattr(home, name):
+        return importlib.import_module(f"{module}.{name}")
+    return getattr(home, name)
 
 
 def __dir__() -> list[str]:
