@@ -163,7 +163,7 @@ def test_mean_theta_repeats_a_finished_step():
         ({"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
         ({"sweeps": 10**12}, "sweeps: expected an integer <= 10000000, got 1000000000000"),
         ({"sweeps": 2.5}, "sweeps: expected an integer >= 0, got 2.5"),
-        ({"tolerance": float("nan")}, "tolerance: expected None or a finite number >= 0, got nan"),
+        ({"tolerance": float("nan")}, "tolerance: expected a finite number >= 0, got nan"),
     ],
 )
 def test_solver_refuses_bad_options(options, message):

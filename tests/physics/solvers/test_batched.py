@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import momentum
-from test_determinism import fingerprint
+from conftest import fingerprint, momentum
 
 import deep_contact as dc
 from deep_contact.physics import batches, contact_solver, engine

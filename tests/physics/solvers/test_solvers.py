@@ -513,8 +513,8 @@ def test_description_tells_what_differs():
 @pytest.mark.parametrize(
     ("method", "options", "message"),
     [
-        (dc.PSOR, {"omega": 2.0}, "omega: expected a number between 0 and 2, got 2.0"),
-        (dc.PSOR, {"omega": 0}, "omega: expected a number between 0 and 2, got 0"),
+        (dc.PSOR, {"omega": 2.0}, "omega: expected a number above 0, below 2, got 2.0"),
+        (dc.PSOR, {"omega": 0}, "omega: expected a number above 0, below 2, got 0"),
         (dc.PSOR, {"adaptive": "yes"}, "adaptive: expected True or False, got 'yes'"),
         (dc.NNCG, {"precision": "half"}, "precision: expected one of double, single, got 'half'"),
         (dc.APGD, {"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
