@@ -31,10 +31,14 @@ ROUNDING = 1e-9
 whole number of spacings by no more is that number of spacings."""
 
 _MOST_NODES = 2**31 - 1
-_NORMALIZATIONS = ("raw", "particle", "consistent")
-_METHODS = ("bilinear", "sph")
-_UNREACHED = ("error", "zero", "nearest")
-_OUTSIDE = ("error", "clamp", "ignore")
+_OPTIONS = {
+    "normalization": {"raw": 0, "particle": 1, "consistent": 2},
+    "method": {"bilinear": 0, "sph": 1},
+    "unreached": {"error": 0, "zero": 1, "nearest": 2},
+    "outside": {"error": 0, "clamp": 1, "ignore": 2},
+}
+"""Names of options, and the numbers by which Numba code knows them."""
+
 _RAW, _PARTICLE, _CONSISTENT = range(3)
 _BILINEAR, _SPH = range(2)
 _ERROR, _ZERO, _NEAREST = range(3)
@@ -346,7 +350,7 @@ def splat(
     Raises ValueError naming the argument, what was expected and the value.
     """
     chosen, h = kernel_number(kernel), check_support_radius(h)
-    codes = _codes(normalization=normalization, unreached=unreached, outside=outside)
+    codes = _code("normalization", normalization), _code("unreached", unreached), _code("outside", outside)
     position = _positions(position)
     given = as_floats("values", values)
     columns = given.reshape(-1, 1) if given.ndim == 1 else given
@@ -409,9 +413,8 @@ def gather(
 
     Raises ValueError naming the argument, what was expected and the value, also if a result is not finite.
     """
-    one_of("normalization", normalization, _NORMALIZATIONS)
-    chosen, consistent = kernel_number(kernel), normalization == "consistent"
-    codes = _codes(method=method, unreached=unreached, outside=outside)
+    chosen, consistent = kernel_number(kernel), _code("normalization", normalization) == _CONSISTENT
+    codes = _code("method", method), _code("unreached", unreached), _code("outside", outside)
     if h is not None:
         h = check_support_radius(h)
     elif method == "sph" or (consistent and density is None):
@@ -463,10 +466,12 @@ def _positions(given):
     return position
 
 
-def _codes(**options):
-    """The numbers by which Numba code knows the options."""
-    tables = {"normalization": _NORMALIZATIONS, "method": _METHODS, "unreached": _UNREACHED, "outside": _OUTSIDE}
-    return [tables[name].index(one_of(name, value, tables[name])) for name, value in options.items()]
+def _code(name, given):
+    """The number of an option."""
+    try:
+        return _OPTIONS[name][given]
+    except (KeyError, TypeError):
+        return one_of(name, given, _OPTIONS[name])
 
 
 def _error(code, k, grid, position, h, arrays):
