@@ -1,4 +1,4 @@
-"""Deep Contact: rigid contact made faster by learning where the solver should start.
+"""Deep Contact: rigid circles, contact solvers, and how much these gain from a learned start.
 
 Type checkers and editors see the imports below. At run time they are only read, and `__getattr__` imports a name when
 it is first used: `import deep_contact` costs next to nothing, and a job that predicts nothing never loads TensorFlow.
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from deep_contact.cnn.inference import load_model
     from deep_contact.io.state_xml import read_state, write_state
     from deep_contact.physics.exact import solve_exactly
-    from deep_contact.physics.methods import APGD, NNCG, PGS, PSOR, BatchedPGS, NesterovPGS, SoftSteps, SymmetricPGS
     from deep_contact.physics.scenes import (
         circles_in_box,
         column,
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
         single_body,
         two_bodies,
     )
+    from deep_contact.physics.solvers import APGD, NNCG, PGS, PSOR, BatchedPGS, NesterovPGS, SoftSteps, SymmetricPGS
     from deep_contact.planning import plan
     from deep_contact.recommendation import recommend
     from deep_contact.reporting import figures, plotting, results

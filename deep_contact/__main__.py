@@ -15,7 +15,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "view", help="play a simulation", description="Play a simulation: contacts, impulses and θ as it runs."
     )
     add = view.add_argument
-    add("state", nargs="?", metavar="STATE.xml", help="go on from this state (default: a scene of falling circles)")
+    add("state", nargs="?", metavar="STATE.xml", help="continue from this state (default: a scene of falling circles)")
     add("--bodies", type=int, help="circles of the scene (default: 100)")
     add("--size", type=float, help="side of its box, m (default: 30)")
     add("--seed", type=int, help="of the scene (default: 0)")
@@ -41,18 +41,15 @@ def _view(given) -> int:
 
     scene = _scene(given)
     solver = None if given.sweeps is None else dc.PGS(sweeps=given.sweeps)
-    start = _warm_start(given.warm_start)
-    found = viewer.frames(scene, steps=given.steps, every=given.every, solver=solver, warm_start=start)
+    found = viewer.frames(scene, steps=given.steps, every=given.every, solver=solver, warm_start=given.warm_start)
     if given.out is None and viewer.has_display():
         viewer.play(found)
         return 0
-    out = given.out
-    if out is None:
-        out = "view.gif"
+    if given.out is None:
         print("no display: writing a film instead", file=sys.stderr)
     fps = min(50, max(1, round(1 / (given.every * scene.dt))))
     total = -(-given.steps // given.every)
-    for path in viewer.record(progress_bar(found, total=total, text="frames"), out, fps=fps):
+    for path in viewer.record(progress_bar(found, total=total, text="frames"), given.out or "view.gif", fps=fps):
         print(path)
     return 0
 
@@ -67,14 +64,6 @@ def _scene(given):
     if options or given.no_gravity:
         raise ValueError("options of a scene: expected none beside STATE.xml, which is a scene already")
     return dc.read_state(given.state)
-
-
-def _warm_start(name: str):
-    if name == "cnn":
-        from deep_contact.cnn.inference import Cnn
-
-        return Cnn()
-    return None if name == "none" else name
 
 
 if __name__ == "__main__":

@@ -29,7 +29,7 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
 
-from deep_contact.reporting import results
+from deep_contact.io import provenance
 from deep_contact.version import VERSION
 
 TIMEOUT = 10.0
@@ -169,7 +169,7 @@ def code() -> dict[str, str]:
     digest, folder = hashlib.sha256(), Path(__file__).parent
     for path in sorted(folder.rglob("*.py")):
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    versions = results.package_versions()
+    versions = provenance.package_versions()
     ours = {"deep_contact": VERSION, "sources of deep_contact": digest.hexdigest()[:16]}
     return ours | {name: versions.get(name, "none") for name in _PACKAGES}
 

@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.physics.engine import advance_of, required_arguments
+from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
-from deep_contact.physics.methods import SoftSteps, describe
+from deep_contact.physics.solvers import SoftSteps, describe
 from deep_contact.reporting import results
 from deep_contact.simulation import checked_solver, ready
 from deep_contact.state import State
@@ -39,7 +39,7 @@ class Choice:
 class Plan:
     """What a run does with a scene. `print` tells all of it.
 
-    scene: its name. n_bodies: circles. solver: options of `physics.methods`. warm_start: name of the start.
+    scene: its name. n_bodies: circles. solver: options of `physics.solvers`. warm_start: name of the start.
     choices: `Choice` of every part. cpu: processor that the savings were measured on.
     """
 
@@ -77,10 +77,10 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     scene = ready(scene)
     solver = checked_solver(solver, scene)
     start = warm_start_of(warm_start)
-    _, (settings, _) = advance_of(solver, sleep)
+    _, options = advance_of(solver, sleep)
     found = table if table is not None else installed_results()
     savings = found["data"]["savings"]
-    tangents = required_arguments(scene, settings, scene.contacts.tangent_start)[2] is not None
+    tangents = not leaves_tangents_out(scene, options.settings)
     choices = (
         _tangents(scene, solver, tangents, savings),
         _islands(scene, solver, savings),

@@ -1,7 +1,7 @@
 """How accurate, and the fastest way there: `recommend`, and the presets of `simulate(accuracy=…)`.
 
 Nothing is typed in here. The settings are read from what `scripts/tradeoff.py --install` measured: velocity errors of
-single steps (`physics.errors.nearest_velocity_error`) on falling, settling and resting piles of equal circles.
+single steps (`physics.metrics.nearest_velocity_error`) on falling, settling and resting piles of equal circles.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.physics.methods import METHODS, describe
+from deep_contact.physics.solvers import METHODS, describe
 from deep_contact.reporting import results
 from deep_contact.state import State
 
@@ -31,7 +31,7 @@ NEAR = 1.5
 class Recommendation:
     """A solver and a start for a scene, what they cost, and what that was measured on. `print` tells all of it.
 
-    solver: options of `physics.methods`. warm_start: name of the start. velocity_error: asked for, relative.
+    solver: options of `physics.solvers`. warm_start: name of the start. velocity_error: asked for, relative.
     measured: the worst 95th percentile of the velocity error over the kinds of piles. us: mean time of a step, μs, of
     the pile of the study nearest in size, n_bodies circles, on the processor `cpu`. by_kind: kind of pile -> (median,
     95th percentile of the velocity error, mean sweeps, μs a step). states: how many it was measured on.
@@ -72,7 +72,7 @@ def recommend(scene: State, *, velocity_error: float = 1e-2, table: Mapping | No
     """The fastest setting that was measured to keep the velocity error of a step within the one asked for.
 
     scene: a `State`; its number of circles picks the piles of the study nearest in size (by ratio), and its mean mass,
-    gravity and Δt scale the tolerance. velocity_error: relative, see `physics.errors.nearest_velocity_error`; it holds
+    gravity and Δt scale the tolerance. velocity_error: relative, see `physics.metrics.nearest_velocity_error`; it holds
     for 95 % of the states of each kind of pile, divided by the study's margin, where it has one: that with which it
     was met in 95 % of the states of other scenes too (`scripts/tradeoff.py --verify --install`).
     table: results of `scripts/tradeoff.py`; by default the ones in the package.

@@ -1,4 +1,4 @@
-"""The validated face of the engine: `solve_contacts`, `step`, `simulate`."""
+"""The validated interface of the engine: `solve_contacts`, `step`, `simulate`."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from deep_contact.physics.engine import (
     ContactSolution,
     advance_of,
     contacts_of,
-    is_sound,
-    moving_room,
-    required_arguments,
+    is_valid,
+    set_impulses,
     solve,
+    step_input,
+    step_problem,
 )
-from deep_contact.physics.methods import PGS, check_solver, tolerance_argument
+from deep_contact.physics.solvers import PGS
+from deep_contact.physics.solvers.registry import entry_of, tolerance_argument
+from deep_contact.physics.step import StepLog, StepWorkspace, make_log
 from deep_contact.state import (
     LARGEST_SINGLE_START,
     LARGEST_START,
@@ -29,14 +32,15 @@ from deep_contact.state import (
     check_limits,
     check_state,
 )
-from deep_contact.warm_start import Builtin, NoStart, fitting_impulses, warm_start_of
+from deep_contact.validation import integer, number
+from deep_contact.warm_start import Builtin, NoStart, asked, fitting_impulses, warm_start_of
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
 _CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 5
 
-_CHUNK = 4e8
-"""Contacts times sweeps between two looks at the keyboard: about two seconds."""
+_CHUNK = 2e7
+"""Contacts times sweeps between two checks for an interrupt: about a fifth of a second."""
 
 
 class Simulation(NamedTuple):
@@ -101,7 +105,8 @@ def simulate(
 ) -> Simulation:
     """Run a scene, or go on from a state, for so many steps.
 
-    dt: time step, s; solver: options such as `PGS(sweeps=…)`; by default the state's own, or `PGS()`.
+    dt: time step, s; if it is not the state's, carried impulses are scaled by the ratio.
+    solver: options such as `PGS(sweeps=…)`; by default the state's own, or `PGS()`.
     warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
     accuracy: "fast", "balanced" or "accurate", in place of solver and start: those that `recommendation.preset` has
     measured to be the fastest that keep the velocity error of a step within 1e-1, 1e-2 or 1e-3.
@@ -112,10 +117,9 @@ def simulate(
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
-    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)) or steps < 0:
-        raise ValueError(f"steps: expected an integer >= 0, got {steps!r}")
+    integer("steps", steps)
     if dt is not None:
-        state = state.replace(dt=dt)
+        state = with_time_step(state, dt)
     state = ready(state)
     if accuracy is not None:
         solver, warm_start = _preset(state, accuracy, solver)
@@ -123,53 +127,57 @@ def simulate(
     start = warm_start_of(warm_start)
     # Builtin and NoStart need nothing from Python between two steps.
     by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
-    # A solved state is solved again, from where it started, so that a resumed run takes the same road.
+    # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
-    log = np.empty((steps, 4))
-    theta = np.empty(solver.sweeps)
-    moving = moving_room(state.bodies.count, solver)
-    advance, method = advance_of(solver, sleep)
-    rest = (np.zeros(state.bodies.count),) if sleep else ()
+    advance, options = advance_of(solver, sleep)
+    options = options._replace(carry=not isinstance(start, NoStart))
+    log, theta = make_log(steps), np.empty(solver.sweeps)
+    still = np.zeros(state.bodies.count if sleep else 0)
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
         count = 1 if by_step else min(steps - done, max(1, int(_CHUNK / work)))
-        normal, tangent = _impulses(start, state, solver)
+        before, state = state, state.replace(bodies=Bodies(*(field.copy() for field in state.bodies)))
+        problem = step_problem(state, solver)
+        normal, tangent = _impulses(start, state, solver, problem)
+        if tangent.any() and problem.friction is None:
+            state = state.replace(contacts=state.contacts._replace(normal_start=normal, tangent_start=tangent))
+            problem = step_problem(state, solver)
+        set_impulses(problem.rows, normal, tangent)
         contacts = state.contacts._replace(
             normal_start=normal,
             tangent_start=tangent,
             normal_impulse=state.contacts.normal_impulse.copy(),
             tangent_impulse=state.contacts.tangent_impulse.copy(),
         )
-        bodies = Bodies(*(field.copy() for field in state.bodies))
-        chunk = log[done : done + count]
-        solved, found = advance(
-            bodies,
-            contacts,
-            required_arguments(state, method[0], tangent),
-            state.dt,
-            *method,
-            not isinstance(start, NoStart),
-            count,
-            moving,
-            theta,
-            chunk,
-            *rest,
-        )
-        if not np.isfinite(bodies.position.sum()):
-            _raise_diverged(bodies, state.step + count)
+        given = step_input(state, options.settings)._replace(contacts=contacts, friction=problem.friction)
+        workspace = StepWorkspace(problem.rows, problem.solver_bodies, theta, still)
+        chunk = StepLog(*(column[done : done + count] for column in log))
+        solved, found = advance(given, options, workspace, chunk)
+        if not np.isfinite(state.bodies.position.sum()):
+            _raise_diverged(state.bodies, state.step + count)
         if on_step is not None:
-            record = convergence_record(theta[: int(chunk[0, 1])], solver, int(chunk[0, 0]))
-            on_step(state.replace(contacts=solved, solved=True), record)
+            record = convergence_record(theta[: chunk.sweeps[0]], solver, int(chunk.contacts[0]))
+            on_step(before.replace(contacts=solved, solved=True), record)
         done += count
         number = state.step + count
-        # From the number of steps, not by adding up, so that time does not depend on how a run was cut into pieces.
+        # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
         time = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
-        state = state.replace(bodies=bodies, contacts=found, time=time, step=number, solved=False)
-    contacts, sweeps, theta, relaxations = log.T
-    return Simulation(
-        state, contacts.astype(np.int64), sweeps.astype(np.int64), theta.copy(), relaxations.astype(np.int64)
-    )
+        state = state.replace(contacts=found, time=time, step=number, solved=False)
+    return Simulation(state, *log)
+
+
+def with_time_step(state: State, dt: float) -> State:
+    """The state with another Δt, s; the impulses that it carries from the last step are scaled by the ratio.
+
+    Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
+    """
+    contacts = state.contacts
+    if contacts is not None and number("dt", dt, above=0) != state.dt:
+        ratio = dt / state.dt
+        starts = {name: ratio * getattr(contacts, name) for name in ("normal_start", "tangent_start")}
+        contacts = contacts._replace(**starts)
+    return state.replace(dt=dt, contacts=contacts)
 
 
 def _raise_diverged(bodies: Bodies, step: int) -> None:
@@ -185,7 +193,9 @@ def ready(state: State) -> State:
 
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
     """
-    if not (_has_engine_arrays(state) and np.isfinite(state.time) and is_sound(state.bodies, state.contacts)):
+    if not isinstance(state, State):
+        raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+    if not (_has_engine_arrays(state) and np.isfinite(state.time) and is_valid(state.bodies, state.contacts)):
         state = check_limits(check_state(state))
     if not 0 < state.dt < np.inf:
         raise ValueError(f"dt: expected a finite number > 0, got {state.dt}")
@@ -195,7 +205,7 @@ def ready(state: State) -> State:
 
 
 def _has_settings_within_limits(state: State) -> bool:
-    """Whether the world and Δt are; the arrays are looked at by `is_sound`."""
+    """Whether the world and Δt are; the arrays are looked at by `is_valid`."""
     world = state.world
     found = {"dt": (state.dt,), "world.box": world.box, "world.gravity": world.gravity}
     found["world.friction"] = (world.friction,)
@@ -213,10 +223,10 @@ def _has_engine_arrays(state: State) -> bool:
     return True
 
 
-def _impulses(start, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+def _impulses(start, state: State, solver, problem=None) -> tuple[np.ndarray, np.ndarray]:
     if start is None or isinstance(start, str) or callable(start):
         start = warm_start_of(start)
-        impulses = fitting_impulses(start(state, solver), state)
+        impulses = fitting_impulses(asked(start, state, solver, problem), state)
         if isinstance(start, Builtin):
             return impulses  # the state's own, which `ready` has looked at
     else:
@@ -233,7 +243,7 @@ def _impulses(start, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
 
 def checked_solver(solver, state: State):
     solver = solver if solver is not None else state.solver if state.solver is not None else PGS()
-    check_solver(solver)
+    entry_of(solver)
     if solver.precision == "single":
         check_limits(state, SINGLE_LIMITS)
     return solver

@@ -148,12 +148,12 @@ class World:
     restitution: float = constants.RESTITUTION
 
     def __post_init__(self):
-        box = tuple(float(v) for v in self.box)
-        gravity = tuple(float(v) for v in self.gravity)
+        box = tuple(float(v) for v in np.ravel(self.box))
+        gravity = tuple(float(v) for v in np.ravel(self.gravity))
         if len(box) != 4 or not np.isfinite(box).all() or box[0] >= box[2] or box[1] >= box[3]:
             raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
         if len(gravity) != 2 or not np.isfinite(gravity).all():
-            raise ValueError(f"gravity: expected two finite numbers, got {self.gravity}")
+            raise ValueError(f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
         if not (np.isfinite(self.friction) and self.friction >= 0):
             raise ValueError(f"friction: expected a finite number >= 0, got {self.friction}")
         if not 0 <= self.restitution <= 1:
@@ -169,7 +169,7 @@ class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
     A scene is a state at time 0. `contacts` is None until they have been looked for. `solver` is what the run uses
-    (options of `physics.methods`, or None).
+    (options of `physics.solvers`, or None).
     If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
     carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
     `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.

@@ -1,6 +1,6 @@
-"""A simulation as it runs, in a window or as a film: circles, contacts as wide as their impulses, and θ by sweep.
+"""A running simulation in a window or as a film: circles, contacts as wide as their impulses, and θ by sweep.
 
-`python -m deep_contact view` is its command line, see `deep_contact.__main__`.
+The command line is `python -m deep_contact view`, see `deep_contact.__main__`.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ FLOOR = 1e-9
 
 
 class Frame(NamedTuple):
-    """A solved state and how its sweeps went."""
+    """A solved state and the `ConvergenceRecord` of its sweeps."""
 
     state: State
     record: ConvergenceRecord
 
 
 def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start="builtin") -> Iterator[Frame]:
-    """Run a scene, or go on from a state, and give the last one of every so many steps, as soon as it is solved.
+    """Run a scene, or continue from a state, and yield the last frame of each `every` steps as soon as it is solved.
 
-    Raises ValueError on counts below one at once, and on other arguments that do not hold together with the first step.
+    Raises ValueError at once on counts below one, and with the first step on arguments that `simulate` refuses.
     """
     for name, value in (("steps", steps), ("every", every)):
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
@@ -42,38 +42,36 @@ def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start=
 
 
 def _frames(state: State, steps: int, every: int, options: dict) -> Iterator[Frame]:
+    last: list[Frame] = []
+
+    def keep(solved, record):
+        last[:] = [Frame(solved, record)]
+
     for done in range(0, steps, every):
-        last: list[Frame] = []
-
-        def keep(solved, record, last=last):
-            last[:] = [Frame(solved, record)]
-
         state = simulate(state, steps=min(every, steps - done), on_step=keep, **options).state
         yield last[0]
 
 
 class Painter:
-    """Draws frames into two axes, on scales that only ever grow, so that one frame can be compared with the next.
+    """Draws frames into two axes. The scales only grow, so that frames can be compared.
 
-    speed: end of the colours at first, m/s.
+    speed: initial end of the colour scale, m/s.
     """
 
     def __init__(self, speed: float = 12.0):
         self._speed = speed
         self._impulse = 0.0
-        self._theta: list[float] = []  # smallest and largest so far
+        self._theta = (np.inf, 0.0)  # smallest and largest so far
         self._sweeps = 10
 
     def __call__(self, axes, frame: Frame) -> None:
         """Draw a frame; axes: of the scene and of θ, empty."""
         scene, rates = axes
         state, record = frame
-        impulses = state.contacts.normal_impulse
-        largest = float(impulses.max(initial=0.0))
+        largest = float(state.contacts.normal_impulse.max(initial=0.0))
         self._impulse = max(self._impulse, largest)
         self._speed = max(self._speed, float(np.hypot(*state.bodies.velocity.T).max(initial=0.0)))
-        limits = (0.0, self._speed)
-        plotting.draw_state(scene, state, limits=limits, largest_impulse=self._impulse or None)
+        plotting.draw_state(scene, state, limits=(0.0, self._speed), largest_impulse=self._impulse or None)
         text = f"t = {state.time:.2f} s, {state.contacts.count} contacts, largest λ$_n$ = {largest:.3g} N·s"
         scene.set_title(text, loc="left")
         self._draw_theta(rates, record, getattr(state.solver, "tolerance", None))
@@ -81,16 +79,15 @@ class Painter:
     def _draw_theta(self, ax, record: ConvergenceRecord, tolerance: float | None) -> None:
         count = record.theta.size
         ax.set_title(f"{count} sweep{'' if count == 1 else 's'}, {record.status.replace('_', ' ')}", loc="left")
-        ax.set_xscale("log")
-        ax.set_yscale("log")
-        if record.theta.size:
+        ax.set(xscale="log", yscale="log")
+        if count:
             theta = np.maximum(record.theta, FLOOR)
-            self._sweeps = max(self._sweeps, theta.size)
-            self._theta = [min([*self._theta[:1], theta.min()]), max([*self._theta[1:], theta.max()])]
-            ax.plot(np.arange(1, theta.size + 1), theta, "o-" if theta.size < 30 else "-", markersize=3)
+            self._sweeps = max(self._sweeps, count)
+            self._theta = min(self._theta[0], theta.min()), max(self._theta[1], theta.max())
+            ax.plot(np.arange(1, count + 1), theta, "o-" if count < 30 else "-", markersize=3)
         if tolerance:
             ax.axhline(tolerance, color=plotting.GREY, linewidth=1.0, linestyle="--")
-        if self._theta:
+        if self._theta[1]:
             ax.set_ylim(0.5 * self._theta[0], 2 * self._theta[1])
         ax.set_xlim(0.9, 1.1 * self._sweeps)
         plotting.label_axes(ax, "sweep of this step", "convergence rate θ", y_unit="N·s")
@@ -102,14 +99,14 @@ def has_display() -> bool:
 
     try:
         figure = pyplot.figure()
-    except ImportError:  # a window is asked for by MPLBACKEND, and there is none to be had
+    except ImportError:  # MPLBACKEND names a backend for windows that cannot be loaded
         return False
     pyplot.close(figure)
     return figure.canvas.required_interactive_framework is not None
 
 
 def play(found: Iterator[Frame], *, height: float = 6.0) -> int:
-    """Show frames in a window while they are computed, until they end or the window is closed; how many were shown."""
+    """Show frames in a window until they end or the window is closed. Returns how many were shown."""
     from matplotlib import pyplot
 
     painter, shown = Painter(), 0
@@ -129,5 +126,5 @@ def play(found: Iterator[Frame], *, height: float = 6.0) -> int:
 
 
 def record(found: Iterator[Frame], path, *, fps: int = 25) -> list[Path]:
-    """Write frames as a GIF and, where matplotlib finds ffmpeg, an MP4 beside it; the paths written."""
+    """Write frames as a GIF and, where matplotlib finds ffmpeg, an MP4 beside it. Returns the paths."""
     return plotting.animate(found, path, fps=fps, draw=Painter(), panels=PANELS, size=5.0)

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from deep_contact.physics.engine import solve
+from deep_contact.physics.engine import StepProblem, solve
 from deep_contact.state import State
 
 WarmStart = Callable[[State, object], tuple[np.ndarray, np.ndarray]]
@@ -135,7 +135,7 @@ class Sph:
 
 
 def _cnn() -> WarmStart:
-    from deep_contact.cnn.inference import Cnn, known_model  # TensorFlow, for those who predict
+    from deep_contact.cnn.inference import Cnn, known_model
 
     return Cnn(known_model())
 
@@ -157,6 +157,17 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
     "guarded": _guarded,
 }
 """Name -> what makes the start with its default options."""
+
+
+def asked(start: WarmStart, state: State, solver, problem: StepProblem | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The impulses of a start, (m,) each, N·s.
+
+    problem: the state's contact problem, if it has been built. A start with a method `from_problem(state, solver,
+    problem)` is handed it, so that rows are built once a step. Starts work in float64, so others are not handed on.
+    """
+    if problem is None or not hasattr(start, "from_problem") or problem.solver_bodies.dtype != np.float64:
+        return start(state, solver)
+    return start.from_problem(state, solver, problem)
 
 
 def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:

@@ -1,10 +1,9 @@
 """python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] [--scheduler A] [--seed S]
 
-Runs every scripts/figure_*.py and scripts/table_*.py, in the order of their numbers. One that fails does not
-stop the others; a summary comes last, and all results of the folder become one page, <out>/index.html, that can
-be opened anywhere. `--resume` leaves out those whose stored results have the same settings
-and commit, `--replot` draws all again from what is stored. Exit status 0 if all went well, 1 if any failed,
-2 for bad arguments, 130 after Ctrl-C.
+Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers. A failure does not stop the others.
+At the end it prints a summary and writes all results of the folder into one page, <out>/index.html. `--resume` skips
+those whose stored results have the same settings and commit, `--replot` draws all again from what is stored. Exit
+status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
 """
 
 import argparse
@@ -31,29 +30,30 @@ def main(arguments=None, folder=HERE):
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
-    done = []
+    done, interrupted = [], False
     for number, (name, script) in enumerate(chosen.items(), start=1):
         print(f"\n[{number}/{len(chosen)}] {script.name}", flush=True)
         stored = Path(given.out) / f"{stem(script)}.json"
-        before = stored.stat().st_mtime_ns if stored.exists() else None
-        start = time.perf_counter()
+        before, start = written(stored), time.perf_counter()
         status = run([sys.executable, str(script), *passed_on])
-        seconds = time.perf_counter() - start
-        after = stored.stat().st_mtime_ns if stored.exists() else None
-        done.append((name, status, after == before, seconds, stored))
-        if status in (INTERRUPTED, -2):
+        done.append((name, status, written(stored) == before, time.perf_counter() - start, stored))
+        interrupted = status in (INTERRUPTED, -2)
+        if interrupted:
             break
     if Path(given.out).is_dir():
         index = page.write_report(given.out, expected=[name.replace("T", "T ") for name in scripts])
         print(f"\nall results as one page: {index}")
     summarise(done)
-    if any(status in (INTERRUPTED, -2) for _, status, *_ in done):
-        return INTERRUPTED
-    return int(any(status != 0 for _, status, *_ in done))
+    return INTERRUPTED if interrupted else int(any(status != 0 for _, status, *_ in done))
+
+
+def written(path):
+    """Time at which a file was written, or None if it does not exist."""
+    return path.stat().st_mtime_ns if path.exists() else None
 
 
 def parse(arguments):
-    """Our own arguments, and the list of those that every script gets."""
+    """The arguments, and the list of those that are passed on to every script."""
     parser = argparse.ArgumentParser(description="Run every figure and table script.")
     parser.add_argument("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
     parser.add_argument("--out", default="figures", metavar="FOLDER")
@@ -64,31 +64,30 @@ def parse(arguments):
     parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
     passed_on = ["--out", given.out]
-    passed_on += [f"--{name}" for name in ("quick", "resume", "replot") if getattr(given, name)]
-    for name in ("jobs", "seed", "scheduler"):
-        if getattr(given, name) is not None:
-            passed_on += [f"--{name}", str(getattr(given, name))]
+    for name in ("quick", "resume", "replot", "jobs", "seed", "scheduler"):
+        value = getattr(given, name)
+        if value is not None and value is not False:
+            passed_on += [f"--{name}"] if value is True else [f"--{name}", str(value)]
     return given, passed_on
 
 
 def find(folder):
-    """Id -> script, in the order in which they run: by chapter and number, figures before tables.
-
-    Raises ValueError for two scripts of one id, since they would write the same files.
-    """
-    found = []
-    for path in folder.glob("*_*.py"):
-        match = SCRIPT.fullmatch(path.name)
-        if match:
+    """Id -> script, in the order of their numbers. Raises ValueError for two scripts of one id."""
+    scripts = {}
+    for path in sorted(folder.glob("*_*.py")):
+        if match := SCRIPT.fullmatch(path.name):
             kind, chapter, number, _ = match.groups()
             name = f"{'T' if kind == 'table' else ''}{chapter}.{number}"
-            found.append(((int(chapter), int(number), kind, path.name), name, path))
-    scripts = {}
-    for _, name, path in sorted(found):
-        if name in scripts:
-            raise ValueError(f"expected one script for {name}, got {scripts[name].name} and {path.name}")
-        scripts[name] = path
-    return scripts
+            if name in scripts:
+                raise ValueError(f"expected one script for {name}, got {scripts[name].name} and {path.name}")
+            scripts[name] = path
+    return dict(sorted(scripts.items(), key=lambda item: order(item[0])))
+
+
+def order(name):
+    """Sort key of an id: chapter, number, figures before tables."""
+    chapter, number = name.lstrip("T").split(".")
+    return int(chapter), int(number), name.startswith("T")
 
 
 def choose(scripts, only):
@@ -109,7 +108,7 @@ def stem(script):
 
 
 def run(command):
-    """Exit status of a command; after Ctrl-C it has a moment to clean up."""
+    """Exit status of a command. After Ctrl-C the command has 10 s to clean up."""
     process = subprocess.Popen(command)
     try:
         return process.wait()
@@ -123,7 +122,7 @@ def run(command):
 
 
 def summarise(done):
-    """Print a line for each script: what became of it, its time, and how many of its claims hold."""
+    """Print a line for each script: its status, time, and number of claims that hold."""
     print("\nid     status   time/s  claims that hold")
     for name, status, untouched, seconds, stored in done:
         word, held = "failed", "–"

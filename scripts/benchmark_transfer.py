@@ -1,4 +1,4 @@
-"""Time the particle–grid transfer: the thesis's case, the k-d tree in the same run, and how it grows with particles.
+"""Time of the particle–grid transfer: the thesis's case, the k-d tree in the same run, and growth with particles.
 
     python scripts/benchmark_transfer.py [--json FILE] [--kernel poly6] [--normalization particle]
 
@@ -13,49 +13,39 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import platform
-import tempfile
-import time
+from pathlib import Path
 
 import numpy as np
 
 from deep_contact import sph
+from deep_contact.reporting.results import replacing
 from deep_contact.sph.neighbours import splat_by_tree
+from deep_contact.studies import timing
 
 BOX = (0.0, 0.0, 30.0, 30.0)
 SPACING = 0.5
 COUNTS = (100, 316, 1000, 3162, 10_000, 31_623, 100_000)
 
 
-def shortest(function, *, budget=0.3, repeats=15) -> float:
-    """Seconds a call: the minimum over batches that together take about `budget` seconds."""
-    function()
-    start = time.perf_counter()
-    function()
-    once = max(time.perf_counter() - start, 1e-7)
-    batch = max(1, int(budget / repeats / once))
-    best = math.inf
-    for _ in range(repeats if once < budget else 3):
-        start = time.perf_counter()
-        for _ in range(batch):
-            function()
-        best = min(best, (time.perf_counter() - start) / batch)
-    return best
+def shortest(function) -> float:
+    """Seconds per call: the minimum over calls that take about 0.3 s together, at least three."""
+    return timing.fastest(function, repeats=max(3, min(int(0.3 / timing.fastest(function, repeats=1)), 20_000)))
 
 
 def particles(rng, count, channels, box=BOX):
-    """Positions even over the box, values normal."""
+    """Positions uniform over the box, values normal."""
     return rng.uniform(box[:2], box[2:], (count, 2)), rng.normal(size=(count, channels))
 
 
 def thesis_case(options) -> dict[str, float]:
-    """Seconds for what a step of the SPH start and of the images calls, and for the k-d tree."""
+    """Seconds of the calls that a step of the SPH start and of the images makes, and of the k-d tree."""
     rng = np.random.default_rng(0)
     grid = sph.Grid.over_box(BOX, SPACING)
     bodies, contacts = particles(rng, 100, 4), particles(rng, 170, 2)
     image = sph.splat(grid, *contacts, **options)
-    density = sph.density(grid, contacts[0], h=options["h"], kernel=options["kernel"])
+    kernel = {name: options[name] for name in ("h", "kernel")}
+    density = sph.density(grid, contacts[0], **kernel)
 
     def both(splat, **more):
         splat(grid, *bodies, **options, **more)
@@ -65,17 +55,16 @@ def thesis_case(options) -> dict[str, float]:
         consistent = options | {"normalization": "consistent"}
         return sph.gather(grid, sph.splat(grid, *contacts, **consistent), contacts[0], **consistent)
 
+    def gather_consistent():
+        return sph.gather(grid, image, contacts[0], normalization="consistent", density=density)
+
     return {
         "splat of 100 bodies, 4 channels": shortest(lambda: sph.splat(grid, *bodies, **options)),
         "splat of 170 contacts, 2 channels": shortest(lambda: sph.splat(grid, *contacts, **options)),
         "splat of both": shortest(lambda: both(sph.splat)),
-        "density of 170 contacts": shortest(
-            lambda: sph.density(grid, contacts[0], h=options["h"], kernel=options["kernel"])
-        ),
+        "density of 170 contacts": shortest(lambda: sph.density(grid, contacts[0], **kernel)),
         "gather of 170 contacts, bilinear": shortest(lambda: sph.gather(grid, image, contacts[0])),
-        "gather of 170 contacts, consistent": shortest(
-            lambda: sph.gather(grid, image, contacts[0], normalization="consistent", density=density)
-        ),
+        "gather of 170 contacts, consistent": shortest(gather_consistent),
         "splat, density and consistent gather": shortest(round_trip),
         "k-d tree, splat of both": shortest(lambda: both(splat_by_tree)),
         "k-d tree, all nodes in one query": shortest(lambda: both(splat_by_tree, one_query=True)),
@@ -111,21 +100,9 @@ def report(result) -> None:
         print("time ~ particles^b: " + ", ".join(f"{name} b = {b:.2f}" for name, b in table["exponent"].items()))
 
 
-def write_json(path, result) -> None:
-    """Write to a temporary file beside `path`, then rename it."""
-    folder = os.path.dirname(os.path.abspath(path))
-    with tempfile.NamedTemporaryFile("w", dir=folder, suffix=".tmp", delete=False, encoding="utf-8") as file:
-        try:
-            json.dump(result, file, indent=1)
-        except BaseException:
-            os.unlink(file.name)
-            raise
-    os.replace(file.name, path)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--json", metavar="FILE", help="write the numbers there too")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers there too")
     parser.add_argument("--kernel", default="poly6", choices=sph.KERNELS)
     parser.add_argument("--normalization", default="particle", choices=("raw", "particle"))
     arguments = parser.parse_args()
@@ -147,7 +124,8 @@ def main() -> None:
     }
     report(result)
     if arguments.json:
-        write_json(arguments.json, result)
+        with replacing(arguments.json) as temporary:
+            temporary.write_text(json.dumps(result, indent=1), encoding="utf-8")
 
 
 if __name__ == "__main__":

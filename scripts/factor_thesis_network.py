@@ -12,7 +12,6 @@ The full network is rebuilt by the command in its card: python scripts/train.py 
 from __future__ import annotations
 
 import argparse
-import os
 from pathlib import Path
 
 import numpy as np
@@ -40,9 +39,9 @@ def right_vectors(features: np.ndarray, kernel: np.ndarray, rank: int) -> np.nda
 
 def factored(model, vectors: np.ndarray):
     """The network with its last layer replaced by two: W V_r, and V_rᵀ with the old bias and ReLU."""
-    import keras
-    from keras import layers
+    from deep_contact.cnn.backend import keras
 
+    layers = keras.layers
     kernel, bias = model.layers[-1].get_weights()
     small = keras.Sequential(
         [
@@ -90,18 +89,17 @@ def main() -> int:
     parser.add_argument("--held-out", type=int, default=300, help="test states to measure on")
     parser.add_argument("--threads", type=int, default=1)
     given = parser.parse_args()
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-    import keras
-
+    from deep_contact.cnn.backend import keras
     from deep_contact.cnn.dataset import ImageBatches, Store
     from deep_contact.cnn.evaluation import held_out_errors
-    from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads
-    from deep_contact.cnn.model_file import read_model, save_model
+    from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model
+    from deep_contact.cnn.model_file import save_model
     from deep_contact.warm_start import Builtin, NoStart
 
     limit_threads(given.threads)
-    model, spec, metadata = read_model(given.model)
-    store, split = Store(given.data), metadata["card"]["split"]
+    full = load_model(given.model)
+    model, spec, box = full.network, full.spec, full.box
+    store, split = Store(given.data), full.card["split"]
     chosen = store.states(split["train"])
     chosen = chosen[:: max(1, len(chosen) // given.states)]
     batches = ImageBatches(store, split["train"], spec, states=chosen, shuffle=False)
@@ -114,12 +112,11 @@ def main() -> int:
     tested = tested[:: max(1, len(tested) // given.held_out)]
     test = ImageBatches(store, split["test"], spec, states=tested, shuffle=False)
     errors = {name: measured(network, test, spec) for name, network in (("full", model), ("factored", small))}
-    box = tuple(metadata["box"])
     starts = {"none": NoStart(), "builtin": Builtin()}
     for name, network in (("full", model), ("cnn", small)):
-        starts[name] = Cnn(LearnedModel(keras=network, spec=spec, box=box))
+        starts[name] = Cnn(LearnedModel(source=network, spec=spec, box=box))
     held_out = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
-    card = metadata["card"] | {
+    card = full.card | {
         "factored": {"rank": rank, "training_states": len(chosen), "errors": errors, "of": "the last Dense layer"},
         "held_out": held_out,
         "parameters": int(small.count_params()),

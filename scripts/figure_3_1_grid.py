@@ -17,7 +17,6 @@ def compute(options, seed, jobs, progress):
 
 
 def table(data):
-    """Rows: the size of the grid."""
     n_x, n_y = len(data["x"]), len(data["y"])
     return [["d (m)", "nodes", "cells"], [data["d"], f"{n_x} x {n_y}", f"{n_x - 1} x {n_y - 1}"]]
 
@@ -47,14 +46,7 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="3.1",
-    title="The grid over a scene",
-    options={"n_bodies": 100, "size": 30.0, "d": 0.5},
-    compute=compute,
-    draw=draw,
-    table=table,
-)
+FIGURE = Figure("3.1", "The grid over a scene", compute, table, draw, options={"n_bodies": 100, "size": 30.0, "d": 0.5})
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -8,7 +8,7 @@ from deep_contact.reporting.figures import Figure
 
 
 def compute(options, seed, jobs, progress):
-    """Particles at random around a point, their distances and weights W(r, h)."""
+    """Random particles around a point, their distances and weights W(r, h)."""
     rng = np.random.default_rng(seed)
     half = options["size"] / 2
     position = rng.uniform(-half, half, (options["particles"], 2))
@@ -24,7 +24,6 @@ def compute(options, seed, jobs, progress):
 
 
 def table(data):
-    """Rows: how many particles count, and for how much."""
     weight = np.array(data["weight"])
     total = float(weight.sum())
     return [
@@ -40,15 +39,8 @@ def draw(data, options):
     figure, (ax, curve) = plotting.subplots(1, 2, size=(8.4, 3.9), width_ratios=(1, 1.1))
     position, distance, weight = (np.array(data[name]) for name in ("position", "distance", "weight"))
     near, h, half = weight > 0, data["h"], options["size"] / 2
-    inside = {
-        "c": weight[near],
-        "s": 36,
-        "edgecolor": "#333333",
-        "linewidth": 0.5,
-        "zorder": 3,
-        "vmin": 0,
-        "vmax": max(data["curve"]["weight"]),
-    }
+    colours = {"c": weight[near], "vmin": 0, "vmax": max(data["curve"]["weight"])}
+    inside = {"s": 36, "edgecolor": "#333333", "linewidth": 0.5, "zorder": 3, **colours}
     outside = {"color": "#AAAAAA", "s": 22, "zorder": 2}
 
     plotting.scene_axes(ax, (-half, -half, half, half), walls=False)
@@ -72,13 +64,14 @@ def draw(data, options):
     return figure
 
 
+OPTIONS = {"h": 1.0, "kernel": "poly6", "particles": 60, "size": 3.4, "points": 171}
 FIGURE = Figure(
-    id="3.2",
-    title="A point, its support radius and the weights of its neighbours",
-    options={"h": 1.0, "kernel": "poly6", "particles": 60, "size": 3.4, "points": 171},
-    compute=compute,
-    draw=draw,
-    table=table,
+    "3.2",
+    "A point, its support radius and the weights of its neighbours",
+    compute,
+    table,
+    draw,
+    options=OPTIONS,
     seed=3,
 )
 

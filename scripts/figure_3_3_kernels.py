@@ -14,17 +14,14 @@ DIMENSIONS = {"3": "in space, the constants of Eq 3.8 and 3.11", "2": "on the pl
 def compute(options, seed, jobs, progress):
     """W at distances up to 1.1 h, and its integrals over space and over the plane by quadrature."""
     h, r = options["h"], np.linspace(0.0, 1.1 * options["h"], options["points"])
-    curves = {
-        kernel: {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS} for kernel in options["kernels"]
-    }
-    integrals = {
-        kernel: {
+    curves, integrals = {}, {}
+    for kernel in options["kernels"]:
+        curves[kernel] = {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS}
+        integrals[kernel] = {
             f"{dim}-D constant over {place}": integral(kernel, h, int(dim), shell)
             for dim in DIMENSIONS
             for place, shell in SHELLS.items()
         }
-        for kernel in options["kernels"]
-    }
     return {"h": h, "r": r, "curves": curves, "integrals": integrals}
 
 
@@ -35,30 +32,25 @@ def integral(kernel, h, dim, shell):
 
 def claims(data):
     """Eq 3.2: the integral of a kernel is one. The thesis uses the constants of space on the plane."""
-    right = {
-        f"{kernel}, {name}": value
-        for kernel, found in data["integrals"].items()
-        for name, value in found.items()
-        if name in ("2-D constant over the plane", "3-D constant over space")
-    }
-    thesis = {kernel: found["3-D constant over the plane"] for kernel, found in data["integrals"].items()}
-    least = {kernel: min(min(w) for w in found.values()) for kernel, found in data["curves"].items()}
-    own = "each kernel integrates to one in the dimension of its constant"
+    own = ("2-D constant over the plane", "3-D constant over space")
+    found = data["integrals"]
+    right = {f"{kernel}, {name}": of[name] for kernel, of in found.items() for name in own}
+    thesis = {kernel: of["3-D constant over the plane"] for kernel, of in found.items()}
+    least = {kernel: min(min(w) for w in curves.values()) for kernel, curves in data["curves"].items()}
     plane = "the kernels of Eq 3.8 and 3.11 integrate to one on the plane of the simulation"
     return [
-        Claim(own, "L431", all_one(right), right),
+        Claim("each kernel integrates to one in the dimension of its constant", "L431", all_one(right), right),
         Claim(plane, "L431, L472, L491", all_one(thesis), thesis),
         Claim("no kernel is negative anywhere", "L443", min(least.values()) >= 0, least),
     ]
 
 
 def all_one(integrals):
-    """Whether all are one, to a tolerance well above the error of the quadrature."""
+    """Whether all integrals are one, to a tolerance well above the error of the quadrature."""
     return all(abs(value - 1) < 1e-6 for value in integrals.values())
 
 
 def table(data):
-    """Rows: the height of each kernel, and its integrals."""
     names = list(next(iter(data["integrals"].values())))
     rows = [["kernel", "W(0), 3-D", "W(0), 2-D", *names]]
     for kernel, found in data["integrals"].items():
@@ -84,15 +76,8 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="3.3",
-    title="Smoothing kernels",
-    options={"h": 1.0, "points": 221, "kernels": ["poly6", "spiky"]},
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {"h": 1.0, "points": 221, "kernels": ["poly6", "spiky"]}
+FIGURE = Figure("3.3", "Smoothing kernels", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -8,20 +8,24 @@ from deep_contact.reporting.figures import Claim, Figure
 
 DIMENSIONS = {"3": "in space, the constants of Eq 3.9 and 3.12", "2": "on the plane"}
 CENTRE = 1e-9
-"""How near to the centre its gradient is taken, in support radii."""
+"""Distance from the centre at which the gradient there is taken, in support radii."""
+
+VANISHES = "poly6's gradient vanishes at the centre"
+LARGEST = "spiky's gradient does not vanish at the centre: it is largest there"
 
 
 def compute(options, seed, jobs, progress):
     """dW/dx on the x axis, the largest size of the gradient, and its size at the centre."""
     h = options["h"]
-    x = np.linspace(-1.1 * h, 1.1 * h, 2 * options["points"])  # even: the centre itself has no direction
+    x = np.linspace(-1.1 * h, 1.1 * h, 2 * options["points"])  # even: at the centre itself no direction is defined
+    centre, radius = np.array([CENTRE * h]), np.linspace(CENTRE * h, h, 2001)
     curves, sizes = {}, {}
     for kernel in options["kernels"]:
         curves[kernel] = {dim: along_x(kernel, x, h, dim) for dim in DIMENSIONS}
         sizes[kernel] = {
             dim: {
-                "at the centre": float(abs(along_x(kernel, np.array([CENTRE * h]), h, dim)[0])),
-                "largest": float(np.abs(along_x(kernel, np.linspace(CENTRE * h, h, 2001), h, dim)).max()),
+                "at the centre": float(abs(along_x(kernel, centre, h, dim)[0])),
+                "largest": float(np.abs(along_x(kernel, radius, h, dim)).max()),
             }
             for dim in DIMENSIONS
         }
@@ -36,24 +40,18 @@ def along_x(kernel, x, h, dim):
 
 
 def claims(data):
-    """L484: poly6's gradient approaches zero to the centre; the spiky kernel is proposed to solve this."""
-    share = {
-        kernel: {f"{dim}-D, centre / largest": size["at the centre"] / size["largest"] for dim, size in found.items()}
-        for kernel, found in data["sizes"].items()
-    }
+    """L484: poly6's gradient approaches zero at the centre; the spiky kernel is proposed to solve this."""
     found = []
-    if "poly6" in share:
-        vanishes = max(share["poly6"].values()) < 1e-6
-        found.append(Claim("poly6's gradient vanishes at the centre", "L484", vanishes, share["poly6"]))
-    if "spiky" in share:
-        largest = min(share["spiky"].values()) > 1 - 1e-6
-        text = "spiky's gradient does not vanish at the centre: it is largest there"
-        found.append(Claim(text, "L484", largest, share["spiky"]))
+    for kernel, sizes in data["sizes"].items():
+        share = {f"{dim}-D, centre / largest": size["at the centre"] / size["largest"] for dim, size in sizes.items()}
+        if kernel == "poly6":
+            found.append(Claim(VANISHES, "L484", max(share.values()) < 1e-6, share))
+        if kernel == "spiky":
+            found.append(Claim(LARGEST, "L484", min(share.values()) > 1 - 1e-6, share))
     return found
 
 
 def table(data):
-    """Rows: sizes of the gradients."""
     rows = [["kernel", "dimension", "|∇W| at the centre", "largest |∇W|"]]
     for kernel, size in data["sizes"].items():
         rows += [[kernel, dim, found["at the centre"], found["largest"]] for dim, found in size.items()]
@@ -76,15 +74,8 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="3.4",
-    title="Gradients of the smoothing kernels",
-    options={"h": 1.0, "points": 220, "kernels": ["poly6", "spiky"]},
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {"h": 1.0, "points": 220, "kernels": ["poly6", "spiky"]}
+FIGURE = Figure("3.4", "Gradients of the smoothing kernels", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

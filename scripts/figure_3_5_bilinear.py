@@ -19,32 +19,25 @@ def compute(options, seed, jobs, progress):
     shades = np.linspace(0.0, 1.0, options["points"])
     mesh = np.stack(np.meshgrid(x_1 + shades * (x_2 - x_1), y_1 + shades * (y_2 - y_1)), axis=-1)
     surface = sph.gather(grid, image, mesh.reshape(-1, 2)).reshape(mesh.shape[:2])
-    return {
-        "x": [x_1, x_2],
-        "y": [y_1, y_2],
-        "query": [x, y],
-        "nodes": image,
-        "along x": along_x,
-        "values": {
-            "gather": float(sph.gather(grid, image, np.array([[x, y]]))[0]),
-            "two 1-D interpolations": float(np.interp(y, (y_1, y_2), along_x)),
-            "Eq 3.16": float(left @ image.T @ right / area),
-            "Algorithm 4": float(left @ image @ right / area),
-        },
-        "surface": surface,
+    values = {
+        "gather": float(sph.gather(grid, image, np.array([[x, y]]))[0]),
+        "two 1-D interpolations": float(np.interp(y, (y_1, y_2), along_x)),
+        "Eq 3.16": float(left @ image.T @ right / area),
+        "Algorithm 4": float(left @ image @ right / area),
     }
+    given = {name: options[name] for name in ("x", "y", "query")}
+    return given | {"nodes": image, "along x": along_x, "values": values, "surface": surface}
 
 
 def claims(data):
-    """Eq 3.16 is right; Algorithm 4, which is to compute it, has its matrix transposed."""
-    values = data["values"]
-    exact = values["two 1-D interpolations"]
-    size = np.abs(data["nodes"]).max()
+    """Eq 3.16 is right. Algorithm 4 should compute the same, but its matrix is transposed."""
+    values, reference = data["values"], "two 1-D interpolations"
 
     def claim(text, line, *names):
         # Rounding is a few times 1e-16 of the nodes' values.
-        holds = all(abs(values[name] - exact) < 1e-12 * size for name in names)
-        return Claim(text, line, holds, {name: values[name] for name in (*names, "two 1-D interpolations")})
+        apart = max(abs(values[name] - values[reference]) for name in names)
+        measured = {name: values[name] for name in (*names, reference)}
+        return Claim(text, line, apart < 1e-12 * np.abs(data["nodes"]).max(), measured)
 
     equal = "Eq 3.16's matrix form equals two 1-D interpolations, and so does our gather"
     return [
@@ -54,12 +47,11 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the value at the query, each way."""
     return [["value at the query, by", "f(x, y)"], *([name, value] for name, value in data["values"].items())]
 
 
 def draw(data, options):
-    """The cell in the colours of its interpolated values; the way of Eq 3.14 and 3.15 over it."""
+    """The cell coloured by its interpolated values, with the two steps of Eq 3.14 and 3.15."""
     figure, ax = plotting.subplots(size=(5.6, 4.6))
     (x_1, x_2), (y_1, y_2), (x, y) = data["x"], data["y"], data["query"]
     ax.grid(False)
@@ -90,21 +82,14 @@ def mark(ax, x, y, colour, text, below, side):
     ax.annotate(text, (x, y), offset, textcoords="offset points", ha=side, fontsize=8.5, bbox=box)
 
 
-FIGURE = Figure(
-    id="3.5",
-    title="Bilinear interpolation between four nodes",
-    options={
-        "x": [1.0, 1.5],
-        "y": [2.0, 2.5],
-        "values": [2.0, 5.0, 3.5, 12.0],  # f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition
-        "query": [1.2, 2.35],
-        "points": 41,
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    "x": [1.0, 1.5],
+    "y": [2.0, 2.5],
+    "values": [2.0, 5.0, 3.5, 12.0],  # f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition
+    "query": [1.2, 2.35],
+    "points": 41,
+}
+FIGURE = Figure("3.5", "Bilinear interpolation between four nodes", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -30,7 +30,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: the values of each layer."""
     names = ("input", "hidden, ReLU", "output")
     return [["layer", "values"], *([name, value] for name, value in zip(names, data["values"]))]
 
@@ -46,17 +45,8 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="4.1",
-    title="A network of three layers",
-    options={"input": [1.0, -0.5, 0.25], "hidden": 4, "output": 2},
-    seed=1,
-    digits=None,
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {"input": [1.0, -0.5, 0.25], "hidden": 4, "output": 2}
+FIGURE = Figure("4.1", "A network of three layers", compute, table, draw, claims, options=OPTIONS, seed=1, digits=None)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -13,10 +13,18 @@ def compute(options, seed, jobs, progress):
 
     image, kernel = np.array(options["image"], dtype=float), np.array(options["kernel"], dtype=float)
     row, column = options["shown"]
+    results = {
+        "Eq 4.1": worked.correlate(image, kernel),
+        "Keras Conv2D": worked.keras_convolution(image[..., None], kernel[..., None, None])[..., 0],
+        "SciPy correlate2d": signal.correlate2d(image, kernel, mode="valid"),
+        "SciPy convolve2d": signal.convolve2d(image, kernel, mode="valid"),
+        "Eq 4.1, flipped kernel": worked.correlate(image, worked.flipped(kernel)),
+    }
     rng = np.random.default_rng(seed)
     deep_image, deep_kernel = rng.normal(size=(32, 32, 3)), rng.normal(size=(3, 3, 3, 4))
     ours = np.stack([worked.correlate(deep_image, deep_kernel[..., f]) for f in range(4)], axis=-1)
     theirs = worked.keras_convolution(deep_image, deep_kernel)
+    example = {"one kernel": list(ours[..., :1].shape), "four kernels": list(theirs.shape)}
     sizes = []
     for n, k, s in options["sizes"]:
         found = worked.keras_convolution(np.zeros((n, n, 1)), np.zeros((k, k, 1, 1)), stride=s)
@@ -26,65 +34,38 @@ def compute(options, seed, jobs, progress):
         "kernel": kernel,
         "shown": [row, column],
         "products": worked.window_products(image, kernel, row, column) + 0.0,  # no −0
-        "results": {
-            "Eq 4.1": worked.correlate(image, kernel),
-            "Keras Conv2D": worked.keras_convolution(image[..., None], kernel[..., None, None])[..., 0],
-            "SciPy correlate2d": signal.correlate2d(image, kernel, mode="valid"),
-            "SciPy convolve2d": signal.convolve2d(image, kernel, mode="valid"),
-            "Eq 4.1, flipped kernel": worked.correlate(image, worked.flipped(kernel)),
-        },
-        "example of L798": {
-            "one kernel": list(ours[..., :1].shape),
-            "four kernels": list(theirs.shape),
-            "largest difference to Keras": float(np.abs(ours - theirs).max()),
-        },
+        "results": results,
+        "example of L798": example | {"largest difference to Keras": float(np.abs(ours - theirs).max())},
         "sizes": sizes,
     }
 
 
 def claims(data):
-    """Eq 4.1, its name, its size, and the depth that kernels make."""
-    found = {name: np.array(values) for name, values in data["results"].items()}
+    """Eq 4.1, its name, its size, and the depth that several kernels make."""
 
     def apart(a, b):
-        return float(np.abs(found[a] - found[b]).max())
+        return float(np.abs(np.subtract(data["results"][a], data["results"][b])).max())
 
     same = {f"largest difference to {name}": apart("Eq 4.1", name) for name in ("Keras Conv2D", "SciPy correlate2d")}
-    cross = {
-        "difference to SciPy's convolution": apart("Eq 4.1", "SciPy convolve2d"),
-        "with the kernel flipped": apart("Eq 4.1, flipped kernel", "SciPy convolve2d"),
-    }
-    example = data["example of L798"]
-    wrong = {
-        f"I = {row['I']}, K = {row['K']}, s = {row['s']}": f"{row['Eq 4.2']:g}, Keras {row['Keras']}"
-        for row in data["sizes"]
-    }
+    plain, flipped = apart("Eq 4.1", "SciPy convolve2d"), apart("Eq 4.1, flipped kernel", "SciPy convolve2d")
+    cross = {"difference to SciPy's convolution": plain, "with the kernel flipped": flipped}
+    example, sizes = data["example of L798"], {}
+    for row in data["sizes"]:
+        sizes["I = {I}, K = {K}, s = {s}".format(**row)] = f"{row['Eq 4.2']:g}, Keras {row['Keras']}"
+    name = "what the layer computes is a cross-correlation; a convolution in terms of mathematics flips the kernel"
+    depth = "32 × 32 × 3 with a 3 × 3 × 3 kernel gives 30 × 30 × 1, and with n kernels 30 × 30 × n"
+    deep = example["one kernel"] == [30, 30, 1] and example["four kernels"] == [30, 30, 4]
+    equal = all(row["Eq 4.2"] == row["Keras"] for row in data["sizes"])
     # Sums of a few products of small whole numbers: exact, or nearly so.
     return [
         Claim("Eq 4.1 is what a convolutional layer computes", "L774-777", max(same.values()) < 1e-9, same),
-        Claim(
-            "what the layer computes is a cross-correlation; a convolution in terms of mathematics flips the kernel",
-            "L766-768",
-            cross["difference to SciPy's convolution"] > 1e-9 and cross["with the kernel flipped"] < 1e-9,
-            cross,
-        ),
-        Claim(
-            "32 × 32 × 3 with a 3 × 3 × 3 kernel gives 30 × 30 × 1, and with n kernels 30 × 30 × n",
-            "L798-800",
-            example["one kernel"] == [30, 30, 1] and example["four kernels"] == [30, 30, 4],
-            example,
-        ),
-        Claim(
-            "Eq 4.2 gives the size of the output for every stride",
-            "L790-796",
-            all(row["Eq 4.2"] == row["Keras"] for row in data["sizes"]),
-            wrong,
-        ),
+        Claim(name, "L766-768", flipped < 1e-9 < plain, cross),
+        Claim(depth, "L798-800", deep, example),
+        Claim("Eq 4.2 gives the size of the output for every stride", "L790-796", equal, sizes),
     ]
 
 
 def table(data):
-    """Rows: the value at the place shown, each way."""
     row, column = data["shown"]
     rows = [[name, values[row][column]] for name, values in data["results"].items()]
     return [[f"value at row {row}, column {column}, by", ""], *rows]
@@ -97,50 +78,53 @@ def draw(data, options):
     row, column = data["shown"]
     k_y, k_x = np.shape(data["kernel"])
     result = data["results"]["Eq 4.1"]
-    total = result[row][column]
     widths = [len(data["image"][0]), k_x, k_x, len(result[0])]
     figure, panels = plotting.subplots(1, 4, size=(11.0, 3.5), width_ratios=widths)
-    parts = {
-        "image I": (data["image"], (column, row, k_x, k_y)),
-        "kernel K": (data["kernel"], None),
-        "products under the kernel": (data["products"], None),
-        "I * K by Eq 4.1, equal to Keras": (result, (column, row, 1, 1)),
-    }
-    for ax, (title, (values, frame)) in zip(panels, parts.items()):
+    parts = (
+        ("image I", data["image"], (k_x, k_y)),
+        ("kernel K", data["kernel"], None),
+        ("products under the kernel", data["products"], None),
+        ("I * K by Eq 4.1, equal to Keras", result, (1, 1)),
+    )
+    for ax, (title, values, frame) in zip(panels, parts):
         size = np.abs(values).max()
-        plotting.write_in_cells(ax, values, cmap="cividis", vmin=-size, vmax=size)
+        write_in_cells(ax, values, cmap="cividis", vmin=-size, vmax=size)
         ax.set_title(title)
         if frame:
-            x, y, width, height = frame
             edge = {"fill": False, "edgecolor": plotting.VERMILION, "linewidth": 2.5}
-            ax.add_patch(Rectangle((x - 0.5, y - 0.5), width, height, **edge))
+            ax.add_patch(Rectangle((column - 0.5, row - 0.5), *frame, **edge))
     rows = [" + ".join(f"({value:g})" if value < 0 else f"{value:g}" for value in line) for line in data["products"]]
-    panels[2].set_xlabel(" +\n".join(rows) + f" = {total:g}")
+    panels[2].set_xlabel(" +\n".join(rows) + f" = {result[row][column]:g}")
     return figure
 
 
-FIGURE = Figure(
-    id="4.2",
-    title="A convolution worked through",
-    options={
-        "image": [
-            [0, 0, 1, 2, 1, 0],
-            [0, 1, 3, 4, 2, 0],
-            [1, 2, 5, 3, 1, 1],
-            [0, 3, 4, 2, 0, 2],
-            [1, 1, 2, 0, 1, 3],
-            [0, 0, 1, 1, 2, 4],
-        ],
-        "kernel": [[1, 0, -1], [2, 1, -2], [0, 1, -1]],  # no symmetry that would hide a flip
-        "shown": [1, 2],
-        # image, kernel, stride
-        "sizes": [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]],
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+def write_in_cells(ax, values, **keywords):
+    """Draw an image as cells with their numbers, row 0 at the top; keywords go to `ax.imshow`."""
+    values = np.asarray(values)
+    shown = ax.imshow(values, **keywords)
+    ax.grid(False)
+    ax.set(xticks=range(values.shape[1]), yticks=range(values.shape[0]))
+    ax.tick_params(length=0)
+    brightness = shown.to_rgba(values)[..., :3] @ np.array([0.299, 0.587, 0.114])
+    for (i, j), value in np.ndenumerate(values):
+        ax.text(j, i, f"{value:g}", ha="center", va="center", color="#222222" if brightness[i, j] > 0.5 else "white")
+
+
+OPTIONS = {
+    "image": [
+        [0, 0, 1, 2, 1, 0],
+        [0, 1, 3, 4, 2, 0],
+        [1, 2, 5, 3, 1, 1],
+        [0, 3, 4, 2, 0, 2],
+        [1, 1, 2, 0, 1, 3],
+        [0, 0, 1, 1, 2, 4],
+    ],
+    "kernel": [[1, 0, -1], [2, 1, -2], [0, 1, -1]],  # no symmetry that would hide a flip
+    "shown": [1, 2],
+    # image, kernel, stride
+    "sizes": [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]],
+}
+FIGURE = Figure("4.2", "A convolution worked through", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -1,4 +1,4 @@
-"""python scripts/figure_4_3_feature_maps.py: what a trained network makes of a state, layer by layer."""
+"""python scripts/figure_4_3_feature_maps.py: feature maps of a trained network on a state."""
 
 import numpy as np
 
@@ -8,6 +8,7 @@ from deep_contact.cnn.images import input_image
 from deep_contact.cnn.inference import load_model, network_file
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import comparison
 
 
 def compute(options, seed, jobs, progress):
@@ -15,18 +16,20 @@ def compute(options, seed, jobs, progress):
     model = load_model(network_file(options["model"]))
     state = solved_state(options, seed)
     image = input_image(state, model.spec)
-    layers = worked.convolutions(model.keras)
+    layers = worked.convolutions(model.network)
     names = [layer.name for layer in layers]
     evenly = np.unique(np.linspace(0, len(names) - 1, options["layers"]).round().astype(int))
-    found = worked.feature_maps(model.keras, image, [names[i] for i in evenly])
+    found = worked.feature_maps(model.network, image, [names[i] for i in evenly])
     shown = options["maps"]
     panels = [panel("input", image, model.spec.channels, worked.strongest(image, shown))]
     panels += [panel(name, maps, None, worked.strongest(maps, shown)) for name, maps in found.items()]
-    solved = np.concatenate([state.contacts.normal_impulse, state.contacts.tangent_impulse])
+    contacts = state.contacts
+    solved = np.concatenate([contacts.normal_impulse, contacts.tangent_impulse])
     normal, tangent = model.predict(state)
-    predicted = np.concatenate([normal, tangent])
-    started = np.concatenate([state.contacts.normal_start, state.contacts.tangent_start])
-    size = np.linalg.norm(solved)
+
+    def error(normal, tangent):
+        return float(np.linalg.norm(np.concatenate([normal, tangent]) - solved) / np.linalg.norm(solved))
+
     return {
         "scene": plotting.state_data(state),
         "model": {key: model.card.get(key) for key in ("architecture", "parameters", "seed", "training_states")},
@@ -41,28 +44,27 @@ def compute(options, seed, jobs, progress):
                 "kernel depth": kernel_depth(layer),
                 "nodes": int(maps.shape[0]),
             }
-            for layer, maps in zip(layers, worked.feature_maps(model.keras, image, names).values())
+            for layer, maps in zip(layers, worked.feature_maps(model.network, image, names).values())
         ],
         "relative error of λ": {
-            "network": float(np.linalg.norm(predicted - solved) / size),
-            "Builtin": float(np.linalg.norm(started - solved) / size),
+            "network": error(normal, tangent),
+            "Builtin": error(contacts.normal_start, contacts.tangent_start),
             "None": 1.0,
         },
     }
 
 
 def solved_state(options, seed):
-    """The falling pile after some steps, solved. Raises ValueError where it has no contacts yet."""
-    kept = []
+    """The falling pile after some steps, solved. Raises ValueError if it has no contacts yet."""
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    dc.simulate(scene, steps=options["steps"], on_step=lambda state, record: kept.append(state))
-    if not kept or not kept[-1].contacts.count:
+    states = comparison.solved_states(scene, steps=options["steps"], contacts_only=False)
+    if not states or not states[-1].contacts.count:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
-    return kept[-1]
+    return states[-1]
 
 
 def kernel_depth(layer):
-    """How many maps a kernel reads: the last axis but one, and the last one of a transposed convolution."""
+    """Number of maps that a kernel reads: its last axis but one, or the last axis of a transposed convolution."""
     transposed = type(layer).__name__ == "Conv2DTranspose"
     return int(layer.kernel.shape[-1 if transposed else -2])
 
@@ -78,32 +80,22 @@ def panel(name, maps, labels, chosen):
 
 
 def claims(data):
-    """What section 4.2.2 says of kernels and maps, and whether the network has learned anything."""
+    """Section 4.2.2 on kernels and maps; and the error of the trained network."""
     layers, error = data["convolutions"], data["relative error of λ"]
-    deep = {f"{c['name']}": f"{c['kernel depth']} of {c['input depth']}" for c in layers}
+    depths = {f"{c['name']}": f"{c['kernel depth']} of {c['input depth']}" for c in layers}
+    deep = all(c["kernel depth"] == c["input depth"] for c in layers)
     nodes = {f"{c['name']}, border {c['border']}, stride {c['stride']}": c["nodes"] for c in layers}
-    sizes = [c["nodes"] for c in layers]
+    sizes = list(nodes.values())
+    smaller = all(after < before for before, after in zip(sizes, sizes[1:]))
+    nearer = "the trained network's impulses are nearer to the solution than zero is"
     return [
-        Claim(
-            "a kernel is as deep as its layer's input",
-            "L788",
-            all(c["kernel depth"] == c["input depth"] for c in layers),
-            deep,
-        ),
-        Claim(
-            "the maps get smaller with every convolution",
-            "L790",
-            all(after < before for before, after in zip(sizes, sizes[1:])),
-            nodes,
-        ),
-        Claim(
-            "the trained network's impulses are nearer to the solution than zero is", None, error["network"] < 1, error
-        ),
+        Claim("a kernel is as deep as its layer's input", "L788", deep, depths),
+        Claim("the maps get smaller with every convolution", "L790", smaller, nodes),
+        Claim(nearer, None, error["network"] < 1, error),
     ]
 
 
 def table(data):
-    """Rows: the layers whose maps are shown."""
     rows = [["layer", "nodes", "maps", "strongest"]]
     for part in data["panels"]:
         rows.append([part["layer"], len(part["values"][0]), part["maps in all"], part["shown"][0]])
@@ -122,7 +114,7 @@ def draw(data, options):
         for ax in row:
             ax.axis("off")
         for ax, name, values in zip(row, part["shown"], part["values"]):
-            # Impacts are so much larger than all else that the rest would be lost: colours end before them.
+            # Impacts are much larger than all else: the colour scale ends at the 95th percentile.
             size = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
             look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
             ax.imshow(values, cmap="cividis", vmin=-size, vmax=size, **look)
@@ -136,7 +128,7 @@ def draw(data, options):
 
 
 def draw_impulses(panels, state, predicted):
-    """The pile with the solved impulses, with the predicted ones, and the ones against the others."""
+    """The pile with the solved impulses and with the predicted ones, and one plotted over the other."""
     solved = state.contacts
     found = solved._replace(normal_impulse=np.maximum(0.0, predicted["normal"]))
     largest = max(solved.normal_impulse.max(), found.normal_impulse.max())
@@ -151,16 +143,17 @@ def draw_impulses(panels, state, predicted):
     ax.legend()
 
 
+OPTIONS = {"model": "models/compact.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6}
 FIGURE = Figure(
-    id="4.3",
-    title="Feature maps of the trained network on a state of the falling pile",
-    options={"model": "models/compact.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6},
+    "4.3",
+    "Feature maps of the trained network on a state of the falling pile",
+    compute,
+    table,
+    draw,
+    claims,
+    options=OPTIONS,
     seed=5,
     digits=4,
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
 )
 
 if __name__ == "__main__":

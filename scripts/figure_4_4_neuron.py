@@ -8,7 +8,7 @@ from deep_contact.reporting.figures import Claim, Figure
 
 
 def compute(options, seed, jobs, progress):
-    """Eq 4.3 with numbers; the functions and derivatives; how far gradients get through deep networks."""
+    """Eq 4.3 with numbers; the functions and derivatives; the size of gradients after deep networks."""
     x, w = np.array(options["x"]), np.array(options["w"])
     line = np.linspace(-4.0, 4.0, options["points"])
     seeds = figures.seeds(seed, options["networks"])
@@ -36,38 +36,28 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """What L829 says of ReLU."""
-    line, ratios = np.array(data["line"]), data["gradient ratio, by gain"]
-    below = line < 0
+    """The claims of L829 on ReLU."""
+    ratios = data["gradient ratio, by gain"]
+    below = np.array(data["line"]) < 0
     lost = {
-        "largest value for x < 0": float(np.max(np.array(data["functions"]["ReLU"])[below])),
-        "largest derivative for x < 0": float(np.max(np.array(data["derivatives"]["ReLU"])[below])),
+        f"largest {what} for x < 0": float(np.max(np.array(data[part]["ReLU"])[below]))
+        for what, part in (("value", "functions"), ("derivative", "derivatives"))
     }
     relu = {f"{gain} × He": ratio for gain, ratio in ratios["ReLU"].items()}
-
-    def kept(ratio):
-        return 0.1 <= ratio <= 10
-
+    he = {name: found["1"] for name, found in ratios.items()}
+    every = (
+        f"vanishing or exploding gradients hardly affect ReLU, through {data['depth']} layers and whatever the "
+        "weights: the gradient keeps its size within a factor of ten"
+    )
+    normal = "with He normal weights (Table 5.2) a gradient keeps its size through ReLU, within a factor of ten"
     return [
         Claim("ReLU gets rid of every piece of negative information", "L829", not any(lost.values()), lost),
-        Claim(
-            f"vanishing or exploding gradients hardly affect ReLU, through {data['depth']} layers and whatever the "
-            "weights: the gradient keeps its size within a factor of ten",
-            "L829",
-            all(kept(ratio) for ratio in relu.values()),
-            relu,
-        ),
-        Claim(
-            "with He normal weights (Table 5.2) a gradient keeps its size through ReLU, within a factor of ten",
-            None,
-            kept(ratios["ReLU"]["1"]),
-            {name: found["1"] for name, found in ratios.items()},
-        ),
+        Claim(every, "L829", all(0.1 <= ratio <= 10 for ratio in relu.values()), relu),
+        Claim(normal, None, 0.1 <= he["ReLU"] <= 10, he),
     ]
 
 
 def table(data):
-    """Rows: the neuron's output for each function, and the size of gradients after many layers."""
     gains = list(data["gradient ratio, by gain"]["ReLU"])
     rows = [["activation", f"f({data['sum']:g})", *(f"gradient kept, {gain} × He" for gain in gains)]]
     for name, output in data["outputs"].items():
@@ -114,24 +104,17 @@ def draw_neuron(ax, data):
     ax.axis("off")
 
 
-FIGURE = Figure(
-    id="4.4",
-    title="A neuron and its activation function",
-    options={
-        "x": [1.5, -2.0, 0.5],
-        "w": [0.8, 0.3, -1.2],
-        "bias": 0.4,
-        "points": 401,
-        "depth": 20,
-        "width": 100,
-        "gains": [0.5, 1.0, 2.0],  # of the weights' standard deviation, over He's
-        "networks": 20,
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    "x": [1.5, -2.0, 0.5],
+    "w": [0.8, 0.3, -1.2],
+    "bias": 0.4,
+    "points": 401,
+    "depth": 20,
+    "width": 100,
+    "gains": [0.5, 1.0, 2.0],  # of the weights' standard deviation, over He's
+    "networks": 20,
+}
+FIGURE = Figure("4.4", "A neuron and its activation function", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -29,31 +29,25 @@ def compute(options, seed, jobs, progress):
 
 def claims(data):
     """Section 4.2.4."""
-    found = np.abs(np.subtract(data["pooled"], data["Keras"])).max(), data["difference on a whole image"]
-    differences = {"largest difference to Keras": float(found[0]), "on a whole image": found[1]}
+    small = float(np.abs(np.subtract(data["pooled"], data["Keras"])).max())
+    differences = {"largest difference to Keras": small, "on a whole image": data["difference on a whole image"]}
     sizes, weights = data["sizes"], data["weights of the last layer"]
+    smaller = all(after < before for before, after in zip(sizes, sizes[1:]))
+    fewer = weights["with pooling"] < weights["without"]
     equal = "the output holds the largest value within each window: equal to Keras's"
     return [
-        Claim(equal, "L833", max(found) == 0, differences),
-        Claim(
-            "pooling decreases the size of the output",
-            "L833",
-            all(after < before for before, after in zip(sizes, sizes[1:])),
-            {"nodes along an edge": sizes},
-        ),
-        Claim(
-            "pooling decreases the number of weights", "L835-837", weights["with pooling"] < weights["without"], weights
-        ),
+        Claim(equal, "L833", max(differences.values()) == 0, differences),
+        Claim("pooling decreases the size of the output", "L833", smaller, {"nodes along an edge": sizes}),
+        Claim("pooling decreases the number of weights", "L835-837", fewer, weights),
     ]
 
 
 def table(data):
-    """Rows: sizes of the thesis's images as they are pooled."""
     return [["poolings", "nodes along an edge"], *([i, n] for i, n in enumerate(data["sizes"]))]
 
 
 def draw(data, options):
-    """Each window and its largest value in one colour; the rows and columns left over are windows too."""
+    """Each window and its largest value in one colour; incomplete windows at the edges count too."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle
 
@@ -79,21 +73,14 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="4.5",
-    title="2 × 2 max pooling worked through",
-    options={
-        # An odd number of columns: the thesis's 61 nodes are odd too.
-        "image": [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]],
-        "nodes": 61,
-        "poolings": 4,
-        "channels": 512,
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    # An odd number of columns: the thesis's 61 nodes are odd too.
+    "image": [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]],
+    "nodes": 61,
+    "poolings": 4,
+    "channels": 512,
+}
+FIGURE = Figure("4.5", "2 × 2 max pooling worked through", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

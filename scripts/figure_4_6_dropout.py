@@ -19,7 +19,7 @@ def compute(options, seed, jobs, progress):
     state = dc.simulate(scene, steps=options["steps"]).state
     image = input_image(state, model.spec)
     off = [read_back(model.run(image), state, model.spec)[0] for _ in range(2)]
-    dropping, source, name = worked.with_dropout(model.keras, rate, seed)
+    dropping, source, name = worked.with_dropout(model.network, rate, seed)
     before = worked.feature_maps(dropping, image, [source])[source]
     mean, on = np.zeros_like(before), []
     maps_and_output = dropping_model(dropping, name)
@@ -30,17 +30,16 @@ def compute(options, seed, jobs, progress):
     after = maps
     strongest = int(worked.strongest(before, 1)[0])
     active = before > 0
+    kept = active & (after > 0)
     sizes = [3, 5, 5, 2]
     layers = worked.random_layers(sizes, seed)
-    drawn = [
-        np.zeros(n, bool) if i in (0, len(sizes) - 1) else rng.random(n) < options["rate drawn"]
-        for i, n in enumerate(sizes)
-    ]
+    hidden = [rng.random(n) < options["rate drawn"] for n in sizes[1:-1]]
+    dropped = [np.zeros(sizes[0], bool), *hidden, np.zeros(sizes[-1], bool)]
     return {
         "small network": {
             "values": [value.tolist() for value in worked.forward([1.0, -0.5, 0.25], layers)],
             "weights": [layer.weights.tolist() for layer in layers],
-            "dropped": [gone.tolist() for gone in drawn],
+            "dropped": [gone.tolist() for gone in dropped],
         },
         "own layers": not name.startswith("dropout_after_"),
         "rate": dropping.get_layer(name).rate,
@@ -53,7 +52,7 @@ def compute(options, seed, jobs, progress):
         "change on": float(np.abs(on[0] - on[1]).max()),
         "dropped": float(np.mean(after[active] == 0)),
         "values": int(active.sum()),
-        "scaled": float(np.median(after[active & (after > 0)] / before[active & (after > 0)])),
+        "scaled": float(np.median(after[kept] / before[kept])),
         "mean over masks": float(mean[active].sum() / before[active].sum()),
         "masks": options["masks"],
     }
@@ -70,34 +69,21 @@ def claims(data):
     """L894, and that dropout keeps the mean."""
     rate = data["rate"]
     # Three standard deviations of the share dropped among so many independent values.
-    allowed = 3 * np.sqrt(rate * (1 - rate) / data["values"])
+    allowed = float(3 * np.sqrt(rate * (1 - rate) / data["values"]))
     repeats = {"largest change of λ_n from run to run, off (N·s)": data["change off"], "on": data["change on"]}
-    share = {"share dropped": data["dropped"], "rate": rate, "values": data["values"], "allowed": float(allowed)}
+    share = {"share dropped": data["dropped"], "rate": rate, "values": data["values"], "allowed": allowed}
     mean = {"values kept are multiplied by": data["scaled"], "mean over masks, over the value": data["mean over masks"]}
+    random = "nodes are dropped at random, a share of them as large as the rate"
+    training = "dropout is at work in training only: without it the network repeats itself, with it it does not"
+    scaled = "what is kept is scaled up so that the mean stays, within a hundredth"
     return [
-        Claim(
-            "nodes are dropped at random, a share of them as large as the rate",
-            "L894",
-            bool(abs(data["dropped"] - rate) <= allowed),
-            share,
-        ),
-        Claim(
-            "dropout is at work in training only: without it the network repeats itself, with it it does not",
-            "L894",
-            data["change off"] == 0 < data["change on"],
-            repeats,
-        ),
-        Claim(
-            "what is kept is scaled up so that the mean stays, within a hundredth",
-            None,
-            abs(data["mean over masks"] - 1) < 0.01,
-            mean,
-        ),
+        Claim(random, "L894", abs(data["dropped"] - rate) <= allowed, share),
+        Claim(training, "L894", data["change off"] == 0 < data["change on"], repeats),
+        Claim(scaled, None, abs(data["mean over masks"] - 1) < 0.01, mean),
     ]
 
 
 def table(data):
-    """Rows: the numbers of the trained network."""
     spread = float(np.mean(data["λ_n"]["spread"]) / np.mean(np.abs(data["λ_n"]["off"])))
     return [
         ["trained network", ""],
@@ -139,25 +125,18 @@ def draw(data, options):
     return figure
 
 
+OPTIONS = {
+    "model": "models/compact.h5",
+    "rate": 0.1,
+    "rate drawn": 0.4,
+    "masks": 100,
+    "n_bodies": 100,
+    "size": 30.0,
+    "steps": 150,
+}
+QUICK = {"masks": 40}
 FIGURE = Figure(
-    id="4.6",
-    title="Dropout, off and on",
-    options={
-        "model": "models/compact.h5",
-        "rate": 0.1,
-        "rate drawn": 0.4,
-        "masks": 100,
-        "n_bodies": 100,
-        "size": 30.0,
-        "steps": 150,
-    },
-    quick={"masks": 40},
-    seed=5,
-    digits=4,
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
+    "4.6", "Dropout, off and on", compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=5, digits=4
 )
 
 if __name__ == "__main__":

@@ -6,6 +6,11 @@ from deep_contact.cnn import worked_examples as worked
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 
+LATE = "Eq 4.18, output weights updated before"
+
+ROUNDING = 1e-12
+"""Largest relative difference that counts as none: of sums of a few products in float64."""
+
 
 def compute(options, seed, jobs, progress):
     """One forward and one backward pass by the thesis's equations and automatically, and one update of the weights."""
@@ -16,41 +21,25 @@ def compute(options, seed, jobs, progress):
     step_o, _ = worked.momentum_step(w_o, automatic["output"], rate=rate)
     step_h, _ = worked.momentum_step(w_h, automatic["hidden"], rate=rate)
     chain = found.chain
-    losses = {
-        "before": found.loss,
-        "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss,
-    }
+    common = chain["∂L/∂e"] * chain["∂e/∂y"]
+    early, late = (worked.printed_hidden_update(w_h, w, x, found, rate) for w in (w_o, step_o))
+    loss = {"before": found.loss, "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss}
+    output, hidden = automatic["output"], automatic["hidden"]
     return {
-        "x": x,
-        "hidden weights": w_h,
-        "output weights": w_o,
-        "target": target,
-        "rate": rate,
-        "v": found.v,
-        "y": found.y,
-        "e": found.e,
-        "loss": losses,
-        "chain": chain,
+        **{name: np.array(options[name]) for name in ("x", "hidden weights", "output weights", "target", "rate")},
+        **{"v": found.v, "y": found.y, "e": found.e, "loss": loss, "chain": chain},
         "gradients": {
-            "output": {
-                "Eq 4.12": chain["∂L/∂e"] * chain["∂e/∂y"] * chain["∂y/∂w"],
-                "Eq 4.13": found.output,
-                "automatic": automatic["output"],
-            },
+            "output": {"Eq 4.12": common * chain["∂y/∂w"], "Eq 4.13": found.output, "automatic": output},
             "hidden": {
-                "Eq 4.15": chain["∂L/∂e"] * chain["∂e/∂y"] * chain["∂y/∂v"] * chain["∂v/∂w"],
+                "Eq 4.15": common * chain["∂y/∂v"] * chain["∂v/∂w"],
                 "Eq 4.17": found.hidden,
-                "automatic": automatic["hidden"],
+                "automatic": hidden,
             },
         },
         "chain, automatic": {name: automatic[name] for name in chain},
         "updated": {
             "output": {"Eq 4.14": worked.printed_output_update(w_o, found, rate), "Eq 4.8": step_o},
-            "hidden": {
-                "Eq 4.18": worked.printed_hidden_update(w_h, w_o, x, found, rate),
-                "Eq 4.18, output weights updated before": worked.printed_hidden_update(w_h, step_o, x, found, rate),
-                "Eq 4.8": step_h,
-            },
+            "hidden": {"Eq 4.18": early, LATE: late, "Eq 4.8": step_h},
         },
     }
 
@@ -78,32 +67,24 @@ def claims(data):
         }
         return Claim(text, thesis, measured["relative difference to Eq 4.8's step"] < ROUNDING, measured)
 
-    late = "Eq 4.18, output weights updated before"
     loss = data["loss"]
+    chain = "Eq 4.11 and 4.12: the chain rule for the output's weights"
+    hidden_chain = "Eq 4.15 and 4.16: the chain rule for the hidden weights"
+    step = "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"
+    after = "the hidden weights can be updated by Eq 4.18 after the output's weights were"
     return [
-        gradient(
-            "Eq 4.12", "output", "L985-989", "Eq 4.11 and 4.12: the chain rule for the output's weights", **factors
-        ),
+        gradient("Eq 4.12", "output", "L985-989", chain, **factors),
         gradient("Eq 4.13", "output", "L993", "Eq 4.13: ∂L/∂w_j = −2 v_j e"),
-        update(
-            "Eq 4.14", "output", "L997", "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"
-        ),
-        gradient(
-            "Eq 4.15", "hidden", "L1004-1009", "Eq 4.15 and 4.16: the chain rule for the hidden weights", **factors
-        ),
+        update("Eq 4.14", "output", "L997", step),
+        gradient("Eq 4.15", "hidden", "L1004-1009", hidden_chain, **factors),
         gradient("Eq 4.17", "hidden", "L1013", "Eq 4.17: ∂L/∂w_ij = −2 e w_j x_i"),
         update("Eq 4.18", "hidden", "L1017", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
-        update(late, "hidden", "L1002", "the hidden weights can be updated by Eq 4.18 after the output's weights were"),
+        update(LATE, "hidden", "L1002", after),
         Claim("a step decreases the loss", "L964-968", loss["after the step of Eq 4.8"] < loss["before"], loss),
     ]
 
 
-ROUNDING = 1e-12
-"""Largest relative difference that counts as none: of sums of a few products in float64."""
-
-
 def table(data):
-    """Rows: each gradient by the equations and automatically."""
     rows = [["weight", "by the equation", "automatic", "updated, Eq 4.14 or 4.18", "updated, Eq 4.8"]]
     for part, equation, printed in (("output", "Eq 4.13", "Eq 4.14"), ("hidden", "Eq 4.17", "Eq 4.18")):
         found, updated = data["gradients"][part], data["updated"][part]
@@ -141,21 +122,17 @@ def weight_name(name):
     return f"$w^{'o' if 'ₒ' in name else 'h'}_{{{index}}}$"
 
 
+OPTIONS = {
+    "x": [0.5, -1.0],
+    "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]],
+    "output weights": [0.7, -0.5, 0.3],
+    "target": 2.0,
+    "rate": 0.1,
+}
+
+# Every number exact, so that rounding is the only difference there may be
 FIGURE = Figure(
-    id="4.7",
-    title="Backpropagation by Eq 4.11-4.18, with numbers",
-    options={
-        "x": [0.5, -1.0],
-        "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]],
-        "output weights": [0.7, -0.5, 0.3],
-        "target": 2.0,
-        "rate": 0.1,
-    },
-    digits=None,  # every number exact, so that rounding is the only difference there may be
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
+    "4.7", "Backpropagation by Eq 4.11-4.18, with numbers", compute, table, draw, claims, options=OPTIONS, digits=None
 )
 
 if __name__ == "__main__":

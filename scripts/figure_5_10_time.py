@@ -7,18 +7,8 @@ import deep_contact as dc
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import comparison
-from deep_contact.studies import learned as learned
+from deep_contact.studies import comparison, learned
 
-STARTS = {
-    "none": "none",
-    "builtin": "builtin",
-    "sph": {"spacing": 0.5, "transfer": "thesis"},
-    "sph consistent": {"spacing": 0.5, "transfer": "consistent"},
-}
-"""All but the networks, which the options name, and Copy, which comes last."""
-
-LABELS = {"cnn": "CNN (ours)", "cnn thesis": "CNN (thesis network)"}
 COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting.ORANGE, "solve": plotting.GREY}
 TRANSIENT = ("impact", "settling")
 TIGHT, *_ = learned.THETAS
@@ -28,16 +18,15 @@ def compute(options, seed, jobs, progress):
     """The thesis's scene, and a larger one in a box of another size; one process, since it is the time that counts."""
     about = learned.networks_info(options["networks"])
     networks = {name: learned.network_start(path) for name, path in options["networks"].items()}
-    starts = {name: comparison.start_of(description) for name, description in STARTS.items()}
+    starts = {name: comparison.start_of(description) for name, description in learned.STARTS.items()}
     scenes = {
         f"{options['few']} circles": dc.circles_in_box(options["few"], seed=seed),
         f"{options['many']} circles": dc.lattice_in_box(options["many"], seed=seed),
     }
-    found = {}
+    repeats, found = options["repeats"], {}
     for number, (title, scene) in enumerate(scenes.items()):
-        states = learned.sampled_states(
-            scene, steps=options["steps"][number], count=options["states"][number], sweeps=options["sweeps"]
-        )
+        steps, count, most = (options[name][number] for name in ("steps", "states", "most"))
+        states = learned.sampled_states(scene, steps=steps, count=count, sweeps=options["sweeps"])
         fitting, refused = {}, {}
         for name, start in networks.items():
             try:
@@ -46,93 +35,68 @@ def compute(options, seed, jobs, progress):
             except ModelFileError as error:
                 refused[name] = str(error)
         chosen = starts | fitting | {"copy": comparison.start_of("copy")}
-        found[title] = learned.time_to_thresholds(
-            states, chosen, most=options["most"][number], repeats=options["repeats"], progress=progress
-        )
-        x_min, y_min, x_max, y_max = scene.world.box
-        found[title] |= {
-            "box": [x_max - x_min, y_max - y_min],
-            "refused": refused,
-            "splat by k-d tree": {
-                name: learned.time_by_tree(states[-1:], start.model.spec, repeats=options["repeats"])
-                for name, start in fitting.items()
-            },
+        times = learned.time_to_thresholds(states, chosen, most=most, repeats=repeats, progress=progress)
+        trees = {
+            name: learned.time_by_tree(states[-1:], start.model.spec, repeats=repeats)
+            for name, start in fitting.items()
         }
+        x_min, y_min, x_max, y_max = scene.world.box
+        found[title] = times | {"box": [x_max - x_min, y_max - y_min], "refused": refused, "splat by k-d tree": trees}
     return {"scenes": found, "networks": about}
 
 
-def networks_of(data, title):
-    """Names of the networks that a scene was solved with."""
-    return [name for name in data["networks"] if name in data["scenes"][title]["starts"]]
-
-
 def claims(data):
-    """Is it the interpolation that takes the time, and is the CNN start not efficient?"""
+    """The thesis: interpolation takes most of the time, and the CNN start is not efficient."""
     found = []
     for title, scene in data["scenes"].items():
-        for name in networks_of(data, title):
-            found += claims_of(scene, name, f"{title}, {LABELS.get(name, name)}")
+        for name in data["networks"]:
+            if name in scene["starts"]:
+                found += claims_of(scene, name, f"{title}, {learned.LABELS.get(name, name)}")
     return found
 
 
 def claims_of(scene, name, where):
     """The claims of one network in one scene; times in ms."""
     ms = {stage: 1e3 * seconds for stage, seconds in learned.mean_stages(scene, name, TIGHT).items()}
+    stages = {f"{stage}, ms": ms[stage] for stage in ("splat", "network", "gather")}
     tree = 1e3 * scene["splat by k-d tree"][name]
     builtin, cnn = (1e3 * learned.total_time(scene, start, TIGHT) for start in ("builtin", name))
     sweeps = {start: learned.mean_sweeps_to(scene, start, TIGHT) for start in (name, "builtin")}
-    quick = {}
+    loose = {}
     for criterion in scene["criteria"]:
         if criterion != TIGHT:
             pair = [1e3 * learned.total_time(scene, start, criterion, TRANSIENT) for start in (name, "builtin")]
-            quick[f"{criterion}, transients, ms: {name}, builtin"] = pair
-    loose = [pair[0] < pair[1] for pair in quick.values()]
+            loose[f"{criterion}, transients, ms: {name}, builtin"] = pair
+
+    def claim(text, thesis, holds, measured):
+        return Claim(f"{where}: {text}", thesis, holds, measured)
+
+    slow = "computing interpolation values takes longer than the network"
+    slow_tree = "by a k-d tree, as in the thesis, interpolation takes longer than the network"
+    times = {f"{name}, ms": cnn, "builtin, ms": builtin, "of it solve, ms": ms["solve"]}
+    trees = {"splat by k-d tree, ms": tree, "network, ms": ms["network"]}
+    quick = "in impacts and settling it is faster than Builtin to at least one of the looser thresholds"
     return [
-        Claim(
-            f"{where}: computing interpolation values takes longer than the network",
-            "L15, L1399",
-            ms["splat"] + ms["gather"] > ms["network"],
-            {f"{stage}, ms": ms[stage] for stage in ("splat", "network", "gather")},
-        ),
-        Claim(
-            f"{where}: by a k-d tree, as in the thesis, interpolation takes longer than the network",
-            "L15, L1399",
-            tree + ms["gather"] > ms["network"],
-            {"splat by k-d tree, ms": tree, "network, ms": ms["network"]},
-        ),
-        Claim(
-            f"{where}: it reaches {TIGHT} in fewer sweeps than Builtin",
-            "L1399",
-            sweeps[name] < sweeps["builtin"],
-            sweeps,
-        ),
-        Claim(
-            f"{where}: it is not efficient: to {TIGHT} it takes longer than Builtin",
-            "L15",
-            cnn > builtin,
-            {f"{name}, ms": cnn, "builtin, ms": builtin, "of it solve, ms": ms["solve"]},
-        ),
-        Claim(
-            f"{where}: in impacts and settling it is faster than Builtin to at least one of the looser thresholds",
-            None,
-            any(loose),
-            quick,
-        ),
+        claim(slow, "L15, L1399", ms["splat"] + ms["gather"] > ms["network"], stages),
+        claim(slow_tree, "L15, L1399", tree + ms["gather"] > ms["network"], trees),
+        claim(f"it reaches {TIGHT} in fewer sweeps than Builtin", "L1399", sweeps[name] < sweeps["builtin"], sweeps),
+        claim(f"it is not efficient: to {TIGHT} it takes longer than Builtin", "L15", cnn > builtin, times),
+        claim(quick, None, any(ours < theirs for ours, theirs in loose.values()), loose),
     ]
 
 
 def table(data):
-    """Stages, and sweeps and time to each threshold, ms; and by what a network refuses a scene."""
+    """Stages, and sweeps and time to each threshold, ms; for a network that refuses a scene, the reason."""
     criteria = next(iter(data["scenes"].values()))["criteria"]
     rows = [["scene", "start", "splat", "network", "gather", *(f"{c}: sweeps, ms" for c in criteria), "not reached"]]
     for title, scene in data["scenes"].items():
         for name, found in scene["starts"].items():
             stages = learned.mean_stages(scene, name, TIGHT)
             own = [1e3 * stages[stage] if stage in found["stages"] else None for stage in learned.STAGES[:-1]]
-            ends = [
-                f"{learned.mean_sweeps_to(scene, name, c):.4g}, {1e3 * learned.total_time(scene, name, c):.3g}"
-                for c in criteria
-            ]
+            ends = []
+            for c in criteria:
+                sweeps, time = learned.mean_sweeps_to(scene, name, c), 1e3 * learned.total_time(scene, name, c)
+                ends.append(f"{sweeps:.4g}, {time:.3g}")
             missed = max(sum(n is None for n in found["sweeps"][c]) for c in criteria)
             rows.append([title, name, *own, *ends, f"{missed} of {len(scene['phases'])}"])
         for name, why in scene["refused"].items():
@@ -144,9 +108,8 @@ def draw(data, options):
     """A row a scene, a panel a threshold: bars of the stages' mean times, with the mean sweeps at their ends."""
     scenes = data["scenes"]
     criteria = next(iter(scenes.values()))["criteria"]
-    figure, panels = plotting.subplots(
-        len(scenes), len(criteria), size=(3.3 * len(criteria), 2.9 * len(scenes)), squeeze=False
-    )
+    size = (3.3 * len(criteria), 2.9 * len(scenes))
+    figure, panels = plotting.subplots(len(scenes), len(criteria), size=size, squeeze=False)
     for row, (title, scene) in zip(panels, scenes.items()):
         names = list(scene["starts"])
         for ax, criterion in zip(row, criteria):
@@ -179,33 +142,35 @@ def draw_bars(ax, scene, names, criterion):
     ax.set_xlim(0, 1.8 * max(left))
 
 
+OPTIONS = {
+    "few": 100,
+    "many": 1000,
+    "steps": [600, 400],
+    "states": [48, 12],
+    "sweeps": 5000,
+    "most": [10000, 20000],
+    "repeats": 5,
+    "networks": learned.NETWORKS,
+}
+QUICK = {
+    "many": 300,
+    "steps": [250, 120],
+    "states": [12, 5],
+    "sweeps": 1000,
+    "most": [5000, 5000],
+    "repeats": 3,
+    "networks": {"cnn": learned.NETWORKS["cnn"]},
+}
 FIGURE = Figure(
-    id="5.10",
-    title="Sweeps and time to a threshold, by stage",
-    options={
-        "few": 100,
-        "many": 1000,
-        "steps": [600, 400],
-        "states": [48, 12],
-        "sweeps": 5000,
-        "most": [10000, 20000],
-        "repeats": 5,
-        "networks": {"cnn": "models/compact.h5", "cnn thesis": "models/thesis_factored.h5"},
-    },
-    quick={
-        "many": 300,
-        "steps": [250, 120],
-        "states": [12, 5],
-        "sweeps": 1000,
-        "most": [5000, 5000],
-        "repeats": 3,
-        "networks": {"cnn": "models/compact.h5"},
-    },
+    "5.10",
+    "Sweeps and time to a threshold, by stage",
+    compute,
+    table,
+    draw,
+    claims,
+    options=OPTIONS,
+    quick=QUICK,
     seed=510,
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
 )
 
 if __name__ == "__main__":

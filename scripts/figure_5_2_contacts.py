@@ -23,61 +23,55 @@ def compute(options, seed, jobs, progress):
 
 
 def fit(data):
-    """Straight line through the median time of each number of contacts, which no disturbed clock moves: (slope in µs
-    a contact, intercept in µs, correlation)."""
-    contacts, time = np.array(data["timed contacts"]), np.array(data["time (ms)"]) * 1e3
+    """Straight line through the median time of each number of contacts: (µs a contact, intercept in µs, correlation).
+
+    Medians, because disturbances of the clock do not move them.
+    """
+    contacts, time = times(data)
     counts = np.unique(contacts)
     medians = np.array([np.median(time[contacts == count]) for count in counts])
     slope, intercept = np.polyfit(counts, medians, 1)
     return float(slope), float(intercept), float(np.corrcoef(counts, medians)[0, 1])
 
 
-def claims(data):
-    """The thesis shows both; that they grow together is what it is read for."""
-    contacts = np.array(data["contacts"])
-    settled = contacts[-contacts.size // 6 :]
-    slope, intercept, correlation = fit(data)
-    each = costs(data)
-    return [
-        Claim(
-            "the number of contacts grows as the pile falls together, and then stays",
-            "L1054",
-            bool(contacts[: contacts.size // 6].mean() < 0.5 * settled.mean() and settled.std() < 0.1 * settled.mean()),
-            {
-                "first sixth": contacts[: contacts.size // 6].mean(),
-                "last sixth": settled.mean(),
-                "its std": settled.std(),
-            },
-        ),
-        Claim(
-            "the time of the contact solution grows with the number of contacts",
-            "L1054",
-            correlation > 0.9,
-            {"correlation": correlation, "µs a contact": slope, "intercept (µs)": intercept},
-        ),
-        Claim(
-            "a sweep of PGS costs O(n): as much a contact among many as among few, within a quarter",
-            "L327",
-            max(each.values()) < 1.25 * min(each.values()),
-            {f"µs a contact, {name}": found for name, found in each.items()},
-        ),
-    ]
+def times(data):
+    """Contacts of the solutions timed, and their times, µs."""
+    return np.array(data["timed contacts"]), np.array(data["time (ms)"]) * 1e3
 
 
 def costs(data):
     """Median time of a contact, µs, in the solutions of a quarter to a half, to three quarters and to all contacts."""
-    contacts, time = np.array(data["timed contacts"]), np.array(data["time (ms)"]) * 1e3
-    edges = [part * contacts.max() / 4 for part in (1, 2, 3, 4)]
+    contacts, time = times(data)
+    quarters = [part * contacts.max() / 4 for part in (1, 2, 3, 4)]
     each = {}
-    for low, high in zip(edges, edges[1:]):
+    for low, high in zip(quarters, quarters[1:]):
         within = (low < contacts) & (contacts <= high)
         if within.any():
             each[f"up to {high:.0f} contacts"] = float(np.median(time[within] / contacts[within]))
     return each
 
 
+def claims(data):
+    """The thesis shows the contacts and the time; its text says that they grow together."""
+    contacts = np.array(data["contacts"])
+    sixth = contacts.size // 6
+    first, last, spread = contacts[:sixth].mean(), contacts[-sixth:].mean(), contacts[-sixth:].std()
+    slope, intercept, correlation = fit(data)
+    line = {"correlation": correlation, "µs a contact": slope, "intercept (µs)": intercept}
+    each = costs(data)
+    measured = {f"µs a contact, {name}": found for name, found in each.items()}
+    grows = "the number of contacts grows as the pile falls together, and then stays"
+    stays = first < 0.5 * last and spread < 0.1 * last
+    equal = "a sweep of PGS costs O(n): as much a contact among many as among few, within a quarter"
+    together = "the time of the contact solution grows with the number of contacts"
+    return [
+        Claim(grows, "L1054", stays, {"first sixth": first, "last sixth": last, "its std": spread}),
+        Claim(together, "L1054", correlation > 0.9, line),
+        Claim(equal, "L327", max(each.values()) < 1.25 * min(each.values()), measured),
+    ]
+
+
 def table(data):
-    """Rows: the fit."""
     slope, intercept, correlation = fit(data)
     return [
         ["steps", "most contacts", "solutions timed", "µs a contact", "intercept (µs)", "correlation"],
@@ -102,15 +96,10 @@ def draw(data, options):
     return figure
 
 
+OPTIONS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every": 2}
+QUICK = {"sweeps": 1000, "every": 5}
 FIGURE = Figure(
-    id="5.2",
-    title="Contacts, and the time their solution takes",
-    options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every": 2},
-    quick={"sweeps": 1000, "every": 5},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
+    "5.2", "Contacts, and the time their solution takes", compute, table, draw, claims, options=OPTIONS, quick=QUICK
 )
 
 if __name__ == "__main__":

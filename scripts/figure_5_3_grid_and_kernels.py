@@ -23,26 +23,19 @@ def compute(options, seed, jobs, progress):
     reached = {f"{ratio:.4g}": nodes_reached(box, contacts, d, ratio * d) for ratio in ratios}
     shared = {f"{size:.4g}": contacts_in_one_cell(box, contacts, size) for size in sorted({*options["cells"], 1.0, d})}
     x, y = sph.Grid.over_box(box, d).nodes
-    return {
-        "scene": plotting.state_data(state),
-        "d": d,
-        "h": options["h"],
-        "x": x,
-        "y": y,
-        "nodes reached, by h / d": reached,
-        "contacts in one cell, by d": shared,
-    }
+    found = {"nodes reached, by h / d": reached, "contacts in one cell, by d": shared}
+    return {"scene": plotting.state_data(state), "d": d, "h": options["h"], "x": x, "y": y} | found
 
 
 def nodes_reached(box, contacts, d, h):
-    """How many nodes each contact has weight on."""
+    """Number of nodes on which each contact has weight."""
     grid = sph.Grid.over_box(box, d)
     options = {"h": h, "unreached": "zero", "outside": "clamp"}
     return [int((sph.splat(grid, point[None], np.ones(1), **options) > 0).sum()) for point in contacts]
 
 
 def contacts_in_one_cell(box, contacts, d):
-    """The largest number of contact points in one cell, and how many cells hold more than one."""
+    """The largest number of contact points in one cell, and the number of cells with several."""
     cells = np.floor((contacts - box[:2]) / d).astype(int)
     _, count = np.unique(cells, axis=0, return_counts=True)
     return {"most": int(count.max(initial=0)), "cells with several": int((count > 1).sum())}
@@ -66,7 +59,6 @@ def claims(data):
 
 
 def table(data):
-    """Rows: what each support radius reaches."""
     rows = [["h / d", "contacts", "reach no node", "nodes, mean", "nodes, most"]]
     for ratio, nodes in data["nodes reached, by h / d"].items():
         rows.append([ratio, len(nodes), int(np.sum(np.equal(nodes, 0))), float(np.mean(nodes)), max(nodes)])
@@ -100,23 +92,16 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="5.3",
-    title="Grid nodes and kernels over a scene",
-    options={
-        "n_bodies": 100,
-        "size": 30.0,
-        "steps": 200,
-        "d": 0.5,
-        "h": 0.5,
-        "h_over_d": [0.4, 0.71, 1.0, 2.0],
-        "cells": [0.25, 0.5, 0.7, 1.0],
-    },
-    compute=compute,
-    claims=claims,
-    draw=draw,
-    table=table,
-)
+OPTIONS = {
+    "n_bodies": 100,
+    "size": 30.0,
+    "steps": 200,
+    "d": 0.5,
+    "h": 0.5,
+    "h_over_d": [0.4, 0.71, 1.0, 2.0],
+    "cells": [0.25, 0.5, 0.7, 1.0],
+}
+FIGURE = Figure("5.3", "Grid nodes and kernels over a scene", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

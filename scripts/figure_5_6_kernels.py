@@ -6,23 +6,21 @@ from deep_contact.studies import comparison
 POLY6, SPIKY = "poly6, d = h = 0.5 m", "spiky, d = h = 0.25 m"
 
 
-def compute(options, seed, jobs, progress):
-    """The best settings of Figures 5.4 and 5.5 against each other, with more sweeps."""
-    transfer = options.pop("transfer")
-    starts = {
+def starts(transfer):
+    """The best settings of Figures 5.4 and 5.5."""
+    return {
         POLY6: {"kernel": "poly6", "spacing": 0.5, "transfer": transfer},
         SPIKY: {"kernel": "spiky", "spacing": 0.25, "transfer": transfer},
     }
-    return comparison.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **options)
 
 
 def claims(data):
     """The thesis chooses poly6."""
-    return [comparison.faster(data, POLY6, SPIKY, text="poly6 performs better", thesis="L1129")]
+    return [comparison.faster(data, POLY6, SPIKY, "poly6 performs better", "L1129")]
 
 
 FIGURE = comparison.convergence_figure(
-    id="5.6", title="Convergence with poly6 and spiky", compute=compute, claims=claims, sweeps=5000, transfer="thesis"
+    id="5.6", title="Convergence with poly6 and spiky", starts=starts, claims=claims, sweeps=5000, transfer="thesis"
 )
 
 if __name__ == "__main__":

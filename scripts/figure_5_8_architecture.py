@@ -4,7 +4,7 @@ import math
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned as learned
+from deep_contact.studies import learned
 
 COLOURS = {
     "Input": "#DDDDDD",
@@ -19,7 +19,7 @@ TITLES = {"MaxPooling": "max pooling", "BatchNormalization": "batch normalisatio
 
 
 def compute(options, seed, jobs, progress):
-    """The layers, and the number of weights with the four channels of which section 5.3.1 speaks."""
+    """The layers, and the number of weights with the four channels that section 5.3.1 names."""
     four = sum(layer["trainable"] for layer in learned.thesis_layers(channels=4))
     return {"layers": learned.thesis_layers(), "trainable with 4 channels": four}
 
@@ -30,19 +30,14 @@ def claims(data):
     every = sum(layer["parameters"] for layer in data["layers"])
     four = data["trainable with 4 channels"]
     measured = {"trainable": trainable, "with the moving statistics": every}
+    channels = {"trainable with 4 channels": four, "trainable with 5 channels": trainable}
     return [
         Claim("the network has 64,498,866 weights", "L1199", trainable == 64_498_866, measured),
-        Claim(
-            "it has 51,599,092 weights for an input of 61 × 61 × 4",
-            "L1195",
-            four == 51_599_092,
-            {"trainable with 4 channels": four, "trainable with 5 channels": trainable},
-        ),
+        Claim("it has 51,599,092 weights for an input of 61 × 61 × 4", "L1195", four == 51_599_092, channels),
     ]
 
 
 def table(data):
-    """A row a layer."""
     rows = [["layer", "output", "kernel", "trainable"]]
     for layer in data["layers"]:
         kernel = " × ".join(map(str, layer["kernel"])) if layer["kernel"] else None
@@ -116,14 +111,7 @@ def shaded(colour, share):
     return tuple(share * part for part in to_rgb(colour))
 
 
-FIGURE = Figure(
-    id="5.8",
-    title="Architecture of the thesis's network",
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+FIGURE = Figure("5.8", "Architecture of the thesis's network", compute, table, draw, claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -28,58 +28,46 @@ def compute(options, seed, jobs, progress):
     """The rows of the study for piles of one size: from its results file, or from a small study made here."""
     if options["results"]:
         found = results.read_results(options["results"])["data"]
-        rows, peers, piles = found["rows"], found["peers"], found["piles"]
     else:
-        piles = [
-            tradeoff.solution_errors(
-                kind, options["n_bodies"], seed, states=options["states"], sweeps=options["sweeps"],
-                tolerances=options["tolerances"], past_need=options["past_need"], exact=True,
-            )
-            for kind in progress(options["kinds"], text="piles")
-        ]  # fmt: skip
+        settings = {name: options[name] for name in ("n_bodies", "states", "sweeps", "tolerances", "past_need")}
+        kinds = progress(options["kinds"], text="piles")
+        piles = [tradeoff.solution_errors(kind, seed=seed, exact=True, **settings) for kind in kinds]
         rows = tradeoff.condensed(piles, [tradeoff.costs(options["n_bodies"], seed, repeats=2)])
-        peers = []
-    n = options["n_bodies"]
+        found = {"rows": rows, "peers": [], "piles": piles}
+    rows, peers, piles = (
+        [row for row in found[name] if row["n_bodies"] == options["n_bodies"]] for name in ("rows", "peers", "piles")
+    )
     return {
-        "rows": [row for row in rows if row["n_bodies"] == n and row["kind"] in options["kinds"]],
-        "peers": [row for row in peers if row["n_bodies"] == n and row["velocity"]],
-        "spread": [value for pile in piles if pile["n_bodies"] == n for value in pile["spread"]],
-        "left_out": sum(pile["left_out"] for pile in piles if pile["n_bodies"] == n),
+        "rows": [row for row in rows if row["kind"] in options["kinds"]],
+        "peers": [row for row in peers if row["velocity"]],
+        "spread": [value for pile in piles for value in pile["spread"]],
+        "left_out": sum(pile["left_out"] for pile in piles),
     }
 
 
-def curve(data, kind, setting, by="sweeps"):
-    """Rows of a setting with budgets of one sort, in the order of their sweeps."""
-    found = [row for row in data["rows"] if row["kind"] == kind and row["setting"] == setting]
-    found = [row for row in found if (row["budget"]["tolerance"] is None) == (by == "sweeps")]
-    return sorted(found, key=lambda row: row["sweeps"])
+def curve(data, kind, setting):
+    """Rows of a setting with numbers of sweeps as budgets, in their order."""
+    rows = tradeoff.rows_of(data, kind=kind, setting=setting)
+    return sorted((row for row in rows if row["budget"]["tolerance"] is None), key=lambda row: row["sweeps"])
 
 
 def claims(data):
-    """Which method is ahead at small and at large budgets, what a start is worth, and what float32 buys."""
-    kind = data["rows"][-1]["kind"] if all(row["kind"] != "settling" for row in data["rows"]) else "settling"
-
-    def fastest(setting, error):
-        rows = [row for row in data["rows"] if row["kind"] == kind and row["setting"] == setting]
-        return tradeoff.fastest_within(rows, error, "p50")
-
+    """Which method is ahead at small and at large budgets, what a start is worth, and the floor of float32."""
+    kinds = [row["kind"] for row in data["rows"]]
+    kind = "settling" if "settling" in kinds else kinds[-1]
     found = []
     for error in (1e-1, 1e-2):
-        times = {name: fastest(name, error) for name in ("PGS", "NNCG", "NesterovPGS", "PSOR adaptive")}
+        times = {
+            name: tradeoff.fastest_within(tradeoff.rows_of(data, kind=kind, setting=name), error, "p50")
+            for name in ("PGS", "NNCG", "NesterovPGS", "PSOR adaptive")
+        }
         measured = {f"{name}, μs": row and row["us"] for name, row in times.items()}
         for name in ("NNCG", "NesterovPGS", "PSOR adaptive"):
             holds = times[name] is not None and (times["PGS"] is None or times[name]["us"] < times["PGS"]["us"])
             found.append(Claim(f"{name} reaches a median error of {error:g} sooner than PGS", None, holds, measured))
     floor = {name: min(row["velocity"]["p50"] for row in curve(data, kind, name)) for name in ("NNCG", "NNCG, single")}
-    found.append(
-        Claim(
-            "single precision has a floor ten times that of double",
-            None,
-            floor["NNCG, single"] > 10 * floor["NNCG"],
-            floor,
-        )
-    )
-    return found
+    text = "single precision has a floor ten times that of double"
+    return [*found, Claim(text, None, floor["NNCG, single"] > 10 * floor["NNCG"], floor)]
 
 
 def table(data):
@@ -88,7 +76,7 @@ def table(data):
     rows = [["kind", "setting", *(f"μs to {error:g}" for error in errors)]]
     for kind in dict.fromkeys(row["kind"] for row in data["rows"]):
         for name in dict.fromkeys(row["setting"] for row in data["rows"]):
-            mine = [row for row in data["rows"] if row["kind"] == kind and row["setting"] == name]
+            mine = tradeoff.rows_of(data, kind=kind, setting=name)
             best = [tradeoff.fastest_within(mine, error, "p50") for error in errors]
             rows.append([kind, name, *(row and row["us"] for row in best)])
     return rows
@@ -104,8 +92,7 @@ def draw(data, options):
             errors = [row["velocity"]["p50"] for row in rows]
             left.plot([row["sweeps"] for row in rows], errors, line, color=colour, label=name)
             right.plot([row["us"] for row in rows], errors, line, color=colour, alpha=0.6)
-        everything = [row for row in data["rows"] if row["kind"] == kind]
-        points = [(row["us"], row["velocity"]["p50"]) for row in everything]
+        points = [(row["us"], row["velocity"]["p50"]) for row in tradeoff.rows_of(data, kind=kind)]
         front = [points[i] for i in tradeoff.pareto(points)]
         right.plot(*zip(*front), color=plotting.BLACK, linewidth=2.2, drawstyle="steps-post", label="Pareto front")
         for engine, marker in MARKERS.items() if kind == "settling" else ():
@@ -116,9 +103,7 @@ def draw(data, options):
         plotting.label_axes(left, "sweeps", "velocity error, median", title=f"{kind}: by sweeps")
         plotting.label_axes(right, "time of a step", "", x_unit="μs", title=f"{kind}: by time")
         for ax in (left, right):
-            ax.set_xscale("log")
-            ax.set_yscale("log")
-            ax.set_ylim(1e-5, 2)
+            ax.set(xscale="log", yscale="log", ylim=(1e-5, 2))
         right.legend(fontsize=7)
     panels[0][0].legend(fontsize=7, ncols=2)
     return figure

@@ -26,8 +26,7 @@ def claims(data):
     for name, error in (("speed", "restlessness"), ("mean_penetration", "penetration")):
         least = {}
         for engine in COLOURS:
-            rows = [row for row in data["rows"] if row["engine"] == engine]
-            best = min(rows, key=lambda row: abs(row[name]))
+            best = min(tradeoff.rows_of(data, engine=engine), key=lambda row: abs(row[name]))
             least[f"{engine}, {'m/s' if name == 'speed' else 'm'}"] = abs(best[name])
             least[f"{engine}, Δt, s"] = best["dt"]
         holds = all(least[f"{engine}, Δt, s"] == steps[0] for engine in COLOURS)
@@ -37,13 +36,9 @@ def claims(data):
 
 def table(data):
     """Rows: every run."""
-    rows = [
-        ["method", "sweeps or substeps", "Δt, s", "μs a second", "rms speed, m/s", "mean penetration, m", "drift, m"]
-    ]
-    for row in data["rows"]:
-        values = [row[name] for name in ("budget", "dt", "us_per_second", "speed", "mean_penetration", "height_drift")]
-        rows.append([row["engine"], *values])
-    return rows
+    head = ["method", "sweeps or substeps", "Δt, s", "μs a second", "rms speed, m/s", "mean penetration, m", "drift, m"]
+    names = ("engine", "budget", "dt", "us_per_second", "speed", "mean_penetration", "height_drift")
+    return [head, *([row[name] for name in names] for row in data["rows"])]
 
 
 def draw(data, options):
@@ -53,8 +48,7 @@ def draw(data, options):
     for ax, (name, unit) in zip(panels, SHOWN.items()):
         for engine, colour in COLOURS.items():
             for dt, line in zip(steps, LINES):
-                mine = [row for row in data["rows"] if row["engine"] == engine and row["dt"] == dt]
-                mine.sort(key=lambda row: row["budget"])
+                mine = sorted(tradeoff.rows_of(data, engine=engine, dt=dt), key=lambda row: row["budget"])
                 errors = [max(abs(row[name]), 1e-7) for row in mine]
                 times = [row["us_per_second"] for row in mine]
                 ax.plot(times, errors, line, color=colour, marker="o", markersize=3, label=f"{engine}, Δt = {dt:g} s")
@@ -62,8 +56,7 @@ def draw(data, options):
         front = [points[i] for i in tradeoff.pareto(points)]
         ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=2.2, label="Pareto front")
         plotting.label_axes(ax, "time of a simulated second", name.replace("_", " "), x_unit="μs", y_unit=unit)
-        ax.set_xscale("log")
-        ax.set_yscale("log")
+        ax.set(xscale="log", yscale="log")
     panels[-1].legend(fontsize=6, loc="upper right")
     return figure
 
@@ -71,12 +64,7 @@ def draw(data, options):
 FIGURE = Figure(
     id="6.2",
     title="Time step, sweeps and substeps in a pile at rest",
-    options={
-        "results": "data/reference/tradeoff.json",
-        "n_bodies": 1000,
-        "seconds": 2.0,
-        "steps": [0.02, 0.01, 0.005],
-    },
+    options={"results": "data/reference/tradeoff.json", "n_bodies": 1000, "seconds": 2.0, "steps": [0.02, 0.01, 0.005]},
     quick={"results": "", "n_bodies": 60, "seconds": 0.3, "steps": [0.02, 0.01]},
     compute=compute,
     claims=claims,

@@ -1,4 +1,6 @@
-"""python scripts/figure_6_3_transfer.py: what the way through the grid loses, by kernel, d, h and radii."""
+"""python scripts/figure_6_3_transfer.py: loss of the transfer to the grid and back, by kernel, d, h and radii."""
+
+from itertools import product
 
 import numpy as np
 
@@ -9,54 +11,44 @@ from deep_contact.studies import comparison
 from deep_contact.warm_start import Sph
 
 SIBLING = {
-    "d = 0.125, h = 0.25": 0.0,
-    "d = 0.125, h = 0.5": 0.0191,
-    "d = 0.25, h = 0.125": 0.0480,
-    "d = 0.25, h = 0.25": 0.0,
-    "d = 0.25, h = 0.5": 0.0195,
-    "d = 0.5, h = 0.125": 0.2349,
-    "d = 0.5, h = 0.25": 0.0589,
-    "d = 0.5, h = 0.5": 0.0237,
-    "d = 0.125, h = 0.125": 0.0,
+    f"d = {d:g}, h = {h:g}": loss
+    for d, losses in {0.125: (0.0, 0.0, 0.0191), 0.25: (0.0480, 0.0, 0.0195), 0.5: (0.2349, 0.0589, 0.0237)}.items()
+    for h, loss in zip((0.125, 0.25, 0.5), losses)
 }
 """Mean loss of a contact impulse, N·s, in L. Engedal's thesis of 2018 (p. 39), for his own method and piles."""
 
-WAYS = {
-    "thesis": ("thesis", "bilinear"),
-    "SPH gather": ("thesis", "sph"),
-    "consistent": ("consistent", "bilinear"),
-}
+WAYS = {"thesis": ("thesis", "bilinear"), "SPH gather": ("thesis", "sph"), "consistent": ("consistent", "bilinear")}
+"""Name -> transfer, and how it reads back."""
+
+
+RADII = {"equal": (1.0, 1.0), "mixed": (0.5, 2.0)}
 
 
 def compute(options, seed, jobs, progress):
     """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii."""
     isolated = comparison.isolated_contacts(options["isolated"], seed=seed)
     piles = {name: pile(options, radius, seed) for name, radius in RADII.items()}
+
+    def loss(states, method="bilinear", **start):
+        return comparison.transfer_loss(states, Sph(**start), method=method)["relative error"]
+
     rows = []
     for kernel in progress(options["kernels"], text="kernels"):
-        for d in options["spacings"]:
-            for h in options["supports"]:
-                losses = {"kernel": kernel, "d": d, "h": h}
-                for name, (transfer, method) in WAYS.items():
-                    start = Sph(spacing=d, support=h, kernel=kernel, transfer=transfer)
-                    for what, states in (("isolated", isolated), ("pile", piles["equal"])):
-                        loss = comparison.transfer_loss(states, start, method=method)
-                        losses[f"{what}, {name}"] = loss["relative error"]
-                rows.append(losses)
+        for d, h in product(options["spacings"], options["supports"]):
+            losses = {"kernel": kernel, "d": d, "h": h}
+            for name, (transfer, method) in WAYS.items():
+                start = {"spacing": d, "support": h, "kernel": kernel, "transfer": transfer}
+                for what, states in (("isolated", isolated), ("pile", piles["equal"])):
+                    losses[f"{what}, {name}"] = loss(states, method, **start)
+            rows.append(losses)
     by_spacing = {
         radii: {
-            transfer: [
-                comparison.transfer_loss(states, Sph(spacing=d, transfer=transfer))["relative error"]
-                for d in options["charted"]
-            ]
+            transfer: [loss(states, spacing=d, transfer=transfer) for d in options["charted"]]
             for transfer in ("thesis", "consistent")
         }
         for radii, states in piles.items()
     }
     return {"rows": rows, "charted": options["charted"], "by spacing": by_spacing, "sibling": SIBLING}
-
-
-RADII = {"equal": (1.0, 1.0), "mixed": (0.5, 2.0)}
 
 
 def pile(options, radius, seed):
@@ -67,54 +59,31 @@ def pile(options, radius, seed):
 
 
 def claims(data):
-    """What the way through the grid loses, that it is the transfer and not SPH that does, and how exact ours is."""
+    """How much the transfer loses, which part of it does, and how exact the consistent transfer is."""
     rows = {(row["kernel"], row["d"], row["h"]): row for row in data["rows"]}
     chosen = rows[("poly6", 0.5, 0.5)]
     by_h = {f"h = {h:g} m": rows[("poly6", 0.25, h)]["pile, thesis"] for h in (0.125, 0.25, 0.5)}
     isolated = max(row["isolated, consistent"] for row in data["rows"])
     equal, mixed = (data["by spacing"][name]["consistent"] for name in ("equal", "mixed"))
     at = data["charted"].index(0.5)
-    return [
-        Claim(
-            "SPH makes an image of the contacts without losing much: read back, under a tenth of the impulses is lost",
-            "L15",
-            chosen["pile, thesis"] < 0.1,
-            {"relative error, d = h = 0.5 m": chosen["pile, thesis"]},
-        ),
-        Claim(
-            "linear interpolation loses information on the way back: read back by SPH weights, less is lost",
-            "L1397",
-            chosen["pile, SPH gather"] < chosen["pile, thesis"],
-            {name: chosen[f"pile, {name}"] for name in WAYS},
-        ),
-        Claim(
-            "too small or too big h loses information: at d = 0.25 m, h = d / 2 and h = 2 d more than h = d",
-            "L517",
-            by_h["h = 0.25 m"] < min(by_h["h = 0.125 m"], by_h["h = 0.5 m"]),
-            by_h,
-        ),
-        Claim(
-            "SPH itself limits how close the start can come to the solution",
-            "L1341",
-            chosen["pile, consistent"] > 0.1 * chosen["pile, thesis"],
-            {name: chosen[f"pile, {name}"] for name in WAYS},
-        ),
-        Claim(
-            "the consistent transfer returns an isolated contact exactly", None, isolated < 1e-12, {"worst": isolated}
-        ),
-        Claim(
-            "at d = h = 0.5 the consistent transfer changes the impulses of a pile of equal circles by under 1e-3",
-            None,
-            equal[at] < 1e-3,
-            {"relative error": equal[at]},
-        ),
-        Claim(
-            "for radii from 0.5 to 2 the consistent transfer's error grows with d",
-            None,
-            bool(np.all(np.diff(np.maximum(mixed, 1e-12)) >= 0)),  # below lies rounding
-            {f"d = {d:g}": error for d, error in zip(data["charted"], mixed)},
-        ),
-    ]
+    kept = chosen["pile, thesis"]
+    by_way = {name: chosen[f"pile, {name}"] for name in WAYS}
+    text = "SPH makes an image of the contacts without losing much: read back, under a tenth of the impulses is lost"
+    found = [Claim(text, "L15", kept < 0.1, {"relative error, d = h = 0.5 m": kept})]
+    text = "linear interpolation loses information on the way back: read back by SPH weights, less is lost"
+    found.append(Claim(text, "L1397", by_way["SPH gather"] < kept, by_way))
+    text = "too small or too big h loses information: at d = 0.25 m, h = d / 2 and h = 2 d more than h = d"
+    found.append(Claim(text, "L517", by_h["h = 0.25 m"] < min(by_h["h = 0.125 m"], by_h["h = 0.5 m"]), by_h))
+    text = "SPH itself limits how close the start can come to the solution"
+    found.append(Claim(text, "L1341", by_way["consistent"] > 0.1 * kept, by_way))
+    text = "the consistent transfer returns an isolated contact exactly"
+    found.append(Claim(text, None, isolated < 1e-12, {"worst": isolated}))
+    text = "at d = h = 0.5 the consistent transfer changes the impulses of a pile of equal circles by under 1e-3"
+    found.append(Claim(text, None, equal[at] < 1e-3, {"relative error": equal[at]}))
+    text = "for radii from 0.5 to 2 the consistent transfer's error grows with d"
+    grows = bool(np.all(np.diff(np.maximum(mixed, 1e-12)) >= 0))  # below lies rounding
+    measured = {f"d = {d:g}": error for d, error in zip(data["charted"], mixed)}
+    return [*found, Claim(text, None, grows, measured)]
 
 
 def table(data):
@@ -141,16 +110,12 @@ def draw(data, options):
     plotting.label_axes(left, "h", "relative error of λ", x_unit="m", title="a) pile of equal circles, poly6")
     for radii, marker in (("equal", "o"), ("mixed", "s")):
         for transfer, error in data["by spacing"][radii].items():
-            line = "-" if radii == "equal" else "--"
-            label = f"{transfer}, {radii} radii"
-            right.plot(
-                data["charted"], np.maximum(error, floor), line, color=looks[transfer], marker=marker, label=label
-            )
+            look = {"color": looks[transfer], "marker": marker, "label": f"{transfer}, {radii} radii"}
+            right.plot(data["charted"], np.maximum(error, floor), "-" if radii == "equal" else "--", **look)
     plotting.label_axes(right, "d = h", "relative error of λ", x_unit="m", title="b) radii 1, and 0.5 to 2 mixed")
     for ax in (left, right):
         ax.set_xscale("log", base=2)
-        ax.set_yscale("log")
-        ax.set_ylim(floor / 2, 2)
+        ax.set(yscale="log", ylim=(floor / 2, 2))
         ax.legend(fontsize=7)
         ax.xaxis.set_major_formatter("{x:g}")
     left.text(0.01, 0.01, "errors below 1e-6 are drawn there", transform=left.transAxes, fontsize=7, va="bottom")

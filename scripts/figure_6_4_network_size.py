@@ -1,7 +1,7 @@
 """python scripts/figure_6_4_network_size.py: what a larger far-field network, or a coarser image, gains and costs.
 
-One network a file, all trained alike: models/comparison/width_<features>.h5, and spacing_<d>.h5 with as many features
-as width_24.h5 on images whose nodes lie d mean radii apart. Where there are none, the shipped one.
+One network per file, all trained alike: models/comparison/width_<features>.h5, and spacing_<d>.h5 with as many features
+as width_24.h5 on images whose nodes lie d mean radii apart. Where there are none, the shipped one is used.
 """
 
 import re
@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-import deep_contact as dc
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies.break_even import sweep_times
-from deep_contact.studies.learned import errors_on_thesis_scene, mean_errors, networks_info, ratios_to_builtin
-from deep_contact.studies.scaling import fastest
+from deep_contact.studies.held_out import errors_on_scenes, ratio_cells, start_of, start_us, timing_state
+from deep_contact.studies.learned import mean_errors, networks_info, ratios_to_builtin
 
 SHIPPED = "models/model.h5"
 MARKERS = "^sDv"
@@ -24,21 +23,25 @@ HOLLOW = {"linestyle": "none", "markerfacecolor": "white", "markersize": 7, "zor
 
 
 def compute(options, seed, jobs, progress):
-    """Errors of every network on the same states of scenes that none has seen, and their times, one after the other."""
+    """Errors of every network on the same states of held-out scenes, and their times, one after the other."""
     networks = files(options["folder"])
-    tasks = [{**options, "networks": networks, "seed": s} for s in figures.seeds(seed + 10_000, options["scenes"])]
-    scenes = figures.parallel_map(one_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    info = networks_info(networks)
-    us = {name: inference_us(path, options["repeats"]) for name, path in networks.items()}
+    starts = {"builtin": "builtin"} | {name: {"model": path} for name, path in networks.items()}
+    scenes = errors_on_scenes(starts, options, seed=seed + 10_000, jobs=jobs, progress=progress)
+    info, state, repeats = networks_info(networks), timing_state(), options["repeats"]
     found = [
-        {"name": name, "weights": info[name]["parameters"], "us": us[name], "spacing": spacing_of(name)}
+        {
+            "name": name,
+            "weights": info[name]["parameters"],
+            "us": start_us(start_of(starts[name]), state, repeats),
+            "spacing": spacing_of(name),
+        }
         for name in networks
     ]
     return {
         "after": options["after"],
         "networks": sorted(found, key=lambda network: (network["spacing"], network["weights"])),
         "scenes": scenes,
-        "sweep_us": 1e6 * sweep_times(settled(), repeats=options["repeats"])["PGS"],
+        "sweep_us": 1e6 * sweep_times(state, repeats=repeats)["PGS"],
     }
 
 
@@ -52,31 +55,9 @@ def files(folder):
 
 
 def spacing_of(name):
-    """Of the nodes of the network's images, in mean radii."""
+    """Distance of the nodes of the network's images, in mean radii."""
     kind, _, number = name.partition(" ")
     return float(number) if kind == "spacing" else 1.0
-
-
-def one_scene(task):
-    """Errors of all starts on one scene of 70 to 110 circles, in a process of its own."""
-    from deep_contact.cnn.inference import network_start
-    from deep_contact.warm_start import Builtin
-
-    starts = {"builtin": Builtin()} | {name: network_start(path) for name, path in task["networks"].items()}
-    return errors_on_thesis_scene(starts, task)
-
-
-def settled():
-    """A state of 100 circles on which all times are taken."""
-    return dc.simulate(dc.circles_in_box(100, seed=1), steps=200, solver=dc.NNCG()).state
-
-
-def inference_us(path, repeats):
-    """Time of a warm start by the network on one thread, image and reading back included, μs: the least of several."""
-    from deep_contact.cnn.inference import network_start
-
-    start, state = network_start(path), settled()
-    return fastest(lambda: start(state, dc.PGS()), repeats)
 
 
 def claims(data):
@@ -113,8 +94,7 @@ def table(data):
     """Rows: weights, time, and the error left after some sweeps over Builtin's, with its 95 % interval."""
     rows = [["network", "weights", "μs", "in sweeps", *(f"error({k}) / Builtin's" for k in data["after"])]]
     for network in data["networks"]:
-        ratios = ratios_to_builtin(data["scenes"], network["name"], "all")
-        cells = [f"{ratio:.3f} ({low:.3f}–{high:.3f})" for ratio, low, high in ratios]
+        cells = ratio_cells(data["scenes"], network["name"], "all")
         rows.append([network["name"], network["weights"], network["us"], network["us"] / data["sweep_us"], *cells])
     builtin = mean_errors(data["scenes"], "builtin", "all").mean(axis=0)
     rows.append(["builtin, its error", None, None, None, *(float(value) for value in builtin)])

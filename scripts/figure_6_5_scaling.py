@@ -1,4 +1,4 @@
-"""python scripts/figure_6_5_scaling.py: from 10 circles to 100,000: time, stages, memory, the machine's floor."""
+"""python scripts/figure_6_5_scaling.py: from 10 circles to 100,000: time, stages, memory, the machine's limits."""
 
 import os
 from pathlib import Path
@@ -8,18 +8,24 @@ import numpy as np
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import scaling
+from deep_contact.studies.peers import installed
 
 PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
 LOOKS = {
-    "sequential": (plotting.VERMILION, "-", "o"),
-    "levels": (plotting.BLUE, "-", "s"),
-    "colours": (plotting.GREEN, "-", "^"),
-    "colours, single": (plotting.SKY, "--", "v"),
-    "colours, 2 threads": (plotting.PURPLE, "-", "D"),
-    "Box2D 2.3": (plotting.GREY, "-", "x"),
-    "pymunk": (plotting.GREY, "--", "+"),
-    "Box2D v3": (plotting.BLACK, ":", "1"),
+    name: {"color": colour, "linestyle": line, "marker": marker, "markersize": 4}
+    for name, colour, line, marker in (
+        ("sequential", plotting.VERMILION, "-", "o"),
+        ("levels", plotting.BLUE, "-", "s"),
+        ("colours", plotting.GREEN, "-", "^"),
+        ("colours, single", plotting.SKY, "--", "v"),
+        ("colours, 2 threads", plotting.PURPLE, "-", "D"),
+        ("Box2D 2.3", plotting.GREY, "-", "x"),
+        ("pymunk", plotting.GREY, "--", "+"),
+        ("Box2D v3", plotting.BLACK, ":", "1"),
+    )
 }
+"""Engine -> keywords of `plot`."""
+
 STAGES = {
     "contacts": plotting.SKY,
     "velocities and rows": plotting.YELLOW,
@@ -33,18 +39,19 @@ PROFILED = ("sequential", "levels", "colours")
 
 
 def compute(options, seed, jobs, progress):
-    """Everything one after the other: times that are taken at the same time say nothing."""
-    peers = [name for name in scaling.available_peers() if name in options["engines"]]
-    names = [name for name in options["engines"] if name in scaling.OURS] + peers
+    """One after the other: nothing may run beside what is timed."""
+    peers = installed()
+    names = [name for name in options["engines"] if name in scaling.OURS]
+    others = [name for name in options["engines"] if name in peers]
     operations = scaling.arithmetic()
-    data = {"costs": [], "floors": [], "memory": [], "stages": {}, "operations": operations}
+    data = {"costs": [], "floors": [], "memory": [], "operations": operations}
     data["cores"] = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     for n_bodies in progress(options["sizes"]):
         path = scaling.stored_pile(PILES, n_bodies, seed=seed, steps=options["settling"])
         state = scaling.read_pile(path)
         steps = int(np.clip(options["work"] // n_bodies, 2, 400))
-        # What is stepped from Python, or takes a second a step, is not waited for at the largest size.
-        here = [name for name in names if name in scaling.OURS or n_bodies <= options["peers_up_to"]]
+        # The others take a second per step, or are stepped from Python: too long at the largest size.
+        here = names + others if n_bodies <= options["peers_up_to"] else names
         data["costs"] += scaling.step_costs(state, here, steps=steps, repeats=options["repeats"])
         m = state.contacts.count
         data["floors"] += [
@@ -53,24 +60,20 @@ def compute(options, seed, jobs, progress):
         ]
         for name in options["memory"]:
             data["memory"].append({"engine": name, "n_bodies": n_bodies, "peak": scaling.peak_memory(path, name)})
-    for name in PROFILED:
-        data["stages"][name] = scaling.stages(state, name, repeats=options["repeats"])
+    data["stages"] = {name: scaling.stages(state, name, repeats=options["repeats"]) for name in PROFILED}
     data["convergence"] = scaling.convergence(
-        options["convergence_bodies"],
-        seed,
-        states=options["states"],
-        sweeps=BUDGETS,
-        past_need=options["past_need"],
+        options["convergence_bodies"], seed, states=options["states"], sweeps=BUDGETS, past_need=options["past_need"]
     )
     return data
 
 
-def rows_of(data, engine):
-    """The costs of one engine, by size."""
-    return [row for row in data["costs"] if row["engine"] == engine]
+def rows_of(data, engine, part="costs"):
+    """The costs, or memory, of one engine, by size."""
+    return [row for row in data[part] if row["engine"] == engine]
 
 
 def ours_in(data):
+    """Names of our engines in the data."""
     return [name for name in scaling.OURS if rows_of(data, name)]
 
 
@@ -80,13 +83,13 @@ def orders_of(data):
 
 
 def claims(data):
-    """The targets, held against the measured ratios and times."""
+    """The targets, against the measured ratios and times."""
     found = []
     sizes = sorted({row["n_bodies"] for row in data["costs"]})
     at = min(sizes, key=lambda n: abs(np.log(n / 10_000)))
     cost = {row["engine"]: row for row in data["costs"] if row["n_bodies"] == at}
-    # On one thread: what threads cost to start comes out of the difference of two times as a sweep that is too cheap.
-    # On a machine that does something else as well, that difference may be below 0.
+    # On one thread: the cost of starting threads would make a sweep look too cheap. On a machine that does something
+    # else as well, the difference of two times may be negative.
     plain = [name for name in ours_in(data) if "single" not in name and "threads" not in name]
     timed = [name for name in plain if cost[name]["sweep_ns"] > 0]
     best = min(timed, key=lambda name: cost[name]["sweep_ns"], default=None)
@@ -117,10 +120,9 @@ def claims(data):
 
 def table(data):
     """Rows: every engine at every size."""
-    rows = [["circles", "engine", "contacts", "ns a contact and sweep", "overhead, μs", "step of 10 sweeps, μs"]]
-    for row in data["costs"]:
-        rows.append([row[name] for name in ("n_bodies", "engine", "contacts", "sweep_ns", "overhead_us", "step_us")])
-    return rows
+    head = ["circles", "engine", "contacts", "ns a contact and sweep", "overhead, μs", "step of 10 sweeps, μs"]
+    names = ("n_bodies", "engine", "contacts", "sweep_ns", "overhead_us", "step_us")
+    return [head, *([row[name] for name in names] for row in data["costs"])]
 
 
 def draw(data, options):
@@ -135,13 +137,10 @@ def draw(data, options):
 
 def draw_costs(left, right, data):
     """Time of a step, and of a contact and sweep, by contacts; the floor beneath."""
-    for engine, (colour, line, marker) in LOOKS.items():
-        rows = rows_of(data, engine)
-        if rows:
-            look = {"color": colour, "linestyle": line, "marker": marker, "markersize": 4, "label": engine}
-            contacts = [row["contacts"] for row in rows]
-            left.plot(contacts, [row["step_us"] for row in rows], **look)
-            right.plot(contacts, [row["sweep_ns"] for row in rows], **look)
+    for engine, look in LOOKS.items():
+        if rows := rows_of(data, engine):
+            for ax, name in ((left, "step_us"), (right, "sweep_ns")):
+                ax.plot([row["contacts"] for row in rows], [row[name] for row in rows], **look, label=engine)
     for precision, line in (("double", "-"), ("single", "--")):
         rows = [row for row in data["floors"] if row["precision"] == precision]
         least = [max(row["memory_ns"], row["arithmetic_ns"]) for row in rows]
@@ -150,8 +149,7 @@ def draw_costs(left, right, data):
     plotting.label_axes(left, "contacts", "step of 10 sweeps", y_unit="μs", title="Step")
     plotting.label_axes(right, "contacts", "time of a contact and sweep", y_unit="ns", title="Sweep")
     for ax in (left, right):
-        ax.set_xscale("log")
-        ax.set_yscale("log")
+        ax.set(xscale="log", yscale="log")
     left.legend(fontsize=7)
     right.legend(fontsize=6, ncols=2)
 
@@ -159,14 +157,12 @@ def draw_costs(left, right, data):
 def draw_stages(ax, data):
     """Stages of a step at the largest size, stacked."""
     bottom = np.zeros(len(PROFILED))
-    largest = max(row["n_bodies"] for row in data["costs"])
     for stage, colour in STAGES.items():
         height = np.array([data["stages"][name][stage] / 1000 for name in PROFILED])
         ax.bar(PROFILED, height, 0.6, bottom=bottom, color=colour, label=stage)
         bottom += height
-    plotting.label_axes(
-        ax, "", "time, 10 sweeps, one thread", y_unit="ms", title=f"Stages of a step, {largest:,} circles"
-    )
+    title = f"Stages of a step, {max(row['n_bodies'] for row in data['costs']):,} circles"
+    plotting.label_axes(ax, "", "time, 10 sweeps, one thread", y_unit="ms", title=title)
     ax.legend(fontsize=7)
     ax.set_ylim(0, 1.5 * bottom.max())
 
@@ -174,39 +170,33 @@ def draw_stages(ax, data):
 def draw_memory(ax, data):
     """Peak resident memory by circles, and what a circle adds."""
     for engine in dict.fromkeys(row["engine"] for row in data["memory"]):
-        colour, line, marker = LOOKS[engine]
-        rows = [row for row in data["memory"] if row["engine"] == engine]
+        rows = rows_of(data, engine, "memory")
         added = (rows[-1]["peak"] - rows[0]["peak"]) / (rows[-1]["n_bodies"] - rows[0]["n_bodies"])
-        label = f"{engine}: {added:,.0f} bytes a circle"
         sizes, peaks = [row["n_bodies"] for row in rows], [row["peak"] / 2**20 for row in rows]
-        ax.plot(sizes, peaks, color=colour, linestyle=line, marker=marker, markersize=4, label=label)
+        ax.plot(sizes, peaks, **LOOKS[engine], label=f"{engine}: {added:,.0f} bytes a circle")
     plotting.label_axes(ax, "circles", "peak resident memory", y_unit="MiB", title="Memory of a process")
-    ax.set_xscale("log")
-    ax.set_ylim(0, 1.3 * max(row["peak"] for row in data["memory"]) / 2**20)
+    ax.set(xscale="log", ylim=(0, 1.3 * max(row["peak"] for row in data["memory"]) / 2**20))
     ax.legend()
 
 
 def draw_convergence(left, right, data):
-    """What the order does: velocity error after some sweeps, and sweeps to a tolerance, state by state."""
+    """By order of relaxation: velocity error after some sweeps, and sweeps to a tolerance, state by state."""
     orders = orders_of(data)
+    x = [row["sweeps"] for row in orders["sequential"]]
     for order, rows in orders.items():
-        colour, line, marker = LOOKS[order]
-        look = {"color": colour, "linestyle": ":" if order == "levels" else line, "marker": marker, "markersize": 5}
+        look = LOOKS[order] | {"markersize": 5} | ({"linestyle": ":"} if order == "levels" else {})
         medians = [float(np.median([row[f"error_{k}"] for row in rows])) for k in BUDGETS]
-        left.plot(BUDGETS, medians, label=order, **look)
+        left.plot(BUDGETS, medians, **look, label=order)
         if order != "sequential":
-            x = [row["sweeps"] for row in orders["sequential"]]
-            right.plot(x, [row["sweeps"] for row in rows], **{**look, "linestyle": ""}, label=order)
+            right.plot(x, [row["sweeps"] for row in rows], **look | {"linestyle": ""}, label=order)
     limits = [0, 1.05 * max(row["sweeps"] for row in data["convergence"])]
     right.plot(limits, limits, color=plotting.GREY, linewidth=0.8)
     plotting.label_axes(left, "sweeps", "velocity error, median", title="Convergence by order, a falling pile")
-    left.set_xscale("log")
-    left.set_yscale("log")
+    left.set(xscale="log", yscale="log")
     left.set_xticks(BUDGETS, [str(k) for k in BUDGETS])
     left.set_xticks([], minor=True)
-    plotting.label_axes(
-        right, "sweeps in sequential order", "sweeps in this order", title="Sweeps to θ < m g Δt / 1000"
-    )
+    title = "Sweeps to θ < m g Δt / 1000"
+    plotting.label_axes(right, "sweeps in sequential order", "sweeps in this order", title=title)
     left.legend()
     right.legend()
 

@@ -1,22 +1,25 @@
-"""python scripts/figure_6_6_stability.py: how far each quantity can be pushed, here and in two other engines."""
+"""python scripts/figure_6_6_stability.py: how far each quantity can be pushed, in our engine and in two others."""
+
+from functools import partial
 
 from deep_contact.constants import LINEAR_SLOP
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ABSENT, ACCURATE, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
 
 ROUNDING = 1e-9
-"""Rise of the energy that rounding may cause, as a share of what there was."""
+"""Rise of the energy that rounding may cause, as a share of its initial value."""
 
 MILD_START = 1e12
-"""Largest misleading start, in weights, of which rounding leaves less than `ROUNDING`."""
+"""Largest misleading start, in weights, whose rounding errors stay below `ROUNDING`."""
 
+TEN = PGS(sweeps=10, tolerance=None)
 SILOS = {
-    "straight, 10 sweeps": (extremes.silo, {}, PGS(sweeps=10, tolerance=None)),
-    "leaning, 10 sweeps": (extremes.leaning_silo, {}, PGS(sweeps=10, tolerance=None)),
-    "straight, 1000:1 on top, 10 sweeps": (extremes.loaded_silo, {"ratio": 1000.0}, PGS(sweeps=10, tolerance=None)),
+    "straight, 10 sweeps": (extremes.silo, {}, TEN),
+    "leaning, 10 sweeps": (extremes.leaning_silo, {}, TEN),
+    "straight, 1000:1 on top, 10 sweeps": (extremes.loaded_silo, {"ratio": 1000.0}, TEN),
     "straight, 1000:1 on top, most accurate": (extremes.loaded_silo, {"ratio": 1000.0}, ACCURATE),
 }
 
@@ -25,7 +28,7 @@ RESTING = {
     "leaning, 10 sweeps": "in which it leans from wall to wall at 10 sweeps",
     "straight, 1000:1 on top, most accurate": "with 1000 times its mass on top, most accurately solved,",
 }
-"""Those of `SILOS` that have to come to rest -> how a claim says it."""
+"""Those of `SILOS` that have to come to rest -> their words in a claim."""
 
 
 def compute(options, seed, jobs, progress):
@@ -33,17 +36,15 @@ def compute(options, seed, jobs, progress):
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
     found = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
     cells = [
-        {"quantity": case.quantity, "value": float(case.value), "engine": case.engine, **outcome}
+        {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"], **outcome}
         for case, outcome in zip(cases, found)
     ]
     silos = {}
     for name, (make, arguments, solver) in SILOS.items():
-        scene = make(options["silo"], **arguments)
-        # A peer with as many sweeps as the most accurate setting may take would stand here for an hour.
+        # Another engine would take an hour for the most accurate setting.
         engines = ENGINES if solver is not ACCURATE else ENGINES[:1]
-        silos[name] = {
-            engine: extremes.stand(scene, engine, solver=solver, seconds=options["seconds"]) for engine in engines
-        }
+        stand = partial(extremes.stand, make(options["silo"], **arguments), solver=solver, seconds=options["seconds"])
+        silos[name] = {engine: stand(engine) for engine in engines}
     units = {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}
     solvers = figures.parallel_map(
         extremes.run_solver, options["solvers"], jobs=jobs, progress=progress, text="methods and starts"
@@ -52,43 +53,35 @@ def compute(options, seed, jobs, progress):
 
 
 def ours(data, *quantities):
-    """Cells of this engine that were not refused; of some quantities, or of all."""
+    """Accepted cells of our engine; of some quantities, or of all."""
     accepted = [cell for cell in data["cells"] if cell["engine"] == "ours" and cell["verdict"] != REFUSED]
     return [cell for cell in accepted if not quantities or cell["quantity"] in quantities]
 
 
 def unearned(cell):
-    """Rise of the energy beyond what position correction has lifted, as a share of what there was."""
+    """Rise of the energy beyond the work of position correction, as a share of its initial value."""
     return cell["energy"] - (cell["correction"] or 0.0)
 
 
 def is_inelastic(cell):
-    """Whether a cell has e = 0, is in float64, and starts from what rounding lets the sweeps make good."""
+    """Whether a cell has e = 0, is in float64, and has a start that the sweeps can correct in spite of rounding."""
     if cell["quantity"].startswith("start"):
         return cell["value"] <= MILD_START
     return (cell["quantity"] != "restitution" or cell["value"] == 0) and "float32" not in cell["quantity"]
 
 
 def claims(data):
-    """What the engine promises at the extremes."""
+    """The goals of the engine at the extremes."""
     accepted = ours(data)
     inelastic = [cell for cell in accepted if is_inelastic(cell)]
     worst = max(inelastic, key=unearned, default=None)
     refusals = [cell for cell in data["cells"] if cell["engine"] == "ours" and cell["verdict"] == REFUSED]
-    found = [
-        Claim(
-            "no accepted scene ends in a number that is not finite",
-            None,
-            all(cell["finite"] for cell in accepted),
-            {"scenes": len(accepted), "not finite": sum(not cell["finite"] for cell in accepted)},
-        ),
-        Claim(
-            "every refusal names the quantity, its limits and the value",
-            None,
-            all("expected" in cell["message"] and "got" in cell["message"] for cell in refusals),
-            {"refused": len(refusals)},
-        ),
-    ]
+    not_finite = sum(not cell["finite"] for cell in accepted)
+    explained = all("expected" in cell["message"] and "got" in cell["message"] for cell in refusals)
+    text = "no accepted scene ends in a number that is not finite"
+    found = [Claim(text, None, not not_finite, {"scenes": len(accepted), "not finite": not_finite})]
+    text = "every refusal names the quantity, its limits and the value"
+    found.append(Claim(text, None, explained, {"refused": len(refusals)}))
     if worst is not None:
         measured = {"scenes": len(inelastic), "largest rise": unearned(worst), "of": worst["quantity"]}
         text = f"with e = 0 the energy never rises by more than {ROUNDING:g} and the work of position correction"
@@ -160,7 +153,7 @@ LOOKS = {
 
 
 def draw(data, options):
-    """A row for each quantity, three stripes for the engines, a cell for each value; colour and letter: the verdict."""
+    """A row per quantity, a stripe per engine, a cell per value; colour and letter show the verdict."""
     from matplotlib.patches import Patch, Rectangle
 
     grouped = by_quantity(data)
@@ -180,12 +173,9 @@ def draw(data, options):
     ax.set_yticks([row + 0.5 for row in range(len(grouped))])
     ax.set_yticklabels([f"{name} ({data['units'][name]})" if data["units"][name] else name for name in grouped])
     ax.tick_params(axis="y", length=0, pad=44)
-    ax.set_xticks([])
-    ax.set_xlim(-0.2, most)
-    ax.set_ylim(len(grouped), 0)
+    ax.set(xticks=[], xlim=(-0.2, most), ylim=(len(grouped), 0))
     ax.grid(False)
-    for side in ("left", "bottom"):
-        ax.spines[side].set_visible(False)
+    ax.spines[["left", "bottom"]].set_visible(False)
     handles = [
         Patch(facecolor=colour, edgecolor=plotting.GREY, label=f"{verdict} ({letter})" if letter else verdict)
         for verdict, (colour, letter) in LOOKS.items()

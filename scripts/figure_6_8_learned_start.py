@@ -4,86 +4,42 @@ import numpy as np
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.learned import OFF, errors_on_thesis_scene, mean_errors, ratios_to_builtin
-
-TENTHS = 10
+from deep_contact.studies.held_out import FEW, TENTHS, after_few, by_tenth, errors_on_scenes, mean_sweeps, ratio_cells
+from deep_contact.studies.learned import OFF, mean_errors, ratios_to_builtin
 
 
 def compute(options, seed, jobs, progress):
-    """Every start on the same states of scenes whose seeds were not in the data."""
-    tasks = [{**options, "seed": s} for s in figures.seeds(seed + 10_000, options["scenes"])]
-    scenes = figures.parallel_map(one_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    return {"after": options["after"], "scenes": scenes, "steps": options["steps"]}
-
-
-def one_scene(task):
-    """Errors of all starts on one scene of 70 to 110 circles, in a process of its own."""
-    from deep_contact.cnn.inference import Guarded, network_start
-    from deep_contact.warm_start import Builtin, NoStart
-
-    network = network_start(task["model"])
+    """Every start on the same states of held-out scenes."""
     starts = {
-        "none": NoStart(),
-        "builtin": Builtin(),
-        "compact": network_start(task["compact"]),
-        "far field": network,
-        "guarded": Guarded(network.model),
+        "none": "none",
+        "builtin": "builtin",
+        "compact": {"model": options["compact"]},
+        "far field": {"model": options["model"]},
+        "guarded": {"guarded": options["model"]},
     }
-    return errors_on_thesis_scene(starts, task)
-
-
-def by_tenth(data, name):
-    """Ratio to Builtin of the mean error in each tenth of the run, (10, sweeps); NaN-free: empty tenths are 1."""
-    totals = {n: np.zeros((TENTHS, len(data["after"]))) for n in (name, "builtin")}
-    for scene in data["scenes"]:
-        tenth = np.minimum(np.array(scene["step"]) * TENTHS // data["steps"], TENTHS - 1)
-        for n, total in totals.items():
-            np.add.at(total, tenth, np.array(scene["errors"][n]))
-    builtin = totals["builtin"]
-    return np.where(builtin > 0, totals[name] / np.where(builtin > 0, builtin, 1.0), 1.0)
-
-
-def mean_sweeps(data, name):
-    """Mean over all states of the sweeps to the threshold."""
-    return float(np.mean(np.concatenate([scene["sweeps"][name] for scene in data["scenes"]])))
+    scenes = errors_on_scenes(starts, options, seed=seed + 10_000, jobs=jobs, progress=progress)
+    return {"after": options["after"], "scenes": scenes, "steps": options["steps"]}
 
 
 def claims(data):
     """Whether the learned start pays, by the measures that were set before it was trained."""
-    few = [data["after"].index(k) for k in (3, 10, 30)]
-    learned, guarded = (
-        ratios_to_builtin(data["scenes"], "far field", "off"),
-        ratios_to_builtin(data["scenes"], "guarded", "all"),
-    )
+    few, scenes = after_few(data), data["scenes"]
+    learned, guarded = ratios_to_builtin(scenes, "far field", "off"), ratios_to_builtin(scenes, "guarded", "all")
     worst = by_tenth(data, "guarded")[:, few].max()
     sweeps = {name: mean_sweeps(data, name) for name in ("builtin", "guarded")}
 
     def measured(found):
         return {f"after {data['after'][i]} sweeps": [float(v) for v in found[i]] for i in few}
 
-    return [
-        Claim(
-            "where Builtin is off by more than 5 %, the network leaves at most 0.33 of its error",
-            None,
-            bool(learned[few, 0].max() <= 0.33),
-            measured(learned),
-        ),
-        Claim(
-            "guarded, over all steps, at most 0.6 of Builtin's error",
-            None,
-            bool(guarded[few, 0].max() <= 0.6),
-            measured(guarded),
-        ),
-        Claim(
-            "guarded, in no tenth of the run worse than 1.02 of Builtin", None, bool(worst <= 1.02), {"worst": worst}
-        ),
-        Claim(
-            "guarded mean sweeps to θ < 6e-5 at most 0.7 of Builtin's",
-            None,
-            sweeps["guarded"] <= 0.7 * sweeps["builtin"],
-            {**sweeps, "ratio": sweeps["guarded"] / sweeps["builtin"]},
-        ),
-    ]
+    text = "where Builtin is off by more than 5 %, the network leaves at most 0.33 of its error"
+    found = [Claim(text, None, bool(learned[few, 0].max() <= 0.33), measured(learned))]
+    text = "guarded, over all steps, at most 0.6 of Builtin's error"
+    found.append(Claim(text, None, bool(guarded[few, 0].max() <= 0.6), measured(guarded)))
+    text = "guarded, in no tenth of the run worse than 1.02 of Builtin"
+    found.append(Claim(text, None, bool(worst <= 1.02), {"worst": worst}))
+    text = "guarded mean sweeps to θ < 6e-5 at most 0.7 of Builtin's"
+    ratio = sweeps["guarded"] / sweeps["builtin"]
+    return [*found, Claim(text, None, ratio <= 0.7, {**sweeps, "ratio": ratio})]
 
 
 def table(data):
@@ -94,8 +50,7 @@ def table(data):
             found = mean_errors(data["scenes"], name, where).mean(axis=0)
             rows.append([name, text, *(float(v) for v in found), mean_sweeps(data, name) if where == "all" else None])
     for name in ("compact", "far field", "guarded"):
-        cells = [f"{r:.3f} ({low:.3f}–{high:.3f})" for r, low, high in ratios_to_builtin(data["scenes"], name, "off")]
-        rows.append([f"{name} / builtin", "Builtin off", *cells, None])
+        rows.append([f"{name} / builtin", "Builtin off", *ratio_cells(data["scenes"], name, "off"), None])
     return rows
 
 
@@ -104,7 +59,7 @@ def draw(data, options):
     figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.0))
     names = list(data["scenes"][0]["errors"])
     styles = plotting.styles_of(names)
-    # No logarithm of 0 sweeps: they stand at 1, where nothing else is.
+    # 0 sweeps have no logarithm: they are drawn at 1, which is free.
     x = [max(k, 1) for k in data["after"]]
     for name in names:
         found = mean_errors(data["scenes"], name, "off")
@@ -112,13 +67,12 @@ def draw(data, options):
         mean = found.mean(axis=0)
         left.plot(x, mean, marker="o", markersize=3, **styles[name])
         left.fill_between(x, mean - spread, mean + spread, color=styles[name]["color"], alpha=0.15, linewidth=0)
-    left.set_xscale("log")
-    left.set_yscale("log")
+    left.set(xscale="log", yscale="log")
     left.set_xticks(x, [f"{k}" for k in data["after"]])
     title = f"a) steps where Builtin is off by more than {OFF:.0%}"
     plotting.label_axes(left, "sweeps", "relative velocity error", title=title)
     left.legend()
-    for k in (3, 10, 30):
+    for k in FEW:
         ratio = by_tenth(data, "guarded")[:, data["after"].index(k)]
         right.plot((np.arange(TENTHS) + 0.5) * 10, ratio, marker="o", markersize=3, label=f"after {k} sweeps")
     right.axhline(1.0, color=plotting.GREY, linewidth=1.0)

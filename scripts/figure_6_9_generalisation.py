@@ -2,16 +2,10 @@
 
 import numpy as np
 
-import deep_contact as dc
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies.held_out import FEW, after_few, errors_beyond, ratio_cells
 from deep_contact.studies.learned import ratios_to_builtin
-
-STARTS = ("builtin", "far field", "guarded")
-FEW = (3, 10, 30)
-
-TRAINED = {"circles": [70, 110], "radius": [1.0, 1.0], "friction": 0.3, "dt": 0.01, "columns": None}
-"""The scenes of the training data."""
 
 SHORT = {"circles": "circles", "radius": "radii, m", "friction": "μ", "dt": "Δt, s", "columns": "box, circles across"}
 
@@ -19,41 +13,14 @@ SHORT = {"circles": "circles", "radius": "radii, m", "friction": "μ", "dt": "Δ
 def compute(options, seed, jobs, progress):
     """Every start on the same states of a few scenes of each kind, whose seeds were not in the data."""
     kinds = [{}] + [{name: value} for name, values in options["beyond"].items() for value in values]
-    tasks = [
-        {**options, "kind": kind, "number": i, "seed": s}
-        for i, kind in enumerate(kinds)
-        for s in figures.seeds(seed + 30_000 + i, options["scenes"])
-    ]
-    found = figures.parallel_map(one_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    scenes = [[f for f, task in zip(found, tasks) if task["number"] == i] for i in range(len(kinds))]
+    model = options["model"]
+    starts = {"builtin": "builtin", "far field": {"model": model}, "guarded": {"guarded": model}}
+    scenes = errors_beyond(starts, kinds, options, seed=seed + 30_000, jobs=jobs, progress=progress)
     return {"after": options["after"], "kinds": kinds, "scenes": scenes}
 
 
-def one_scene(task):
-    """Errors of all starts on one scene, in a process of its own."""
-    from deep_contact.cnn.evaluation import errors_on_scene
-    from deep_contact.cnn.inference import Guarded, network_start
-    from deep_contact.warm_start import Builtin
-
-    kind = {**TRAINED, **task["kind"]}
-    rng = np.random.default_rng(task["seed"])
-    count = int(rng.integers(kind["circles"][0], kind["circles"][1] + 1))
-    look = {"radius": kind["radius"], "friction": kind["friction"]}
-    if count > 120 or kind["radius"][1] > 1.0 or kind["columns"]:
-        scene = dc.lattice_in_box(count, columns=kind["columns"], gap=0.3, seed=rng, **look)
-    else:
-        scene = dc.circles_in_box(count, seed=rng, **look)
-    network = network_start(task["model"])
-    starts = dict(zip(STARTS, (Builtin(), network, Guarded(network.model))))
-    scene = scene.replace(dt=kind["dt"])
-    # As much time as the runs of the other kinds have.
-    steps = round(task["steps"] * TRAINED["dt"] / kind["dt"])
-    every = max(1, steps // task["states"])
-    return errors_on_scene(scene, starts, steps=steps, every=every, sweeps=task["after"])
-
-
 def label(kind):
-    """What is beyond training: "μ 0.6"."""
+    """What differs from the training data: "μ 0.6"."""
     if not kind:
         return "as trained"
     (name, value), *_ = kind.items()
@@ -62,43 +29,36 @@ def label(kind):
 
 
 def claims(data):
-    """Whether the guarded start is ever worse than Builtin, and where the network alone is."""
-    few = [data["after"].index(k) for k in FEW]
-    guarded, alone = {}, {}
-    for kind, scenes in zip(data["kinds"], data["scenes"]):
-        guarded[label(kind)] = [float(v) for v in ratios_to_builtin(scenes, "guarded", "all")[few, 0]]
-        alone[label(kind)] = [float(v) for v in ratios_to_builtin(scenes, "far field", "off")[few, 0]]
-    return [
-        Claim(
-            "guarded, on no kind of scene worse than 1.02 of Builtin after 3, 10 and 30 sweeps",
-            None,
-            max(map(max, guarded.values())) <= 1.02,
-            guarded,
-        ),
-        Claim(
-            "where Builtin is off, the network alone is better than Builtin on every kind of scene",
-            None,
-            max(map(max, alone.values())) < 1.0,
-            alone,
-        ),
-    ]
+    """Whether the guarded start is ever worse than Builtin, and where the network alone is better."""
+    few = after_few(data)
+
+    def by_kind(name, where):
+        return {
+            label(kind): [float(v) for v in ratios_to_builtin(scenes, name, where)[few, 0]]
+            for kind, scenes in zip(data["kinds"], data["scenes"])
+        }
+
+    guarded, alone = by_kind("guarded", "all"), by_kind("far field", "off")
+    text = "guarded, on no kind of scene worse than 1.02 of Builtin after 3, 10 and 30 sweeps"
+    found = [Claim(text, None, max(map(max, guarded.values())) <= 1.02, guarded)]
+    text = "where Builtin is off, the network alone is better than Builtin on every kind of scene"
+    return [*found, Claim(text, None, max(map(max, alone.values())) < 1.0, alone)]
 
 
 def table(data):
     """Rows: errors of the learned starts over Builtin's, by kind of scene."""
     rows = [["scenes", *(f"network, {k} sweeps" for k in FEW), *(f"guarded, {k}" for k in FEW)]]
-    few = [data["after"].index(k) for k in FEW]
     for kind, scenes in zip(data["kinds"], data["scenes"]):
-        found = [*ratios_to_builtin(scenes, "far field", "off")[few], *ratios_to_builtin(scenes, "guarded", "all")[few]]
-        rows.append([label(kind), *(f"{r:.2f} ({low:.2f}–{high:.2f})" for r, low, high in found)])
+        cells = [ratio_cells(scenes, *start, digits=2) for start in (("far field", "off"), ("guarded", "all"))]
+        rows.append([label(kind), *(of_start[i] for of_start in cells for i in after_few(data))])
     return rows
 
 
 def draw(data, options):
-    """The ratios to Builtin, a line a kind of scene: left of the network where Builtin is off, right guarded."""
+    """The ratios to Builtin, a line per kind of scene. Left: the network where Builtin is off. Right: guarded."""
     figure, axes = plotting.subplots(1, 2, size=(10.0, 0.28 * len(data["kinds"]) + 1.6), sharey=True)
     y = -np.arange(len(data["kinds"]))
-    few = [data["after"].index(k) for k in FEW]
+    few = after_few(data)
     panels = (
         ("far field", "off", "a) network, where Builtin is off by 5 %"),
         ("guarded", "all", "b) guarded, all steps"),

@@ -1,10 +1,13 @@
-"""python scripts/model_cards.py: write models/README.md, the cards of the shipped models, from what the files hold."""
+"""python scripts/model_cards.py: write models/README.md and models/registry.json from what the model files hold."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from pathlib import Path
 
-from deep_contact.cnn.model_file import read_metadata
+from deep_contact.cnn.inference import gives, takes
+from deep_contact.cnn.model_file import read_metadata, spec_of
 from deep_contact.reporting.results import replacing
 
 MODELS = Path(__file__).resolve().parent.parent / "models"
@@ -19,10 +22,14 @@ ABOUT = {
 }
 HEAD = """# Models
 
-Made by `python scripts/model_cards.py` from the files themselves. Every file opens with plain
-`keras.models.load_model(path, compile=False)` and with `dc.load_model(path)`, which also checks it and never runs
-code from it. Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that
-were used neither for training nor for choosing the epoch; phases as in `data/README.md`.
+Made by `python scripts/model_cards.py` from the files themselves. `dc.load_model(name)` or `dc.load_model(path)` opens
+each with every Keras from 3.4 on, checks it, and never runs code from it; the far-field networks need no Keras at all.
+Plain `keras.models.load_model(path, compile=False)` opens them as well (thesis_factored.h5 from Keras 3.15 on).
+`registry.json` has the SHA-256 of every file and the command that made it. The environment variable
+`DEEP_CONTACT_MODELS` names another folder with the same files.
+
+Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that were used
+neither for training nor for choosing the epoch; phases as in `data/README.md`.
 
 The data of compact.h5 and thesis_factored.h5 are those of `scripts/generate_data.py` before the engine's sweep changed
 its order of operations: the same command now gives runs that part from them by rounding, with another hash. Those of
@@ -36,10 +43,13 @@ def card(path: Path) -> str:
     """One model's section."""
     stored = read_metadata(path)
     found = stored["card"]
+    spec = spec_of(stored, path)
     lines = [f"## {path.name}", "", ABOUT.get(path.name, ""), ""]
     rows = [
         ("architecture", found.get("architecture")),
         ("weights", found.get("parameters")),
+        ("takes", takes(spec, stored["coarsening"], stored["box"])),
+        ("gives", gives(spec)),
         ("size", f"{path.stat().st_size / 1e6:.1f} MB"),
         ("command", f"`{found['command']}`" if found.get("command") else None),
         ("trained on", f"{found['training_states']:,} states" if found.get("training_states") else None),
@@ -73,11 +83,26 @@ def card(path: Path) -> str:
     return "\n".join(lines)
 
 
+def entry(path: Path) -> dict:
+    """One model's entry in the registry."""
+    found = read_metadata(path)["card"]
+    return {
+        "file": path.relative_to(MODELS).as_posix(),
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "command": found["command"],
+        "data": found["data_hash"],
+    }
+
+
 def main() -> None:
-    """Write the page."""
+    """Write the page and the registry."""
     cards = [card(MODELS / name) for name in ABOUT if (MODELS / name).exists()]
-    with replacing(MODELS / "README.md") as temporary:
-        temporary.write_text("\n".join([HEAD, *cards]), encoding="utf-8")
+    files = sorted(MODELS.rglob("*.h5"), key=lambda path: (path.parent != MODELS, path.name))
+    entries = {path.relative_to(MODELS).with_suffix("").as_posix(): entry(path) for path in files}
+    texts = {"README.md": "\n".join([HEAD, *cards]), "registry.json": json.dumps(entries, indent=1) + "\n"}
+    for name, text in texts.items():
+        with replacing(MODELS / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,8 +1,8 @@
-"""python scripts/predict.py STATE.xml… [--model models/model.h5] [--out predictions]: what a network makes of states.
+"""python scripts/predict.py STATE.xml… [--model model] [--out predictions]: predict the impulses of states.
 
 For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, as the solver would start from them
 (projected on the friction cone), from Builtin, and solved where the file has the solution; <out>/<name>.npy with the
-predicted image, of impulses or of what the network corrects Builtin by; <out>/<name>.png with both as pictures. The
+predicted image, of impulses or of the coefficients that correct Builtin's; <out>/<name>.png with both as pictures. The
 errors of the prediction are printed.
 """
 
@@ -11,41 +11,26 @@ from __future__ import annotations
 import argparse
 import csv
 import io
-import os
 from pathlib import Path
 
 import numpy as np
 
 COLUMNS = (
-    "body_a",
-    "body_b",
-    "x",
-    "y",
-    "n_x",
-    "n_y",
-    "predicted_n",
-    "predicted_t",
-    "start_n",
-    "start_t",
-    "builtin_n",
-    "builtin_t",
-    "solved_n",
-    "solved_t",
+    "body_a body_b x y n_x n_y predicted_n predicted_t start_n start_t builtin_n builtin_t solved_n solved_t".split()
 )
 
 
 def contact_table(state, predicted, start) -> list[list]:
     """A row for each contact, as `COLUMNS`; the last two are empty where the state is not solved."""
-    contacts = state.contacts
-    columns = [contacts.body_a, contacts.body_b, *contacts.position.T, *contacts.normal.T, *predicted, *start]
-    columns += [contacts.normal_start, contacts.tangent_start]
-    columns += [contacts.normal_impulse, contacts.tangent_impulse] if state.solved else [[""] * contacts.count] * 2
-    return [list(row) for row in zip(*(c.tolist() if isinstance(c, np.ndarray) else c for c in columns))]
+    c = state.contacts
+    columns = [c.body_a, c.body_b, *c.position.T, *c.normal.T, *predicted, *start, c.normal_start, c.tangent_start]
+    columns += [c.normal_impulse, c.tangent_impulse] if state.solved else [np.full(c.count, "")] * 2
+    return list(zip(*(column.tolist() for column in columns)))
 
 
 def picture(state, model, image, start):
-    """The state with its predicted start and, if it has one, its solution; beside them the images of the impulses,
-    where the network predicts such images."""
+    """Draw the state with its predicted start and, if it has one, its solution, and beside them the images of the
+    impulses, if the network predicts such images."""
     from deep_contact.cnn.images import ImageSpec, label_image
     from deep_contact.reporting import plotting
 
@@ -85,7 +70,7 @@ def relative(found, solved) -> float:
 
 
 def report(state, model, predicted, start) -> list[str]:
-    """Lines on a state: how far off the prediction is, and Builtin."""
+    """Lines on a state: the errors of the prediction and of Builtin."""
     from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 
     contacts = state.contacts
@@ -103,7 +88,7 @@ def report(state, model, predicted, start) -> list[str]:
 
 
 def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
-    """Predict one state file, write what comes of it, and return the lines to print."""
+    """Predict one state file, write the results, and return the lines to print."""
     import deep_contact as dc
     from deep_contact.cnn.inference import projected
     from deep_contact.reporting import plotting
@@ -133,15 +118,14 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
 
 
 def main(argv=None) -> int:
-    """Predict every file; a bad one is reported, and the others go on."""
+    """Predict every file. A bad one is reported, and the others are still predicted."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("states", nargs="+", type=Path, metavar="STATE.xml")
-    parser.add_argument("--model", type=Path, default=None, help="model file; by default the one that is shipped")
-    parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder for what is written")
+    parser.add_argument("--model", default=None, help="model file, or a name in models/registry.json; default: model")
+    parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder for the results")
     parser.add_argument("--threads", type=int, default=1, help="of TensorFlow")
     parser.add_argument("--no-pictures", action="store_true", help="numbers only")
     given = parser.parse_args(argv)
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     from deep_contact.cnn.inference import limit_threads, load_model
 
     try:

@@ -2,10 +2,10 @@
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned as learned
+from deep_contact.studies import learned
 
 MISPRINTS = ["Input", "BatchNormalization"]
-"""Layers of which the thesis's table is known to be wrong: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""
+"""Layers that the thesis's table gives wrongly: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""
 
 
 def compute(options, seed, jobs, progress):
@@ -32,12 +32,12 @@ def claims(data):
     count = {"layers, printed and built": [len(data["printed"]), len(data["built"])]}
     only_known = same_length and [kind for kind, *_ in found] == MISPRINTS
     trainable = sum(layer["trainable"] for layer in data["built"])
+    equal, known = "the layers and shapes are those of Table 5.1", "they are, but for its channels and its second"
+    weights = {"trainable parameters": trainable}
     return [
-        Claim(
-            "the layers and shapes are those of Table 5.1", "L1223-1252", not found and same_length, count | measured
-        ),
-        Claim("they are, but for its channels and its second batch normalisation", "L1223-1252", only_known, measured),
-        Claim("its weights number 64,498,866", "L1199", trainable == 64_498_866, {"trainable parameters": trainable}),
+        Claim(equal, "L1223-1252", not found and same_length, count | measured),
+        Claim(f"{known} batch normalisation", "L1223-1252", only_known, measured),
+        Claim("its weights number 64,498,866", "L1199", trainable == 64_498_866, weights),
     ]
 
 
@@ -47,7 +47,6 @@ def text(layer):
 
 
 def table(data):
-    """A row a layer."""
     rows = [["layer", "thesis's shape", "built", "kernel", "parameters", "equal"]]
     for theirs, mine in zip(data["printed"], data["built"]):
         equal = (theirs["kind"], theirs["shape"]) == (mine["kind"], mine["shape"])
@@ -57,7 +56,7 @@ def table(data):
     return [*rows, ["all", None, None, None, f"{total:,}", None]]
 
 
-FIGURE = Figure(id="T 5.1", title="Layers of the thesis's network", compute=compute, claims=claims, table=table)
+FIGURE = Figure("T 5.1", "Layers of the thesis's network", compute, table, claims=claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -2,12 +2,12 @@
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned as learned
+from deep_contact.studies import learned
 
 KNOWN = {
     "Kernel size": "Appendix B: 3 × 3 in the first four convolutions, 2 × 2 in all others; its weights are 64,498,866"
 }
-"""Settings in which the network cannot follow Table 5.2, and why."""
+"""Settings in which the network cannot follow Table 5.2, and the reason."""
 
 
 def compute(options, seed, jobs, progress):
@@ -16,7 +16,7 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The configuration is the table's, but where the table contradicts the number of weights."""
+    """The configuration is that of the table, except where the table contradicts the number of weights."""
     printed, built = data["printed"], data["built"]
     found = {name: [value, built.get(name)] for name, value in printed.items() if value != built.get(name)}
     return [
@@ -26,16 +26,13 @@ def claims(data):
 
 
 def table(data):
-    """A row a setting."""
     rows = [["hyperparameter", "thesis", "here", "equal"]]
     for name, printed in data["printed"].items():
         rows.append([name, printed, data["built"][name], printed == data["built"][name]])
     return rows
 
 
-FIGURE = Figure(
-    id="T 5.2", title="Hyperparameters of the thesis's training", compute=compute, claims=claims, table=table
-)
+FIGURE = Figure("T 5.2", "Hyperparameters of the thesis's training", compute, table, claims=claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

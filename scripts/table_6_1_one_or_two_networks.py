@@ -2,30 +2,28 @@
 
 Goals 7 to 9 of the thesis. Three ways, once for each seed: a compact network for both; one with more convolutional
 layers, as large as two; and two, one for each. Every network sees the same states in the same order, in batches of
-the same size, with the same learning rates; two networks thus cost the work of the deeper one. The runs lie in
-runs/table_6_1 and are gone on with where they were stopped.
+the same size, with the same learning rates, so two networks cost as much work as the deeper one. The runs are stored in
+runs/table_6_1, and a stopped run continues from there.
 """
 
 import hashlib
 import json
 from pathlib import Path
 
+import numpy as np
+
 from deep_contact.cnn.dataset import Store
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned as learned
+from deep_contact.studies import learned
 
 ONE, DEEPER, EACH = learned.VARIANTS
 
-TITLES = {
-    "normal": "error of λ_n, of ‖λ‖",
-    "tangent": "error of λ_t, of ‖λ‖",
-    "velocity": "velocity error",
-}
+TITLES = {"normal": "error of λ_n, of ‖λ‖", "tangent": "error of λ_t, of ‖λ‖", "velocity": "velocity error"}
 
 
 def compute(options, seed, jobs, progress):
-    """Train all of them on the generated states, or on some that are made here where there are none."""
+    """Train all networks on the generated states, or on new ones where there are none."""
     needed = options["simulations"] + options["held_out"]
     data = states_folder(options, needed, seed, progress)
     settings = options["training"]
@@ -50,7 +48,7 @@ def compute(options, seed, jobs, progress):
 
 
 def states_folder(options, needed, seed, progress):
-    """The generated data set if it is large enough, else a small one below the folder of the runs."""
+    """The generated data set if it is large enough, else a small one in the folder of the runs."""
     if options["data"] is not None and list(Path(options["data"]).glob("sim_*.h5")):
         if len(Store(options["data"]).simulations) >= needed:
             return Path(options["data"])
@@ -60,26 +58,23 @@ def states_folder(options, needed, seed, progress):
 
 
 def claims(data):
-    """Equal, as far as the seeds can tell; of one seed there is nothing to tell."""
+    """Whether the variants are equal within the spread of the seeds. One seed has no spread, so no claims."""
     if len(data["seeds"]) < 2:
         return []
+    cases = (
+        (DEEPER, EACH, "two networks equal one with more convolutional layers", "L1380"),
+        (ONE, EACH, "two networks equal one of the size of each", "L1390"),
+    )
     return [
-        equal(data, DEEPER, EACH, "two networks equal one with more convolutional layers", "L1380"),
-        equal(data, ONE, EACH, "two networks equal one of the size of each", "L1390"),
+        Claim(f"{text}, within the spread of the seeds", thesis, *learned.within_spread(data, first, second))
+        for first, second, text, thesis in cases
     ]
 
 
-def equal(data, first, second, text, thesis):
-    """The claim that two variants are equal within the spread of the seeds."""
-    holds, measured = learned.within_spread(data, first, second)
-    return Claim(f"{text}, within the spread of the seeds", thesis, holds, measured)
-
-
 def table(data):
-    """A row a variant: mean ± standard deviation over the seeds; and the velocity error after some sweeps."""
+    """A row per variant: mean ± standard deviation over the seeds; and the velocity error after some sweeps."""
     shown = [i for i, sweeps in enumerate(data["sweeps"]) if sweeps]
-    head = ["networks", "parameters", "seeds", *(f"{title}" for title in TITLES.values())]
-    rows = [[*head, *(f"after {data['sweeps'][i]}" for i in shown)]]
+    rows = [["networks", "parameters", "seeds", *TITLES.values(), *(f"after {data['sweeps'][i]}" for i in shown)]]
     for variant, found in data["variants"].items():
         row = [variant, f"{found['parameters']:,}", len(found["errors"])]
         row += [spread(learned.of_seeds(data, variant, measure)) for measure in TITLES]
@@ -89,15 +84,9 @@ def table(data):
 
 def spread(values):
     """Mean ± standard deviation; of one value, the value."""
-    import numpy as np
-
     values = np.asarray(values)
     return f"{values.mean():.4f} ± {values.std(ddof=1):.4f}" if values.size > 1 else f"{values.mean():.4f}"
 
-
-NETWORK = {"stem": 12, "width": 24, "decoder": 16, "dilations": [1, 2, 4]}
-DEEPER_BY = {"dilations": [1, 2, 4, 1, 2, 4, 1, 2]}
-TRAINING = {"epochs": 8, "states_per_epoch": 4800, "batch_size": 32, "rate": 4e-3, "validation_states": 200}
 
 FIGURE = Figure(
     id="T 6.1",
@@ -109,9 +98,9 @@ FIGURE = Figure(
         "held_out": 10,
         "states": 300,
         "sweeps": [0, 3, 10, 30],
-        "network": NETWORK,
-        "deeper": DEEPER_BY,
-        "training": TRAINING,
+        "network": {"stem": 12, "width": 24, "decoder": 16, "dilations": [1, 2, 4]},
+        "deeper": {"dilations": [1, 2, 4, 1, 2, 4, 1, 2]},
+        "training": {"epochs": 8, "states_per_epoch": 4800, "batch_size": 32, "rate": 4e-3, "validation_states": 200},
         "seeds": 3,
         "own_bodies": [70, 110],
         "own_steps": 300,

@@ -1,11 +1,12 @@
-"""python scripts/table_6_2_inputs_and_losses.py: what the far-field network is shown and what it learns from.
+"""python scripts/table_6_2_inputs_and_losses.py: inputs and losses of the far-field network.
 
 The networks of models/comparison were trained alike but for the one setting that names them; this needs no training.
 """
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.learned import errors_on_thesis_scene, ratios_to_builtin
+from deep_contact.studies.held_out import after_few, errors_on_scenes, ratio_cells
+from deep_contact.studies.learned import ratios_to_builtin
 
 NETWORKS = {
     "width_24": ("bodies and contact rows", "velocities after 3, 10, 30 sweeps"),
@@ -21,64 +22,45 @@ NETWORKS = {
 PLAIN = "width_24"
 """The network that the others differ from, each in one setting."""
 
-FEW = (3, 10, 30)
-
 
 def compute(options, seed, jobs, progress):
-    """Every network's start on the same states of scenes whose seeds were not in the data."""
-    tasks = [{**options, "seed": s} for s in figures.seeds(seed + 40_000, options["scenes"])]
-    scenes = figures.parallel_map(one_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    return {"after": options["after"], "scenes": scenes, "budget": budgets(options["folder"])}
+    """Every network's start on the same states of held-out scenes."""
+    paths = {name: f"{options['folder']}/{name}.h5" for name in NETWORKS}
+    starts = {"builtin": "builtin"} | {name: {"model": path} for name, path in paths.items()}
+    scenes = errors_on_scenes(starts, options, seed=seed + 40_000, jobs=jobs, progress=progress)
+    budget = {name: budget_of(path) for name, path in paths.items()}
+    return {"after": options["after"], "scenes": scenes, "budget": budget}
 
 
-def models(folder):
-    """Name -> path of the networks' files."""
+def budget_of(path):
+    """What a network was trained with."""
     from deep_contact.cnn.inference import network_file
-
-    return {name: network_file(f"{folder}/{name}.h5") for name in NETWORKS}
-
-
-def budgets(folder):
-    """What each network was trained with."""
     from deep_contact.cnn.model_file import read_metadata
 
-    cards = {name: read_metadata(path)["card"] for name, path in models(folder).items()}
-    return {
-        name: {
-            "parameters": card["parameters"],
-            "epochs": len(card["history"]),
-            "states_per_epoch": card["config"]["states_per_epoch"],
-            "command": card["command"],
-        }
-        for name, card in cards.items()
-    }
-
-
-def one_scene(task):
-    """Errors from all starts on one scene, in a process of its own."""
-    from deep_contact.cnn.inference import network_start
-    from deep_contact.warm_start import Builtin
-
-    starts = {"builtin": Builtin()} | {name: network_start(path) for name, path in models(task["folder"]).items()}
-    return errors_on_thesis_scene(starts, task)
+    card = read_metadata(network_file(path))["card"]
+    found = {"parameters": card["parameters"], "epochs": len(card["history"])}
+    return found | {"states_per_epoch": card["config"]["states_per_epoch"], "command": card["command"]}
 
 
 def claims(data):
     """Whether contact rows, the correction and the loss through the solver each pay."""
-    few = [data["after"].index(k) for k in FEW]
+    few = after_few(data)
     found = {name: ratios_to_builtin(data["scenes"], name, "off")[few, 0] for name in NETWORKS}
 
-    def better(text, *others):
-        shown = {name: [float(v) for v in found[name]] for name in (PLAIN, *others)}
-        return Claim(text, None, all(bool((found[PLAIN] < found[name]).all()) for name in others), shown)
-
+    goals = {
+        "with contact rows the network is better than with the thesis's inputs, at 3, 10 and 30 sweeps": ("bodies",),
+        "a correction of Builtin is better than λ from zero": ("no_correction",),
+        "velocities after sweeps are a better loss than λ, or velocities before any": ("impulses", "no_sweep"),
+        "labels are worth their price: the residual alone teaches less": ("residual",),
+    }
     return [
-        better(
-            "with contact rows the network is better than with the thesis's inputs, at 3, 10 and 30 sweeps", "bodies"
-        ),
-        better("a correction of Builtin is better than λ from zero", "no_correction"),
-        better("velocities after sweeps are a better loss than λ, or velocities before any", "impulses", "no_sweep"),
-        better("labels are worth their price: the residual alone teaches less", "residual"),
+        Claim(
+            text,
+            None,
+            all(bool((found[PLAIN] < found[name]).all()) for name in others),
+            {name: [float(v) for v in found[name]] for name in (PLAIN, *others)},
+        )
+        for text, others in goals.items()
     ]
 
 
@@ -86,8 +68,7 @@ def table(data):
     """Rows: error over Builtin's after some sweeps where Builtin is off, with its 95 % interval."""
     rows = [["inputs", "loss on", "weights", *(f"after {k} sweeps" for k in data["after"])]]
     for name, (inputs, loss) in NETWORKS.items():
-        cells = [f"{r:.3f} ({a:.3f}–{b:.3f})" for r, a, b in ratios_to_builtin(data["scenes"], name, "off")]
-        rows.append([inputs, loss, data["budget"][name]["parameters"], *cells])
+        rows.append([inputs, loss, data["budget"][name]["parameters"], *ratio_cells(data["scenes"], name, "off")])
     return rows
 
 

@@ -1,14 +1,14 @@
 """The study of speed against accuracy: errors and times of every method, start, budget, precision and time step.
 
     python scripts/tradeoff.py [--quick] [--jobs J] [--scheduler ADDRESS] [--seed S] [--out FILE] [--work FOLDER]
-    python scripts/tradeoff.py --errors     the parts that need no quiet machine, and no more
-    python scripts/tradeoff.py --verify     whether recommendations keep what they promise on scenes outside the study
+    python scripts/tradeoff.py --errors     only the parts that need no quiet machine
+    python scripts/tradeoff.py --verify     errors of the recommendations on scenes outside the study
 
-Every part of the study is stored in the work folder as soon as it is done, so that a run that was interrupted goes on
-where it was; parts with other settings are left alone. Errors are measured by several processes, or by a Dask cluster
-(--scheduler, see `deep_contact.parallel`), times afterwards by one process of this machine. The results file holds all
-numbers; `scripts/figure_6_1_methods.py` and `figure_6_2_time_step.py` draw them, and `--install` hands the condensed
-part to the package, for `dc.recommend`; with --verify it hands over the margin. Quick form: 100 and 1,000 circles.
+Every finished part of the study is stored in the work folder, so an interrupted run continues where it stopped; parts
+with other settings are not touched. Several processes, or a Dask cluster (--scheduler, see `deep_contact.parallel`),
+compute errors; then one process of this machine measures times. `scripts/figure_6_1_methods.py` and
+`figure_6_2_time_step.py` draw the results file. `--install` copies what `dc.recommend` reads into the package; with
+--verify it sets the margin there. Quick form: 100 and 1,000 circles.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pathlib import Path
 from deep_contact import parallel
 from deep_contact.recommendation import TABLE
 from deep_contact.reporting import figures, results
-from deep_contact.studies import tradeoff
+from deep_contact.studies import peers, tradeoff
 
 FULL = {
     "sizes": [100, 1000, 10000],
@@ -84,7 +84,7 @@ VERIFY_QUICK = {
 }
 
 PEERS_PAST_NEED = 10_000
-"""Sweeps of the courses that lead to the references of other engines, which there is one more set of for each step."""
+"""Sweeps of the long runs that lead to the references of other engines, of which every step needs its own."""
 
 PARTS = {
     "errors": tradeoff.solution_errors,
@@ -98,35 +98,38 @@ PARTS = {
 
 
 def plan(options: dict, seed: int) -> tuple[list, list]:
-    """The parts of the study as (name, arguments): those whose errors count, and those whose times do."""
+    """The parts of the study as (name, arguments): those that count errors, and those that measure times."""
     measured, timed = [], []
     for n in options["sizes"]:
-        most, past_need = options["most_sweeps"][str(n)], options["past_need"][str(n)]
+        exact = n in options["exact"]
         budgets = {
-            "sweeps": [k for k in options["sweeps"] if k <= most],
+            "sweeps": [k for k in options["sweeps"] if k <= options["most_sweeps"][str(n)]],
             "tolerances": options["tolerances"],
-            "past_need": past_need,
-            "exact": n in options["exact"],
+            "past_need": options["past_need"][str(n)],
+            "exact": exact,
         }
         for pile_seed in figures.seeds(seed, options["seeds"][str(n)]):
             for kind in tradeoff.KINDS:
                 arguments = {"kind": kind, "n_bodies": n, "seed": pile_seed, "states": options["states"][str(n)]}
                 measured.append(("errors", arguments | budgets))
-                if n in options["exact"]:
+                if exact:
                     timed.append(("exact", arguments))
         timed.append(("costs", {"n_bodies": n, "seed": seed, "repeats": options["repeats"]}))
     for n in options["run_sizes"]:
         arguments = {"seconds": options["seconds"][str(n)], "steps": options["steps"]}
         timed.append(("runs", {"n_bodies": n, "seed": seed} | arguments))
     for n in options["peer_sizes"]:
-        for name in tradeoff.PEERS:
+        for name in peers.ENGINES:
             common = {"name": name, "n_bodies": n, "seed": seed, "budgets": options["peer_budgets"]}
             more = {"samples": options["peer_samples"], "past_need": PEERS_PAST_NEED, "exact": n in options["exact"]}
             measured.append(("peer_errors", common | more))
             timed.append(("peer_times", common))
-    # The largest first, so that no process is left with one at the end.
-    measured.sort(key=lambda part: -part[1]["n_bodies"])
-    return measured, timed
+    return largest_first(measured), timed
+
+
+def largest_first(parts: list) -> list:
+    """The parts in the order in which processes should take them: no process ends with a large one."""
+    return sorted(parts, key=lambda part: -part[1]["n_bodies"])
 
 
 def compute(part: tuple[str, dict]):
@@ -136,7 +139,7 @@ def compute(part: tuple[str, dict]):
 
 
 def done(parts: list, *, work: Path, jobs: int | Executor, text: str) -> list:
-    """The results of the parts, in their order: read where they have been stored, else computed and stored here."""
+    """The results of the parts, in their order: read where they are stored, otherwise computed and stored here."""
     paths = []
     for part in parts:
         digest = hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
@@ -153,86 +156,44 @@ def done(parts: list, *, work: Path, jobs: int | Executor, text: str) -> list:
 def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict:
     """The data of the results file."""
     measured, timed = plan(options, seed)
+    found = done(measured, work=work, jobs=jobs, text="errors") + done(timed, work=work, jobs=1, text="times")
     parts: dict = {name: [] for name in PARTS}
-    for (name, _), part in zip(measured, done(measured, work=work, jobs=jobs, text="errors")):
-        parts[name].append(part)
-    for (name, arguments), part in zip(timed, done(timed, work=work, jobs=1, text="times")):
-        extra = {"n_bodies": arguments["n_bodies"]}
-        parts[name].append([extra | row for row in part] if name == "runs" else part)
-    piles = parts["errors"]
-    peer_us = {_peer_key(row): row["us"] for part in parts["peer_times"] for row in part}
+    for (name, arguments), part in zip(measured + timed, found):
+        parts[name].append([{"n_bodies": arguments["n_bodies"]} | row for row in part] if name == "runs" else part)
+
+    def peer_key(row):
+        return row["engine"], row["n_bodies"], row["budget"]
+
+    peer_us = {peer_key(row): row["us"] for part in parts["peer_times"] for row in part}
     return {
         "settings": tradeoff.SETTINGS,
-        "piles": [
-            {key: pile[key] for key in ("kind", "n_bodies", "seed", "contacts", "states", "left_out", "spread")}
-            for pile in piles
-        ],
-        "rows": tradeoff.condensed(piles, parts["costs"]),
+        "piles": [{key: value for key, value in pile.items() if key != "settings"} for pile in parts["errors"]],
+        "rows": tradeoff.condensed(parts["errors"], parts["costs"]),
         "costs": parts["costs"],
         "exact": parts["exact"],
         "runs": [row for part in parts["runs"] for row in part],
-        "peers": [row | {"us": peer_us[_peer_key(row)]} for part in parts["peer_errors"] for row in part],
+        "peers": [row | {"us": peer_us[peer_key(row)]} for part in parts["peer_errors"] for row in part],
     }
 
 
-def _peer_key(row: dict) -> tuple:
-    return row["engine"], row["n_bodies"], row["budget"]
-
-
 def claims(data: dict) -> list[results.Claim]:
-    """What the study is meant to show, held against its numbers: medians on settling piles of up to 1,000 circles."""
+    """The goals of the study, by its medians on settling piles of up to 1,000 circles."""
     n = max(row["n_bodies"] for row in data["rows"] if row["n_bodies"] <= 1000)
     found = []
     for error, over_pgs, over_peers in ((1e-1, 1.0, 1.0), (1e-2, 1.0, 5.0), (1e-3, 3.0, 1.0)):
         best = tradeoff.best_within(data, n, "settling", error)
-        rivals = [(rival_of(pgs_of(data, n), error), "PGS from Builtin", over_pgs)]
-        peers = [peers_of(data, n, name) for name in sorted({row["engine"] for row in data["peers"]})]
-        if any(peers):
-            peer = min((rival_of(rows, error) for rows in peers if rows), key=rank)
-            rivals.append((peer, "the fastest peer", over_peers))
-        for rival, name, factor in rivals:
+        for (name, rival), factor in zip(tradeoff.rivals(data, n, error).items(), (over_pgs, over_peers)):
             measured = {f"ours, {key}": value for key, value in (best or {}).items()}
             measured |= {f"rival, {key}": value for key, value in rival.items()}
             text = f"velocity error {error:g}, {n} settling circles: a step is {factor:g}x faster than {name}'s"
-            # What never gets there is held to what it has taken in vain.
-            holds = best is not None and rival["us"] >= factor * best["us"]
-            found.append(results.Claim(text, None, holds, measured))
+            found.append(results.Claim(text, None, best is not None and rival["us"] >= factor * best["us"], measured))
     return found
-
-
-def pgs_of(data: dict, n: int) -> list[dict]:
-    """What PGS from Builtin leaves on settling piles, budget by budget: {"setting", "us", "error"}."""
-    rows = [row for row in data["rows"] if (row["n_bodies"], row["kind"], row["setting"]) == (n, "settling", "PGS")]
-    return [{"setting": "PGS", "us": row["us"], "error": row["velocity"]["p50"]} for row in rows]
-
-
-def peers_of(data: dict, n: int, engine: str) -> list[dict]:
-    """The same of another engine."""
-    rows = [row for row in data["peers"] if (row["n_bodies"], row["engine"]) == (n, engine) and row["velocity"]]
-    return [{"setting": engine, "us": row["us"], "error": median(row["velocity"])} for row in rows]
-
-
-def rival_of(rows: list[dict], error: float) -> dict:
-    """The fastest row within the error; where there is none, the longest, as what was tried in vain."""
-    within = [row for row in rows if row["error"] <= error]
-    found = min(within, key=lambda row: row["us"]) if within else max(rows, key=lambda row: row["us"])
-    return found | {"gets there": bool(within)}
-
-
-def rank(rival: dict) -> tuple:
-    """Those that get there before those that do not, the fastest first; of the others the one nearest to it."""
-    return not rival["gets there"], rival["us"] if rival["gets there"] else rival["error"]
-
-
-def median(values: list) -> float:
-    """The median, infinite of none."""
-    return sorted(values)[len(values) // 2] if values else float("inf")
 
 
 def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict:
     """The data of the verification: errors of what the package recommends, on scenes outside of its study."""
     found = results.read_results(TABLE)
-    # Without the margin, or parts would not be found again once it is there.
+    # Without the margin: it would change the digests of the stored parts once it is installed.
     table = {"data": {name: found["data"][name] for name in ("settings", "rows")}, "provenance": found["provenance"]}
     parts = []
     for n in options["sizes"]:
@@ -242,51 +203,53 @@ def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dic
             common |= {"past_need": options["past_need"][str(n)], "exact": n in options["exact"]}
             # Seeds that no study starts from.
             parts += [("verify", common | {"seed": s}) for s in figures.seeds(seed + 5000, options["seeds"][str(n)])]
-    parts.sort(key=lambda part: -part[1]["n_bodies"])
-    rows = [row for part in done(parts, work=work, jobs=jobs, text="scenes") for row in part]
+    rows = [row for part in done(largest_first(parts), work=work, jobs=jobs, text="scenes") for row in part]
     margin = tradeoff.least_margin(rows)
     kept = [row for row in rows if row["margin"] == (margin or max(options["margins"]))]
-    by_kind = {kind: _named(tradeoff.met([row for row in kept if row["kind"] == kind])) for kind in tradeoff.KINDS}
-    return {"rows": rows, "margin": margin, "met": _named(tradeoff.met(kept)), "by_kind": by_kind}
+    by_kind = {kind: shares([row for row in kept if row["kind"] == kind]) for kind in tradeoff.KINDS}
+    return {"rows": rows, "margin": margin, "met": shares(kept), "by_kind": by_kind}
 
 
-def _named(shares: dict) -> dict:
-    return {f"{error:g}": share for error, share in shares.items()}
+def shares(rows: list[dict]) -> dict[str, float]:
+    """`tradeoff.met` with names that JSON knows."""
+    return {f"{error:g}": share for error, share in tradeoff.met(rows).items()}
 
 
 def verify_claims(data: dict) -> list[results.Claim]:
-    """Whether what is recommended keeps its promise."""
-    plain = tradeoff.met([row for row in data["rows"] if row["margin"] == 1.0])
+    """Whether the recommendations keep their promise."""
+    plain = shares([row for row in data["rows"] if row["margin"] == 1.0])
     text = "a recommended setting meets the error asked for in 95 % of the states of scenes outside the study"
     return [
         results.Claim(text, None, data["margin"] is not None, {"margin": data["margin"], **data["met"]}),
-        results.Claim(text + ", without a margin", None, bool(plain) and min(plain.values()) >= 0.95, _named(plain)),
+        results.Claim(text + ", without a margin", None, bool(plain) and min(plain.values()) >= 0.95, plain),
     ]
 
 
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="a smaller study that ends within five minutes")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", type=int, default=2, help="processes for the errors (2)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
-    parser.add_argument("--out", type=Path, help="results file (data/reference/tradeoff.json; quick: runs/)")
-    parser.add_argument("--work", type=Path, default=Path("runs/tradeoff"), help="folder of the finished parts")
-    parser.add_argument("--install", action="store_true", help="make these the numbers that dc.recommend reads")
+    add = parser.add_argument
+    add("--quick", action="store_true", help="a smaller study that ends within five minutes")
+    add("--seed", type=int, default=0)
+    add("--jobs", type=int, default=2, help="processes for the errors (2)")
+    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
+    add("--out", type=Path, help="results file (data/reference/tradeoff.json; quick: runs/)")
+    add("--work", type=Path, default=Path("runs/tradeoff"), help="folder of the finished parts")
+    add("--install", action="store_true", help="make these the numbers that dc.recommend reads")
     what = parser.add_mutually_exclusive_group()
     what.add_argument("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
-    what.add_argument("--verify", action="store_true", help="measure what is recommended on scenes outside the study")
+    what.add_argument("--verify", action="store_true", help="measure the recommendations on scenes outside the study")
     given = parser.parse_args(arguments)
-    begin = time.perf_counter()
+    start = time.perf_counter()
     try:
         with parallel.opened(given.jobs, given.scheduler) as jobs:
-            file = _verification(given, jobs) if given.verify else _study(given, jobs)
+            file = _run(given, jobs)
     except parallel.ClusterError as error:
         print(error, file=sys.stderr)
         return 1
     if file is None:
         return 0
-    file["provenance"] = results.provenance(seed=given.seed, wall_s=time.perf_counter() - begin)
+    wall_s = time.perf_counter() - start
+    file["provenance"] = results.provenance(seed=given.seed, wall_s=wall_s)
     name = "tradeoff_verify" if given.verify else "tradeoff"
     out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
     results.write_results(out, file)
@@ -294,31 +257,29 @@ def main(arguments=None) -> int:
         print(f"{'holds' if claim.holds else 'DOES NOT HOLD'}: {claim.text}: {claim.measured}")
     if given.install:
         install(file)
-    print(f"{len(file['data']['rows'])} rows in {out.name}, {time.perf_counter() - begin:.0f} s")
+    print(f"{len(file['data']['rows'])} rows in {out.name}, {wall_s:.0f} s")
     return 0
 
 
-def _study(given, jobs: int | Executor) -> dict | None:
-    options = QUICK if given.quick else FULL
+def _run(given, jobs: int | Executor) -> dict | None:
+    """The results without their provenance; None with --errors."""
+    settings = {"seed": given.seed, "jobs": jobs, "work": given.work}
+    if given.verify:
+        options, id = VERIFY_QUICK if given.quick else VERIFY, "V.1"
+        title = "Velocity errors of what is recommended, on scenes outside the study"
+    else:
+        options, id = QUICK if given.quick else FULL, "6.1"
+        title = "Speed for accuracy: errors and times of every method and budget"
     if given.errors:
         done(plan(options, given.seed)[0], work=given.work, jobs=jobs, text="errors")
         return None
-    data = study(options, seed=given.seed, jobs=jobs, work=given.work)
-    title = "Speed for accuracy: errors and times of every method and budget"
-    options = {**options, "quick": given.quick}
-    return {"id": "6.1", "title": title, "options": options, "claims": claims(data), "data": data}
-
-
-def _verification(given, jobs: int | Executor) -> dict:
-    options = VERIFY_QUICK if given.quick else VERIFY
-    data = verify(options, seed=given.seed, jobs=jobs, work=given.work)
-    title = "Velocity errors of what is recommended, on scenes outside the study"
-    options = {**options, "quick": given.quick}
-    return {"id": "V.1", "title": title, "options": options, "claims": verify_claims(data), "data": data}
+    data = (verify if given.verify else study)(options, **settings)
+    found = (verify_claims if given.verify else claims)(data)
+    return {"id": id, "title": title, "options": {**options, "quick": given.quick}, "claims": found, "data": data}
 
 
 def install(file: dict) -> None:
-    """Hand a study to the package, or, of a verification, the margin that its recommendations are to keep."""
+    """Copy a study into the package, or, of a verification, the margin that its recommendations have to keep."""
     if file["id"] == "V.1":
         if file["data"]["margin"] is not None:
             results.write_results(TABLE, tradeoff.with_margin(results.read_results(TABLE), file["data"]["margin"]))

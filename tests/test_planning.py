@@ -106,10 +106,6 @@ def test_the_figure_draws_and_judges_the_results_in_the_package(tmp_path):
     assert [claim.holds for claim in script.claims(stored["data"])] == [one["holds"] for one in stored["claims"]]
 
 
-def test_plan_stays_a_function_after_its_module_is_loaded():
-    assert dc.plan is planning.plan
-
-
 def test_missing_results_say_how_they_are_made(monkeypatch, tmp_path):
     monkeypatch.setattr(planning, "TABLE", tmp_path / "reference" / "figure_6_7.json")
     with pytest.raises(FileNotFoundError, match=r"reference/figure_6_7.json: expected .* run scripts/figure_6_7"):

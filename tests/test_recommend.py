@@ -8,7 +8,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import recommendation as advice
 from deep_contact.physics import metrics
-from deep_contact.physics.methods import describe
+from deep_contact.physics.solvers import describe
 from deep_contact.studies import tradeoff
 
 
@@ -69,8 +69,7 @@ def test_presets_read_the_study_in_the_package(name):
     assert advice.preset(scene, name) == advice.recommend(scene, velocity_error=advice.ACCURACIES[name])
 
 
-def test_recommend_stays_a_function_after_the_module_is_loaded():
-    assert dc.recommend is advice.recommend
+def test_recommendations_are_read_from_the_study_in_the_package():
     assert "velocity error" in str(dc.recommend(dc.circles_in_box(30), velocity_error=0.1))
 
 

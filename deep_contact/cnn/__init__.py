@@ -1,6 +1,7 @@
 """Chapters 4 and 5 of the thesis: states as images, data, networks, training and inference.
 
-`images` and `dataset` know nothing of TensorFlow; the other modules load it when they are first used.
+A module is imported when one of its names is first used. Keras and TensorFlow are imported in `backend` alone, for
+networks on images and for training.
 """
 
 from __future__ import annotations
@@ -8,56 +9,30 @@ from __future__ import annotations
 import importlib
 
 _HOME = {
-    "deep_contact.cnn.architectures": ("build",),
-    "deep_contact.cnn.inference": ("Cnn", "load_model"),
-    "deep_contact.cnn.training": ("train",),
-    "deep_contact.cnn.images": (
-        "CHANNELS",
-        "SOLVER_CHANNELS",
-        "THESIS_CHANNELS",
-        "ImageSpec",
-        "augment",
-        "image_pair",
-        "input_image",
-        "label_image",
-        "read_back",
-        "state_scale",
-        "symmetries",
-        "transform_state",
-    ),
-    "deep_contact.cnn.dataset": (
-        "DataFileError",
-        "ImageBatches",
-        "Store",
-        "fit_scales",
-        "phase",
-        "read_simulation",
-        "split_by_simulation",
-        "write_simulation",
-    ),
+    "architectures": "build",
+    "dataset": "DataFileError ImageBatches Store fit_scales phase read_simulation split_by_simulation write_simulation",
+    "evaluation": "",
+    "images": "CHANNELS SOLVER_CHANNELS THESIS_CHANNELS ImageSpec augment image_pair input_image label_image read_back "
+    "state_scale symmetries transform_state",
+    "inference": "Cnn load_model",
+    "losses": "",
+    "model_file": "",
+    "schedules": "",
+    "training": "train",
 }
-_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
-_MODULES = (
-    "architectures",
-    "dataset",
-    "evaluation",
-    "images",
-    "inference",
-    "losses",
-    "model_file",
-    "schedules",
-    "training",
-)
+"""Public module -> its names that are found here too."""
 
-__all__ = [*_MODULE_OF, *_MODULES]
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names.split()}
+
+__all__ = [*_MODULE_OF, *_HOME]
 
 
 def __getattr__(name: str):
     if name in _MODULE_OF:
-        return getattr(importlib.import_module(_MODULE_OF[name]), name)
-    if name in _MODULES:
-        return importlib.import_module(f"deep_contact.cnn.{name}")
-    raise AttributeError(f"module 'deep_contact.cnn' has no attribute {name!r}")
+        return getattr(importlib.import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+    if name in _HOME:
+        return importlib.import_module(f"{__name__}.{name}")
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-import keras
 import numpy as np
-from keras import layers
+
+from deep_contact.cnn.backend import keras
+
+layers = keras.layers
 
 THESIS_SHAPE = (61, 61)
 """Nodes of the thesis's images: 30 m / 0.5 m + 1."""

@@ -20,17 +20,20 @@ from llvmlite.binding import get_host_cpu_features
 from numba import njit, prange, uint64
 
 from deep_contact.compiled.simd import WIDTH, doubled, load_like, most, spread, spread_like, store
-from deep_contact.physics.batched_steps import at_most_threads
+from deep_contact.compiled.threads import at_most_threads
 
-BLOCKS = ("second", "fourth", "eighth", "far", "fourth_back", "second_back")
-"""The residual blocks of `architectures.far_field`; its other layers with weights are in `LAYERS`."""
 
-LAYERS = {
-    *(f"{block}_{turn}" for block in BLOCKS for turn in (1, 2)),
-    *(f"to_{name}" for name in ("second", "fourth", "eighth")),
-    *(f"back_to_{name}" for name in ("fourth", "second")),
-    "coefficients",
-}
+def layer_shapes(channels: int, outputs: int, width: int) -> dict[str, list[tuple[int, ...]]]:
+    """Layer of `architectures.far_field` -> shapes of its kernel and bias."""
+    near, far = width, 2 * width
+    features = {"second": near, "fourth": far, "eighth": far, "far": far, "fourth_back": far, "second_back": near}
+    kernels = {f"{block}_{turn}": (3, 3, count, count) for block, count in features.items() for turn in (1, 2)}
+    kernels |= {"to_second": (3, 3, channels, near), "to_fourth": (3, 3, near, far), "to_eighth": (3, 3, far, far)}
+    # A transposed convolution has its outputs before its inputs.
+    kernels |= {"back_to_fourth": (3, 3, far, far), "back_to_second": (3, 3, near, far)}
+    kernels["coefficients"] = (1, 1, near, outputs)
+    return {name: [kernel, (kernel[2 if name.startswith("back") else 3],)] for name, kernel in kernels.items()}
+
 
 _WIDEST = 2 if get_host_cpu_features().get("avx512f") else 1
 """Vectors of `WIDTH` that a register of the processor holds."""
@@ -88,15 +91,17 @@ class Image(NamedTuple):
 class Program:
     """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8), with its present weights.
 
-    threads: at most so many work on a layer; the number changes no bit of the result.
-    Not to be called from several threads at a time: they would share a workspace.
-    Raises ValueError where the model has other layers (see `supports`).
+    network: a `keras.Model` or a `model_file.StoredNetwork`. threads: at most so many work on a layer; the number
+    changes no bit of the result. Do not call it from several threads at a time: they would share a workspace.
+    Raises ValueError where the network has other layers (see `supports`).
     """
 
-    def __init__(self, model, shape: tuple[int, int], *, threads: int = 1):
-        if not supports(model):
-            raise ValueError(f"model: expected the layers of architectures.far_field, got {model.name!r}")
-        self._weights_of = {name: model.get_layer(name).get_weights() for name in LAYERS}
+    def __init__(self, network, shape: tuple[int, int], *, threads: int = 1):
+        if not supports(network):
+            raise ValueError(
+                f"network: expected the layers of architectures.far_field, got {sorted(weights_of(network))}"
+            )
+        self._weights_of = weights_of(network)
         self._threads = threads
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
         self._build(*shape)
@@ -211,9 +216,28 @@ class Program:
             begin += groups * vectors
 
 
-def supports(model) -> bool:
-    """Whether a Keras model has the layers of `architectures.far_field`, and no others with weights."""
-    return {layer.name for layer in model.layers if layer.weights} == LAYERS
+def weights_of(network) -> dict[str, list[np.ndarray]]:
+    """Layer -> kernel and bias, of a `keras.Model` or a `model_file.StoredNetwork`."""
+    if isinstance(network.weights, dict):
+        return network.weights
+    return {layer.name: layer.get_weights() for layer in network.layers if layer.weights}
+
+
+def supports(network) -> bool:
+    """Whether a network has the layers of `architectures.far_field`, and no others with weights."""
+    found = {name: [array.shape for array in arrays] for name, arrays in weights_of(network).items()}
+    try:
+        (_, _, channels, width), outputs = found["to_second"][0], found["coefficients"][0][-1]
+    except (KeyError, IndexError, ValueError):
+        return False
+    return found == layer_shapes(channels, outputs, width)
+
+
+def shapes_of(network) -> tuple[tuple, tuple]:
+    """Shapes of what a network that is supported takes and gives, as `keras.Model` has them."""
+    weights = weights_of(network)
+    ends = weights["to_second"][0].shape[2], weights["coefficients"][0].shape[3]
+    return tuple((None, None, None, count) for count in ends)
 
 
 def _aligned(size: int) -> np.ndarray:

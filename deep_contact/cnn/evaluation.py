@@ -9,7 +9,7 @@ import numpy as np
 from deep_contact.cnn.dataset import PHASES, phase
 from deep_contact.constants import THETA_TOLERANCE
 from deep_contact.physics.engine import ContactSolution, solve
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.simulation import simulate
 from deep_contact.state import Bodies, State
 

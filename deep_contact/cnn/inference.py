@@ -1,59 +1,50 @@
-"""A trained network at work: `load_model`, `LearnedModel.predict`, and the start that it gives the solver, `Cnn`.
+"""A trained network at work: `load_model`, `LearnedModel.predict`, and the starts that it gives the solver.
 
-TensorFlow is imported here and when it is first needed. A network is compiled once for each size of image; there is
-no retracing, and the overhead of `keras.Model.predict` is not paid.
+The far-field network runs in Numba (`cnn.convolution`) from the weights in its file. Keras and TensorFlow are imported
+only for networks on images, which are compiled once for each size of image, and by those who ask for `model.network`.
 """
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from html import escape
 from pathlib import Path
 
 import numpy as np
 
-from deep_contact.cnn.convolution import Program, supports
+from deep_contact.cnn import registry
+from deep_contact.cnn.backend import limit_threads, one_thread
+from deep_contact.cnn.convolution import Program, supports, weights_of
 from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
-from deep_contact.cnn.model_file import ModelFileError, default_model_path, read_model
+from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
+
+__all__ = ["Cnn", "FarFieldModel", "Guarded", "LearnedModel", "limit_threads", "load_model", "one_thread", "projected"]
+
+DEFAULT_MODEL = "model"
+"""Name of the shipped model in the registry."""
 
 _SAME_BOX = 1e-6
 """A box may differ by so much from the one a network of fixed size was made for, relative."""
 
 
-def limit_threads(count: int) -> None:
-    """Let TensorFlow use so many threads, for all networks of this process. Before the first one is used.
-
-    Raises RuntimeError where TensorFlow is already at work with another number.
-    """
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise ValueError(f"threads: expected an integer >= 1, got {count!r}")
-    import tensorflow as tf
-
-    threading = tf.config.threading
-    if threading.get_intra_op_parallelism_threads() == count and threading.get_inter_op_parallelism_threads() == 1:
-        return
-    threading.set_intra_op_parallelism_threads(count)
-    threading.set_inter_op_parallelism_threads(1)
-
-
 def load_model(path=None) -> LearnedModel:
-    """The model of a file; by default the one that is shipped, models/model.h5. No code in the file is run.
+    """The model of a file, or of a name in `models/registry.json`; by default the shipped model, "model".
 
-    Raises FileNotFoundError where there is none, `ModelFileError` (a ValueError) where it is damaged, foreign or
-    changed, naming the field.
+    No code in the file is run. Raises FileNotFoundError where there is none, `ModelFileError` (a ValueError) where it
+    is damaged, foreign or changed, naming the field.
     """
-    path = default_model_path() if path is None else Path(path)
-    model, spec, metadata = read_model(path)
+    path = network_file(path)
+    network, spec, metadata = read_model(path)
     kind = FarFieldModel if isinstance(spec, FarFieldSpec) else LearnedModel
     return kind(
-        keras=model,
+        source=network,
         spec=spec,
         card=metadata["card"],
         coarsening=metadata["coarsening"],
@@ -62,34 +53,53 @@ def load_model(path=None) -> LearnedModel:
     )
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class LearnedModel:
     """A network and what is needed to use it: state in, impulses at its contacts out.
 
-    keras: the `keras.Model`. spec: what its images are made of. card: where it comes from, what it is worth.
-    coarsening: it takes n = 1 (mod coarsening) nodes along an edge. box: (width, height) that a network of fixed size
-    was made for, m, or None. path: the file it was read from, or None.
+    source: the network, as a `keras.Model` or as a file holds it. spec: what its images are made of. card: where it
+    comes from, what it is worth. coarsening: it takes n = 1 (mod coarsening) nodes along an edge. box: (width, height)
+    that a network of fixed size was made for, m, or None. path: the file it was read from, or None.
     """
 
-    keras: object
+    source: object
     spec: ImageSpec
     card: dict = field(default_factory=dict)
     coarsening: int = 1
     box: tuple[float, float] | None = None
     path: Path | None = None
-    _compiled: dict = field(default_factory=dict, init=False, repr=False, compare=False)
+    _compiled: dict = field(default_factory=dict, init=False, compare=False)
 
-    def predict(self, state: State) -> tuple[np.ndarray, np.ndarray]:
+    @cached_property
+    def network(self):
+        """The `keras.Model`. It is built when it is first asked for, if the file could be used without Keras."""
+        return self.source.build() if isinstance(self.source, StoredNetwork) else self.source
+
+    def predict(self, state: State | Sequence[State]):
         """(λ_n, λ_t) at the state's contacts as the network has them, (m,) each, N·s: not projected.
 
-        Raises ModelFileError where the network does not fit the scene, ValueError where the state has no contacts
-        found yet.
+        For several states, a list of such pairs. Raises ModelFileError where the network does not fit the scene,
+        ValueError where no contacts have been looked for yet.
         """
-        return read_back(self.predict_image(state), state, self.spec)
+        if not isinstance(state, State):
+            return [self.predict(one) for one in state]
+        self.check_scene(state)
+        if state.contacts is not None and state.contacts.count == 0:
+            return np.zeros(0), np.zeros(0)
+        return self._impulses(_native(state))
+
+    def _impulses(self, state):
+        return read_back(self._image(state), state, self.spec)
 
     def predict_image(self, state: State) -> np.ndarray:
-        """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units."""
+        """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units.
+
+        A far-field network's is of coefficients, (rows, columns, 12), at every second node of the window.
+        """
         self.check_scene(state)
+        return self._image(_native(state))
+
+    def _image(self, state):
         return self.run(input_image(state, self.spec))
 
     def run(self, image: np.ndarray) -> np.ndarray:
@@ -98,21 +108,23 @@ class LearnedModel:
         rows, columns = padded_shape((n_y, n_x), self.coarsening)
         return self._padded(image).reshape(rows, columns, -1)[:n_y, :n_x]
 
-    def _padded(self, image: np.ndarray, *, one_program: bool = False) -> np.ndarray:
-        """What the network makes of the image, padded to a size that it takes."""
+    def _padded(self, image: np.ndarray) -> np.ndarray:
+        """The network's output for the image, padded to a size that it takes."""
         n_y, n_x = image.shape[:2]
         rows, columns = padded_shape((n_y, n_x), self.coarsening)
+        image = np.ascontiguousarray(image, np.float32)
         if (rows, columns) != (n_y, n_x):
             image = np.pad(image, ((0, rows - n_y), (0, columns - n_x), (0, 0)))
-        key = rows, columns
-        if key not in self._compiled:
-            shape = rows, columns, image.shape[2]
-            self._compiled[key] = compiled(self.keras, shape, one_program=one_program)
-        return self._compiled[key](image)
+        if (rows, columns) not in self._compiled:
+            self._compiled[rows, columns] = self._compile(image.shape)
+        return self._compiled[rows, columns](image)
+
+    def _compile(self, shape):
+        return compiled(self.network, shape)
 
     def check_scene(self, state: State) -> None:
         """Raise ModelFileError naming the field unless the network can work on this scene."""
-        spec, size = self.spec, self.keras.input_shape[1:3]
+        spec, size = self.spec, self.network.input_shape[1:3]
         if len(spec.targets) != 2:
             raise ModelFileError(f"targets: expected a network for normal and tangent impulses, got {spec.targets}")
         if None in size:
@@ -128,41 +140,73 @@ class LearnedModel:
         if shape != size:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
 
+    def describe(self) -> dict[str, str]:
+        """What the model is, and what it takes and gives, in words."""
+        return {
+            "model": "not in a file" if self.path is None else self.path.name,
+            "architecture": str(self.card.get("architecture", "unknown")),
+            "weights": f"{sum(array.size for arrays in weights_of(self.source).values() for array in arrays):,}",
+            "takes": takes(self.spec, self.coarsening, self.box),
+            "gives": gives(self.spec),
+        }
 
-@dataclass(frozen=True, kw_only=True)
+    def __repr__(self):
+        return f"<{type(self).__name__} {'; '.join(f'{name}: {text}' for name, text in self.describe().items())}>"
+
+    def _repr_html_(self):
+        rows = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in self.describe().items())
+        return f"<table>{rows}</table>"
+
+
+@dataclass(frozen=True, kw_only=True, repr=False)
 class FarFieldModel(LearnedModel):
     """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
 
     It runs in Numba (`cnn.convolution`), with the weights that it has when it meets a size of window for the first
-    time; other layers than those of `architectures.far_field` run in TensorFlow.
+    time; layers other than those of `architectures.far_field` run in TensorFlow.
     threads: at most so many work on it in Numba; the number changes no bit.
     """
 
     threads: int = 1
 
-    def predict(self, state: State) -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) at the state's contacts, (m,) each, N·s: not projected."""
+    def _impulses(self, state):
         return self.correct(state, describe(state, self.spec))
 
     def correct(self, state: State, description: Description) -> tuple[np.ndarray, np.ndarray]:
-        """The same from a description that has been made already."""
+        """`predict` from a description that has been made already."""
         impulses = correct(self.run(description.image), description, self.spec)
         return np.ascontiguousarray(impulses[:, 0]), np.ascontiguousarray(impulses[:, 1])
 
-    def predict_image(self, state: State) -> np.ndarray:
-        """The predicted image of coefficients, float32, (rows, columns, 12): every second node of the window."""
+    def _image(self, state):
         return self.run(describe(state, self.spec).image)
 
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to coefficients (rows, columns, 12), float32."""
-        rows, columns = padded_shape(image.shape[:2], self.coarsening)
-        if (rows, columns) not in self._compiled and supports(self.keras):
-            self._compiled[rows, columns] = Program(self.keras, (rows, columns), threads=self.threads)
+        return self._padded(image)
+
+    def _compile(self, shape):
+        if supports(self.source):
+            return Program(self.source, shape[:2], threads=self.threads)
         # In TensorFlow one program takes three quarters of the time that one call for each layer does.
-        return self._padded(image, one_program=True)
+        return compiled(self.network, shape, one_program=True)
 
     def check_scene(self, state: State) -> None:
-        """Any scene will do."""
+        """Accept every scene."""
+
+
+def takes(spec: ImageSpec | FarFieldSpec, coarsening: int, box=None) -> str:
+    """What a network of this spec takes, in words."""
+    sides = f"n = {coarsening} k + 1 nodes a side" if coarsening > 1 else "any number of nodes a side"
+    if box is not None:
+        sides = f"the nodes of a box of {box[0]:g} m × {box[1]:g} m"
+    return f"float32 images of {len(spec.channels)} channels, {sides}"
+
+
+def gives(spec: ImageSpec | FarFieldSpec) -> str:
+    """What a network of this spec gives, in words."""
+    if isinstance(spec, FarFieldSpec):
+        return f"{len(spec.targets)} coefficients at every {'second' if spec.coarsening == 2 else spec.coarsening} node"
+    return f"images of {', '.join(spec.targets)}"
 
 
 def padded_shape(shape: tuple[int, int], coarsening: int) -> tuple[int, int]:
@@ -171,15 +215,16 @@ def padded_shape(shape: tuple[int, int], coarsening: int) -> tuple[int, int]:
 
 
 def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -> Callable[[np.ndarray], np.ndarray]:
-    """The network for one image of this shape as a function of a NumPy array (n_y, n_x, c), float32.
+    """A `keras.Model` for one image of this shape as a function of a NumPy array (n_y, n_x, c), float32.
 
-    one_program: compiled by XLA as a whole, which takes about a second.
+    It is traced once, and the overhead of `keras.Model.predict` is not paid. one_program: compiled by XLA as a whole,
+    which takes about a second.
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     if keras.backend.backend() != "tensorflow":
         return lambda image: keras.ops.convert_to_numpy(model(image[None], training=False))[0]
-    import tensorflow as tf
+    from deep_contact.cnn.backend import tensorflow as tf
 
     signature = [tf.TensorSpec((1, *shape), tf.float32)]
     # The concrete function skips the look-up by signature, a tenth of the time of a small network.
@@ -187,6 +232,17 @@ def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -
     function = tf.function(lambda image: model(image, training=False), input_signature=signature, **jit)
     concrete = function.get_concrete_function()
     return lambda image: concrete(tf.constant(image[None])).numpy()[0]
+
+
+def _native(state: State) -> State:
+    """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
+    parts = {"bodies": state.bodies, "contacts": state.contacts}
+    foreign = {
+        name: type(part)(*(array.astype(array.dtype.newbyteorder("="), copy=False) for array in part))
+        for name, part in parts.items()
+        if part is not None and not all(array.dtype.isnative for array in part)
+    }
+    return state.replace(**foreign) if foreign else state
 
 
 @dataclass(frozen=True)
@@ -203,8 +259,6 @@ class Cnn:
             object.__setattr__(self, "model", load_model(self.model))
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        if state.contacts is not None and state.contacts.count == 0:
-            return np.zeros(0), np.zeros(0)
         return projected(*self.model.predict(state), state.world.friction)
 
 
@@ -248,39 +302,38 @@ class Guarded:
         return learned if theta[1] <= self.margin * theta[0] else builtin
 
 
-def network_file(path) -> Path:
-    """A model file by its path, from the current folder or from the root of the checkout.
+def network_file(model=None) -> Path:
+    """A model file by its name in the registry, or by its path from the current folder or the root of the checkout.
 
-    Raises FileNotFoundError where there is none.
+    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none.
     """
-    given = Path(path)
-    for place in (given, Path(__file__).resolve().parents[2] / given):
-        if place.is_file():
+    name = DEFAULT_MODEL if model is None else str(model).removeprefix("models/").removesuffix(".h5")
+    known = registry.registered()
+    if model is None or str(model) in known:
+        return registry.path_of(name)
+    for place in (Path(model), registry.CHECKOUT / model):
+        if place.exists() and not place.is_dir():
             return place
-    raise FileNotFoundError(f"model file: expected {given}, which does not exist; `python scripts/train.py` makes one")
+    if name in known:
+        return registry.path_of(name)
+    raise FileNotFoundError(
+        f"model file: expected a file or one of {', '.join(known)}, got {model}, which does not exist; "
+        "`python scripts/train.py` makes one"
+    )
 
 
-def one_thread() -> None:
-    """Let TensorFlow use one thread in this process, and keep quiet, unless it is already at work."""
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    try:
-        limit_threads(1)
-    except RuntimeError:  # as it was set up by whoever used it first: the numbers stay the same, the times may not
-        pass
-
-
-def network_start(model: str) -> Cnn:
-    """The start by the network of a file (Algorithm 7), working on one thread, read again only if the file changes.
+def network_start(model) -> Cnn:
+    """The start by the network of a file or a name (Algorithm 7), on one thread, read again only if the file changes.
 
     Raises FileNotFoundError where there is no such file, `ModelFileError` where it is damaged.
     """
     one_thread()
-    return Cnn(known_model(network_file(model)))
+    return Cnn(known_model(model))
 
 
-def known_model(path: Path | None = None) -> LearnedModel:
+def known_model(model=None) -> LearnedModel:
     """`load_model`, but a file that this process has read and that has not changed since is not read again."""
-    path = default_model_path() if path is None else path
+    path = network_file(model)
     status = path.stat()
     return _read_once(path.resolve(), status.st_mtime_ns, status.st_size)
 

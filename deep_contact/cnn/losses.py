@@ -15,14 +15,16 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from keras import ops
 from numba import njit
 
 from deep_contact import sph
+from deep_contact.cnn.backend import keras
 from deep_contact.cnn.images import ImageSpec, state_scale
 from deep_contact.physics.contact_solver import contact_rows, integrate_velocities, make_rows
 from deep_contact.physics.engine import world_arguments
 from deep_contact.state import State
+
+ops = keras.ops
 
 IMPULSE_SHARE = 0.1
 """Weight of the impulses' own error beside the velocities': it decides where the velocities do not."""

@@ -1,6 +1,6 @@
 """Model files: a Keras network in .h5 together with all that is needed to use it.
 
-The file is Keras's own HDF5 format, which plain `keras.models.load_model(path, compile=False)` opens. Beside it stands
+The layout is Keras's own HDF5 format, which plain `keras.models.load_model(path, compile=False)` opens. Beside it lies
 one more dataset, `deep_contact`, a JSON object:
 
 | field        | meaning                                                                                      |
@@ -13,35 +13,30 @@ one more dataset, `deep_contact`, a JSON object:
 | card         | where it comes from and what it is worth: data, seed, command, versions, errors              |
 | digest       | SHA-256 over the network's configuration, its weights and the other fields                   |
 
-Loading runs no code from the file: only a dense list of stock layers is let through to Keras, before Keras sees it;
-there is no pickle, no Lambda. The digest tells damage and carelessness, not malice: whoever changes a file on purpose
-can write a new one.
+A file is read by h5py. Only stock layers of a short list are accepted, and of each layer only the arguments that shape
+it (`_ARGUMENTS`): every Keras from 3.4 on knows these, whichever version wrote the file, and nothing else of the file
+reaches Keras. There is no pickle, no Lambda, no link to another file. The digest detects damage and carelessness, not
+malice: whoever changes a file on purpose can write a new one.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
-import logging
 import os
-import warnings
-from contextlib import contextmanager
 from pathlib import Path
+from typing import NamedTuple
 
 import h5py
 import numpy as np
 
+from deep_contact.cnn.convolution import shapes_of, supports
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
 
 FORMAT = 1
 METADATA = "deep_contact"
 """Name of the dataset with our metadata."""
-
-MODELS = "models"
-"""Folder of the shipped models, from the root of the checkout."""
-
-DEFAULT_MODEL = "model.h5"
 
 _FIELDS = ("format", "spec", "coarsening", "box", "card", "digest")
 
@@ -50,12 +45,20 @@ _LAYERS = frozenset(
     "DepthwiseConv2D Dropout Flatten GlobalAveragePooling2D InputLayer LayerNormalization LeakyReLU MaxPooling2D "
     "Multiply ReLU Rescaling Reshape SeparableConv2D Subtract UpSampling2D ZeroPadding2D".split()
 )
-_MODELS = ("Functional", "Sequential")
-_PARTS = {
-    "keras.initializers": None,
-    "keras.regularizers": ("L1", "L2", "L1L2"),
-    "keras": ("DTypePolicy",),
-}
+"""Layers that a file may hold."""
+
+_ARGUMENTS = frozenset(
+    "activation axis batch_shape bias_regularizer center cropping data_format depth_multiplier dilation_rate epsilon "
+    "filters groups interpolation keepdims kernel_regularizer kernel_size max_value momentum name negative_slope "
+    "offset output_padding padding pool_size rate rms_scaling scale size strides target_shape threshold units "
+    "use_bias".split()
+)
+"""Their arguments that are kept. Without the initializers, whose arguments change most and which weights replace."""
+
+_NETWORKS = {"Functional": ("name", "input_layers", "output_layers"), "Sequential": ("name",)}
+"""Kind of network -> what is kept of its configuration beside the layers."""
+
+_PARTS = {"keras.initializers": None, "keras.regularizers": ("L1", "L2", "L1L2"), "keras": ("DTypePolicy",)}
 """Module -> which of its classes a layer's configuration may hold; None is all."""
 
 _ACTIVATIONS = (None, "linear", "relu", "leaky_relu", "elu", "gelu", "silu", "swish", "tanh", "sigmoid", "softplus")
@@ -65,131 +68,195 @@ class ModelFileError(ValueError):
     """A model file is not what it should be, or does not fit the scene; the message names the field."""
 
 
+class StoredNetwork(NamedTuple):
+    """A network as a file holds it. config: Keras's, checked and reduced. weights: layer -> its arrays, float32."""
+
+    path: Path
+    config: dict
+    weights: dict[str, list[np.ndarray]]
+
+    def build(self):
+        """The network as a `keras.Model`. Raises ModelFileError where layers and weights do not fit each other."""
+        from deep_contact.cnn.backend import keras
+
+        try:
+            kind = {"Functional": keras.Model, "Sequential": keras.Sequential}[self.config["class_name"]]
+            model = kind.from_config(self.config["config"])
+            for layer in model.layers:
+                layer.set_weights(self.weights.get(layer.name, []))
+            if unused := set(self.weights) - {layer.name for layer in model.layers}:
+                raise ValueError(f"there are weights of {', '.join(sorted(unused))} and no such layers")
+        except Exception as error:
+            # Keras raises what it happens to meet: TypeError, KeyError, IndexError …
+            raise ModelFileError(f"{self.path}: model_config: Keras cannot build the network ({error})") from error
+        return model
+
+
 def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coarsening: int = 1, box=None) -> Path:
-    """Write a network and its metadata, at once or not at all. Returns the path.
+    """Write a `keras.Model` and its metadata to a file, completely or not at all. Returns the path.
 
     card: anything that JSON holds. coarsening: `architectures.coarsening(name)`. box: the world's box that a network
     of fixed size was made for, (x_min, y_min, x_max, y_max), m.
-    Raises ValueError where the network does not fit the spec, or is of layers that a model file may not hold.
+    Raises ValueError where the network does not fit the spec, or has layers that a model file may not hold.
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     path = Path(path)
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": int(coarsening), "box": size, "card": card}
-    _check_fit(model, spec, metadata, path)
+    _check_fit(model.input_shape, model.output_shape, spec, size, path)
+    config = json.dumps(portable(json.loads(model.to_json()), path))
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(f".{path.stem}.{os.getpid()}.h5")
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.h5")
     try:
-        with _quiet():
-            # Without its optimizer and loss, which would only tie the file to the code that trained it.
-            keras.saving.save_model(model, beside, include_optimizer=False)
-        with h5py.File(beside, "r+") as file:
-            _check_layers(_model_config(file, path), path)
-            metadata["digest"] = _digest(file, metadata)
-            file.create_dataset(METADATA, data=json.dumps(metadata, allow_nan=False))
-        os.replace(beside, path)
+        with h5py.File(temporary, "w") as file:
+            group = file.create_group("model_weights")
+            for attributes in (file.attrs, group.attrs):
+                attributes.update({"keras_version": keras.__version__, "backend": keras.backend.backend()})
+            file.attrs["model_config"] = config
+            group.attrs["layer_names"] = [layer.name for layer in model.layers]
+            for layer in model.layers:
+                names = [f"{layer.name}/{variable.name}" for variable in layer.weights]
+                stored = group.create_group(layer.name)
+                stored.attrs["weight_names"] = names
+                for name, array in zip(names, layer.get_weights()):
+                    stored[name] = array
+            metadata["digest"] = _digest(config, _datasets(group, path), metadata)
+            file[METADATA] = json.dumps(metadata, allow_nan=False)
+        os.replace(temporary, path)
     finally:
-        beside.unlink(missing_ok=True)
+        temporary.unlink(missing_ok=True)
     return path
 
 
 def read_metadata(path) -> dict:
-    """The metadata of a model file, checked against its contents; Keras and TensorFlow stay out of it.
+    """The metadata of a model file, checked against its contents, without Keras.
 
-    Raises FileNotFoundError where there is no file, ModelFileError where it is not a whole one of ours.
+    Raises FileNotFoundError where there is no file, ModelFileError where it is not a complete model file of ours.
     """
-    path = Path(path)
-    if not path.exists():
-        raise FileNotFoundError(f"model file: {path} does not exist")
-    try:
-        with h5py.File(path, "r") as file:
-            _check_layers(_model_config(file, path), path)
-            metadata = _metadata(file, path)
-            if _digest(file, metadata) != metadata["digest"]:
-                raise ModelFileError(
-                    f"{path}: digest: expected that of the file's contents, got another; it was changed or damaged"
-                )
-    except ModelFileError:
-        raise
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError) as error:
-        # What h5py raises on a damaged file depends on where the damage is; text that is no UTF-8 is a ValueError.
-        raise ModelFileError(f"{path}: expected a whole HDF5 file, got one that cannot be read ({error})") from error
-    return metadata
+    return _read(Path(path))[1]
 
 
 def read_model(path):
-    """(network, spec, metadata) of a model file. Raises as `read_metadata`."""
-    path = Path(path)
-    metadata = read_metadata(path)
+    """(network, spec, metadata) of a model file.
+
+    network: a `StoredNetwork` where `cnn.convolution` can run it, and a `keras.Model` otherwise. Raises as
+    `read_metadata`.
+    """
+    network, metadata = _read(Path(path))
+    spec = spec_of(metadata, path)
+    if isinstance(spec, FarFieldSpec) and supports(network):
+        shapes = shapes_of(network)
+    else:
+        network = network.build()
+        shapes = network.input_shape, network.output_shape
+    _check_fit(*shapes, spec, metadata["box"], path)
+    return network, spec, metadata
+
+
+def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
+    """The spec in the metadata of a file. Raises ModelFileError naming the field where it is not one."""
+    given = metadata["spec"]
+    kind = FarFieldSpec if isinstance(given, dict) and given.get("kind") == "far field" else ImageSpec
     try:
-        kind = metadata["spec"].get("kind") if isinstance(metadata["spec"], dict) else None
-        spec = (FarFieldSpec if kind == "far field" else ImageSpec).from_dict(metadata["spec"])
+        return kind.from_dict(given)
     except ValueError as error:
         raise ModelFileError(f"{path}: spec: {error}") from error
-    import keras
-
-    with _quiet():
-        try:
-            model = keras.models.load_model(path, compile=False, safe_mode=True)
-        except Exception as error:
-            # Keras raises what it happens to meet: TypeError, KeyError, IndexError …
-            raise ModelFileError(f"{path}: model_config: Keras cannot build the network ({error})") from error
-    _check_fit(model, spec, metadata, path)
-    return model, spec, metadata
 
 
-def default_model_path() -> Path:
-    """The shipped model, models/model.h5, of this checkout, or below the current folder.
+def portable(config, path) -> dict:
+    """A network's configuration reduced to what every supported version of Keras reads.
 
-    Raises FileNotFoundError naming where it was looked for.
+    Raises ModelFileError unless it consists of stock parts of the lists above.
     """
-    roots = (Path(__file__).resolve().parents[2], Path.cwd())
-    for root in roots:
-        if (root / MODELS / DEFAULT_MODEL).is_file():
-            return root / MODELS / DEFAULT_MODEL
-    places = " and ".join(dict.fromkeys(str(root / MODELS / DEFAULT_MODEL) for root in roots))
-    raise FileNotFoundError(
-        f"model file: expected {MODELS}/{DEFAULT_MODEL}, looked for {places}; it is part of the repository, "
-        "and `python scripts/train.py` makes another"
-    )
+    name = config.get("class_name") if isinstance(config, dict) else config
+    if name not in _NETWORKS:
+        raise ModelFileError(f"{path}: model_config: expected one of {', '.join(_NETWORKS)}, got {name!r}")
+    inner = config.get("config")
+    layers = inner.get("layers") if isinstance(inner, dict) else None
+    if not isinstance(layers, list) or not layers:
+        raise ModelFileError(f"{path}: model_config: expected a list of layers, got {type(layers).__name__}")
+    kept = {key: inner[key] for key in _NETWORKS[name] if key in inner}
+    return {"class_name": name, "config": kept | {"layers": [_layer(layer, i, path) for i, layer in enumerate(layers)]}}
 
 
-@contextmanager
-def _quiet():
-    """Without Keras's advice to use its other format: .h5 is what is asked for here."""
-    logger = logging.getLogger("absl")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
+def _layer(layer, i: int, path) -> dict:
+    """A layer with only the arguments that shape it."""
+    name = layer.get("class_name") if isinstance(layer, dict) else layer
+    module = layer.get("module", "keras.layers") if isinstance(layer, dict) else None
+    if name not in _LAYERS or module != "keras.layers" or layer.get("registered_name") not in (None, name):
+        raise ModelFileError(
+            f"{path}: model_config.layers[{i}]: expected a stock Keras layer of the list, got {name!r} of "
+            f"{module!r}; custom and Lambda layers are refused"
+        )
+    given = layer.get("config")
+    _check_parts([given, layer.get("inbound_nodes")], path, f"layers[{i}]")
+    if not isinstance(given, dict):
+        raise ModelFileError(f"{path}: model_config.layers[{i}].config: expected an object, got {given!r}")
+    kept = {"class_name": name, "config": {key: given[key] for key in given if key in _ARGUMENTS}}
+    return kept | {key: layer[key] for key in ("name", "inbound_nodes") if key in layer}
+
+
+def _check_parts(value, path, where) -> None:
+    if isinstance(value, dict):
+        name, module = value.get("class_name"), value.get("module")
+        if name not in (None, "__keras_tensor__"):
+            allowed = _PARTS.get(module, ())
+            if not (allowed is None or name in allowed) or value.get("registered_name"):
+                raise ModelFileError(f"{path}: model_config.{where}: expected stock parts, got {name!r} of {module!r}")
+        if value.get("activation") not in _ACTIVATIONS:
+            got = value["activation"]
+            raise ModelFileError(f"{path}: model_config.{where}.activation: expected a stock one, got {got!r}")
+    for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_parts(item, path, where)
+
+
+def _read(path: Path) -> tuple[StoredNetwork, dict]:
+    """The network and the metadata of a file, checked against its digest."""
+    if not path.exists():
+        raise FileNotFoundError(f"model file: {path} does not exist")
+    # To open a named pipe or a terminal would wait for somebody to write into it.
+    if not path.is_file():
+        raise ModelFileError(f"{path}: expected a regular file, got a folder, a pipe or a device")
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            yield
-    finally:
-        logger.setLevel(level)
+        with h5py.File(path, "r") as file:
+            given = file.attrs.get("model_config")
+            if given is None:
+                raise ModelFileError(f"{path}: model_config: expected a Keras network, got none")
+            config = portable(_parsed(given, path, "model_config"), path)
+            if not isinstance(file.get("model_weights", getlink=True), h5py.HardLink):
+                raise ModelFileError(f"{path}: model_weights: expected the network's weights, got none")
+            group = file["model_weights"]
+            datasets = _datasets(group, path)
+            metadata = _metadata(file, path)
+            if _digest(given, datasets, metadata) != metadata["digest"]:
+                raise ModelFileError(
+                    f"{path}: digest: expected that of the file's contents, got another; it was changed or damaged"
+                )
+            weights = {}
+            for layer in group:
+                names = [n.decode() if isinstance(n, bytes) else n for n in group[layer].attrs["weight_names"]]
+                if names:
+                    weights[layer] = [np.asarray(datasets[f"{layer}/{n}"], np.float32) for n in names]
+    except ModelFileError:
+        raise
+    except (OSError, RuntimeError, KeyError, TypeError, ValueError, AttributeError) as error:
+        # What h5py raises on a damaged file depends on where the damage is; text that is no UTF-8 is a ValueError.
+        raise ModelFileError(f"{path}: expected a complete HDF5 file, got one that cannot be read ({error})") from error
+    return StoredNetwork(path, config, weights), metadata
 
 
-def _model_config(file, path) -> dict:
+def _parsed(text, path, name):
     try:
-        given = file.attrs["model_config"]
-    except KeyError:
-        raise ModelFileError(f"{path}: model_config: expected a Keras network, got none") from None
-    try:
-        config = json.loads(given)
+        return json.loads(text)
     except (TypeError, ValueError) as error:
-        raise ModelFileError(f"{path}: model_config: expected JSON, got {str(given)[:60]!r}") from error
-    if "model_weights" not in file or not isinstance(file["model_weights"], h5py.Group):
-        raise ModelFileError(f"{path}: model_weights: expected the network's weights, got none")
-    return config
+        raise ModelFileError(f"{path}: {name}: expected JSON, got {str(text)[:60]!r}") from error
 
 
 def _metadata(file, path) -> dict:
-    if METADATA not in file:
+    if not isinstance(file.get(METADATA, getlink=True), h5py.HardLink):
         raise ModelFileError(f"{path}: {METADATA}: expected our metadata, got none; it is another Keras file")
-    try:
-        metadata = json.loads(file[METADATA][()])
-    except (TypeError, ValueError) as error:
-        raise ModelFileError(f"{path}: {METADATA}: expected JSON, got {error}") from error
+    metadata = _parsed(file[METADATA][()], path, METADATA)
     if not isinstance(metadata, dict) or set(metadata) != set(_FIELDS):
         got = sorted(metadata) if isinstance(metadata, dict) else type(metadata).__name__
         raise ModelFileError(f"{path}: {METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
@@ -205,48 +272,28 @@ def _metadata(file, path) -> dict:
     return metadata
 
 
-def _check_layers(config, path) -> None:
-    """Raise ModelFileError unless the configuration is of listed stock parts and nothing else."""
-    if not isinstance(config, dict) or config.get("class_name") not in _MODELS:
-        got = config.get("class_name") if isinstance(config, dict) else config
-        raise ModelFileError(f"{path}: model_config: expected one of {', '.join(_MODELS)}, got {got!r}")
-    inner = config.get("config")
-    listed = inner.get("layers") if isinstance(inner, dict) else None
-    if not isinstance(listed, list) or not listed:
-        raise ModelFileError(f"{path}: model_config: expected a list of layers, got {type(listed).__name__}")
-    for i, layer in enumerate(listed):
-        name = layer.get("class_name") if isinstance(layer, dict) else layer
-        module = layer.get("module", "keras.layers") if isinstance(layer, dict) else None
-        if name not in _LAYERS or module != "keras.layers" or layer.get("registered_name") not in (None, name):
+def _datasets(group, path, prefix: str = "") -> dict[str, np.ndarray]:
+    """Name -> array of every dataset below a group, in the order of the names.
+
+    Raises ModelFileError on links, on data that lies elsewhere, and on more numbers than the file can hold.
+    """
+    found = {}
+    for name in sorted(group):
+        item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
+        if isinstance(item, h5py.Group):
+            found |= _datasets(item, path, f"{prefix}{name}/")
+        elif item is None or item.external or item.is_virtual or item.nbytes > group.file.id.get_filesize():
             raise ModelFileError(
-                f"{path}: model_config.layers[{i}]: expected a stock Keras layer of the list, got {name!r} of "
-                f"{module!r}; custom and Lambda layers are refused"
+                f"{path}: model_weights/{prefix}{name}: expected weights that lie in the file itself, got a link, "
+                "or more numbers than the file holds"
             )
-        _check_parts(layer.get("config"), path, f"layers[{i}]")
-        _check_parts(layer.get("inbound_nodes"), path, f"layers[{i}]")
+        else:
+            found[prefix + name] = np.ascontiguousarray(item[()])
+    return found
 
 
-def _check_parts(value, path, where) -> None:
-    if isinstance(value, dict):
-        name = value.get("class_name")
-        if name is not None and name != "__keras_tensor__":
-            module = value.get("module")
-            allowed = _PARTS.get(module, ())
-            if module not in _PARTS or not (allowed is None or name in allowed) or value.get("registered_name"):
-                raise ModelFileError(f"{path}: model_config.{where}: expected stock parts, got {name!r} of {module!r}")
-        if value.get("activation") not in _ACTIVATIONS:
-            got = value["activation"]
-            raise ModelFileError(f"{path}: model_config.{where}.activation: expected a stock one, got {got!r}")
-        for item in value.values():
-            _check_parts(item, path, where)
-    elif isinstance(value, list):
-        for item in value:
-            _check_parts(item, path, where)
-
-
-def _check_fit(model, spec: ImageSpec | FarFieldSpec, metadata: dict, path) -> None:
-    """Raise ModelFileError unless the network takes the spec's images and gives its targets."""
-    inputs, outputs = model.input_shape, model.output_shape
+def _check_fit(inputs, outputs, spec: ImageSpec | FarFieldSpec, box, path) -> None:
+    """Raise ModelFileError unless a network of these shapes takes the spec's images and gives its targets."""
     if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != len(spec.channels):
         raise ModelFileError(
             f"{path}: channels: expected a network of {len(spec.channels)} input channels "
@@ -259,25 +306,17 @@ def _check_fit(model, spec: ImageSpec | FarFieldSpec, metadata: dict, path) -> N
             f"{path}: targets: expected a network that gives {targets} images ({', '.join(spec.targets)}), "
             f"got outputs of shape {outputs}"
         )
-    if None not in inputs[1:3] and metadata["box"] is None:
+    if None not in inputs[1:3] and box is None:
         size = inputs[1:3]
         raise ModelFileError(f"{path}: box: expected [width, height] for a network of the fixed size {size}, got none")
 
 
-def _digest(file, metadata: dict) -> str:
-    """SHA-256 over the configuration, every dataset of the weights by name, and the metadata but for the digest."""
-    sha = hashlib.sha256()
-    config = file.attrs["model_config"]
-    sha.update(config if isinstance(config, bytes) else str(config).encode())
-
-    def add(name, item):
-        if isinstance(item, h5py.Dataset):
-            array = np.ascontiguousarray(item[()])
-            sha.update(f"{name} {array.dtype} {array.shape}".encode())
-            sha.update(array.tobytes())
-
-    # `visititems` goes by name, so the order is the same in every copy.
-    file["model_weights"].visititems(add)
+def _digest(config, datasets: dict[str, np.ndarray], metadata: dict) -> str:
+    """SHA-256 over the configuration, every dataset of the weights by name, and the metadata without the digest."""
+    sha = hashlib.sha256(config if isinstance(config, bytes) else str(config).encode())
+    for name, array in datasets.items():
+        sha.update(f"{name} {array.dtype} {array.shape}".encode())
+        sha.update(array.tobytes())
     rest = {name: value for name, value in metadata.items() if name != "digest"}
     sha.update(json.dumps(rest, sort_keys=True, allow_nan=False).encode())
     return sha.hexdigest()

@@ -29,11 +29,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
-import keras
 import numpy as np
-from keras import ops
 
 from deep_contact.cnn import architectures, losses, schedules
+from deep_contact.cnn.backend import keras
 from deep_contact.cnn.dataset import PHASES, ImageBatches, Split, Store, fit_scales, split_by_simulation
 from deep_contact.cnn.evaluation import held_out_errors
 from deep_contact.cnn.far_field import FarFieldSpec, corrected, describe, nodes_of
@@ -44,6 +43,8 @@ from deep_contact.cnn.model_file import save_model
 from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
 from deep_contact.reporting.results import package_versions, processor, replacing
 from deep_contact.warm_start import Builtin, NoStart
+
+ops = keras.ops
 
 CHANNEL_SETS = {
     "thesis": THESIS_CHANNELS,
@@ -317,7 +318,7 @@ def train(
     starts = {"none": NoStart(), "builtin": Builtin(), "cnn": Cnn(model)}
     errors = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
     more = {"best_epoch": best_epoch, "held_out": errors}
-    save_model(out / "model.h5", model.keras, run.spec, card(**more), coarsening=model.coarsening, box=run.box)
+    save_model(out / "model.h5", model.network, run.spec, card(**more), coarsening=model.coarsening, box=run.box)
     return Training(history, best_epoch, out / "model.h5", load_model(out / "model.h5"))
 
 

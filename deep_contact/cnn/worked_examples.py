@@ -1,9 +1,9 @@
-"""Chapter 4 worked through with numbers: what its figures show, in plain NumPy, and the same by Keras or TensorFlow.
+"""Chapter 4 worked through with numbers, in plain NumPy and by Keras or TensorFlow.
 
-Each computation follows the thesis's equation word for word, so that it can be held against the library's: a
-convolution (Eq 4.1), its size (Eq 4.2), a neuron (Eq 4.3, 4.4), max pooling, dropout, backpropagation (Eq 4.11-4.18).
-They are small and meant to be read; nothing of the package computes with them. The last section looks into a trained
-network. Keras and TensorFlow are imported by the functions that need them.
+Each computation follows the thesis's equation literally, to be compared with the library: a convolution (Eq 4.1), its
+size (Eq 4.2), a neuron (Eq 4.3, 4.4), max pooling, dropout, backpropagation (Eq 4.11-4.18). They are small and meant
+for reading; only the figures of chapter 4 use them. The last section inspects a trained network. Keras and TensorFlow
+are imported by the functions that need them.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int
     """The products that Eq 4.1 sums at one place, K_ij · I_{x+i−1, y+j−1}: the shape of the kernel.
 
     image: (n_y, n_x, ...); kernel: (k_y, k_x, ...) with the same further axes (section 4.2.2: a kernel is as deep as
-    its input). row, column: the image's node under the kernel's first one, from 0.
-    Raises ValueError where the kernel sticks out of the image, or is not as deep.
+    its input). row, column: of the image's node under the kernel's first node, from 0. Raises ValueError if the kernel
+    is not within the image or has another depth.
     """
     k_y, k_x = kernel.shape[:2]
     under = image[row : row + k_y, column : column + k_x]
@@ -33,7 +33,7 @@ def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int
 
 
 def correlate(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
-    """Eq 4.1 everywhere that the kernel fits: the thesis's "convolution" I * K.
+    """Eq 4.1 at every place where the kernel is within the image: the thesis's "convolution" I * K.
 
     image: (n_y, n_x) or (n_y, n_x, d); kernel: (k_y, k_x) or (k_y, k_x, d). Returns (o_y, o_x).
     """
@@ -43,7 +43,7 @@ def correlate(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.n
 
 
 def flipped(kernel: np.ndarray) -> np.ndarray:
-    """The kernel turned by half a turn: correlating with it is what mathematics calls a convolution."""
+    """The kernel turned by 180°: the correlation with it is the mathematical convolution."""
     return kernel[::-1, ::-1]
 
 
@@ -53,11 +53,11 @@ def output_size(image: int, kernel: int, stride: int) -> float:
 
 
 def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
-    """What Keras's `Conv2D` makes of it, without border, bias and activation: (o_y, o_x, f).
+    """The same by Keras's `Conv2D`, without padding, bias and activation: (o_y, o_x, f).
 
     image: (n_y, n_x, d); kernel: (k_y, k_x, d, f).
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     options = {"strides": stride, "use_bias": False, "dtype": "float64"}
     layer = keras.layers.Conv2D(kernel.shape[3], kernel.shape[:2], **options)
@@ -104,7 +104,7 @@ def random_layers(sizes: Sequence[int], seed: int) -> list[Layer]:
 
 def keras_forward(x: np.ndarray, layers: Sequence[Layer]) -> np.ndarray:
     """The last of `forward`'s values by Keras's `Dense`."""
-    import keras
+    from deep_contact.cnn.backend import keras
 
     network = keras.Sequential([keras.Input((len(x),), dtype="float64")])
     for number, layer in enumerate(layers, start=1):
@@ -123,11 +123,10 @@ ACTIVATIONS: dict[str, tuple[Callable, Callable]] = {
 
 
 def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed: int) -> float:
-    """How much smaller, or larger, a gradient has become on its way back through a deep network.
+    """Size of a gradient at the input of a deep network over its size at the output.
 
-    depth layers of `width` neurons, weights normal with standard deviation gain · √(2 / width): He's at gain 1. A
-    random input goes forward; a random gradient goes back from the last layer. Returns its size at the input over its
-    size at the output.
+    The network has `depth` layers of `width` neurons with normal weights of standard deviation gain · √(2 / width): at
+    gain 1 He's. A random input goes forward, then a random gradient goes back from the last layer.
     """
     rng = np.random.default_rng(seed)
     function, derivative = ACTIVATIONS[activation]
@@ -146,9 +145,9 @@ def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed
 
 
 def max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
-    """The largest value of each window of size × size nodes, side by side (section 4.2.4); (n_y, n_x, ...).
+    """The largest value of each window of size × size adjacent nodes (section 4.2.4); (n_y, n_x, ...).
 
-    What is left over at the far edges is a window too, as with Keras's border mode "same" (Table 5.2): 61 nodes -> 31.
+    Incomplete windows at the far edges count, as with Keras's border mode "same" (Table 5.2): 61 nodes -> 31.
     """
     rows, columns = (range(0, n, size) for n in image.shape[:2])
     return np.array([[image[i : i + size, j : j + size].max(axis=(0, 1)) for j in columns] for i in rows])
@@ -156,22 +155,19 @@ def max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
 
 def keras_max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
     """The same by Keras's `MaxPooling2D`; image: (n_y, n_x, d)."""
-    import keras
+    from deep_contact.cnn.backend import keras
 
     layer = keras.layers.MaxPooling2D(size, strides=size, padding="same", dtype="float64")
     return np.asarray(layer(image[None])[0])
 
 
 def pooled_sizes(n: int, times: int) -> list[int]:
-    """Nodes along an edge before and after each of so many 2 × 2 poolings."""
-    sizes = [n]
-    for _ in range(times):
-        sizes.append(len(max_pool(np.zeros((sizes[-1], 1)))))
-    return sizes
+    """Nodes along an edge before and after each of `times` 2 × 2 poolings."""
+    return [-(-n // 2**i) for i in range(times + 1)]
 
 
 def dropout(values: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
-    """Each value zero with probability `rate`, and else divided by 1 − rate, so that its mean stays (section 4.3.2).
+    """Set each value to zero with probability `rate`, and divide the others by 1 − rate (section 4.3.2).
 
     Raises ValueError for a rate outside [0, 1).
     """
@@ -186,15 +182,8 @@ def dropout(values: np.ndarray, rate: float, rng: np.random.Generator) -> np.nda
 class Backpropagation(NamedTuple):
     """The forward and the backward pass of the thesis's example: I inputs, J hidden neurons, one output, all linear.
 
-    | field     | meaning                                                              | shape  |
-    |-----------|----------------------------------------------------------------------|--------|
-    | v         | hidden values, Eq 4.16                                               | (J,)   |
-    | y         | output, Eq 4.11                                                      | scalar |
-    | e         | error d − y, Eq 4.11                                                 | scalar |
-    | loss      | L = e², Eq 4.11                                                      | scalar |
-    | chain     | ∂L/∂e, ∂e/∂y, ∂y/∂v_j, ∂y/∂w_j, ∂v_j/∂w_ij: factors of Eq 4.12, 4.15 | dict   |
-    | output    | ∂L/∂w_j of the output's weights, Eq 4.13                             | (J,)   |
-    | hidden    | ∂L/∂w_ij of the hidden weights, Eq 4.17                              | (I, J) |
+    v: hidden values (J,), Eq 4.16. y: output, e: error d − y, loss: e², all Eq 4.11. chain: factors of Eq 4.12 and 4.15
+    by name. output: ∂L/∂w_j of the output's weights (J,), Eq 4.13. hidden: ∂L/∂w_ij (I, J), Eq 4.17.
     """
 
     v: np.ndarray
@@ -216,40 +205,30 @@ def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, tar
         "∂e/∂y": np.array(-1.0),
         "∂y/∂v": w_output.copy(),
         "∂y/∂w": v.copy(),
-        "∂v/∂w": np.repeat(x[:, None], w_output.size, axis=1),  # of v_j by w_ij; the other ones are zero
+        "∂v/∂w": np.repeat(x[:, None], w_output.size, axis=1),  # of v_j by w_ij; the others are zero
     }
     return Backpropagation(v, y, e, e**2, chain, -2 * v * e, -2 * e * np.outer(x, w_output))
 
 
 def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
-    """The gradients of the same network by automatic differentiation, which knows only how L is computed.
+    """The gradients of the same network by automatic differentiation of L.
 
-    Returns "output" (J,), "hidden" (I, J) and the factors of the chain as `Backpropagation.chain` names them.
+    Returns "output" (J,), "hidden" (I, J), and the factors of the chain by the names of `Backpropagation.chain`.
     """
-    import tensorflow as tf
+    from deep_contact.cnn.backend import tensorflow as tf
 
     x, w_h, w_o, d = (tf.constant(value, tf.float64) for value in (x, w_hidden, w_output, target))
     with tf.GradientTape(persistent=True) as tape:
         tape.watch([w_h, w_o])
         v = tf.linalg.matvec(w_h, x, transpose_a=True)
-        tape.watch(v)
         y = tf.reduce_sum(w_o * v)
-        tape.watch(y)
         e = d - y
-        tape.watch(e)
         loss = e**2
         total = tf.reduce_sum(v)
-    found = {
-        "output": tape.gradient(loss, w_o),
-        "hidden": tape.gradient(loss, w_h),
-        "∂L/∂e": tape.gradient(loss, e),
-        "∂e/∂y": tape.gradient(e, y),
-        "∂y/∂v": tape.gradient(y, v),
-        "∂y/∂w": tape.gradient(y, w_o),
-        # w_ij acts on v_j alone, so the derivative of the sum of v is that of v_j.
-        "∂v/∂w": tape.gradient(total, w_h),
-    }
-    return {name: value.numpy() for name, value in found.items()}
+    found = {"output": (loss, w_o), "hidden": (loss, w_h), "∂L/∂e": (loss, e), "∂e/∂y": (e, y)}
+    # w_ij acts on v_j alone, so the derivative of the sum of v is that of v_j.
+    found |= {"∂y/∂v": (y, v), "∂y/∂w": (y, w_o), "∂v/∂w": (total, w_h)}
+    return {name: tape.gradient(*pair).numpy() for name, pair in found.items()}
 
 
 def momentum_step(weights, gradient, *, rate: float, velocity=0.0, gamma: float = 0.0):
@@ -272,43 +251,43 @@ def printed_hidden_update(w_hidden, w_output, x, found: Backpropagation, rate: f
 
 
 def convolutions(model) -> list:
-    """The layers of a Keras model that see a neighbourhood, in the order in which they work."""
-    import keras
+    """The layers of a Keras model with kernels larger than one node, in their order."""
+    from deep_contact.cnn.backend import keras
 
     kinds = (keras.layers.Conv2D, keras.layers.Conv2DTranspose)
     return [layer for layer in model.layers if isinstance(layer, kinds) and max(layer.kernel_size) > 1]
 
 
 def feature_maps(model, image: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """What the layers of these names give for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32.
+    """The outputs of some layers for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32.
 
     Raises ValueError for a name that the model does not have.
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     known = {layer.name: layer for layer in model.layers}
     for name in names:
         if name not in known:
             raise ValueError(f"layer: expected one of {', '.join(known)}, got {name!r}")
     inside = keras.Model(model.inputs[0], {name: known[name].output for name in names})
-    found = inside(image[None])  # in inference; to say so by `training` would switch off what `with_dropout` put on
+    found = inside(image[None])  # training=False would switch off the dropout of `with_dropout`
     return {name: np.asarray(found[name])[0] for name in names}
 
 
 def strongest(maps: np.ndarray, count: int) -> np.ndarray:
-    """Numbers of the maps (n_y, n_x, maps) that differ most from place to place, the strongest first."""
+    """Indices of the maps (n_y, n_x, maps) with the largest standard deviation, the strongest first."""
     return np.argsort(-maps.std(axis=(0, 1)), kind="stable")[:count]
 
 
 def with_dropout(model, rate: float, seed: int = 0):
-    """A copy of a trained model in which dropout is on, as in training: (Keras model, a layer, its dropout).
+    """A copy of a trained model with dropout on, as in training: (Keras model, name of a layer, name of its dropout).
 
-    Where the model has dropout layers, those are switched on, with their own rates. Where it has none, one with `rate`
-    follows every hidden convolution, as in the thesis's Table 5.2. Everything else stays as in inference: the batch
-    normalisation of a network that is "in training" would change the numbers too. The names returned are those of the
-    first layer with dropout and of the dropout that follows it. The masks are drawn anew in every call.
+    The model's own dropout layers are switched on with their own rates. If it has none, one with `rate` follows every
+    hidden convolution, as in Table 5.2. Everything else stays in inference, batch normalisation included, which would
+    change the numbers too. The names are those of the first layer with dropout and of the dropout after it. Every call
+    draws new masks.
     """
-    import keras
+    from deep_contact.cnn.backend import keras
 
     own = [layer.name for layer in model.layers if isinstance(layer, keras.layers.Dropout)]
     hidden = [layer.name for layer in convolutions(model) if getattr(layer.activation, "__name__", "") == "relu"]
@@ -319,7 +298,7 @@ def with_dropout(model, rate: float, seed: int = 0):
         if layer.name in own:
             return layer(*arguments, **{**options, "training": True})
         if isinstance(layer, keras.layers.BatchNormalization):
-            # Keras hands the mode of one layer on to those after it, unless they are told theirs.
+            # Keras passes the mode of one layer on to the next ones, unless theirs is given.
             options = {**options, "training": False}
         out = layer(*arguments, **options)
         if not own and layer.name in hidden:
@@ -327,10 +306,9 @@ def with_dropout(model, rate: float, seed: int = 0):
             out = keras.layers.Dropout(rate, seed=seed + number, name=f"dropout_after_{layer.name}")(out, training=True)
         return out
 
-    functional = keras.Model(model.inputs[0], model.outputs[0])  # a list of layers has no calls to change
+    functional = keras.Model(model.inputs[0], model.outputs[0])  # a Sequential has no calls to change
     copy = keras.models.clone_model(functional, call_function=call)
-    weights = {layer.name: layer.get_weights() for layer in model.layers}
-    for layer in copy.layers:
-        if weights.get(layer.name):
-            layer.set_weights(weights[layer.name])
+    for layer in model.layers:
+        if weights := layer.get_weights():
+            copy.get_layer(layer.name).set_weights(weights)
     return copy, dropped, dropping

@@ -4,8 +4,8 @@
 AVX-512, two of AVX2, four of SSE or NEON), so that nothing here depends on the processor. Operations carry the flag
 "contract": a * b + c may be one fused operation, as in the scalar sweep, and nothing else is relaxed.
 
-All are for compiled callers only. Reading the velocities of eight bodies is eight loads of a row and a transposition,
-which was measured to be faster than the processor's gather.
+All are for compiled callers only; without the compiler `simd_numpy` takes their place. Reading the velocities of eight
+bodies is eight loads of a row and a transposition, which was measured to be faster than the processor's gather.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from __future__ import annotations
 import operator
 
 from llvmlite import ir
-from numba import types
+from numba import config, types
 from numba.extending import intrinsic, models, overload, register_model
 
 WIDTH = 8
@@ -266,3 +266,7 @@ def _load(builder, pointer, kind, array_type):
 
 def _store(builder, value, pointer, array_type):
     builder.store(value, builder.bitcast(pointer, value.type.as_pointer())).align = array_type.dtype.bitwidth // 8
+
+
+if config.DISABLE_JIT:
+    from deep_contact.compiled.simd_numpy import *  # noqa: F403

@@ -32,7 +32,7 @@ import h5py
 import numpy as np
 
 from deep_contact.io.files import replacing
-from deep_contact.physics.methods import METHODS
+from deep_contact.physics.solvers import METHODS
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.validation import integer, number, one_of
 

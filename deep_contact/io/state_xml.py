@@ -70,7 +70,7 @@ from deep_contact.io.xml_tree import (
     refuse_too_large,
     to_float,
 )
-from deep_contact.physics.methods import METHODS
+from deep_contact.physics.solvers import METHODS
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.validation import integer
 

@@ -23,8 +23,12 @@ NEAR = 0.2
 """Gap below which pairs are kept as near, in smallest radii. In a packing it is too small for second neighbours."""
 
 
+SEARCHES, PAIRS = range(2)
+"""Elements of `Cells.memory`."""
+
+
 class Cells(NamedTuple):
-    """Room for the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
+    """Buffers of the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
 
     As long as no circle has moved by more than half of what near means, pairs that touch are among those. A pile at
     rest is sorted into cells once, then, and a list is not made where it would not last.
@@ -53,7 +57,7 @@ class Cells(NamedTuple):
 
 @njit(cache=True)
 def make_cells(n):
-    """Room for the broad phase over n circles."""
+    """Buffers of the broad phase over n circles."""
     return Cells(
         np.empty(8 * n + 40, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
         np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int64), np.full(2, -1),
@@ -62,7 +66,7 @@ def make_cells(n):
 
 @njit(cache=True)
 def make_contacts(capacity):
-    """Room for contacts; impulses and starts are zero."""
+    """A buffer of contacts; impulses and starts are zero."""
     m = capacity
     return Contacts(
         np.empty(m, np.int64), np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2)), np.empty(m),
@@ -71,11 +75,11 @@ def make_contacts(capacity):
 
 
 @njit(cache=True)
-def first_contacts(room, m):
-    """The first m contacts of a room, as views."""
+def first_contacts(buffer, m):
+    """The first m contacts of a buffer, as views."""
     return Contacts(
-        room.body_a[:m], room.body_b[:m], room.position[:m], room.normal[:m], room.separation[:m],
-        room.normal_impulse[:m], room.tangent_impulse[:m], room.normal_start[:m], room.tangent_start[:m],
+        buffer.body_a[:m], buffer.body_b[:m], buffer.position[:m], buffer.normal[:m], buffer.separation[:m],
+        buffer.normal_impulse[:m], buffer.tangent_impulse[:m], buffer.normal_start[:m], buffer.tangent_start[:m],
     )  # fmt: skip
 
 
@@ -141,7 +145,7 @@ def write_pairs(position, radius, box, cells, body_a, body_b):
 
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. body_b is a circle, or n + wall.
     cells: `Cells`; what it remembers of the search before saves work and changes no pair.
-    Returns the number of pairs, or -1 if they have no room.
+    Returns the number of pairs, or -1 if they do not fit.
     """
     n = position.shape[0]
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
@@ -152,17 +156,17 @@ def write_pairs(position, radius, box, cells, body_a, body_b):
         smallest = min(smallest, radius[i])
     gap = NEAR * smallest
     memory = cells.memory
-    if memory[0] >= 0:
-        memory[0] += 1
+    if memory[SEARCHES] >= 0:
+        memory[SEARCHES] += 1
         lasts = moves_within(position, cells.anchor, 0.49 * gap)
-        if lasts and memory[1] >= 0:
+        if lasts and memory[PAIRS] >= 0:
             return write_near_pairs(position, radius, box, cells, body_a, body_b)
         # A list costs about a search: it is made where nothing went far in one step, or where the last one lasted.
-        if (lasts and moves_within(position, cells.anchor, 0.1 * gap)) or memory[0] > 4:
+        if (lasts and moves_within(position, cells.anchor, 0.1 * gap)) or memory[SEARCHES] > 4:
             find_near(position, radius, gap, cells)
-            if memory[1] >= 0:
+            if memory[PAIRS] >= 0:
                 return write_near_pairs(position, radius, box, cells, body_a, body_b)
-    memory[0], memory[1] = 0, -1
+    memory[SEARCHES], memory[PAIRS] = 0, -1
     cells.anchor[:] = position
     columns, rows = sort_into_cells(position, radius, cells)
     circle, order = cells.circle, cells.order
@@ -203,12 +207,12 @@ def moves_within(position, anchor, distance):
 
 @njit(cache=True, error_model="numpy")
 def find_near(position, radius, gap, cells):
-    """Fill the list of pairs that are near each other: no farther apart than the gap, m. None where it has no room."""
+    """Fill the list of pairs no farther apart than the gap, m. Without a list if the pairs do not fit."""
     n = position.shape[0]
     columns, rows = sort_into_cells(position, radius, cells, gap)
     circle, order, near = cells.circle, cells.order, cells.near
     cells.anchor[:] = position
-    cells.memory[0], cells.memory[1] = 0, -1
+    cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
     m = 0
     for a in range(n):
         x, y, r = position[a, 0], position[a, 1], radius[a] + gap
@@ -229,7 +233,7 @@ def find_near(position, radius, gap, cells):
         _sort_run(near, first, m)
         cells.first[a] = first
     cells.first[n] = m
-    cells.memory[1] = m
+    cells.memory[PAIRS] = m
 
 
 @njit(cache=True, error_model="numpy")
@@ -279,20 +283,20 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, box, cells, room):
+def find_contacts(position, radius, box, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple.
-    cells, room: memory to use. Returns (contacts, room): views of the room, which is a larger one if it had to grow.
+    cells, buffer: memory to use. Returns (contacts, buffer): views of the buffer, grown if needed.
     """
-    m = write_pairs(position, radius, box, cells, room.body_a, room.body_b)
+    m = write_pairs(position, radius, box, cells, buffer.body_a, buffer.body_b)
     while m < 0:
         # Only a heap of overlapping circles has so many pairs.
-        room = make_contacts(2 * room.body_a.shape[0] + 64)
-        m = write_pairs(position, radius, box, cells, room.body_a, room.body_b)
-    contacts = first_contacts(room, m)
+        buffer = make_contacts(2 * buffer.body_a.shape[0] + 64)
+        m = write_pairs(position, radius, box, cells, buffer.body_a, buffer.body_b)
+    contacts = first_contacts(buffer, m)
     write_geometry(position, radius, box, contacts)
-    return contacts, room
+    return contacts, buffer
 
 
 @njit(cache=True, error_model="numpy")
@@ -359,14 +363,14 @@ def carry_impulses(old, contacts):
 
 
 @njit(cache=True)
-def next_contacts(bodies, box, cells, solved, warm, room):
+def next_contacts(bodies, box, cells, solved, warm, buffer):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
-    warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, room): `find_contacts`.
+    warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
-    contacts, room = find_contacts(bodies.position, bodies.radius, box, cells, room)
+    contacts, buffer = find_contacts(bodies.position, bodies.radius, box, cells, buffer)
     carry_impulses(solved, contacts)
     if not warm:
         contacts.normal_start[:] = 0.0
         contacts.tangent_start[:] = 0.0
-    return contacts, room
+    return contacts, buffer

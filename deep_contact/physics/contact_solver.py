@@ -24,6 +24,8 @@ from deep_contact.constants import (
     BAUMGARTE,
     LINEAR_SLOP,
     MAX_CORRECTION,
+    MAX_ROTATION,
+    MAX_TRANSLATION,
     POSITION_TOLERANCE,
     RESTITUTION_THRESHOLD,
     WALL_SKIN,
@@ -31,17 +33,33 @@ from deep_contact.constants import (
 from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
 from deep_contact.state import WALL_NORMALS
 
+V_X, V_Y, V_S, INVERSE_MASS = range(4)
+"""Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
+
+The last four rows are the walls: at rest, with an inverse mass of 0.
+"""
+
+BODY_A, BODY_B = range(2)
+"""Columns of `Rows.body`."""
+
+N_X, N_Y, NORMAL_MASS, TANGENT_MASS, ARM_A, ARM_B, TARGET = range(7)
+"""Columns of `Rows.data`: unit normal, effective masses (kg), arms over radii, target of v_n (m/s)."""
+
+FRICTIONLESS_TARGET = 3
+"""Column of the target in rows without friction, which hold n_x, n_y, normal mass and target."""
+
+NORMAL, TANGENT = range(2)
+"""Columns of `Rows.impulse`."""
+
 
 class Rows(NamedTuple):
-    """The m contacts as the sweep wants them: packed row by row, so that one contact is one run of memory.
+    """The rows of m contacts. All numbers of one contact lie side by side, so that a sweep reads memory in order.
 
-    | field   | meaning                                                                    | shape  |
-    |---------|----------------------------------------------------------------------------|--------|
-    | body    | a, b as indices into the moving velocities                                 | (m, 2) |
-    | data    | n_x, n_y, normal mass, tangent mass, arm_a / r_a, arm_b / r_b, target v_n  | (m, 7) |
-    | impulse | λ_n, λ_t, N·s                                                              | (m, 2) |
-
-    Without friction, data is n_x, n_y, normal mass, target v_n, (m, 4), and impulse is λ_n, (m, 1).
+    | field   | meaning                                                  | shape          |
+    |---------|----------------------------------------------------------|----------------|
+    | body    | rows of the solver bodies: `BODY_A`, `BODY_B`            | (m, 2)         |
+    | data    | `N_X` … `TARGET`; without friction the first and last    | (m, 7), (m, 4) |
+    | impulse | λ_n and λ_t, N·s: `NORMAL`, `TANGENT`                    | (m, 2), (m, 1) |
     """
 
     body: np.ndarray
@@ -50,196 +68,201 @@ class Rows(NamedTuple):
 
 
 CONTRACT = {"contract"}
-"""Let a * b + c be one fused operation: a fifth faster, nothing else is relaxed."""
+"""Fast-math flag: a * b + c may be one fused operation. A fifth faster; nothing else is relaxed."""
+
+SUMS = {"contract", "reassoc"}
+"""Fast-math flags of sums over all rows: several partial sums at once, in an order fixed at compile time."""
 
 
 @njit(cache=True)
 def make_rows(capacity, dtype, friction=0.0):
-    """Room for the rows of so many contacts, with numbers of the given kind: that of the moving velocities."""
+    """Uninitialised rows for `capacity` contacts, in the precision of the solver bodies."""
     if friction is None:
         return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 4), dtype), np.empty((capacity, 1), dtype))
     return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 7), dtype), np.empty((capacity, 2), dtype))
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_velocities(bodies, gravity, dt, moving):
-    """Velocities after Δt of gravity (v + Δt M⁻¹ F of Eq 2.27), packed for the sweep.
-
-    Fills moving, (n + 4, 4): v_x, v_y, s = ω r (m/s), 1 / m (1/kg). Its last four rows are the walls, at rest and
-    infinitely heavy.
-    """
+def integrate_velocities(bodies, gravity, dt, solver_bodies):
+    """Fill the solver bodies, (n + 4, 4), with the velocities after Δt of gravity (v + Δt M⁻¹ F of Eq 2.27)."""
     n = bodies.mass.shape[0]
     for i in range(n):
-        moving[i, 0] = bodies.velocity[i, 0] + dt * gravity[0]
-        moving[i, 1] = bodies.velocity[i, 1] + dt * gravity[1]
-        moving[i, 2] = bodies.spin[i] * bodies.radius[i]
-        moving[i, 3] = 1.0 / bodies.mass[i]
-    moving[n:] = 0.0
+        solver_bodies[i, V_X] = bodies.velocity[i, 0] + dt * gravity[0]
+        solver_bodies[i, V_Y] = bodies.velocity[i, 1] + dt * gravity[1]
+        solver_bodies[i, V_S] = bodies.spin[i] * bodies.radius[i]
+        solver_bodies[i, INVERSE_MASS] = 1.0 / bodies.mass[i]
+    solver_bodies[n:] = 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(bodies, contacts, moving, restitution, room, friction=0.0):
-    """Rows of all contacts, with the impulses that they start from. Returns `Rows` in the room, or in a larger one.
+def contact_rows(bodies, contacts, solver_bodies, restitution, buffer, friction=0.0):
+    """Rows of all contacts with their starting impulses. Returns (rows, buffer): views of the buffer, grown if needed.
 
     Effective masses: 1 / (J M⁻¹ Jᵀ). Target of a contact that approaches faster than the threshold: -e v_n.
     """
     m = contacts.body_a.shape[0]
-    if m > room.body.shape[0]:
-        room = make_rows(m, room.data.dtype, friction)
-    rows = Rows(room.body[:m], room.data[:m], room.impulse[:m])
+    if m > buffer.body.shape[0]:
+        buffer = make_rows(m, buffer.data.dtype, friction)
+    rows = Rows(buffer.body[:m], buffer.data[:m], buffer.impulse[:m])
     if friction is None:
-        write_normal_rows(contacts, moving, restitution, rows)
+        write_normal_rows(contacts, solver_bodies, restitution, rows)
     else:
-        write_rows(bodies, contacts, moving, restitution, rows)
-    return rows, room
+        write_rows(bodies, contacts, solver_bodies, restitution, rows)
+    return rows, buffer
 
 
 @njit(cache=True, error_model="numpy")
-def write_rows(bodies, contacts, moving, restitution, rows):
+def write_rows(bodies, contacts, solver_bodies, restitution, rows):
     """Fill the rows of all contacts: see `contact_rows`."""
+    v = solver_bodies
     n = bodies.mass.shape[0]
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
         arm_a = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[a]
         arm_b = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[b] if b < n else 0.0
-        w_a, w_b = moving[a, 3], moving[b, 3]
-        v_n = (moving[b, 0] - moving[a, 0]) * n_x + (moving[b, 1] - moving[a, 1]) * n_y
-        rows.body[i, 0] = a
-        rows.body[i, 1] = b
-        rows.data[i, 0] = n_x
-        rows.data[i, 1] = n_y
-        rows.data[i, 2] = 1.0 / (w_a + w_b)
-        rows.data[i, 3] = 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
-        rows.data[i, 4] = arm_a
-        rows.data[i, 5] = arm_b
-        rows.data[i, 6] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
-        rows.impulse[i, 0] = contacts.normal_start[i]
-        rows.impulse[i, 1] = contacts.tangent_start[i]
+        w_a, w_b = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
+        v_n = (v[b, V_X] - v[a, V_X]) * n_x + (v[b, V_Y] - v[a, V_Y]) * n_y
+        rows.body[i, BODY_A] = a
+        rows.body[i, BODY_B] = b
+        rows.data[i, N_X] = n_x
+        rows.data[i, N_Y] = n_y
+        rows.data[i, NORMAL_MASS] = 1.0 / (w_a + w_b)
+        rows.data[i, TANGENT_MASS] = 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
+        rows.data[i, ARM_A] = arm_a
+        rows.data[i, ARM_B] = arm_b
+        rows.data[i, TARGET] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
+        rows.impulse[i, NORMAL] = contacts.normal_start[i]
+        rows.impulse[i, TANGENT] = contacts.tangent_start[i]
 
 
 @njit(cache=True, error_model="numpy")
-def write_normal_rows(contacts, moving, restitution, rows):
+def write_normal_rows(contacts, solver_bodies, restitution, rows):
     """Fill the rows of all contacts without friction: see `contact_rows`."""
+    v = solver_bodies
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
-        v_n = (moving[b, 0] - moving[a, 0]) * n_x + (moving[b, 1] - moving[a, 1]) * n_y
-        rows.body[i, 0] = a
-        rows.body[i, 1] = b
-        rows.data[i, 0] = n_x
-        rows.data[i, 1] = n_y
-        rows.data[i, 2] = 1.0 / (moving[a, 3] + moving[b, 3])
-        rows.data[i, 3] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
-        rows.impulse[i, 0] = contacts.normal_start[i]
+        v_n = (v[b, V_X] - v[a, V_X]) * n_x + (v[b, V_Y] - v[a, V_Y]) * n_y
+        rows.body[i, BODY_A] = a
+        rows.body[i, BODY_B] = b
+        rows.data[i, N_X] = n_x
+        rows.data[i, N_Y] = n_y
+        rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
+        rows.data[i, FRICTIONLESS_TARGET] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
+        rows.impulse[i, NORMAL] = contacts.normal_start[i]
 
 
 @njit(cache=True)
-def apply_impulses(rows, moving, friction=0.0):
+def apply_impulses(rows, solver_bodies, friction=0.0):
     """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
     if friction is None:
-        apply_normal_impulses(rows, moving)
+        apply_normal_impulses(rows, solver_bodies)
     else:
-        apply_both_impulses(rows, moving)
+        apply_both_impulses(rows, solver_bodies)
 
 
 @njit(cache=True)
-def apply_normal_impulses(rows, moving):
+def apply_normal_impulses(rows, solver_bodies):
     """`apply_impulses` of rows without friction."""
+    v = solver_bodies
     for i in range(rows.body.shape[0]):
         a, b = rows.body[i, 0], rows.body[i, 1]
-        p_x, p_y = rows.impulse[i, 0] * rows.data[i, 0], rows.impulse[i, 0] * rows.data[i, 1]
-        moving[a, 0] -= moving[a, 3] * p_x
-        moving[a, 1] -= moving[a, 3] * p_y
-        moving[b, 0] += moving[b, 3] * p_x
-        moving[b, 1] += moving[b, 3] * p_y
+        p_x, p_y = rows.impulse[i, NORMAL] * rows.data[i, N_X], rows.impulse[i, NORMAL] * rows.data[i, N_Y]
+        v[a, V_X] -= v[a, INVERSE_MASS] * p_x
+        v[a, V_Y] -= v[a, INVERSE_MASS] * p_y
+        v[b, V_X] += v[b, INVERSE_MASS] * p_x
+        v[b, V_Y] += v[b, INVERSE_MASS] * p_y
 
 
 @njit(cache=True)
-def apply_both_impulses(rows, moving):
+def apply_both_impulses(rows, solver_bodies):
     """`apply_impulses` of rows with friction."""
-    two = moving.dtype.type(2.0)
+    v = solver_bodies
+    two = v.dtype.type(2.0)
     for i in range(rows.body.shape[0]):
         a, b = rows.body[i, 0], rows.body[i, 1]
-        n_x, n_y = rows.data[i, 0], rows.data[i, 1]
-        p_n, p_t = rows.impulse[i, 0], rows.impulse[i, 1]
+        n_x, n_y = rows.data[i, N_X], rows.data[i, N_Y]
+        p_n, p_t = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
         p_x = p_n * n_x + p_t * n_y
         p_y = p_n * n_y - p_t * n_x
-        w_a, w_b = moving[a, 3], moving[b, 3]
-        moving[a, 0] -= w_a * p_x
-        moving[a, 1] -= w_a * p_y
-        moving[a, 2] += two * w_a * rows.data[i, 4] * p_t
-        moving[b, 0] += w_b * p_x
-        moving[b, 1] += w_b * p_y
-        moving[b, 2] += two * w_b * rows.data[i, 5] * p_t
+        w_a, w_b = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
+        v[a, V_X] -= w_a * p_x
+        v[a, V_Y] -= w_a * p_y
+        v[a, V_S] += two * w_a * rows.data[i, ARM_A] * p_t
+        v[b, V_X] += w_b * p_x
+        v[b, V_Y] += w_b * p_y
+        v[b, V_S] += two * w_b * rows.data[i, ARM_B] * p_t
 
 
 @njit(cache=True)
-def sweep(rows, friction, moving):
+def sweep(rows, friction, solver_bodies):
     """One sweep of Projected Gauss-Seidel over all contacts, in place. Returns θ.
 
     θ = max over all rows of |λ_k − λ_{k−1}|, N·s (Algorithm 1, two-sided).
     """
     if friction is None:
-        return sweep_normals(rows, moving)
-    return sweep_both(rows, friction, moving)
+        return sweep_normals(rows, solver_bodies)
+    return sweep_both(rows, friction, solver_bodies)
 
 
 @njit(cache=True, fastmath=CONTRACT)
-def sweep_normals(rows, moving):
-    """`sweep` without friction: the normal rows alone, clamped at 0. What is not said here is as in `sweep_both`."""
+def sweep_normals(rows, solver_bodies):
+    """`sweep` without friction: normal rows only, clamped at 0; otherwise as `sweep_both`."""
+    v = solver_bodies
     body, data, impulse = rows.body, rows.data, rows.impulse
-    theta = moving.dtype.type(0.0)
-    in_hand = np.uint32(0)
-    a_x, a_y, w_a = moving[0, 0], moving[0, 1], moving[0, 3]
+    theta = v.dtype.type(0.0)
+    held = np.uint32(0)
+    a_x, a_y, w_a = v[0, V_X], v[0, V_Y], v[0, INVERSE_MASS]
     for i in range(body.shape[0]):
-        a, b = body[i, 0], body[i, 1]
-        if a != in_hand:
-            moving[in_hand, 0], moving[in_hand, 1] = a_x, a_y
-            a_x, a_y, w_a = moving[a, 0], moving[a, 1], moving[a, 3]
-            in_hand = a
-        b_x, b_y, w_b = moving[b, 0], moving[b, 1], moving[b, 3]
-        n_x, n_y, k_n, target = data[i, 0], data[i, 1], data[i, 2], data[i, 3]
-        old_n = impulse[i, 0]
+        a, b = body[i, BODY_A], body[i, BODY_B]
+        if a != held:
+            v[held, V_X], v[held, V_Y] = a_x, a_y
+            a_x, a_y, w_a = v[a, V_X], v[a, V_Y], v[a, INVERSE_MASS]
+            held = a
+        b_x, b_y, w_b = v[b, V_X], v[b, V_Y], v[b, INVERSE_MASS]
+        n_x, n_y, k_n, target = data[i, N_X], data[i, N_Y], data[i, NORMAL_MASS], data[i, FRICTIONLESS_TARGET]
+        old_n = impulse[i, NORMAL]
 
         x_n, y_n = k_n * n_x, k_n * n_y
         free_n = k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
         p_n = max(free_n, -old_n)
-        impulse[i, 0] = old_n + p_n
+        impulse[i, NORMAL] = old_n + p_n
         theta = max(theta, abs(p_n))
 
         a_x = a_x - w_a * n_x * p_n
         a_y = a_y - w_a * n_y * p_n
-        moving[b, 0] = b_x + w_b * n_x * p_n
-        moving[b, 1] = b_y + w_b * n_y * p_n
-    moving[in_hand, 0], moving[in_hand, 1] = a_x, a_y
+        v[b, V_X] = b_x + w_b * n_x * p_n
+        v[b, V_Y] = b_y + w_b * n_y * p_n
+    v[held, V_X], v[held, V_Y] = a_x, a_y
     return theta
 
 
 @njit(cache=True, fastmath=CONTRACT)
-def sweep_both(rows, friction, moving):
+def sweep_both(rows, friction, solver_bodies):
     """`sweep` with friction.
 
     Every contact relaxes its friction row, clamped by μ times the normal impulse it has, and its normal row, clamped
     at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows).
     """
+    v = solver_bodies
     body, data, impulse = rows.body, rows.data, rows.impulse
     # In the precision of the velocities: a float64 among float32 would make all of them float64.
-    two, mu, theta = moving.dtype.type(2.0), moving.dtype.type(friction), moving.dtype.type(0.0)
-    # Contacts are sorted by body a, so its velocity stays in registers until the next a: it saves the trip through
-    # memory that successive contacts of one body would wait for.
-    in_hand = np.uint32(0)
-    a_x, a_y, a_s, w_a = moving[0, 0], moving[0, 1], moving[0, 2], moving[0, 3]
+    two, mu, theta = v.dtype.type(2.0), v.dtype.type(friction), v.dtype.type(0.0)
+    # Contacts are sorted by body a, so its velocity stays in registers until the next a: successive contacts of one
+    # body need not wait for a trip through memory.
+    held = np.uint32(0)
+    a_x, a_y, a_s, w_a = v[0, V_X], v[0, V_Y], v[0, V_S], v[0, INVERSE_MASS]
     for i in range(body.shape[0]):
-        a, b = body[i, 0], body[i, 1]
-        if a != in_hand:
-            moving[in_hand, 0], moving[in_hand, 1], moving[in_hand, 2] = a_x, a_y, a_s
-            a_x, a_y, a_s, w_a = moving[a, 0], moving[a, 1], moving[a, 2], moving[a, 3]
-            in_hand = a
-        b_x, b_y, b_s, w_b = moving[b, 0], moving[b, 1], moving[b, 2], moving[b, 3]
-        n_x, n_y, k_n, k_t = data[i, 0], data[i, 1], data[i, 2], data[i, 3]
-        arm_a, arm_b, target = data[i, 4], data[i, 5], data[i, 6]
-        old_n, old_t = impulse[i, 0], impulse[i, 1]
+        a, b = body[i, BODY_A], body[i, BODY_B]
+        if a != held:
+            v[held, V_X], v[held, V_Y], v[held, V_S] = a_x, a_y, a_s
+            a_x, a_y, a_s, w_a = v[a, V_X], v[a, V_Y], v[a, V_S], v[a, INVERSE_MASS]
+            held = a
+        b_x, b_y, b_s, w_b = v[b, V_X], v[b, V_Y], v[b, V_S], v[b, INVERSE_MASS]
+        n_x, n_y, k_n, k_t = data[i, N_X], data[i, N_Y], data[i, NORMAL_MASS], data[i, TANGENT_MASS]
+        arm_a, arm_b, target = data[i, ARM_A], data[i, ARM_B], data[i, TARGET]
+        old_n, old_t = impulse[i, NORMAL], impulse[i, TANGENT]
 
         # The change −k (v_b − v_a)·n, and likewise along t = (n_y, −n_x), cut to what keeps λ admissible. What a
         # contributes comes last, and λ is added outside of the chain of operations that the next contact waits for.
@@ -249,17 +272,17 @@ def sweep_both(rows, friction, moving):
         largest = mu * old_n
         p_t = max(-largest - old_t, min(free_t, largest - old_t))
         p_n = max(free_n, -old_n)
-        impulse[i, 0] = old_n + p_n
-        impulse[i, 1] = old_t + p_t
+        impulse[i, NORMAL] = old_n + p_n
+        impulse[i, TANGENT] = old_t + p_t
         theta = max(theta, max(abs(p_n), abs(p_t)))
 
         a_x = a_x - w_a * n_x * p_n - w_a * n_y * p_t
         a_y = a_y - w_a * n_y * p_n + w_a * n_x * p_t
         a_s = a_s + two * w_a * arm_a * p_t
-        moving[b, 0] = b_x + w_b * n_x * p_n + w_b * n_y * p_t
-        moving[b, 1] = b_y + w_b * n_y * p_n - w_b * n_x * p_t
-        moving[b, 2] = b_s + two * w_b * arm_b * p_t
-    moving[in_hand, 0], moving[in_hand, 1], moving[in_hand, 2] = a_x, a_y, a_s
+        v[b, V_X] = b_x + w_b * n_x * p_n + w_b * n_y * p_t
+        v[b, V_Y] = b_y + w_b * n_y * p_n - w_b * n_x * p_t
+        v[b, V_S] = b_s + two * w_b * arm_b * p_t
+    v[held, V_X], v[held, V_Y], v[held, V_S] = a_x, a_y, a_s
     return theta
 
 
@@ -268,8 +291,31 @@ def store_impulses(rows, contacts):
     """Write the solved impulses into the contacts, in place."""
     last = rows.impulse.shape[1] - 1
     for i in range(rows.body.shape[0]):
-        contacts.normal_impulse[i] = rows.impulse[i, 0]
+        contacts.normal_impulse[i] = rows.impulse[i, NORMAL]
         contacts.tangent_impulse[i] = rows.impulse[i, last] if last else 0.0
+
+
+@njit(cache=True, error_model="numpy")
+def integrate_positions(bodies, solver_bodies, dt):
+    """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
+
+    A displacement is cut to `MAX_TRANSLATION`, a rotation to `MAX_ROTATION`, and the velocity with it, as in Box2D.
+    """
+    for i in range(bodies.mass.shape[0]):
+        v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
+        spin = solver_bodies[i, V_S] / bodies.radius[i]
+        distance = dt * math.sqrt(v_x * v_x + v_y * v_y)
+        if distance > MAX_TRANSLATION:
+            v_x *= MAX_TRANSLATION / distance
+            v_y *= MAX_TRANSLATION / distance
+        if abs(dt * spin) > MAX_ROTATION:
+            spin *= MAX_ROTATION / abs(dt * spin)
+        bodies.velocity[i, 0] = v_x
+        bodies.velocity[i, 1] = v_y
+        bodies.spin[i] = spin
+        bodies.position[i, 0] += dt * v_x
+        bodies.position[i, 1] += dt * v_y
+        bodies.angle[i] += dt * spin
 
 
 @njit(cache=True, error_model="numpy")

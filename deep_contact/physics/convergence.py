@@ -11,7 +11,7 @@ from numba import njit
 
 
 class ConvergenceRecord(NamedTuple):
-    """The course of one solve.
+    """How one solve went.
 
     | field  | meaning                                                                              |
     |--------|--------------------------------------------------------------------------------------|
@@ -70,18 +70,18 @@ def is_over(theta, tolerance):
 
 
 @njit(cache=True)
-def all_finite(moving):
+def all_finite(solver_bodies):
     """Whether all velocities are finite."""
     total = 0.0
-    for i in range(moving.shape[0]):
+    for i in range(solver_bodies.shape[0]):
         for c in range(3):
-            # 0 times an infinite number is none.
-            total += 0.0 * moving[i, c]
+            # 0 times an infinite number is NaN.
+            total += 0.0 * solver_bodies[i, c]
     return total == 0.0
 
 
 @njit(cache=True)
-def tell_divergence(moving, theta, sweeps):
-    """Let the last θ be no number where a velocity is none: a maximum does not show it. Once, at the end."""
-    if sweeps > 0 and not all_finite(moving):
+def mark_divergence(solver_bodies, theta, sweeps):
+    """Set the last θ to NaN if any velocity is not finite: the maximum over impulses need not show it."""
+    if sweeps > 0 and not all_finite(solver_bodies):
         theta[sweeps - 1] = np.nan

@@ -1,37 +1,46 @@
 """The engine: what a step does.
 
-`advance` is the algorithm; the conduct is that of Box2D 2.3 for circles, without continuous collision, and with
-sleeping only where it is asked for (`sleeping`). `deep_contact.simulation` is its validated face.
+`advance` is the algorithm, which behaves as Box2D 2.3 does for circles, without continuous collision; with sleeping it
+is `sleeping.advance_sleeping`. `deep_contact.simulation` is the validated interface.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import config, njit
 
-from deep_contact.constants import MAX_ROTATION, MAX_TRANSLATION
-from deep_contact.physics.collision import (
-    find_contacts,
-    make_cells,
-    make_contacts,
-    next_contacts,
-    own_contacts,
-)
+from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (
+    NORMAL,
+    TANGENT,
+    V_S,
+    V_Y,
+    Rows,
     apply_impulses,
     contact_rows,
     correct_positions,
+    integrate_positions,
     integrate_velocities,
     make_rows,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.methods import PRECISIONS, BatchedPGS, SoftSteps
-from deep_contact.physics.relaxation import WITHOUT_TANGENTS, make_scratch, relax, settings_of
+from deep_contact.physics.sleeping import advance_sleeping
+from deep_contact.physics.solvers import PRECISIONS, SoftSteps
+from deep_contact.physics.solvers.registry import (
+    entry_of,
+    is_frictionless,
+    make_workspace,
+    relax,
+    settings_of,
+)
+from deep_contact.physics.step import StepInput, StepOptions, StepWorkspace, log_step, make_log
 from deep_contact.state import LIMITS, Bodies, Contacts, State
+from deep_contact.validation import flag
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
     LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
@@ -40,82 +49,57 @@ _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.norm
 
 
 @njit(cache=True, error_model="numpy")
-def advance(bodies, contacts, world, dt, settings, position_sweeps, warm, steps, moving, theta, log):
-    """Do `steps` steps: the bodies move in place. Returns the last solved contacts and those found after them.
+def advance(given, options, workspace, log):
+    """Do as many steps as the log has rows: the bodies move in place. Returns (contacts solved last, contacts found).
 
-    bodies: `Bodies`. contacts: `Contacts` at their positions, with the impulses to start from.
-    world: (box, gravity, friction, restitution); friction None, instead of 0, leaves the tangent rows out.
-    dt: s. settings: of `relaxation`; their type is the method.
-    warm: start the steps after the first from the impulses carried over; otherwise from zero.
-    moving: room for the velocities in the sweeps, (n + 4, 4), in their precision.
-    theta: room for the θ of the sweeps of one step, which is also how many there may be.
-    log: (steps, 4), filled with the number of contacts, of sweeps, the last θ, and the relaxations of each step.
+    given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`, whose rows are those of the first step.
+    log: `StepLog`, filled.
     """
-    box, gravity, friction, restitution = world
+    bodies, contacts, friction = given.bodies, given.contacts, given.friction
+    rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
-    room, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
-    rows_room = make_rows(4 * n + 64, moving.dtype, friction)
-    scratch = make_scratch(settings, rows_room, moving)
+    buffer, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
+    row_buffer = make_rows(4 * n + 64, solver_bodies.dtype, friction)
+    solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
     solved = contacts
-    for k in range(steps):
-        integrate_velocities(bodies, gravity, dt, moving)
-        rows, rows_room = contact_rows(bodies, contacts, moving, restitution, rows_room, friction)
-        apply_impulses(rows, moving, friction)
-        sweeps, relaxations = relax(settings, rows, friction, moving, theta, scratch)
+    for k in range(log.contacts.shape[0]):
+        if k > 0:
+            integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
+            rows, row_buffer = contact_rows(bodies, contacts, solver_bodies, given.restitution, row_buffer, friction)
+        apply_impulses(rows, solver_bodies, friction)
+        sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
-        integrate_positions(bodies, moving, dt)
-        correct_positions(bodies, contacts, box, position_sweeps)
+        integrate_positions(bodies, solver_bodies, given.dt)
+        correct_positions(bodies, contacts, given.box, options.position_sweeps)
 
         solved = contacts
-        contacts, spare = next_contacts(bodies, box, cells, solved, warm, spare)
-        room, spare = spare, room
-
-        log[k, 0] = solved.body_a.shape[0]
-        log[k, 1] = sweeps
-        log[k, 2] = theta[sweeps - 1] if sweeps > 0 else np.inf
-        log[k, 3] = relaxations
+        contacts, spare = next_contacts(bodies, given.box, cells, solved, options.carry, spare)
+        buffer, spare = spare, buffer
+        log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations)
     return own_contacts(solved), own_contacts(contacts)
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, moving, dt):
-    """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
-
-    A displacement is cut to `MAX_TRANSLATION`, a rotation to `MAX_ROTATION`, and the velocity with it, as in Box2D.
-    """
-    for i in range(bodies.mass.shape[0]):
-        v_x, v_y = moving[i, 0], moving[i, 1]
-        spin = moving[i, 2] / bodies.radius[i]
-        distance = dt * math.sqrt(v_x * v_x + v_y * v_y)
-        if distance > MAX_TRANSLATION:
-            v_x *= MAX_TRANSLATION / distance
-            v_y *= MAX_TRANSLATION / distance
-        if abs(dt * spin) > MAX_ROTATION:
-            spin *= MAX_ROTATION / abs(dt * spin)
-        bodies.velocity[i, 0] = v_x
-        bodies.velocity[i, 1] = v_y
-        bodies.spin[i] = spin
-        bodies.position[i, 0] += dt * v_x
-        bodies.position[i, 1] += dt * v_y
-        bodies.angle[i] += dt * spin
+def solve_velocities(rows, friction, settings, solver_bodies, theta):
+    """The velocity part of a step, in place on the rows' impulses and the solver bodies. Returns the sweeps."""
+    apply_impulses(rows, solver_bodies, friction)
+    sweeps, _ = relax(settings, rows, friction, solver_bodies, theta, make_workspace(settings, rows, solver_bodies))
+    return sweeps
 
 
 @njit(cache=True, error_model="numpy")
-def solve_velocities(bodies, contacts, world, dt, settings, moving, theta):
-    """The velocity part of a step alone; fills moving and theta. Returns (impulses, number of sweeps): of `Rows`."""
-    _, gravity, friction, restitution = world
-    integrate_velocities(bodies, gravity, dt, moving)
-    room = make_rows(contacts.body_a.shape[0], moving.dtype, friction)
-    rows, _ = contact_rows(bodies, contacts, moving, restitution, room, friction)
-    apply_impulses(rows, moving, friction)
-    sweeps, _ = relax(settings, rows, friction, moving, theta, make_scratch(settings, rows, moving))
-    return rows.impulse, sweeps
+def build_rows(given, solver_bodies):
+    """Fill the solver bodies of a step, and return its rows. given: `StepInput`."""
+    integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
+    buffer = make_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
+    rows, _ = contact_rows(given.bodies, given.contacts, solver_bodies, given.restitution, buffer, given.friction)
+    return rows
 
 
 @njit(cache=True)
-def is_sound(bodies, contacts):
-    """Whether arrays of the right kind also hold what `check_state` and `check_limits` ask for: without the message."""
+def is_valid(bodies, contacts):
+    """Whether arrays of the right kind pass `check_state` and `check_limits`; those say what is wrong."""
     n = bodies.mass.shape[0]
     for values, limits in ((bodies.position, _POSITION), (bodies.velocity, _VELOCITY)):
         if values.shape[0] != n or values.shape[1] != 2 or not _within(values, limits):
@@ -183,86 +167,138 @@ class ContactSolution(NamedTuple):
     record: ConvergenceRecord
 
 
+class StepProblem(NamedTuple):
+    """The contact problem of a state's next step, built once and handed to the start and to the solver.
+
+    rows: `Rows`; their impulses are those that the state starts from. solver_bodies: after gravity, before impulses,
+    (n + 4, 4). friction: μ, or None where there are no tangent rows.
+    """
+
+    rows: Rows
+    solver_bodies: np.ndarray
+    friction: float | None
+
+
 def world_arguments(state: State) -> tuple:
-    """The state's world as the compiled functions take it."""
+    """(box, gravity, friction, restitution) of the state's world."""
     world = state.world
     return world.box, world.gravity, world.friction, world.restitution
 
 
-def required_arguments(state: State, settings: NamedTuple, tangent_start: np.ndarray) -> tuple:
-    """`world_arguments` with friction None where no tangent rows are required: μ = 0, and none to start from.
+def leaves_tangents_out(state: State, settings: NamedTuple) -> bool:
+    """Whether a step needs no tangent rows: μ = 0, no tangent impulse to start from, and a loop that can do without."""
+    return state.world.friction == 0 and is_frictionless(settings) and not state.contacts.tangent_start.any()
 
-    settings: of the method, which has to know rows without tangents.
-    """
+
+def step_input(state: State, settings: NamedTuple) -> StepInput:
+    """What the next steps of a state read; it shares the state's arrays."""
     box, gravity, friction, restitution = world_arguments(state)
-    required = friction > 0 or not isinstance(settings, WITHOUT_TANGENTS) or tangent_start.any()
-    return box, gravity, friction if required else None, restitution
+    friction = None if leaves_tangents_out(state, settings) else friction
+    return StepInput(state.bodies, state.contacts, box, gravity, friction, restitution, state.dt)
 
 
-def advance_of(solver, sleep: bool = False):
-    """The compiled function that does the steps of a method, and what it takes as (settings, position sweeps).
+def step_problem(state: State, solver=None) -> StepProblem:
+    """The contact problem of the state's next step, in the solver's precision; by default with tangents, in float64."""
+    solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision if solver else "double"])
+    if solver is None:
+        given = StepInput(state.bodies, state.contacts, *world_arguments(state), state.dt)
+    else:
+        given = step_input(state, settings_of(solver))
+    return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
 
-    With sleeping it takes one argument more, `rest`. Raises ValueError for a method that cannot sleep.
+
+def advance_of(solver, sleep: bool = False) -> tuple[Callable, StepOptions]:
+    """The compiled function that does the steps of a solver, and its options, which carry impulses.
+
+    Raises ValueError for a solver that cannot sleep.
     """
-    if not isinstance(sleep, (bool, np.bool_)):
-        raise ValueError(f"sleep: expected True or False, got {sleep!r}")
-    if sleep and isinstance(solver, (SoftSteps, BatchedPGS)):
+    entry = entry_of(solver)
+    if flag("sleep", sleep) and not entry.can_sleep:
         raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
-    if isinstance(solver, SoftSteps):
-        from deep_contact.physics.soft_steps import advance_softly, soft_settings
-
-        return advance_softly, (soft_settings(solver), 0)
-    if sleep:
-        from deep_contact.physics.sleeping import advance_sleeping
-
-        return advance_sleeping, (settings_of(solver), solver.position_sweeps)
-    if isinstance(solver, BatchedPGS):
-        from deep_contact.physics.batched_steps import advance_in_batches, advance_side_by_side
-
-        step = advance_in_batches if solver.threads == 1 else advance_side_by_side(solver.threads)
-        return step, (settings_of(solver), solver.position_sweeps)
-    return advance, (settings_of(solver), solver.position_sweeps)
+    options = StepOptions(entry.settings(solver), solver.position_sweeps, carry=True)
+    if entry.advance is not None:
+        return entry.advance(solver), options
+    return for_solver(advance_sleeping if sleep else advance, solver), options
 
 
-def moving_room(n_bodies: int, solver) -> np.ndarray:
-    """Room for the velocities in the sweeps, (n + 4, 4), in the solver's precision."""
-    return np.empty((n_bodies + 4, 4), PRECISIONS[solver.precision])
+def for_solver(function, solver) -> Callable:
+    """The compiled function; for a solver from outside this package, compiled anew in this process.
+
+    Numba keeps compiled code on disk by the names of the argument types. A change of a solver outside the package
+    changes no name, so the old code would run.
+    """
+    inside = type(solver).__module__.startswith("deep_contact.")
+    return function if inside or config.DISABLE_JIT else _uncached(function, type(solver))
+
+
+@cache
+def _uncached(function, solver_type: type) -> Callable:
+    return njit(error_model="numpy")(function.py_func)
 
 
 def contacts_of(state: State) -> Contacts:
-    """The contacts at the state's positions, with zero impulses, found afresh."""
+    """The contacts at the state's positions, with zero impulses."""
     bodies = state.bodies
-    room = make_contacts(4 * bodies.count + 64)
-    contacts, _ = find_contacts(bodies.position, bodies.radius, state.world.box, make_cells(bodies.count), room)
+    buffer = make_contacts(4 * bodies.count + 64)
+    contacts, _ = find_contacts(bodies.position, bodies.radius, state.world.box, make_cells(bodies.count), buffer)
     return own_contacts(contacts)
 
 
-def solve(state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray) -> ContactSolution:
+def solve(
+    state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray, problem: StepProblem | None = None
+) -> ContactSolution:
     """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is.
 
-    `SoftSteps` has no problem of its own to solve: its solution is what its step does to copies of the bodies.
+    problem: of `step_problem` for the same state and solver, if it is at hand; it stays as it is.
+    `SoftSteps` has no contact problem: its solution is what one step of it does to copies of the bodies.
     """
-    contacts = state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start)
-    bodies, n = state.bodies, state.bodies.count
-    theta = np.empty(solver.sweeps)
-    moving = moving_room(n, solver)
     if isinstance(solver, SoftSteps):
-        room = Contacts(*(field.copy() for field in contacts))
-        bodies = Bodies(*(field.copy() for field in bodies))
-        step, method = advance_of(solver)
-        log = np.empty((1, 4))
-        solved, _ = step(bodies, room, world_arguments(state), state.dt, *method, True, 1, moving, theta, log)
-        impulse, sweeps = np.column_stack([solved.normal_impulse, solved.tangent_impulse]), int(log[0, 1])
-        velocity, spin = bodies.velocity, bodies.spin
+        return _solve_by_stepping(state, solver, normal_start, tangent_start)
+    settings, n = settings_of(solver), state.bodies.count
+    if problem is None:
+        state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
+        problem = step_problem(state, solver)
+        rows, solver_bodies = problem.rows, problem.solver_bodies
     else:
-        settings = settings_of(solver)
-        world = required_arguments(state, settings, tangent_start)
-        impulse, sweeps = solve_velocities(bodies, contacts, world, state.dt, settings, moving, theta)
-        velocity, spin = moving[:n, :2].astype(np.float64), moving[:n, 2] / bodies.radius
+        rows, solver_bodies = copy_rows(problem.rows), problem.solver_bodies.copy()
+        set_impulses(rows, normal_start, tangent_start)
+    theta = np.empty(solver.sweeps)
+    sweeps = for_solver(solve_velocities, solver)(rows, problem.friction, settings, solver_bodies, theta)
+    impulse = rows.impulse.astype(np.float64)
     return ContactSolution(
-        normal_impulses=impulse[:, 0].astype(np.float64),
-        tangent_impulses=impulse[:, 1].astype(np.float64) if impulse.shape[1] > 1 else np.zeros(contacts.count),
-        velocities=velocity,
-        angular_velocities=spin,
-        record=convergence_record(theta[:sweeps], solver, contacts.count),
+        normal_impulses=impulse[:, NORMAL].copy(),
+        tangent_impulses=impulse[:, TANGENT].copy() if problem.friction is not None else np.zeros(len(impulse)),
+        velocities=solver_bodies[:n, : V_Y + 1].astype(np.float64),
+        angular_velocities=solver_bodies[:n, V_S] / state.bodies.radius,
+        record=convergence_record(theta[:sweeps], solver, len(impulse)),
+    )
+
+
+def set_impulses(rows: Rows, normal: np.ndarray, tangent: np.ndarray) -> None:
+    """Let the rows start from these impulses, (m,) each, N·s, in place."""
+    rows.impulse[:, NORMAL] = normal
+    if rows.impulse.shape[1] > 1:
+        rows.impulse[:, TANGENT] = tangent
+
+
+def copy_rows(rows: Rows) -> Rows:
+    """The rows with impulses and masses of their own; loops change those in place."""
+    return Rows(rows.body, rows.data.copy(), rows.impulse.copy())
+
+
+def _solve_by_stepping(state: State, solver, normal_start, tangent_start) -> ContactSolution:
+    bodies = Bodies(*(field.copy() for field in state.bodies))
+    contacts = state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start)
+    contacts = Contacts(*(field.copy() for field in contacts))
+    state = state.replace(bodies=bodies, contacts=contacts)
+    advance_softly, options = advance_of(solver)
+    problem, log, theta = step_problem(state, solver), make_log(1), np.empty(solver.sweeps)
+    workspace = StepWorkspace(problem.rows, problem.solver_bodies, theta, np.empty(0))
+    solved, _ = advance_softly(step_input(state, options.settings), options, workspace, log)
+    return ContactSolution(
+        normal_impulses=solved.normal_impulse,
+        tangent_impulses=solved.tangent_impulse,
+        velocities=bodies.velocity,
+        angular_velocities=bodies.spin,
+        record=convergence_record(theta[: log.sweeps[0]], solver, contacts.count),
     )

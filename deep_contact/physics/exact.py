@@ -37,8 +37,9 @@ from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.lcp import ContactProblem, contact_problem
-from deep_contact.physics.methods import PGS, NesterovPGS
+from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.state import LARGEST_START, State
+from deep_contact.validation import integer, number
 
 OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)
 """States of a contact: λ = 0; u = 0; u_n = 0 and λ_t = μ λ_n, where u_t <= 0; λ_t = −μ λ_n, where u_t >= 0."""
@@ -65,7 +66,7 @@ class ExactSolution(NamedTuple):
     | field          | meaning                                                               | unit |
     |----------------|-----------------------------------------------------------------------|------|
     | solution       | `ContactSolution`; its record has the status, and no sweeps           |      |
-    | residual       | `errors.residual` of the solution                                     | m/s  |
+    | residual       | `metrics.residual` of the solution                                     | m/s  |
     | converged      | whether that is within the residual asked for                         |      |
     | factorizations | proximal steps, each of which factorises a matrix once                |      |
     | pivots         | changes of a contact's state, over all steps                          |      |
@@ -87,7 +88,7 @@ def solve_exactly(
     residual: float = 1e-8,
     most_pivots: int = 20_000,
 ) -> ExactSolution:
-    """A solution of the state's contact problem to `errors.residual` <= residual, m/s, where one is found.
+    """A solution of the state's contact problem to `metrics.residual` <= residual, m/s, where one is found.
 
     normal_start, tangent_start: impulses to start from, (m,) each, N·s; by default those that the state holds as its
     start, or what 3,000 sweeps of NesterovPGS make of them where that has the smaller residual. most_pivots: it ends
@@ -97,11 +98,8 @@ def solve_exactly(
     Raises ValueError if the contacts have not been found, and on arguments that do not hold together.
     """
     problem = contact_problem(state)
-    number = isinstance(residual, (int, float, np.integer, np.floating)) and not isinstance(residual, bool)
-    if not (number and 0 < residual < np.inf):
-        raise ValueError(f"residual: expected a finite number > 0, got {residual!r}")
-    if isinstance(most_pivots, bool) or not isinstance(most_pivots, (int, np.integer)) or most_pivots < 0:
-        raise ValueError(f"most_pivots: expected an integer >= 0, got {most_pivots!r}")
+    number("residual", residual, above=0)
+    integer("most_pivots", most_pivots)
     solution = _admissible(state, _start(state, normal_start, tangent_start))
     best, least = solution, metrics.residual(state, solution)
     epsilon, factorizations, pivots, idle = FIRST_EPSILON, 0, 0, 0
@@ -196,7 +194,7 @@ def _proximal_step(problem: ContactProblem, friction: float, impulse: np.ndarray
 
 
 def _states(impulse: np.ndarray, u: np.ndarray, diagonal: np.ndarray, friction: float) -> np.ndarray:
-    """The states that impulses and velocities show: where the natural map (`errors.residual`) projects, (m,)."""
+    """The states that impulses and velocities show: where the natural map (`metrics.residual`) projects, (m,)."""
     free = impulse - u / diagonal
     bound = friction * impulse[::2]
     states = np.where(free[1::2] > bound, SLIP_UP, np.where(free[1::2] < -bound, SLIP_DOWN, STICK))

@@ -1,7 +1,7 @@
 """Islands: circles that touch each other, directly or through others. Walls connect nothing, for they never move.
 
 What happens in one island leaves every other as it is, so each can be solved, and stopped, on its own
-(`relaxation.relax_islands`), or put to sleep (`sleeping`). They save next to nothing in the thesis's
+(`PGS(islands=True)`), or put to sleep (`sleeping`). They save next to nothing in the thesis's
 scene, where nearly all sweeps are done after the circles have landed in one pile (Figure 6.7).
 """
 
@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.contact_solver import Rows
+from deep_contact.physics.contact_solver import BODY_A, BODY_B, Rows
 from deep_contact.state import State
 
 
-class IslandsRoom(NamedTuple):
-    """Room for the islands of n circles, and for the rows of m contacts sorted by island.
+class IslandsWorkspace(NamedTuple):
+    """Workspace: the islands of n circles, and the rows of m contacts sorted by island.
 
     | field  | meaning                                                                              | shape   |
     |--------|--------------------------------------------------------------------------------------|---------|
@@ -34,11 +34,11 @@ class IslandsRoom(NamedTuple):
 
 
 @njit(cache=True)
-def make_islands_room(rows, moving):
-    """Room for as many contacts as there are rows, and for the circles of the moving velocities, (n + 4, 4)."""
-    n, m = moving.shape[0] - 4, rows.body.shape[0]
+def make_islands_workspace(rows, solver_bodies):
+    """Workspace for as many contacts as there are rows."""
+    n, m = solver_bodies.shape[0] - 4, rows.body.shape[0]
     copies = Rows(np.empty_like(rows.body), np.empty_like(rows.data), np.empty_like(rows.impulse))
-    return IslandsRoom(np.empty(n, np.int64), np.empty(n + 1, np.int64), np.empty(m, np.int64), copies)
+    return IslandsWorkspace(np.empty(n, np.int64), np.empty(n + 1, np.int64), np.empty(m, np.int64), copies)
 
 
 @njit(cache=True)
@@ -63,19 +63,19 @@ def unite(body_a, body_b, parent):
 
 
 @njit(cache=True)
-def sort_by_island(rows, room):
-    """Counting sort of rows by island, islands by their smallest circle; fills the room. Returns (islands, rows)."""
-    parent, start, order = room.parent, room.start, room.order
+def sort_by_island(rows, workspace):
+    """Counting sort of rows by island, islands by their smallest circle. Returns (number of islands, sorted rows)."""
+    parent, start, order = workspace.parent, workspace.start, workspace.order
     n, m = parent.shape[0], rows.body.shape[0]
-    unite(rows.body[:, 0], rows.body[:, 1], parent)
+    unite(rows.body[:, BODY_A], rows.body[:, BODY_B], parent)
     start[:] = 0
     for i in range(m):
-        start[root_of(parent, np.int64(rows.body[i, 0])) + 1] += 1
+        start[root_of(parent, np.int64(rows.body[i, BODY_A])) + 1] += 1
     for c in range(n):
         start[c + 1] += start[c]
     # Filled from the back, which leaves start[root + 1] where the island begins.
     for i in range(m - 1, -1, -1):
-        root = root_of(parent, np.int64(rows.body[i, 0]))
+        root = root_of(parent, np.int64(rows.body[i, BODY_A]))
         start[root + 1] -= 1
         order[start[root + 1]] = i
     count = 0
@@ -85,7 +85,7 @@ def sort_by_island(rows, room):
             start[count] = start[c + 1]
             count += 1
     start[count] = m
-    found = Rows(room.rows.body[:m], room.rows.data[:m], room.rows.impulse[:m])
+    found = Rows(workspace.rows.body[:m], workspace.rows.data[:m], workspace.rows.impulse[:m])
     for i in range(m):
         copy_row(rows, order[i], found, i)
     return count, found
@@ -94,7 +94,8 @@ def sort_by_island(rows, room):
 @njit(cache=True)
 def copy_row(rows, i, others, j):
     """Write row i into row j of others, in place."""
-    others.body[j, 0], others.body[j, 1] = rows.body[i, 0], rows.body[i, 1]
+    for c in range(2):
+        others.body[j, c] = rows.body[i, c]
     for c in range(rows.data.shape[1]):
         others.data[j, c] = rows.data[i, c]
     for c in range(rows.impulse.shape[1]):

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from deep_contact.constants import RESTITUTION_THRESHOLD
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 
 

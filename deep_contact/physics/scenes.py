@@ -9,6 +9,7 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state import State, World, make_bodies
+from deep_contact.validation import integer, number
 
 _TRIES = 20_000
 """Draws in a row for one circle before the scene is taken to be full."""
@@ -33,11 +34,10 @@ def circles_in_box(
     density: kg/m². Raises ValueError if the circles do not fit, saying how many did.
     """
     rng = np.random.default_rng(seed)
-    n = _checked_count("n_bodies", n_bodies)
+    n = integer("n_bodies", n_bodies, least=1)
     extent = _checked_size(size)
     low, high = _checked_radius(radius)
-    if not (np.isfinite(sigma_coef) and sigma_coef > 0):
-        raise ValueError(f"sigma_coef: expected a finite number > 0, got {sigma_coef}")
+    number("sigma_coef", sigma_coef, above=0)
     radii = np.full(n, low) if low == high else rng.uniform(low, high, n)
     sigma = sigma_coef * np.sqrt(extent / 2)
     centres = np.empty((n, 2))
@@ -54,7 +54,8 @@ def circles_in_box(
         else:
             raise ValueError(
                 f"n_bodies: expected circles that fit, got {n_bodies}; {i} fitted in a box of "
-                f"{extent[0]:g} x {extent[1]:g} m with sigma_coef {sigma_coef:g}"
+                f"{extent[0]:g} x {extent[1]:g} m with sigma_coef {sigma_coef:g}; size={_roomy_size(radii):g} has room "
+                "for all, and dc.lattice_in_box places any number"
             )
     world = World(box=(0, 0, *extent), gravity=gravity, friction=friction, restitution=restitution)
     return State(name=f"circles_{n}", world=world, bodies=make_bodies(centres, radius=radii, density=density))
@@ -79,11 +80,10 @@ def lattice_in_box(
     The box is as wide as the lattice and as high, so that nothing overlaps at the start.
     """
     rng = np.random.default_rng(seed)
-    n = _checked_count("n_bodies", n_bodies)
-    columns = math.ceil(math.sqrt(n)) if columns is None else _checked_count("columns", columns)
+    n = integer("n_bodies", n_bodies, least=1)
+    columns = math.ceil(math.sqrt(n)) if columns is None else integer("columns", columns, least=1)
     low, high = _checked_radius(radius)
-    if not (np.isfinite(gap) and gap > 0):
-        raise ValueError(f"gap: expected a finite number > 0, got {gap}")
+    number("gap", gap, above=0)
     radii = np.full(n, low) if low == high else rng.uniform(low, high, n)
     pitch = 2 * high * (1 + gap)
     cell = np.stack([np.arange(n) % columns, np.arange(n) // columns], axis=1)
@@ -105,7 +105,7 @@ def column(
     gravity: tuple[float, float] = constants.GRAVITY,
 ) -> State:
     """Circles exactly above one another in the middle of the box, just touching. A silo has width 2 (radius + 0.01)."""
-    n = _checked_count("n_bodies", n_bodies)
+    n = integer("n_bodies", n_bodies, least=1)
     _checked_radius((radius, radius))
     if not (np.isfinite(width) and width >= 2 * radius):
         raise ValueError(f"width: expected a finite number >= the diameter {2 * radius}, got {width}")
@@ -152,17 +152,10 @@ def drifting_circles(
     speed: standard deviation of each velocity component, m/s. options: those of `circles_in_box`.
     """
     rng = np.random.default_rng(seed)
-    if not (np.isfinite(speed) and speed >= 0):
-        raise ValueError(f"speed: expected a finite number >= 0, got {speed}")
+    number("speed", speed, low=0)
     scene = circles_in_box(n_bodies, **({"gravity": (0.0, 0.0)} | options), seed=rng)
     velocity = rng.normal(0.0, speed, (n_bodies, 2))
     return scene.replace(name=f"drifting_{n_bodies}", bodies=scene.bodies._replace(velocity=velocity))
-
-
-def _checked_count(name: str, value) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
-    return int(value)
 
 
 def _checked_size(size) -> np.ndarray:
@@ -173,7 +166,12 @@ def _checked_size(size) -> np.ndarray:
 
 
 def _checked_radius(radius) -> tuple[float, float]:
-    low, high = (float(r) for r in radius)
-    if not (np.isfinite([low, high]).all() and 0 < low <= high):
-        raise ValueError(f"radius: expected finite 0 < smallest <= largest, got {radius}")
-    return low, high
+    pair = np.asarray(radius, dtype=np.float64)
+    if pair.shape != (2,) or not (np.isfinite(pair).all() and 0 < pair[0] <= pair[1]):
+        raise ValueError(f"radius: expected finite 0 < smallest <= largest, such as (1.0, 1.0), got {radius}")
+    return float(pair[0]), float(pair[1])
+
+
+def _roomy_size(radii: np.ndarray) -> float:
+    """Side of a box, m, of which the circles cover at most a quarter, so that drawing centres finds room."""
+    return math.ceil(2.0 * math.sqrt(math.pi * (radii**2).sum()))

@@ -1,1 +1,1 @@
-"""How it is shown: the contract of a figure's script, results files, plots, the page of all results, errata."""
+"""The contract of the figure scripts, results files, plots, the page of all results, and the errata of the thesis."""

@@ -1,21 +1,21 @@
-"""What every figure and table script does: its command line, and the way from simulation to file to picture.
+"""The contract of the figure and table scripts: their command line, and simulation, results file and picture.
 
 A script describes itself by a `Figure` and hands it to `main`:
 
-    FIGURE = Figure(id="3.7", title="…", options={"steps": 600}, quick={"steps": 60},
-                    compute=compute, claims=claims, draw=draw, table=table)
+    FIGURE = Figure("3.7", "Title", compute, table, draw, claims, options={"steps": 600}, quick={"steps": 60})
 
     if __name__ == "__main__":
         raise SystemExit(figures.main(FIGURE))
 
-The three steps are kept apart: `compute` makes the numbers, the results file stores them, `claims`, `table`
-and `draw` see nothing but what is stored. So a picture drawn again from its file is the same picture.
+`compute` makes the numbers and the results file stores them. `claims`, `table` and `draw` see only what is stored, so
+that a picture drawn again from its file is the same picture.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import re
 import signal
@@ -26,12 +26,14 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from deep_contact import parallel
+from deep_contact.io import provenance
+from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
 
@@ -41,21 +43,16 @@ INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
 
 
-def no_claims(data: dict) -> list[Claim]:
-    """Claims of a figure about which the thesis says nothing."""
-    return []
-
-
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Figure:
-    """A figure, or a table, of the thesis or of ours.
+    """A figure or a table, of the thesis or of ours.
 
-    id: "3.7" for a figure, "T 5.1" for a table. title: one line. options: the thesis's settings, name ->
-    value (numbers, text, None, or lists of these). quick: what `--quick` changes of them. seed: default of
+    id: "3.7" for a figure, "T 5.1" for a table. title: one line. options: the settings of a full run, name -> value
+    (numbers, text, None, or lists and dicts of these). quick: the options that `--quick` changes. seed: default of
     `--seed`. digits: significant digits kept of float arrays in the data, None for all.
 
-    compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `jobs` is for
-    `parallel_map`, `progress` takes what `progress_bar` takes.
+    compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `jobs` goes to
+    `parallel_map`, `progress` has the signature of `progress_bar`.
     claims(data) -> list of `Claim`; table(data) -> rows to print, head first. Both see the stored data.
     draw(data, options) -> matplotlib figure. A table without `draw` gets a picture of its rows.
 
@@ -67,7 +64,8 @@ class Figure:
     compute: Callable[[dict, int, int, Callable], dict]
     table: Callable[[dict], Sequence[Sequence]]
     draw: Callable[[dict, dict], object] | None = None
-    claims: Callable[[dict], list[Claim]] = no_claims
+    claims: Callable[[dict], list[Claim]] = lambda data: []
+    _: KW_ONLY
     options: dict = field(default_factory=dict)
     quick: dict = field(default_factory=dict)
     seed: int = 0
@@ -91,20 +89,28 @@ class Figure:
         """Name of its files without suffix: figure_3_7, table_5_1."""
         return f"{'table' if self.is_table else 'figure'}_{self.id.removeprefix('T ').replace('.', '_')}"
 
+    @property
+    def heading(self) -> str:
+        """Figure 3.7: title."""
+        return f"{'Table' if self.is_table else 'Figure'} {self.id.removeprefix('T ')}: {self.title}"
+
+    def rows(self, data: dict) -> list[list[str]]:
+        """The table of the data as text, head first."""
+        return [[cell(value) for value in row] for row in self.table(data)]
+
 
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
-    """Run a script's command line; its exit status.
+    """Run a script's command line and return its exit status.
 
-    0: files written, or up to date. 1: something that has to be there first is not, such as a trained network
-    (FileNotFoundError) or a cluster (ClusterError), whose message is printed. 2: bad arguments, or a ValueError of
-    the figure's own functions under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, without a traceback and
-    without half-written files.
-    Any other error in the figure's own functions is raised.
+    0: files written, or up to date. 1: a file that has to exist first is missing, such as a trained network
+    (FileNotFoundError), or a cluster cannot be used (ClusterError); the message is printed. 2: bad arguments, or a
+    ValueError of the figure's own functions under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, both without a
+    traceback and without half-written files. Any other error of the figure's own functions is raised.
     """
     parser = _parser(figure)
     given = parser.parse_args(arguments)
     if hasattr(sys.stdout, "reconfigure"):
-        sys.stdout.reconfigure(errors="replace")  # a terminal without θ should not stop a run
+        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
     try:
         options = override({**figure.options, **(figure.quick if given.quick else {})}, given.set)
     except ValueError as error:
@@ -112,7 +118,8 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     if given.replot and (given.set or given.quick or given.resume or given.seed is not None):
         parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
     try:
-        _prepare_folder(given.out)
+        Path(given.out).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=given.out).close()  # a folder without write permission is refused before the work
     except OSError as error:
         parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
     try:
@@ -151,10 +158,10 @@ def produce(
 ) -> dict:
     """Compute, store, draw and report a figure; the stored results.
 
-    options: changes to the figure's own, by name. out: folder of the files. jobs: processes that may be
-    used, or an executor (`executors.finished`); the numbers do not depend on it. progress: see `progress_bar`,
-    the default. echo: takes the report's lines. The results are stored before they are drawn, so that a mistake
-    in `draw` does not cost a long computation. Raises ValueError for an unknown option.
+    options: changes to the figure's own, by name. out: folder of the files. jobs: number of processes, or an executor
+    (`parallel.finished`); the numbers do not depend on it. progress: see `progress_bar`, the default. echo: called with
+    each line of the report. The results are stored before they are drawn, so that an error in `draw` does not cost a
+    long computation. Raises ValueError for an unknown option.
     """
     _refuse_unknown(options or {}, figure.options, "options")
     options = results.plain({**figure.options, **(options or {})}, where="options")
@@ -167,7 +174,7 @@ def produce(
         "id": figure.id,
         "title": figure.title,
         "options": options,
-        "provenance": results.provenance(seed=seed, wall_s=wall_s),
+        "provenance": provenance.provenance(seed=seed, wall_s=wall_s),
         "claims": list(figure.claims(data)),
         "data": data,
     }
@@ -178,13 +185,6 @@ def produce(
     return found
 
 
-def _prepare_folder(out: str | os.PathLike) -> None:
-    """Make the folder of the files. Raises OSError where it cannot be written: now, and not after the work is done."""
-    Path(out).mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=out):
-        pass
-
-
 def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
     return Path(out) / f"{figure.stem}.json"
 
@@ -193,13 +193,12 @@ def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
     path = _stored_at(figure, out).with_suffix(".png")
     with plotting.style():
         if figure.draw is None:
-            rows = [[cell(value) for value in row] for row in figure.table(found["data"])]
-            picture = plotting.draw_table(rows, _heading(figure, found))
+            picture = plotting.draw_table(figure.rows(found["data"]), figure.heading)
         else:
             picture = figure.draw(found["data"], found["options"])
         plotting.save(picture, path)
     if figure.is_table:
-        with results.replacing(path.with_suffix(".md")) as temporary:
+        with replacing(path.with_suffix(".md")) as temporary:
             temporary.write_text(_markdown(figure, found), encoding="utf-8")
 
 
@@ -219,7 +218,7 @@ def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser) -> int:
 def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool:
     """Whether the stored results, picture included, are what this commit would compute with these options.
 
-    In a changed or unknown checkout nothing is: nobody can tell what made the file.
+    Never in a changed or unknown checkout: the code that made the file is not known there.
     """
     wanted = [".png", ".md"] if figure.is_table else [".png"]
     if not all(path.with_suffix(suffix).exists() for suffix in wanted):
@@ -228,24 +227,18 @@ def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool
         found = results.read_results(path)
     except (OSError, results.ResultsError):
         return False
-    commit = results.commit()
-    made_by = found["provenance"]
+    made_by, commit = found["provenance"], provenance.commit()
     clean = commit != "unknown" and not commit.endswith("+changes")
-    same_code = clean and made_by["commit"] == commit and made_by["packages"] == results.package_versions()
-    same_run = found["options"] == results.plain(options) and made_by["seed"] == seed
-    return same_code and same_run and found["id"] == figure.id
-
-
-def _heading(figure: Figure, found: dict) -> str:
-    kind = "Table" if figure.is_table else "Figure"
-    return f"{kind} {figure.id.removeprefix('T ')}: {found['title']}"
+    now = {"commit": commit, "packages": provenance.package_versions(), "seed": seed}
+    same = all(made_by[name] == value for name, value in now.items())
+    return clean and same and (found["id"], found["options"]) == (figure.id, results.plain(options))
 
 
 def _report(figure: Figure, found: dict, echo: Callable[[str], None]) -> None:
     """Print the numbers as a table, and one line a claim."""
-    echo(_heading(figure, found))
-    rows = [[cell(value) for value in row] for row in figure.table(found["data"])]
-    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))] if rows else []
+    echo(figure.heading)
+    rows = figure.rows(found["data"])
+    widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
         echo("  " + "  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip())
     for claim in found["claims"]:
@@ -259,8 +252,8 @@ def _claim_line(claim: dict) -> str:
 
 
 def _markdown(figure: Figure, found: dict) -> str:
-    head, *body = [[cell(value).replace("|", "\\|") for value in row] for row in figure.table(found["data"])]
-    lines = [f"**{_heading(figure, found)}**", ""]
+    head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(found["data"])]
+    lines = [f"**{figure.heading}**", ""]
     lines += ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
     lines += [""] + [f"- {_claim_line(claim)}" for claim in found["claims"]]
     return "\n".join(lines).rstrip() + "\n"
@@ -284,7 +277,7 @@ def cell(value) -> str:
 def _parser(figure: Figure) -> argparse.ArgumentParser:
     known = "\n".join(f"  {name}={_as_text(value)}" for name, value in figure.options.items())
     parser = argparse.ArgumentParser(
-        description=f"{_heading(figure, {'title': figure.title})}.",
+        description=f"{figure.heading}.",
         epilog=f"settings and their values without --quick:\n{known}" if known else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
@@ -319,9 +312,9 @@ def _cores() -> int:
 def override(options: dict, assignments: Iterable[str]) -> dict:
     """A copy of `options` with assignments "name=value" applied, each value of the type that it replaces.
 
-    A list is given as "0.1,0.2"; its items have the type of the first one that they replace. Where the
-    value replaced is None, JSON is read if it is JSON, and text otherwise. Raises ValueError naming the
-    setting, what was expected and what came; for an unknown name it names the known ones.
+    A list is given as "0.1,0.2"; its items have the type of the first item that they replace. A dict is given as JSON.
+    If the value replaced is None, the text is read as JSON if possible. Raises ValueError naming the setting, what was
+    expected and what came; for an unknown name it names the known ones.
     """
     changed = dict(options)
     for assignment in assignments:
@@ -334,36 +327,45 @@ def override(options: dict, assignments: Iterable[str]) -> dict:
     return changed
 
 
+def _truth(text: str) -> bool:
+    return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError
+    return value
+
+
+_READERS = (
+    (str, str, "text"),
+    (bool, _truth, "true or false"),
+    (int, int, "an integer"),
+    (float, _finite, "a finite number"),
+)
+"""Type of a default (bool before int, of which it is one), reader of text, what the reader expects."""
+
+
 def _typed(name: str, text: str, default):
-    if isinstance(default, bool):
-        words = {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}
-        if text.lower() not in words:
-            raise ValueError(f"{name}: expected true or false, got {text!r}")
-        return words[text.lower()]
-    if isinstance(default, (int, float)):
-        kind, expected = (int, "an integer") if isinstance(default, int) else (float, "a finite number")
-        try:
-            value = kind(text)
-        except ValueError:
-            raise ValueError(f"{name}: expected {expected}, got {text!r}") from None
-        if not np.isfinite(value):
-            raise ValueError(f"{name}: expected {expected}, got {text!r}")
-        return value
-    if isinstance(default, (list, tuple)) and not any(isinstance(item, (list, tuple, dict)) for item in default):
+    if _is_flat_list(default):
         items = [item.strip() for item in text.strip("[]()").split(",") if item.strip()]
         return [_typed(f"{name}[{i}]", item, default[0] if default else None) for i, item in enumerate(items)]
-    if isinstance(default, str):
-        return text
+    found = (row[1:] for row in _READERS if isinstance(default, row[0]))
+    read, expected = next(found, (json.loads, f"JSON like {json.dumps(default)}"))
     try:
-        return json.loads(text)
-    except json.JSONDecodeError:
-        if default is not None:
-            raise ValueError(f"{name}: expected JSON like {json.dumps(default)}, got {text!r}") from None
-        return text
+        return read(text)
+    except (ValueError, KeyError):
+        if default is None:
+            return text
+        raise ValueError(f"{name}: expected {expected}, got {text!r}") from None
+
+
+def _is_flat_list(value) -> bool:
+    return isinstance(value, (list, tuple)) and not any(isinstance(item, (list, tuple, dict)) for item in value)
 
 
 def _as_text(value) -> str:
-    if isinstance(value, (list, tuple)) and not any(isinstance(item, (list, tuple, dict)) for item in value):
+    if _is_flat_list(value):
         return ",".join(map(str, value))
     return value if isinstance(value, str) else json.dumps(results.plain(value))
 
@@ -375,9 +377,9 @@ def _refuse_unknown(names: Iterable[str], known: dict, what: str) -> None:
 
 
 def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
-    """A progress bar on standard error around `items`; without them, one to move by `.update(n)`.
+    """A progress bar on standard error around `items`; without items, one to move by `.update(n)`.
 
-    It shows up after a second only, and a log file, unlike a terminal, gets a line every ten seconds at most.
+    It appears after one second. A terminal is updated every 0.2 s, a log file every 10 s.
     """
     from tqdm import tqdm
 
@@ -387,22 +389,17 @@ def progress_bar(items: Iterable | None = None, *, total: int | None = None, tex
 
 
 def seeds(seed: int, count: int) -> list[int]:
-    """`count` independent seeds from one, for items worked on in parallel: item i always gets the same."""
+    """`count` independent seeds from one, for items that run in parallel. Item i always gets the same seed."""
     return [int(child.generate_state(1, np.uint64)[0]) for child in np.random.SeedSequence(seed).spawn(count)]
 
 
 def parallel_map(
-    function: Callable,
-    items: Iterable,
-    *,
-    jobs: int | Executor = 1,
-    progress: Callable | None = None,
-    text: str = "",
+    function: Callable, items: Iterable, *, jobs: int | Executor = 1, progress: Callable | None = None, text: str = ""
 ) -> list:
-    """[function(item) for item in items], in that order, by `jobs`: see `executors.finished`.
+    """[function(item) for item in items], in that order, by `jobs`: see `parallel.finished`.
 
-    The result does not depend on `jobs` as long as `function` depends on its item alone: give every item
-    its own seed (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
+    The result does not depend on `jobs` if `function` depends on its item alone: give every item its own seed
+    (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
     """
     items = list(items)
     progress = progress or (lambda iterable, **_: iterable)
@@ -415,7 +412,7 @@ def parallel_map(
 
 @contextmanager
 def _exit_on_sigterm():
-    """SIGTERM ends this process as an exit does, so that temporary files and child processes go as well."""
+    """Turn SIGTERM into an exit of this process, so that temporary files and child processes are cleaned up."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

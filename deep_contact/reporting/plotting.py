@@ -1,8 +1,8 @@
 """One style for every figure: colours, lines, axes with units, states, convergence curves, files, animation.
 
-The colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart; every
-start has one colour *and* one line of its own, so that pictures survive a black and white print. Matplotlib
-is imported inside the functions and used without pyplot: nothing here opens a window or keeps a state.
+The colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart. Every start has its
+own colour *and* line, so that pictures can be read in black and white. Matplotlib is imported inside the functions and
+used without pyplot: nothing here opens a window or keeps global state.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.reporting.results import replacing
+from deep_contact.io.files import replacing
 
 DPI = 150
 """Dots per inch of every picture."""
@@ -24,32 +24,30 @@ BLACK, GREY = "#000000", "#767676"
 ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
 CYCLE = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
-"""Colours of curves that are not starts, in order. Yellow is for areas: as a line it is lost on white."""
+"""Colours of curves that are not starts, in order. Yellow is for areas only: a yellow line is hard to see on white."""
 
 COLOUR_MAP = "viridis"
 """Sequential colour map: perceptually uniform, and monotonic in grey."""
 
 START_STYLE = {
-    "none": {"color": BLACK, "linestyle": ":", "marker": "x", "label": "None"},
-    "builtin": {"color": VERMILION, "linestyle": "-", "marker": "s", "label": "Builtin"},
-    "sph": {"color": SKY, "linestyle": "--", "marker": "^", "label": "SPH, thesis transfer"},
-    "sph consistent": {"color": BLUE, "linestyle": "-", "marker": "v", "label": "SPH, consistent transfer"},
-    "copy": {"color": GREEN, "linestyle": "-.", "marker": "D", "label": "Copy"},
-    "cnn": {"color": PURPLE, "linestyle": "-", "marker": "o", "label": "CNN"},
-    "cnn thesis": {"color": PURPLE, "linestyle": "--", "marker": "P", "label": "CNN, thesis network"},
-    "far field": {"color": PURPLE, "linestyle": "-.", "marker": "p", "label": "CNN, far field"},
-    "compact": {
-        "color": PURPLE,
-        "linestyle": (0, (3, 1, 1, 1, 1, 1)),
-        "marker": "X",
-        "label": "CNN, image of impulses",
-    },
-    "coarse": {"color": PURPLE, "linestyle": ":", "marker": "h", "label": "CNN, far field, coarse"},
-    "guarded": {"color": ORANGE, "linestyle": "-", "marker": "*", "label": "Guarded"},
-    "random": {"color": GREY, "linestyle": ":", "marker": "+", "label": "Random"},
-    "bad": {"color": GREY, "linestyle": "--", "marker": "1", "label": "Bad"},
+    name: {"color": colour, "linestyle": line, "marker": marker, "label": label}
+    for name, colour, line, marker, label in (
+        ("none", BLACK, ":", "x", "None"),
+        ("builtin", VERMILION, "-", "s", "Builtin"),
+        ("sph", SKY, "--", "^", "SPH, thesis transfer"),
+        ("sph consistent", BLUE, "-", "v", "SPH, consistent transfer"),
+        ("copy", GREEN, "-.", "D", "Copy"),
+        ("cnn", PURPLE, "-", "o", "CNN"),
+        ("cnn thesis", PURPLE, "--", "P", "CNN, thesis network"),
+        ("far field", PURPLE, "-.", "p", "CNN, far field"),
+        ("compact", PURPLE, (0, (3, 1, 1, 1, 1, 1)), "X", "CNN, image of impulses"),
+        ("coarse", PURPLE, ":", "h", "CNN, far field, coarse"),
+        ("guarded", ORANGE, "-", "*", "Guarded"),
+        ("random", GREY, ":", "+", "Random"),
+        ("bad", GREY, "--", "1", "Bad"),
+    )
 }
-"""Name of a start -> how it is always drawn."""
+"""Name of a start -> keywords for `ax.plot`, the same in every figure."""
 
 _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same letters on every machine
@@ -77,27 +75,24 @@ _STYLE = {
 
 
 def style():
-    """Context in which figures are made and saved, so that all look alike: `with plotting.style(): ...`."""
+    """Context manager with the style of all figures, for making and saving them: `with plotting.style(): ...`."""
     from cycler import cycler
     from matplotlib import style as styles
 
-    # On top of matplotlib's own defaults, not of the user's: the same data give the same picture everywhere.
+    # Based on matplotlib's own defaults, not on the user's: the same data give the same picture everywhere.
     return styles.context(["default", {**_STYLE, "axes.prop_cycle": cycler(color=CYCLE)}])
 
 
 def style_of(start: str, *, marker: bool = False) -> dict:
-    """Keywords for `ax.plot` with which this start is always drawn: color, linestyle, label, marker if asked.
+    """Keywords for `ax.plot` of this start: color, linestyle, label, and marker if asked for.
 
-    start: its name in any case, words parted by spaces, underscores or hyphens. Raises ValueError naming the
-    known ones.
+    start: its name in any case, its words separated by spaces, underscores or hyphens. Raises ValueError naming the
+    known starts.
     """
     key = _start_key(start)
     if key not in START_STYLE:
         raise ValueError(f"start: expected one of {', '.join(START_STYLE)}, got {start!r}")
-    found = dict(START_STYLE[key])
-    if not marker:
-        del found["marker"]
-    return found
+    return {name: value for name, value in START_STYLE[key].items() if marker or name != "marker"}
 
 
 def _start_key(name: str) -> str:
@@ -105,24 +100,23 @@ def _start_key(name: str) -> str:
 
 
 def styles_of(names: Iterable[str]) -> dict[str, dict]:
-    """Name -> keywords for `ax.plot`: starts as `style_of`, others by the next colour of the cycle."""
+    """Name -> keywords for `ax.plot`: starts as `style_of` has them, others with the next free colour and line."""
     found = {name: style_of(name) if _start_key(name) in START_STYLE else None for name in names}
-    taken = {(look["color"], look["linestyle"]) for look in found.values() if look}
-    # Seven colours and four lines have no common factor: 28 pairs before one comes again.
+    taken = [(look["color"], look["linestyle"]) for look in found.values() if look]
+    # Seven colours and four lines have no common factor: 28 different pairs.
     pairs = ((CYCLE[i % 7], ("-", "--", "-.", ":")[i % 4]) for i in count())
     free = (pair for pair in pairs if pair not in taken)
     for name, look in found.items():
         if look is None:
-            color, line = next(free)
-            found[name] = {"color": color, "linestyle": line, "label": name}
+            found[name] = dict(zip(("color", "linestyle"), next(free)), label=name)
     return found
 
 
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
-    """A figure and its axes (one, or an array of shape as `Figure.subplots` gives it), without pyplot.
+    """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot.
 
-    size: inches, width and height; by default 6 × 4 for a single panel and 4.2 × 3.6 for each of several.
-    keywords go to `matplotlib.figure.Figure.subplots`.
+    size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. keywords go to
+    `matplotlib.figure.Figure.subplots`.
     """
     from matplotlib.figure import Figure
 
@@ -134,40 +128,41 @@ def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | Non
 
 
 def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title: str = "") -> None:
-    """Label both axes as "quantity (unit)"; no brackets for a pure number. title: of the panel, if any."""
+    """Label both axes as "quantity (unit)", without brackets for a pure number, and set the panel's title if given."""
     ax.set_xlabel(f"{x} ({x_unit})" if x_unit else x)
     ax.set_ylabel(f"{y} ({y_unit})" if y_unit else y)
     if title:
         ax.set_title(title)
 
 
-def scene_axes(ax, box: Sequence[float], *, walls: bool = True, margin: float = 0.02) -> None:
-    """Axes of a scene: metres, one scale for x and y, the whole box in view and, with `walls`, outlined.
+def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
+    """Axes of a scene: metres, equal scales, the whole box in view with 2 % margin and, with `walls`, outlined.
 
-    box: (x_min, y_min, x_max, y_max), m. margin: room around the box, as a share of its size.
+    box: (x_min, y_min, x_max, y_max), m.
     """
+    x_min, y_min, x_max, y_max = box
+    margin = 0.02 * max(x_max - x_min, y_max - y_min)
+    ax.set(xlim=(x_min - margin, x_max + margin), ylim=(y_min - margin, y_max + margin), aspect="equal")
+    ax.grid(False)
+    ax.spines[:].set_visible(False)
+    ax.tick_params(length=0)
+    if walls:
+        _outline(ax, box, edgecolor=BLACK, linewidth=1.5)
+    label_axes(ax, "x", "y", x_unit="m", y_unit="m")
+
+
+def _outline(ax, box: Sequence[float], **look) -> None:
     from matplotlib.patches import Rectangle
 
     x_min, y_min, x_max, y_max = box
-    room = margin * max(x_max - x_min, y_max - y_min)
-    ax.set_xlim(x_min - room, x_max + room)
-    ax.set_ylim(y_min - room, y_max + room)
-    ax.set_aspect("equal")
-    ax.grid(False)
-    for spine in ax.spines.values():
-        spine.set_visible(False)
-    ax.tick_params(length=0)
-    if walls:
-        size = (x_max - x_min, y_max - y_min)
-        ax.add_patch(Rectangle((x_min, y_min), *size, fill=False, edgecolor=BLACK, linewidth=1.5))
-    label_axes(ax, "x", "y", x_unit="m", y_unit="m")
+    ax.add_patch(Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, fill=False, **look))
 
 
 def draw_grid(ax, x: np.ndarray, y: np.ndarray, *, lines: bool = True, node_size: float = 0.0) -> None:
     """Draw a grid from the coordinates of its columns x (n_x,) and rows y (n_y,), m.
 
-    lines: the edges of the cells, under the circles. node_size: diameter of the nodes' dots, which lie over the
-    circles, points; 0 leaves them out.
+    lines: draw the edges of the cells, under the circles. node_size: diameter of the nodes' dots, drawn over the
+    circles, points; 0 omits them.
     """
     from matplotlib.collections import LineCollection
 
@@ -182,21 +177,16 @@ def draw_grid(ax, x: np.ndarray, y: np.ndarray, *, lines: bool = True, node_size
 
 def zoom_into(ax, window: Sequence[float], *, outline_in=None) -> None:
     """Show only `window`, (x_min, y_min, x_max, y_max), m, and outline it in the axes `outline_in` if given."""
-    from matplotlib.patches import Rectangle
-
     x_min, y_min, x_max, y_max = window
-    ax.set_xlim(x_min, x_max)
-    ax.set_ylim(y_min, y_max)
-    for spine in ax.spines.values():
-        spine.set_visible(True)
-        spine.set_color(BLUE)
+    ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max))
+    ax.spines[:].set_visible(True)
+    ax.spines[:].set_color(BLUE)
     if outline_in is not None:
-        size = (x_max - x_min, y_max - y_min)
-        outline_in.add_patch(Rectangle((x_min, y_min), *size, fill=False, edgecolor=BLUE, linewidth=1.8, zorder=5))
+        _outline(outline_in, window, edgecolor=BLUE, linewidth=1.8, zorder=5)
 
 
 def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
-    """What the circles are coloured by, shape (n,), and its label with unit.
+    """The quantity that colours the circles, shape (n,), and its label with unit.
 
     colour_by: "speed", m/s, or "impulse", the sum of the normal impulses at the circle's contacts, N·s.
     Raises ValueError for any other.
@@ -213,23 +203,20 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
 
 
 def state_data(state) -> dict:
-    """What `draw_state` needs of a state, for the data of a results file; `state_of` reads it back."""
+    """The part of a state that `draw_state` needs, for the data of a results file; `state_of` reads it back."""
     bodies, contacts, world = state.bodies, state.contacts, state.world
     data = {"name": state.name, "time": state.time, "box": list(world.box), "bodies": bodies._asdict()}
     return {**data, "contacts": None if contacts is None else contacts._asdict()}
 
 
 def state_of(data: Mapping):
-    """What `state_data` stored, to be drawn and not to be simulated: gravity and solver are not in it."""
+    """The state that `state_data` stored. It can be drawn, not simulated: it lacks gravity and solver settings."""
     from deep_contact.state import Bodies, Contacts, State, World
 
     def arrays(fields):
-        whole = ("body_a", "body_b")
-        columns = {"position": (-1, 2), "velocity": (-1, 2), "normal": (-1, 2)}
-        return {
-            name: np.array(value, np.int64 if name in whole else np.float64).reshape(columns.get(name, -1))
-            for name, value in fields.items()
-        }
+        kinds = {"body_a": np.int64, "body_b": np.int64}
+        shapes = dict.fromkeys(("position", "velocity", "normal"), (-1, 2))
+        return {k: np.array(v, kinds.get(k, np.float64)).reshape(shapes.get(k, -1)) for k, v in fields.items()}
 
     bodies = Bodies(**arrays(data["bodies"]))
     contacts = None if data["contacts"] is None else Contacts(**arrays(data["contacts"]))
@@ -249,11 +236,10 @@ def draw_state(
 ):
     """Draw a state into `ax`: circles, a tick for each one's orientation, and contact impulses as lines.
 
-    A contact's line runs from the centre of one circle to that of the other, or to the wall, and is as wide
-    as its normal impulse is large (a contact without impulse is a hair line). limits: of the colours; by
-    default 0 and the largest value. largest_impulse: drawn as the widest line, N·s; by default the largest
-    of this state. Give both where several states are to be compared. Returns the circles' collection, for a
-    colour bar.
+    A contact's line runs from the centre of one circle to that of the other, or to the wall. Its width is proportional
+    to the normal impulse (a contact without impulse is a hairline). limits: of the colours, by default 0 and the
+    largest value. largest_impulse: of the widest line, N·s, by default the largest of this state. Give both to compare
+    several states. Returns the circles' collection, for a colour bar.
     """
     from matplotlib.collections import LineCollection, PatchCollection
     from matplotlib.patches import Circle
@@ -274,7 +260,7 @@ def draw_state(
     ax.add_collection(circles)
 
     heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
-    # From half the radius outwards: a full spoke would be taken for a contact.
+    # From half the radius outwards: a whole radius looks like a contact.
     ticks = np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
     ax.add_collection(LineCollection(ticks, colors=_readable_on(circles), linewidths=1.0))
     if contacts and state.contacts is not None and state.contacts.count:
@@ -294,7 +280,7 @@ def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
     largest = float(impulse.max()) if largest_impulse is None else largest_impulse
     width = 0.3 + 4.0 * (impulse / largest if largest > 0 else np.zeros_like(impulse))
     lines = np.stack([start, end], axis=1)
-    # The white one below keeps the line apart from circles of any colour.
+    # A white line below sets each line off from circles of any colour.
     for colour, more in (("white", 0.8), (VERMILION, 0.0)):
         ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
 
@@ -322,24 +308,23 @@ def convergence_plot(
     threshold: float | None = None,
     floor: float | None = None,
 ) -> float:
-    """Convergence rate θ after each sweep, both axes logarithmic.
+    """Plot the convergence rate θ after each sweep, both axes logarithmic.
 
-    curves: name -> θ, N·s; starts have their own style. sweeps: after which each θ was taken, by default every one
-    from the first. bands: name -> the quartiles (low, high) over the scenes, around the curve of that name.
-    threshold: drawn as a horizontal line, N·s.
+    curves: name -> θ, N·s; starts have their own style. sweeps: after which each θ was taken, by default every sweep
+    from the first. bands: name -> the quartiles (low, high) of the scenes around the curve of that name. threshold:
+    drawn as a horizontal line, N·s.
 
-    A logarithmic axis has no place for θ = 0: anything below `floor` is drawn there, and a note in the
-    picture then says so. By default the floor is the power of ten below the smallest θ > 0, but not under
-    1e-12. Returns the floor. Raises ValueError for a negative or non-finite θ.
+    A logarithmic axis cannot show θ = 0: values below `floor` are drawn at it, and a note in the picture says so. By
+    default the floor is the power of ten below the smallest θ > 0, but at least 1e-12. Returns the floor. Raises
+    ValueError for a negative or non-finite θ.
     """
     curves = {name: np.asarray(theta, dtype=np.float64) for name, theta in curves.items()}
     for name, theta in curves.items():
         if theta.ndim != 1 or not theta.size or not np.isfinite(theta).all() or (theta < 0).any():
             raise ValueError(f"curves[{name!r}]: expected finite θ >= 0, one a sweep, got {theta}")
     if floor is None:
-        positive = np.concatenate([theta[theta > 0] for theta in curves.values()] or [np.ones(1)])
-        smallest = positive.min() if positive.size else 1.0
-        floor = 10.0 ** max(-12, np.floor(np.log10(smallest) - 1e-9))
+        positive = [x for theta in curves.values() for x in theta[theta > 0]] or [1.0]
+        floor = 10.0 ** max(-12, np.floor(np.log10(min(positive)) - 1e-9))
     styles = styles_of(curves)
     clipped = False
     for name, theta in curves.items():
@@ -350,7 +335,7 @@ def convergence_plot(
             low, high = (np.maximum(edge, floor) for edge in bands[name])
             ax.fill_between(x, low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
     if threshold is not None:
-        # In the legend: wherever it were written in the picture, some curve would cross it.
+        # Labelled in the legend, where no curve can cross the label.
         ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
     ax.set_xscale("log")
     ax.set_yscale("log")
@@ -359,7 +344,7 @@ def convergence_plot(
         note = f"θ below {floor:.0e}, zero included, is drawn there"
         ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=7, color="#555555", va="bottom")
     title = "band: quartiles of the scenes" if bands else None
-    if len(curves) > 4:  # more would hide curves
+    if len(curves) > 4:  # a larger legend inside would hide curves
         ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title)
     elif curves:
         ax.legend(title=title)
@@ -397,27 +382,24 @@ def draw_network(
     dropped: Sequence[Sequence[bool]] | None = None,
     numbers: str = "{:.2f}",
 ) -> None:
-    """Draw a fully connected network with numbers: a column of neurons for each layer, from left to right.
+    """Draw a fully connected network with numbers: one column of neurons for each layer, from left to right.
 
-    values: of each layer's neurons. weights: between each layer and the next, (n, m); a positive one is a blue line, a
-    negative one a dashed vermilion line, as wide as it is large. titles: under the layers. dropped: neurons that are
-    crossed out, and whose lines are left out. numbers: how a neuron's value is written; "" writes none.
+    values: of each layer's neurons. weights: between each layer and the next, (n, m). A positive weight is a blue line,
+    a negative one a dashed vermilion line; the width is proportional to the size. titles: under the layers. dropped:
+    neurons that are crossed out and whose lines are omitted. numbers: format of a neuron's value; "" omits them.
     """
     from matplotlib.collections import LineCollection
 
     places = [[(float(i), 0.5 * (len(layer) - 1) - j) for j in range(len(layer))] for i, layer in enumerate(values)]
     gone = dropped or [[False] * len(layer) for layer in values]
-    largest = max((abs(w) for between in weights for row in between for w in row), default=1.0) or 1.0
+    largest = max(np.abs(between).max() for between in weights) or 1.0
     for i, between in enumerate(weights):
         for sign, colour, line in ((1, BLUE, "-"), (-1, VERMILION, "--")):
-            found = [
-                (places[i][a], places[i + 1][b], abs(w))
-                for a, row in enumerate(between)
-                for b, w in enumerate(row)
-                if sign * w > 0 and not (gone[i][a] or gone[i + 1][b])
-            ]
-            lines = [(start, end) for start, end, _ in found]
-            widths = [0.3 + 2.7 * size / largest for *_, size in found]
+            lines, widths = [], []
+            for (a, b), weight in np.ndenumerate(between):
+                if sign * weight > 0 and not (gone[i][a] or gone[i + 1][b]):
+                    lines.append((places[i][a], places[i + 1][b]))
+                    widths.append(0.3 + 2.7 * abs(weight) / largest)
             ax.add_collection(LineCollection(lines, colors=colour, linestyles=line, linewidths=widths, zorder=1))
     low = min(y for layer in places for _, y in layer)
     for i, layer in enumerate(places):
@@ -436,27 +418,12 @@ def draw_network(
     ax.axis("off")
 
 
-def write_in_cells(ax, values, *, numbers: str = "{:g}", **keywords):
-    """An image drawn as cells with their numbers in them, row 0 at the top; keywords go to `ax.imshow`."""
-    values = np.asarray(values, dtype=np.float64)
-    shown = ax.imshow(values, **keywords)
-    ax.grid(False)
-    ax.set_xticks(range(values.shape[1]))
-    ax.set_yticks(range(values.shape[0]))
-    ax.tick_params(length=0)
-    brightness = shown.to_rgba(values)[..., :3] @ np.array([0.299, 0.587, 0.114])
-    for (i, j), value in np.ndenumerate(values):
-        colour = "#222222" if brightness[i, j] > 0.5 else "white"
-        ax.text(j, i, numbers.format(value), ha="center", va="center", color=colour)
-    return shown
-
-
 def save(figure, path: str | os.PathLike) -> Path:
-    """Write a figure as PNG in one move; the same figure gives the same bytes. Returns the path."""
+    """Write a figure as PNG; its path. The same figure gives the same bytes."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with style(), replacing(path) as temporary:
-        # No date and no version in the file: pictures that look the same are the same.
+        # No date and no version in the file, so that equal pictures are equal files.
         figure.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None})
     return path
 
@@ -471,13 +438,12 @@ def animate(
     dpi: int = 80,
     panels: Sequence[float] = (1.0,),
 ) -> list[Path]:
-    """Animate states, one frame each: a GIF always, and an MP4 beside it where matplotlib finds ffmpeg.
+    """Write states as an animation, one frame each: a GIF, and an MP4 beside it if matplotlib finds ffmpeg.
 
-    path: of the GIF; the MP4 has the same stem. fps: frames a second; a GIF rounds the time of a frame to
-    hundredths of a second. draw: `draw(ax, state)`; by default `draw_state`, coloured by speeds up to 12
-    m/s. size: height of a frame, inches. panels: widths of the panels side by side, in heights; if there are
-    several, `draw` gets the sequence of their axes. Returns the paths written. Raises ValueError if there is no
-    state.
+    path: of the GIF; the MP4 has the same stem. fps: frames a second; a GIF rounds the time of a frame to hundredths of
+    a second. draw: `draw(ax, state)`; by default `draw_state`, coloured by speeds up to 12 m/s. size: height of a
+    frame, inches. panels: widths of the panels side by side, in heights; with several, `draw` gets the sequence of
+    their axes. Returns the paths written. Raises ValueError for no states or a wrong fps.
     """
     from matplotlib import animation
     from matplotlib.figure import Figure
@@ -519,7 +485,7 @@ def _draw_frame(ax, state) -> None:
 
 
 def _frame(figure):
-    """The figure as a picture of 256 colours: a quarter of the memory, and what a GIF holds anyway."""
+    """The figure as a picture of 256 colours, as a GIF has; a quarter of the memory."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 

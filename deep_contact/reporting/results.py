@@ -1,25 +1,23 @@
 """Results files: every number of a figure or table, where it came from, and what it says about the thesis.
 
-A results file is strict JSON with six fields:
+A results file is strict JSON with six fields, as `results_schema.json` defines them:
 
 | field      | meaning                                                                                    |
 |------------|--------------------------------------------------------------------------------------------|
 | id         | "3.7" for a figure, "T 5.1" for a table                                                    |
 | title      | one line                                                                                   |
 | options    | the settings of the run, name -> value                                                     |
-| provenance | version, commit, python, packages, cpu, seed, wall_s: see `provenance`                     |
+| provenance | version, commit, python, packages, cpu, seed, wall_s: see `io.provenance`                  |
 | claims     | list of {text, thesis, holds, measured}: see `Claim`                                       |
 | data       | every plotted number                                                                       |
 
 How numbers are stored, by `plain`:
 
 * A Python float is stored by its shortest exact representation: reading gives the same bits.
-* A NumPy array of floats is stored as (nested) lists, rounded to `digits` significant digits where given,
-  so that long curves stay small; `digits=None` stores them exactly. Integers and booleans are always exact.
-* NaN and infinity are refused, naming the place. A number that is missing is None (`null`), put there on
-  purpose; `array` turns such lists into float arrays with NaN where a number is missing.
-
-A file is written beside its final name and then moved over it, so a reader never sees half of one.
+* A NumPy array of floats is stored as (nested) lists, rounded to `digits` significant digits if given, so that long
+  curves stay small; `digits=None` stores them exactly. Integers and booleans are always exact.
+* NaN and infinity are refused; the error names the place. A missing number is None (`null`); `array` turns lists with
+  None into float arrays with NaN.
 """
 
 from __future__ import annotations
@@ -27,44 +25,49 @@ from __future__ import annotations
 import json
 import math
 import os
-import platform
-import re
-import subprocess
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from importlib import metadata
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import jsonschema
 import numpy as np
 
-from deep_contact.version import VERSION
+from deep_contact.io.files import replacing, write_json
+from deep_contact.io.provenance import commit, package_versions, processor, provenance
 
-PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
-"""Packages whose versions are recorded, where they are installed."""
+__all__ = [
+    "Claim",
+    "ResultsError",
+    "array",
+    "check_results",
+    "commit",
+    "package_versions",
+    "plain",
+    "processor",
+    "provenance",
+    "read_results",
+    "replacing",
+    "write_results",
+]
 
-FIELDS = ("id", "title", "options", "provenance", "claims", "data")
-PROVENANCE_FIELDS = ("version", "commit", "python", "packages", "cpu", "seed", "wall_s")
-CLAIM_FIELDS = ("text", "thesis", "holds", "measured")
-
-ID_PATTERN = r"^(T )?[0-9A-Z]+\.[0-9]+$"
-THESIS_PATTERN = r"^L[0-9]+(-[0-9]+)?(, L[0-9]+(-[0-9]+)?)*$"
+SCHEMA = json.loads((Path(__file__).parent / "results_schema.json").read_text(encoding="utf-8"))
+ID_PATTERN = SCHEMA["properties"]["id"]["pattern"]
+_VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 _FINITE = "a finite number (None where one is missing)"
-COMMIT_PATTERN = r"^([0-9a-f]{40}(\+changes)?|unknown)$"
 
 
 class ResultsError(ValueError):
-    """A results file, or what was to become one, is not as described in this module."""
+    """Results, or a results file, that do not follow the format of this module."""
 
 
 class Claim(NamedTuple):
-    """A statement held against the data.
+    """A statement tested on the data.
 
     | field    | meaning                                                                                |
     |----------|----------------------------------------------------------------------------------------|
-    | text     | the statement, as it would have to be for `holds` to be true                           |
+    | text     | the statement                                                                          |
     | thesis   | where the thesis makes it, "L669", "L484-486" or "L669, L1131"; None if it does not    |
-    | holds    | whether the data bear it out                                                           |
+    | holds    | whether it is true of the data                                                         |
     | measured | the numbers that decided it, name -> value                                             |
     """
 
@@ -72,67 +75,6 @@ class Claim(NamedTuple):
     thesis: str | None
     holds: bool
     measured: dict
-
-
-def provenance(*, seed: int | None = None, wall_s: float = 0.0) -> dict:
-    """Where results come from: version, commit, Python, packages, processor, seed and seconds of wall time.
-
-    The commit is that of the checkout which holds this package, with "+changes" after it where tracked files
-    differ from it, and "unknown" for an installed package or without git. Neither paths nor the name of the
-    machine are recorded. Nothing is imported to learn a version.
-    """
-    return {
-        "version": VERSION,
-        "commit": commit(),
-        "python": platform.python_version(),
-        "packages": package_versions(),
-        "cpu": processor(),
-        "seed": seed,
-        "wall_s": round(float(wall_s), 3),
-    }
-
-
-def commit() -> str:
-    """The 40 digits of the package's commit, perhaps with "+changes"; "unknown" outside a checkout."""
-    folder = Path(__file__).resolve().parent
-    try:
-        # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
-        _git(folder, "ls-files", "--error-unmatch", "version.py")
-        digits = _git(folder, "rev-parse", "HEAD")
-        changed = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    except (OSError, subprocess.SubprocessError):
-        return "unknown"
-    return digits + ("+changes" if changed else "")
-
-
-def _git(folder: Path, *arguments: str) -> str:
-    command = ["git", *arguments]
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=20, check=True)
-    return done.stdout.strip()
-
-
-def package_versions() -> dict[str, str]:
-    """Version of each installed package of `PACKAGES`, without importing any."""
-    versions = {}
-    for name in PACKAGES:
-        for distribution in (name, f"{name}-cpu"):  # TensorFlow is published under both names
-            try:
-                versions[name] = metadata.version(distribution)
-                break
-            except metadata.PackageNotFoundError:
-                continue
-    return versions
-
-
-def processor() -> str:
-    """Model of the processor and number of cores, "AMD EPYC 9R14, 2 cores"."""
-    model = platform.processor() or platform.machine() or "unknown"
-    try:
-        info = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        info = ""
-    named = re.search(r"^model name\s*:\s*(.+)$", info, re.MULTILINE)
-    return f"{named[1].strip() if named else model}, {os.cpu_count()} cores"
 
 
 def plain(value, *, digits: int | None = None, where: str = "data"):
@@ -189,69 +131,22 @@ def array(values) -> np.ndarray:
     return np.array(values, dtype=np.float64)
 
 
-def check_results(results: Mapping) -> Mapping:
-    """The results themselves, if they are as this module describes them.
+def check_results(results: dict) -> dict:
+    """Return `results` if they follow the schema and every number is finite.
 
     Raises ResultsError naming the field, what was expected and the value.
     """
-    _check_fields("results", results, FIELDS)
-    _check_text("id", results["id"], ID_PATTERN)
-    _check_text("title", results["title"])
-    for name in ("options", "data"):
-        _expect(isinstance(results[name], Mapping), name, "an object", results[name])
-    _check_provenance(results["provenance"])
-    _expect(isinstance(results["claims"], list), "claims", "a list", results["claims"])
-    for i, claim in enumerate(results["claims"]):
-        _check_claim(f"claims[{i}]", claim)
-    plain(results, where="results")
-    return results
-
-
-def _check_provenance(found) -> None:
-    _check_fields("provenance", found, PROVENANCE_FIELDS)
-    for name in ("version", "python", "cpu"):
-        _check_text(f"provenance.{name}", found[name])
-    _check_text("provenance.commit", found["commit"], COMMIT_PATTERN)
-    packages = found["packages"]
-    _expect(isinstance(packages, Mapping), "provenance.packages", "an object", packages)
-    for name, version in packages.items():
-        _check_text(f"provenance.packages.{name}", version)
-    seed, wall_s = found["seed"], found["wall_s"]
-    _expect(seed is None or _is_int(seed), "provenance.seed", "an integer or null", seed)
-    number = (_is_int(wall_s) or isinstance(wall_s, float)) and 0 <= wall_s < math.inf
-    _expect(number, "provenance.wall_s", "a number >= 0", wall_s)
-
-
-def _check_claim(where: str, claim) -> None:
-    _check_fields(where, claim, CLAIM_FIELDS)
-    _check_text(f"{where}.text", claim["text"])
-    if claim["thesis"] is not None:
-        _check_text(f"{where}.thesis", claim["thesis"], THESIS_PATTERN)
-    _expect(isinstance(claim["holds"], bool), f"{where}.holds", "true or false", claim["holds"])
-    measured = claim["measured"]
-    filled = isinstance(measured, Mapping) and len(measured) > 0
-    _expect(filled, f"{where}.measured", "an object that is not empty", measured)
-
-
-def _check_fields(where: str, found, names: tuple[str, ...]) -> None:
-    _expect(isinstance(found, Mapping), where, "an object", found)
-    _expect(set(found) == set(names), where, f"the fields {', '.join(names)}", list(found))
-
-
-def _check_text(where: str, found, pattern: str = r"\S") -> None:
-    expected = "text" if pattern == r"\S" else f"text that matches {pattern}"
-    _expect(isinstance(found, str) and re.search(pattern, found) is not None, where, expected, found)
-
-
-def _is_int(value) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _expect(condition: bool, where: str, expected: str, found) -> None:
-    if not condition:
+    error = jsonschema.exceptions.best_match(_VALIDATOR.iter_errors(results))
+    if error is not None:
+        place = error.json_path.removeprefix("$").lstrip(".") or "results"
+        found = error.instance
+        if error.validator in ("required", "additionalProperties"):
+            found = list(found)
         shown = repr(found)
         shown = shown if len(shown) <= 200 else shown[:200] + " …"
-        raise ResultsError(f"{where}: expected {expected}, got {shown}")
+        raise ResultsError(f"{place}: expected {error.schema['description']}, got {shown}")
+    plain(results, where="results")
+    return results
 
 
 def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | None = None) -> Path:
@@ -262,10 +157,7 @@ def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | No
     """
     path = Path(path)
     results = check_results(plain(results, digits=digits, where="results"))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        temporary.write_text(_json(results) + "\n", encoding="utf-8")
-    return path
+    return write_json(path, results)
 
 
 def read_results(path: str | os.PathLike) -> dict:
@@ -285,26 +177,3 @@ def read_results(path: str | os.PathLike) -> dict:
 
 def _refuse_constant(name: str):
     raise ResultsError(f"expected a finite number, got {name}")
-
-
-@contextmanager
-def replacing(path: str | os.PathLike) -> Iterator[Path]:
-    """A temporary path beside `path`, moved over it at the end; after an error it is removed instead."""
-    path = Path(path)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}{path.suffix}")
-    try:
-        yield temporary
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _json(value, indent: str = "") -> str:
-    """JSON to be read by people too: objects are indented, lists of anything but objects stay on one line."""
-    inner = indent + "  "
-    if isinstance(value, dict) and value:
-        lines = [f"{inner}{_json(key)}: {_json(item, inner)}" for key, item in value.items()]
-        return "{\n" + ",\n".join(lines) + f"\n{indent}}}"
-    if isinstance(value, list) and any(isinstance(item, dict) for item in value):
-        return "[\n" + ",\n".join(inner + _json(item, inner) for item in value) + f"\n{indent}]"
-    return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))

@@ -1,7 +1,7 @@
 """The thesis's experiments: a scene, some starts, a solver → convergence rates (sections 3.4, 5.1 and 5.4).
 
-Two ways to compare starts. Paired: one reference run makes the states, and every start solves the same ones, so that
-what differs is the start alone. Independent, as the thesis did it: every start drives a run of its own.
+Starts are compared in two ways. Paired: one reference run makes the states, and every start solves the same states, so
+that only the start differs. Independent, as in the thesis: every start drives a run of its own.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from deep_contact import constants
 from deep_contact.physics.convergence import mean_theta
-from deep_contact.physics.methods import PGS
 from deep_contact.physics.scenes import circles_in_box
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import plotting
 from deep_contact.reporting.figures import Claim, Figure, parallel_map, seeds
 from deep_contact.simulation import ready, simulate, solve_contacts
@@ -25,21 +26,26 @@ from deep_contact.warm_start import Sph, WarmStart, warm_start_of
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
 
+THESIS_SETTINGS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000}
+"""Options of the thesis's comparisons: circles, side of the box in m, steps, sweeps a step."""
+
+MODES = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
+"""Ways to compare starts -> how pictures name them."""
+
 CURVE_POINTS = 240
 """Points kept of a curve of θ by sweep; they lie evenly on a logarithmic axis."""
 
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
-"""What velocity errors are measured against: a solution swept on, so that no start is the road to it."""
+"""Reference solution of velocity errors: a solution swept on, so that it favours no start."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Convergence:
-    """How the solves of a run went from one start.
+    """How the solves of a run converged from one start.
 
-    theta: mean θ after each sweep, Eq 2.30, (sweeps,), N·s. sweeps: number of sweeps until θ is within
-    `THRESHOLD`, one a step; a step that never is counts as all of them. velocity: relative velocity errors
-    (`cnn.evaluation.velocity_errors`), a row a step, or None where they were not asked for; a row is not finite where
-    nothing was to be solved.
+    theta: mean θ after each sweep, Eq 2.30, (sweeps,), N·s. sweeps: number of sweeps of each step until θ is within
+    `THRESHOLD`, or all of them if θ never is. velocity: relative velocity errors (`cnn.evaluation.velocity_errors`), a
+    row a step, or None if they were not asked for; a row is not finite if nothing was to be solved.
     """
 
     theta: np.ndarray
@@ -50,7 +56,7 @@ class Convergence:
 def solved_states(
     scene: State, *, steps: int, solver=None, warm_start="builtin", every: int = 1, contacts_only: bool = True
 ) -> list[State]:
-    """Solved states of a run: one in `every` step, those without contacts left out unless `contacts_only` is False."""
+    """Solved states of a run, one in `every` steps, by default only those with contacts."""
     states = []
 
     def keep(state: State, record) -> None:
@@ -62,7 +68,7 @@ def solved_states(
 
 
 def sweeps_to(theta: np.ndarray, threshold: float = THRESHOLD) -> int:
-    """Number of sweeps until θ is at most the threshold; the number of all of them if it never is."""
+    """Number of sweeps until θ is at most the threshold, or the number of all sweeps if it never is."""
     within = np.flatnonzero(theta <= threshold)
     return int(within[0]) + 1 if within.size else theta.size
 
@@ -75,9 +81,10 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> Convergence:
 def paired(
     states: Sequence[State], starts: Mapping[str, WarmStart], *, sweeps: int, velocity_sweeps: Sequence[int] = ()
 ) -> dict[str, Convergence]:
-    """Every start solves the same states, with so many sweeps each.
+    """Convergence of every start on the same states.
 
-    velocity_sweeps: after how many sweeps the velocity error is taken, against the solution swept on by `REFERENCE`.
+    sweeps: of each solve. velocity_sweeps: numbers of sweeps after which the velocity error is measured, against the
+    solution swept on by `REFERENCE`.
     """
     from deep_contact.cnn.evaluation import velocity_errors
 
@@ -95,7 +102,7 @@ def paired(
 
 
 def swept_on(state: State, solver=REFERENCE) -> State:
-    """A solved state whose solution is swept on until `solver` is content."""
+    """A solved state with its solution swept on until `solver` converges."""
     contacts = state.contacts
     given = contacts.normal_impulse, contacts.tangent_impulse
     solution = solve_contacts(state, solver=solver, start=given)
@@ -104,7 +111,7 @@ def swept_on(state: State, solver=REFERENCE) -> State:
 
 
 def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> Convergence:
-    """The start drives a run of its own, with so many sweeps a step; steps without contacts do not count."""
+    """Convergence of a start that drives a run of its own; sweeps: of each step. Only steps with contacts count."""
     thetas = []
 
     def keep(state: State, record) -> None:
@@ -116,8 +123,11 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> C
 
 
 def start_of(description) -> WarmStart:
-    """A start from its description in a figure's options: a name, or a dict: the fields of `Sph`, or {"model": path}
-    for a network, which then works on one thread (`cnn.inference.network_start`)."""
+    """A start from its description in a figure's options.
+
+    A name, a dict with the fields of `Sph`, or {"model": path} for a network, which then runs on one thread
+    (`cnn.inference.network_start`).
+    """
     if not isinstance(description, Mapping):
         return warm_start_of(description)
     if "model" not in description:
@@ -127,22 +137,8 @@ def start_of(description) -> WarmStart:
     return network_start(**description)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Task:
-    """One piece of `compare_starts`, small enough to be sent to another process."""
-
-    starts: dict
-    paired: bool
-    seed: int
-    n_bodies: int | tuple[int, int]
-    size: float
-    steps: int
-    sweeps: int
-    velocity_sweeps: tuple[int, ...]
-
-
 def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
-    """The thesis's scene of so many circles; of a pair (low, high), both included, the seed draws the number first."""
+    """The thesis's scene of `n_bodies` circles; of a pair (low, high), a random number of that range."""
     if isinstance(n_bodies, (int, np.integer)):
         return circles_in_box(n_bodies, size=size, seed=seed)
     rng = np.random.default_rng(seed)
@@ -150,14 +146,16 @@ def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
     return circles_in_box(int(rng.integers(low, high, endpoint=True)), size=size, seed=rng)
 
 
-def _run(task: _Task) -> dict[str, Convergence]:
-    scene = scene_of(task.n_bodies, size=task.size, seed=task.seed)
-    starts = {name: start_of(description) for name, description in task.starts.items()}
-    if task.paired:
-        # Solved with as many sweeps as the starts get, as the thesis's copy of the world is.
-        states = solved_states(scene, steps=task.steps, solver=PGS(sweeps=task.sweeps, tolerance=None))
-        return paired(states, starts, sweeps=task.sweeps, velocity_sweeps=task.velocity_sweeps)
-    return {name: independent(scene, start, steps=task.steps, sweeps=task.sweeps) for name, start in starts.items()}
+def _run(task: tuple, *, n_bodies, size, steps, sweeps, velocity_sweeps) -> dict[str, Convergence]:
+    """One part of `compare_starts`, small enough to be sent to another process: (mode, seed, starts)."""
+    mode, seed, descriptions = task
+    scene = scene_of(n_bodies, size=size, seed=seed)
+    starts = {name: start_of(description) for name, description in descriptions.items()}
+    if mode == "independent":
+        return {name: independent(scene, start, steps=steps, sweeps=sweeps) for name, start in starts.items()}
+    # Solved with as many sweeps as the starts get, as the thesis's copy of the world is.
+    states = solved_states(scene, steps=steps, solver=PGS(sweeps=sweeps, tolerance=None))
+    return paired(states, starts, sweeps=sweeps, velocity_sweeps=velocity_sweeps)
 
 
 def compare_starts(
@@ -173,29 +171,28 @@ def compare_starts(
     jobs: int = 1,
     progress: Callable | None = None,
 ) -> dict:
-    """The thesis's comparison of starts over `scenes` scenes, both ways, as the data of a results file.
+    """The thesis's comparison of starts over `scenes` scenes, in both modes, as the data of a results file.
 
     starts: name -> description (`start_of`). n_bodies: see `scene_of`. velocity_sweeps: see `paired`.
     Returns {"sweep": (k,), "paired": {name: …}, "independent": {name: …}} where … is
-    {"theta": mean θ at these sweeps (k,), "quartiles": those of the scenes' own means (2, k),
+    {"theta": mean θ after these sweeps (k,), "quartiles": of the scenes' mean θ (2, k),
     "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number}.
     With velocity_sweeps also {"velocity": {"sweeps", "states", "mean": {name: …}, "median": {name: …}}}, paired, over
-    the states that have something to be solved.
+    the states in which every start has a finite error.
     """
-    common = {"n_bodies": n_bodies, "size": size, "steps": steps, "sweeps": sweeps}
-    common["velocity_sweeps"] = tuple(velocity_sweeps)
     tasks = []
     for scene_seed in seeds(seed, scenes):
-        tasks.append(_Task(starts=dict(starts), paired=True, seed=scene_seed, **common))
-        tasks += [_Task(starts={n: d}, paired=False, seed=scene_seed, **common) for n, d in starts.items()]
-    found = parallel_map(_run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
+        tasks.append(("paired", scene_seed, dict(starts)))
+        tasks += [("independent", scene_seed, {name: description}) for name, description in starts.items()]
+    run = partial(
+        _run, n_bodies=n_bodies, size=size, steps=steps, sweeps=sweeps, velocity_sweeps=tuple(velocity_sweeps)
+    )
+    found = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
     sample = np.union1d(sampled_sweeps(sweeps), [k for k in velocity_sweeps if 1 <= k <= sweeps]).astype(np.int64)
     data = {"sweep": sample, "threshold": THRESHOLD, "paired": {}, "independent": {}}
-    for mode in ("paired", "independent"):
+    for mode in MODES:
         for name in starts:
-            parts = [
-                part[name] for task, part in zip(tasks, found) if name in part and task.paired == (mode == "paired")
-            ]
+            parts = [part[name] for task, part in zip(tasks, found) if task[0] == mode and name in part]
             # Scenes differ in their number of states; every state counts the same.
             weights = [part.sweeps.size for part in parts]
             counts = np.concatenate([part.sweeps for part in parts])
@@ -207,7 +204,7 @@ def compare_starts(
                 "states": int(counts.size),
             }
     if velocity_sweeps:
-        together = [part for task, part in zip(tasks, found) if task.paired]
+        together = [part for task, part in zip(tasks, found) if task[0] == "paired"]
         errors = {name: np.concatenate([part[name].velocity for part in together]) for name in starts}
         data["velocity"] = _summary_of_errors(errors, velocity_sweeps)
     return data
@@ -230,153 +227,133 @@ def sampled_sweeps(sweeps: int, points: int = CURVE_POINTS) -> np.ndarray:
 
 
 def table_of_starts(data: dict, after: Sequence[int] = (10, 100, 1000)) -> list[list]:
-    """Rows for a figure's table: sweeps to the threshold and θ after some sweeps, and after all, both ways."""
-    shown = [s for s in (*after, data["sweep"][-1]) if s <= data["sweep"][-1]]
-    rows = [["start", "states", "mean sweeps", "median", *(f"θ({s})" for s in dict.fromkeys(shown))]]
-    for mode in ("paired", "independent"):
+    """Rows of a figure's table: sweeps to the threshold, and θ after these sweeps and after all, in both modes."""
+    last = data["sweep"][-1]
+    shown = list(dict.fromkeys(s for s in (*after, last) if s <= last))
+    rows = [["start", "states", "mean sweeps", "median", *(f"θ({s})" for s in shown)]]
+    for mode in MODES:
         for name, found in data[mode].items():
-            theta = [theta_after(data, mode, name, s) for s in dict.fromkeys(shown)]
-            rows.append(
-                [f"{name}, {mode}", found["states"], found["sweeps"]["mean"], found["sweeps"]["median"], *theta]
-            )
+            theta = [theta_after(data, mode, name, s) for s in shown]
+            rows.append([f"{name}, {mode}", found["states"], *found["sweeps"].values(), *theta])
     return rows
 
 
 def theta_after(data: dict, mode: str, name: str, sweep: int) -> float:
-    """Mean θ of a start after so many sweeps (the nearest one kept), N·s."""
+    """Mean θ of a start after `sweep` sweeps (the nearest number that is stored), N·s."""
     nearest = int(np.argmin(np.abs(np.asarray(data["sweep"]) - sweep)))
     return float(data[mode][name]["theta"][nearest])
 
 
-def mean_sweeps(data: dict, name: str, mode: str = "paired") -> float:
-    """Mean number of sweeps to the threshold of a start."""
-    return data[mode][name]["sweeps"]["mean"]
+def mean_sweeps(data: dict, mode: str = "independent") -> dict[str, float]:
+    """Mean number of sweeps to the threshold, by start."""
+    return {name: found["sweeps"]["mean"] for name, found in data[mode].items()}
 
 
-def draw_comparison(data: dict):
+def draw_comparison(data: dict, options: dict):
     """Two panels of θ by sweep: paired and independent."""
     figure, panels = plotting.subplots(1, 2, size=(10.0, 3.8), sharey=True)
-    titles = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
-    for ax, (mode, text) in zip(panels, titles.items()):
-        draw_convergence(ax, data, mode, floor=1e-9)
-        ax.set_title(text)
+    for ax, (mode, text) in zip(panels, MODES.items()):
+        draw_convergence(ax, data, mode, floor=1e-9, title=text)
     panels[0].get_legend().remove()
     return figure
 
 
-def draw_convergence(ax, data: dict, mode: str, *, floor: float) -> None:
-    """θ by sweep of every start of `compare_starts`' data, "paired" or "independent", with the scenes' quartiles."""
+def draw_convergence(ax, data: dict, mode: str, *, floor: float, title: str) -> None:
+    """θ by sweep of every start in `compare_starts`' data, with the quartiles of the scenes if they are stored."""
     curves = {name: found["theta"] for name, found in data[mode].items()}
-    bands = {name: found["quartiles"] for name, found in data[mode].items()}
+    # Older results files have no quartiles.
+    bands = {name: found["quartiles"] for name, found in data[mode].items() if "quartiles" in found}
     plotting.convergence_plot(ax, curves, sweeps=data["sweep"], bands=bands, threshold=data["threshold"], floor=floor)
+    ax.set_title(title)
 
 
-def faster(data: dict, first: str, second: str, *, text: str, thesis: str | None, mode: str = "independent") -> Claim:
-    """The claim that one start needs fewer sweeps to the threshold than another, in the mean; both ways measured.
-
-    It holds if it does in the given mode; by default the thesis's own, a run for each start.
-    """
-    measured = {
-        f"{name}, {way}": mean_sweeps(data, name, way) for way in ("independent", "paired") for name in (first, second)
-    }
-    measured |= {f"θ(100), {name}": theta_after(data, mode, name, 100) for name in (first, second)}
-    return Claim(text, thesis, bool(mean_sweeps(data, first, mode) < mean_sweeps(data, second, mode)), measured)
+def faster(data: dict, first: str, second: str, text: str, thesis: str | None = None) -> Claim:
+    """The claim that a start needs fewer sweeps to the threshold than another, on average over independent runs."""
+    sweeps, measured = mean_sweeps(data), _sweeps_of_both(data, first, second)
+    measured |= {f"θ(100), {name}": theta_after(data, "independent", name, 100) for name in (first, second)}
+    return Claim(text, thesis, sweeps[first] < sweeps[second], measured)
 
 
 def near(
-    data: dict, first: str, second: str, *, ratio: float, text: str, thesis: str | None = None, mode: str = "paired"
+    data: dict,
+    first: str,
+    second: str,
+    text: str,
+    thesis: str | None = None,
+    *,
+    ratio: float,
+    mode: str = "independent",
 ) -> Claim:
     """The claim that a start needs at most `ratio` times the mean sweeps of another, in the given mode."""
-    measured = {
-        f"{name}, {way}": mean_sweeps(data, name, way) for way in ("independent", "paired") for name in (first, second)
-    }
-    found = mean_sweeps(data, first, mode) / mean_sweeps(data, second, mode)
-    return Claim(text, thesis, bool(found <= ratio), {f"ratio, {mode}": found, **measured})
+    sweeps = mean_sweeps(data, mode)
+    found = sweeps[first] / sweeps[second]
+    measured = {f"ratio, {mode}": found} | _sweeps_of_both(data, first, second)
+    return Claim(text, thesis, found <= ratio, measured)
 
 
-def convergence_figure(*, id: str, title: str, compute: Callable, claims: Callable, **options) -> Figure:
-    """A figure of `compare_starts`' data with the thesis's settings; options: more of them, or others."""
-    return Figure(
-        id=id,
-        title=title,
-        options={"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 5} | options,
-        quick={"scenes": 1, "steps": 300},
-        compute=compute,
-        claims=claims,
-        table=table_of_starts,
-        draw=lambda data, options: draw_comparison(data),
-    )
+def _sweeps_of_both(data: dict, first: str, second: str) -> dict[str, float]:
+    modes = ("independent", "paired")
+    return {f"{name}, {mode}": mean_sweeps(data, mode)[name] for mode in modes for name in (first, second)}
+
+
+def convergence_figure(
+    *, id: str, title: str, starts: Mapping | Callable[..., Mapping], claims: Callable, sweeps: int = 3000, **own
+) -> Figure:
+    """A figure of `compare_starts`' data with the thesis's settings.
+
+    starts: name -> description, or a function that makes it from the options of the figure's own.
+    """
+
+    def compute(options, seed, jobs, progress):
+        given = {name: options.pop(name) for name in own}
+        described = starts(**given) if callable(starts) else starts
+        return compare_starts(described, seed=seed, jobs=jobs, progress=progress, **options)
+
+    options = THESIS_SETTINGS | {"sweeps": sweeps, "scenes": 5} | own
+    quick = {"scenes": 1, "steps": 300}
+    return Figure(id, title, compute, table_of_starts, draw_comparison, claims, options=options, quick=quick)
 
 
 def study_figure(*, id: str, kernel: str, claims: Callable) -> Figure:
-    """Figure 5.4 or 5.5: `study_of_kernel` with the thesis's settings."""
+    """Figure 5.4 or 5.5: the thesis's search for grid spacing and support radius of a kernel (section 5.1.3).
 
-    def compute(options, seed, jobs, progress):
-        return study_of_kernel(kernel, seed=seed, jobs=jobs, progress=progress, **options)
-
-    return Figure(
-        id=id,
-        title=f"Convergence with the kernel {kernel} by support and spacing",
-        options={
-            "n_bodies": 100,
-            "size": 30.0,
-            "steps": 600,
-            "sweeps": 3000,
-            "scenes": 3,
-            "d": 0.25,
-            "h": [0.1, 0.2, 0.25, 0.5],
-            "spacings": [0.25, 0.5, 0.75, 1.0],
-            "transfer": "thesis",
-        },
-        quick={"scenes": 1, "steps": 250, "sweeps": 1500},
-        compute=compute,
-        claims=claims,
-        table=table_of_study,
-        draw=lambda data, options: draw_study(data, d=options["d"]),
-    )
-
-
-def study_of_kernel(
-    kernel: str, *, d: float, h: Sequence[float], spacings: Sequence[float], transfer: str, **options
-) -> dict:
-    """The thesis's search for grid spacing and support of a kernel (section 5.1.3), as the data of a results file.
-
-    "h": starts with each support h at the spacing d; "d": starts with each spacing, h = d. Every part is what
-    `compare_starts` returns. options: those of `compare_starts`.
+    Its data, each as `compare_starts` returns them: {"h": starts with each support radius h at the spacing d, "d":
+    starts with each spacing, h = d}.
     """
 
-    def starts(pairs):
-        return {
-            name: {"spacing": spacing, "support": support, "kernel": kernel, "transfer": transfer}
-            for name, (spacing, support) in pairs.items()
-        }
+    def compute(options, seed, jobs, progress):
+        d, h, spacings, transfer = (options.pop(name) for name in ("d", "h", "spacings", "transfer"))
 
-    by_support = starts({f"h = {support:g} m": (d, support) for support in h})
-    by_spacing = starts({f"d = h = {spacing:g} m": (spacing, spacing) for spacing in spacings})
-    return {"h": compare_starts(by_support, **options), "d": compare_starts(by_spacing, **options)}
+        def compare(pairs):
+            starts = {
+                name: {"spacing": spacing, "support": support, "kernel": kernel, "transfer": transfer}
+                for name, (spacing, support) in pairs.items()
+            }
+            return compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **options)
 
+        by_support = compare({f"h = {support:g} m": (d, support) for support in h})
+        return {"h": by_support, "d": compare({f"d = h = {size:g} m": (size, size) for size in spacings})}
 
-def table_of_study(data: dict) -> list[list]:
-    """Rows for the table of `study_of_kernel`'s data."""
-    head, *rows = table_of_starts(data["h"])
-    return [head, *rows, *table_of_starts(data["d"])[1:]]
+    def draw(data, options):
+        figure, panels = plotting.subplots(2, 2, size=(9.0, 7.0), sharey=True, sharex=True)
+        for row, (mode, text) in zip(panels, (("independent", "a run of its own"), ("paired", "the same states"))):
+            for ax, part, title in zip(row, ("h", "d"), (f"a) d = {options['d']:g} m", "b) h = d")):
+                draw_convergence(ax, data[part], mode, floor=1e-7, title=f"{title}, {text} for each")
+        return figure
 
+    def table(data):
+        return table_of_starts(data["h"]) + table_of_starts(data["d"])[1:]
 
-def draw_study(data: dict, *, d: float):
-    """Panels a and b as in Figures 5.4 and 5.5 (a run for each start), and below them the same states for each."""
-    figure, panels = plotting.subplots(2, 2, size=(9.0, 7.0), sharey=True, sharex=True)
-    modes = {"independent": "a run of its own for each", "paired": "the same states for each"}
-    for row, (mode, text) in zip(panels, modes.items()):
-        for ax, part, title in zip(row, ("h", "d"), (f"a) d = {d:g} m", "b) h = d")):
-            draw_convergence(ax, data[part], mode, floor=1e-7)
-            ax.set_title(f"{title}, {text}")
-    return figure
+    own = {"scenes": 3, "d": 0.25, "h": [0.1, 0.2, 0.25, 0.5], "spacings": [0.25, 0.5, 0.75, 1.0], "transfer": "thesis"}
+    quick = {"scenes": 1, "steps": 250, "sweeps": 1500}
+    title = f"Convergence with the kernel {kernel} by support and spacing"
+    return Figure(id, title, compute, table, draw, claims, options=THESIS_SETTINGS | own, quick=quick)
 
 
 def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinear") -> dict[str, float]:
-    """What the round trip of the solved impulses through the grid changes in them.
+    """Change of the solved impulses by the round trip through the grid.
 
-    method: how the thesis's transfer reads back, see `sph.gather`; the consistent one is bilinear.
+    method: of the thesis's transfer for reading back, see `sph.gather`; the consistent transfer is bilinear.
     Returns {"relative error": mean over states of ‖λ' − λ‖ / ‖λ‖, "returned": Σ λ_n' / Σ λ_n}.
     """
     errors, returned, total = [], 0.0, 0.0
@@ -392,7 +369,7 @@ def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinea
 
 
 def isolated_contacts(count: int, *, seed: int) -> list[State]:
-    """States with a single contact each, of impulse (1, 0.3) N·s, anywhere in a cell of the thesis's box."""
+    """States with one contact each, of impulse (1, 0.3) N·s, at random places in the thesis's box."""
     rng = np.random.default_rng(seed)
     states = []
     for centre in rng.uniform(10.0, 20.0, (count, 2)):
@@ -406,7 +383,7 @@ def isolated_contacts(count: int, *, seed: int) -> list[State]:
 
 
 def snapshots(scene: State, times: Sequence[float], *, solver=None) -> list[State]:
-    """The solved states of a run at these times, s, each at the step that begins nearest to it."""
+    """The solved states of a run at these times, s, each of the step that begins nearest to its time."""
     wanted = [round(t / scene.dt) for t in times]
     if not wanted or min(wanted) < 0:
         raise ValueError(f"times: expected at least one, all >= 0, got {list(times)}")
@@ -421,7 +398,7 @@ def snapshots(scene: State, times: Sequence[float], *, solver=None) -> list[Stat
 
 
 def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
-    """The figure of snapshots of the thesis's scene at some times, s, its circles coloured by speed or impulse."""
+    """Figure 3.6 or 5.1: snapshots of the thesis's scene at these times, s, coloured by speed or impulse."""
 
     def compute(options, seed, jobs, progress):
         scene = circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
@@ -435,38 +412,29 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
             rows.append([state.time, state.contacts.count, height, speed, largest])
         return rows
 
-    return Figure(
-        id=id,
-        title=title,
-        options={"n_bodies": 100, "size": 30.0, "times": list(times)},
-        compute=compute,
-        table=table,
-        draw=lambda data, options: draw_snapshots(data, colour_by=colour_by),
-    )
+    def draw(data, options):
+        states = [plotting.state_of(found) for found in data["snapshots"]]
+        columns = 4
+        rows = -(-len(states) // columns)
+        size = (2.9 * columns, 3.0 * rows)
+        figure, panels = plotting.subplots(rows, columns, size=size, squeeze=False, sharex=True, sharey=True)
+        high = max(plotting.body_values(state, colour_by)[0].max(initial=0.0) for state in states)
+        impulse = max(state.contacts.normal_impulse.max(initial=0.0) for state in states)
+        scale = {"colour_by": colour_by, "limits": (0.0, high), "largest_impulse": impulse or None}
+        for ax in panels.ravel()[len(states) :]:
+            ax.set_visible(False)
+        for ax, state in zip(panels.ravel(), states):
+            circles = plotting.draw_state(ax, state, **scale)
+            ax.set_title(f"t = {state.time:.2f} s, {state.contacts.count} contacts", loc="left")
+        plotting.colour_bar(panels[0, -1], circles)
+        return figure
 
-
-def draw_snapshots(data: dict, *, colour_by: str, columns: int = 4):
-    """Panels of the states that `data["snapshots"]` holds (`plotting.state_data`), one colour scale for all."""
-    states = [plotting.state_of(found) for found in data["snapshots"]]
-    rows = -(-len(states) // columns)
-    figure, panels = plotting.subplots(
-        rows, columns, size=(2.9 * columns, 3.0 * rows), squeeze=False, sharex=True, sharey=True
-    )
-    high = max(plotting.body_values(state, colour_by)[0].max(initial=0.0) for state in states)
-    impulse = max(state.contacts.normal_impulse.max(initial=0.0) for state in states)
-    for ax in panels.ravel()[len(states) :]:
-        ax.set_visible(False)
-    for ax, state in zip(panels.ravel(), states):
-        circles = plotting.draw_state(
-            ax, state, colour_by=colour_by, limits=(0.0, high), largest_impulse=impulse or None
-        )
-        ax.set_title(f"t = {state.time:.2f} s, {state.contacts.count} contacts", loc="left")
-    plotting.colour_bar(panels[0, -1], circles)
-    return figure
+    options = {"n_bodies": 100, "size": 30.0, "times": list(times)}
+    return Figure(id, title, compute, table, draw, options=options)
 
 
 def contact_time(state: State, *, sweeps: int, repeats: int = 3) -> float:
-    """Time of one contact solution with so many sweeps, the least of some tries, s."""
+    """Time of one contact solution with `sweeps` sweeps, the least of `repeats`, s."""
     solver = PGS(sweeps=sweeps, tolerance=None)
     best = np.inf
     for _ in range(repeats):

@@ -1,58 +1,60 @@
-"""Scenes at the extremes, and what becomes of them, in this engine and in its peers: the science behind Figure 6.6.
+"""Scenes at the extremes, in this engine and in others: the measurements of Figure 6.6.
 
-`QUANTITIES` says which quantity is pushed how far and in which scene; `measure` runs one such scene in one engine and
-says what came of it. A scene is
+`QUANTITIES` lists which quantity is pushed how far and in which scene; `measure` runs one such scene in one engine and
+judges the outcome. A scene is
 
 * **safe** where everything stays in the box and in its order, the circles end no deeper in each other than position
   correction leaves them (three slops, or a tenth of the smallest radius if that is less), and the energy never rises
-  by more than a hundredth of what there was;
+  by more than a hundredth of its initial value;
 * **degraded** where it stays bounded, but one of the last two does not hold;
 * **failed** where a number is not finite, a circle has left the box or passed through another, or the energy doubles;
-* **refused** where the engine says no before the first step, or an adapter cannot build the scene.
+* **refused** where the engine raises an error before the first step, or an adapter cannot build the scene.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from itertools import islice, product
 
 import numpy as np
 
 from deep_contact import constants
 from deep_contact.constants import LINEAR_SLOP, WALL_SKIN
-from deep_contact.physics.engine import contacts_of, solve
-from deep_contact.physics.methods import METHODS, PGS, PRECISIONS
+from deep_contact.physics import metrics
+from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
+from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
+from deep_contact.studies import peers
 from deep_contact.warm_start import STARTS
 
 SAFE, DEGRADED, FAILED, REFUSED, ABSENT = VERDICTS = ("safe", "degraded", "failed", "refused", "absent")
 ENGINES = ("ours", "Box2D 2.3", "pymunk")
 
 SETTLED_PENETRATION = 3 * LINEAR_SLOP
-"""Depth at which Box2D's position correction is content, m."""
+"""Depth that Box2D's position correction leaves, m."""
 
 ENERGY_TOLERANCE = 0.01
-"""Rise of the mechanical energy that a safe scene may show, as a share of what there was."""
+"""Rise of the mechanical energy that a safe scene may show, as a share of its initial value."""
 
 SWEEPS = 50
-"""Velocity sweeps, or iterations of a peer, where they are not what is pushed."""
-
+"""Velocity sweeps, or iterations of another engine, where they are not what is pushed."""
 
 ACCURATE = PGS(sweeps=100_000, tolerance=1e-9)
-"""The most accurate setting in use here: it nearly always ends by its tolerance."""
+"""The most accurate setting here: it nearly always ends by its tolerance."""
 
 SOLVER = PGS(sweeps=SWEEPS, tolerance=None)
-"""Of every trial that says nothing else; position correction as it is by default."""
+"""The default of a trial; position correction has its own default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One scene to be run.
+    """One scene to run.
 
     ordered: axis along which the circles have to keep the order of their numbers, or None. single: round the bodies to
-    float32 after every step, as an engine that keeps its state in float32 does.
+    float32 after every step, as an engine with a float32 state does.
     """
 
     scene: State
@@ -63,63 +65,77 @@ class Trial:
     single: bool = False
 
 
-@dataclass(frozen=True, kw_only=True)
+def _as_given(value: float, steps: int) -> int:
+    return steps
+
+
+@dataclass(frozen=True)
 class Quantity:
     """A quantity that is pushed: its unit, the values, those of the quick run, and the scene for a value.
 
-    peers: whether the other engines have it too.
+    ordered, single: of `Trial`. steps: of a trial, from the value and the steps asked for. options: value -> more
+    options of `Trial`. peers: whether the other engines have this quantity too.
     """
 
     unit: str
     values: tuple
     quick: tuple
-    trial: Callable[[float, int], Trial]
+    scene: Callable[[float], State]
+    ordered: int | None = None
+    single: bool = False
+    steps: Callable[[float, int], int] = _as_given
+    options: Callable[[float], dict] = lambda value: {}
     peers: bool = True
 
+    def trial(self, value: float, steps: int) -> Trial:
+        """The trial of a value. Raises ValueError where no such scene can be built."""
+        fields = {"ordered": self.ordered, "single": self.single, **self.options(value)}
+        return Trial(scene=self.scene(value), steps=self.steps(value, steps), **fields)
 
-# ---- what came of it ----
+
+# ---- outcomes ----
 
 
 def measure(trial: Trial, engine: str = "ours") -> dict:
     """Run a trial in an engine of `ENGINES`.
 
-    Returns, as a results file holds it:
+    Returns:
 
     | key           | meaning                                                                                      |
     |---------------|----------------------------------------------------------------------------------------------|
     | verdict       | one of `VERDICTS`, see the module                                                            |
     | message       | why it was refused, or how it failed                                                         |
-    | finite        | whether all numbers were, in all steps                                                       |
-    | energy        | largest rise of the mechanical energy over that of the start, as a share of the scale        |
-    | sweep_gain    | the rises by the velocity part of single steps, added up, as a share of the scale; ours only |
-    | correction    | the work of position correction against gravity where it lifts, likewise; ours only          |
+    | finite        | whether all numbers were finite in all steps                                                 |
+    | energy        | largest rise of the mechanical energy over its initial value, as a share of the scale        |
+    | sweep_gain    | sum of the rises by the velocity part of single steps, as a share of the scale; ours only    |
+    | correction    | work of position correction against gravity where it lifts, likewise; ours only              |
     | worst         | deepest penetration, m                                                                       |
     | settled       | deepest penetration of the last tenth of the steps, m                                        |
-    | recovered     | steps until no penetration exceeds what is settled for good; None if it still does           |
+    | recovered     | steps until the penetration stays within what position correction leaves, or None            |
     | speed         | largest speed at the end, m/s                                                                |
 
-    The scale of energy is what the scene starts with, kinetic and potential over the lowest place in the box; where
-    that is nothing, that of all its circles at 1 m/s. Raises ValueError on an unknown engine.
+    The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
+    that is 0, the kinetic energy of all circles at 1 m/s. Raises ValueError on an unknown engine.
     """
     if engine not in ENGINES:
         raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
     watch = _Watch(trial)
     try:
-        run = _run_ours(trial, watch) if engine == "ours" else _run_peer(trial, engine)
+        run = _run_ours(trial, watch) if engine == "ours" else _run_peer(trial.scene, engine, trial.solver, trial.steps)
         for bodies in run:
             watch.see(bodies)
     except ImportError as error:
         return watch.outcome(ABSENT, str(error))
     except FileNotFoundError:
-        return watch.outcome(ABSENT, "the model file is not there")
+        return watch.outcome(ABSENT, "there is no model file")
     except (ValueError, AssertionError, ArithmeticError) as error:
-        # Before the first step a scene is refused; later, numbers have become what no state may hold.
+        # An error before the first step is a refusal; later, numbers have left the limits of a state.
         return watch.outcome(REFUSED if watch.steps == 0 else FAILED, str(error).strip().splitlines()[-1], finite=False)
     return watch.outcome()
 
 
 class _Watch:
-    """Looks at the bodies after every step."""
+    """Observes the bodies after every step."""
 
     def __init__(self, trial: Trial):
         self.trial, self.scene = trial, trial.scene
@@ -133,15 +149,14 @@ class _Watch:
         self.lost = ""
 
     def see(self, bodies: Bodies) -> None:
-        found = contacts_of(self.scene.replace(bodies=bodies))
-        self.penetration[self.steps] = max(0.0, -found.separation.min(initial=0.0))
+        self.penetration[self.steps] = metrics.penetration(self.scene.replace(bodies=bodies))
         self.energy = max(self.energy, (mechanical_energy(self.scene, bodies) - self.first) / self.scale)
         self.speed = float(np.hypot(*bodies.velocity.T).max())
         self.lost = self.lost or self._what_is_lost(bodies)
         self.steps += 1
 
     def split(self, before: Bodies, after: Bodies) -> None:
-        """Add up what one step of ours did to the energy: by its velocity part, and by position correction."""
+        """Add up the changes of energy in one step of ours: by its velocity part, and by position correction."""
         gravity, dt = np.asarray(self.scene.world.gravity), self.scene.dt
         weight = before.mass[:, None] * gravity
         moved = dt * after.velocity
@@ -156,7 +171,7 @@ class _Watch:
         outside = (bodies.position < (x_min, y_min)) | (bodies.position > (x_max, y_max))
         began = self.scene.bodies.position
         inside_at_first = (began >= (x_min, y_min)) & (began <= (x_max, y_max))
-        # Circles that began outside count once they have had the time to be brought back.
+        # Circles that began outside have until the last step to come back.
         due = inside_at_first if self.steps < self.trial.steps - 1 else True
         if (outside & due).any():
             return f"step {self.steps}: circle {int(np.argwhere(outside & due)[0][0])} has left the box"
@@ -177,7 +192,7 @@ class _Watch:
             message = self.lost
             if self.lost or self.energy > 1:
                 verdict = FAILED
-                message = message or f"the energy rose by {self.energy:.3g} of what there was"
+                message = message or f"the energy rose by {self.energy:.3g} of its initial value"
             else:
                 verdict = SAFE if settled <= allowed and self.energy <= ENERGY_TOLERANCE else DEGRADED
         return {
@@ -198,7 +213,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _run_ours(trial: Trial, watch: _Watch):
+def _run_ours(trial: Trial, watch: _Watch) -> Iterator[Bodies]:
     state = ready(trial.scene)
     for _ in range(trial.steps):
         before = state.bodies
@@ -210,27 +225,24 @@ def _run_ours(trial: Trial, watch: _Watch):
         yield state.bodies
 
 
-def _run_peer(trial: Trial, engine: str):
-    from deep_contact.studies import peers
-
-    if engine == "pymunk" and trial.solver.sweeps == 0:
-        raise ValueError("iterations must be positive and non-zero")  # Chipmunk says so too, and ends the process
-    world = {"Box2D 2.3": peers.Box2D23, "pymunk": peers.Pymunk}[engine](trial.scene)
-    for _ in range(trial.steps):
-        world.step(trial.scene.dt, trial.solver.sweeps, trial.solver.position_sweeps)
+def _run_peer(scene: State, engine: str, solver, steps: int) -> Iterator[Bodies]:
+    if engine == "pymunk" and solver.sweeps == 0:
+        raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
+    world = peers.ENGINES[engine](scene)
+    for _ in range(steps):
+        world.step(scene.dt, solver.sweeps, solver.position_sweeps)
         yield world.bodies()
 
 
 def rounded_to_float32(state: State) -> State:
-    """The state with positions and velocities that float32 can hold; contacts are found again, impulses kept."""
+    """The state with positions and velocities rounded to float32; contacts are found again and keep their impulses."""
     bodies = Bodies(*(field.astype(np.float32).astype(np.float64) for field in state.bodies))
     moved = state.replace(bodies=bodies)
     found, old = contacts_of(moved), state.contacts
-    impulses = {(a, b): k for k, (a, b) in enumerate(zip(old.body_a.tolist(), old.body_b.tolist()))}
-    for k, pair in enumerate(zip(found.body_a.tolist(), found.body_b.tolist())):
-        if pair in impulses:
-            for name in ("normal_start", "tangent_start", "normal_impulse", "tangent_impulse"):
-                getattr(found, name)[k] = np.float32(getattr(old, name)[impulses[pair]])
+    pairs = (contacts.body_a * (bodies.count + 4) + contacts.body_b for contacts in (found, old))
+    _, here, there = np.intersect1d(*pairs, return_indices=True)
+    for name in ("normal_start", "tangent_start", "normal_impulse", "tangent_impulse"):
+        getattr(found, name)[here] = getattr(old, name)[there].astype(np.float32)
     return moved.replace(contacts=found)
 
 
@@ -241,28 +253,12 @@ def kinetic_energy(bodies: Bodies) -> float:
 
 
 def mechanical_energy(scene: State, bodies: Bodies) -> float:
-    """Kinetic energy, and potential energy over the place in the box where a centre is lowest, J."""
+    """Kinetic energy, and potential energy above the lowest place in the box, J."""
     x_min, y_min, x_max, y_max = scene.world.box
     gravity = np.asarray(scene.world.gravity)
     lowest = np.where(gravity < 0, (x_min, y_min), (x_max, y_max))
     height = bodies.position - lowest
     return kinetic_energy(bodies) - float(np.einsum("i,ij,j->", bodies.mass, height, gravity))
-
-
-def solve_gain(state: State, solver, start) -> tuple[float, float]:
-    """Kinetic energy after the velocity sweeps, and after the start alone, over that before either, J.
-
-    Before: with gravity's Δt in it. start: (normal, tangent), (m,) each, N·s. Without friction, sweeps can only lower
-    the kinetic energy from where the start leaves it.
-    """
-    gravity = state.dt * np.asarray(state.world.gravity)
-    free = kinetic_energy(state.bodies._replace(velocity=state.bodies.velocity + gravity))
-
-    def after(options):
-        found = solve(state, options, *start)
-        return kinetic_energy(state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities))
-
-    return after(solver) - free, after(replace(solver, sweeps=0)) - free
 
 
 # ---- the scenes ----
@@ -289,7 +285,7 @@ def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
 
 
 def struck_silo(n: int, *, speed: float = 5.0, after: int = 20, **options) -> State:
-    """A silo whose top circle arrives at `speed` (m/s) in step `after`, whatever Δt is (`dt` in options) and gravity.
+    """A silo whose top circle arrives at `speed` (m/s) in step `after` with every Δt and gravity.
 
     options: those of `column`, and dt, s.
     """
@@ -357,10 +353,10 @@ def small_pile(**options) -> State:
 
 
 def misleading_start(kind: str, factor: float):
-    """A start that has nothing to do with the solution, in units of W = Δt times the weight of all circles.
+    """A start far from the solution, in units of W = Δt times the weight of all circles.
 
     "huge": all normal impulses are factor · W. "pulling": all are -factor · W. "outside": normal impulses are W,
-    friction is factor · W, far outside the cone, to either side in turns.
+    friction is ± factor · W by turns, far outside the cone.
     """
 
     def start(state, solver):
@@ -373,203 +369,140 @@ def misleading_start(kind: str, factor: float):
     return start
 
 
-def _trial(scene: State, steps: int, **options) -> Trial:
-    return Trial(scene=scene, steps=steps, **options)
+def _powers(first: int, last: int) -> tuple[float, ...]:
+    return tuple(float(f"1e{p}") for p in range(first, last + 1))
 
 
-def _swept(sweeps: int, steps: int) -> Trial:
-    # Fewer steps where there are many sweeps: what they do shows at once.
-    steps = min(steps, max(60, 300_000 // (sweeps + 1)))
-    return _trial(struck_silo(10), steps, ordered=1, solver=PGS(sweeps=sweeps, tolerance=None))
+def _sweeps(sweeps: float, tolerance: float | None = None) -> dict:
+    return {"solver": PGS(sweeps=int(sweeps), tolerance=tolerance)}
 
 
-def _misled(kind: str, factor: float, steps: int) -> Trial:
-    # Every step starts as badly as the first, so few steps show what comes of it.
-    start = misleading_start(kind, factor)
-    return _trial(pyramid(5), min(steps, 40), solver=ACCURATE, warm_start=start)
+def _fewer_steps(sweeps: float, steps: int) -> int:
+    return min(steps, max(60, 300_000 // (int(sweeps) + 1)))
 
 
-def _powers(first: int, last: int, step: int = 1) -> tuple[float, ...]:
-    return tuple(float(f"1e{p}") for p in range(first, last + 1, step))
+def _misled(kind: str, values: tuple, quick: tuple) -> Quantity:
+    return Quantity(
+        "weights", values, quick, lambda v: pyramid(5),
+        # Every step starts as badly as the first, so 40 show the effect.
+        steps=lambda v, s: min(s, 40),
+        options=lambda v: {"solver": ACCURATE, "warm_start": misleading_start(kind, v)},
+        peers=False,
+    )  # fmt: skip
 
+
+_FAR = (1e3, 1e6, 1e9, 1e12, 1e15, 1e60)
 
 QUANTITIES: dict[str, Quantity] = {
     "mass ratio, heavy on light": Quantity(
-        unit="",
-        values=(*_powers(0, 8), 1e31),
-        quick=(1.0, 100.0, 1e4, 1e6, 1e31),
-        trial=lambda v, s: _trial(loaded_silo(5, v), s, ordered=1),
+        "", (*_powers(0, 8), 1e31), (1.0, 100.0, 1e4, 1e6, 1e31), lambda v: loaded_silo(5, v), ordered=1
     ),
     "mass ratio, light on heavy": Quantity(
-        unit="",
-        values=(*_powers(0, 8), 1e31),
-        quick=(1.0, 1e3, 1e6, 1e31),
-        trial=lambda v, s: _trial(loaded_silo(5, v, at=0), s, ordered=1),
+        "", (*_powers(0, 8), 1e31), (1.0, 1e3, 1e6, 1e31), lambda v: loaded_silo(5, v, at=0), ordered=1
     ),
     "mass": Quantity(
-        unit="kg",
-        values=(1e-40, 1e-30, 1e-20, 1e-12, 1e-6, 1.0, 1e6, 1e12, 1e20, 1e30, 1e40),
-        quick=(1e-40, 1e-30, 1e-6, 1.0, 1e6, 1e30, 1e40),
-        trial=lambda v, s: _trial(with_bodies(silo(5), mass=np.full(5, v)), s, ordered=1),
+        "kg",
+        (1e-40, 1e-30, 1e-20, 1e-12, 1e-6, 1.0, 1e6, 1e12, 1e20, 1e30, 1e40),
+        (1e-40, 1e-30, 1e-6, 1.0, 1e6, 1e30, 1e40),
+        lambda v: with_bodies(silo(5), mass=np.full(5, v)),
+        ordered=1,
     ),
     "radius": Quantity(
-        unit="m",
-        values=(1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 1.0, 10.0, 100.0, 1e4, 1e6, 1e8, 1e10),
-        quick=(1e-8, 1e-4, 0.01, 0.1, 1.0, 100.0, 1e6, 1e10),
-        trial=lambda v, s: _trial(silo(3, radius=v), s, ordered=1),
+        "m",
+        (1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 1.0, 10.0, 100.0, 1e4, 1e6, 1e8, 1e10),
+        (1e-8, 1e-4, 0.01, 0.1, 1.0, 100.0, 1e6, 1e10),
+        lambda v: silo(3, radius=v),
+        ordered=1,
     ),
     "radius ratio": Quantity(
-        unit="",
-        values=(1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4),
-        quick=(1.0, 10.0, 100.0, 1e3),
-        trial=lambda v, s: _trial(bed_under(v), s),
+        "", (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4), (1.0, 10.0, 100.0, 1e3), bed_under
     ),
     "column height": Quantity(
-        unit="",
-        values=(1, 2, 5, 10, 20, 50, 100, 150, 200),
-        quick=(1, 10, 50, 200),
-        trial=lambda v, s: _trial(silo(int(v)), 6 * s, ordered=1, solver=PGS(sweeps=10, tolerance=None)),
+        "", (1, 2, 5, 10, 20, 50, 100, 150, 200), (1, 10, 50, 200), silo,
+        ordered=1, steps=lambda v, s: 6 * s, options=lambda v: _sweeps(10),
     ),
-    "pyramid rows": Quantity(
-        unit="", values=(2, 5, 10, 20, 30, 50), quick=(2, 10, 20), trial=lambda v, s: _trial(pyramid(int(v)), s)
-    ),
-    "pile": Quantity(
-        unit="circles",
-        values=(10, 100, 1000, 10_000),
-        quick=(10, 100, 400),
-        trial=lambda v, s: _trial(lattice_in_box(int(v)), 2 * s),
-    ),
+    "pyramid rows": Quantity("", (2, 5, 10, 20, 30, 50), (2, 10, 20), pyramid),
+    "pile": Quantity("circles", (10, 100, 1000, 10_000), (10, 100, 400), lattice_in_box, steps=lambda v, s: 2 * s),
     "time step": Quantity(
-        unit="s",
-        values=(1e-10, 1e-9, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 0.01, 0.02, 0.05, 0.1, 0.3, 1.0, 2.0),
-        quick=(1e-10, 1e-6, 1e-3, 0.01, 0.1, 1.0, 2.0),
-        trial=lambda v, s: _trial(struck_silo(5, dt=v), s, ordered=1),
+        "s", (*_powers(-10, -3), 0.01, 0.02, 0.05, 0.1, 0.3, 1.0, 2.0), (1e-10, 1e-6, 1e-3, 0.01, 0.1, 1.0, 2.0),
+        lambda v: struck_silo(5, dt=v), ordered=1,
     ),
     "speed": Quantity(
-        unit="m/s",
-        values=(1e-9, 1e-6, 1e-3, 1.0, 10.0, 100.0, 200.0, 400.0, 500.0, 1e3, 1e4, 1e6, 1e10, 1e11),
-        quick=(1e-9, 1.0, 100.0, 400.0, 1e3, 1e6, 1e11),
-        trial=lambda v, s: _trial(channel(v), s, ordered=0),
+        "m/s",
+        (1e-9, 1e-6, 1e-3, 1.0, 10.0, 100.0, 200.0, 400.0, 500.0, 1e3, 1e4, 1e6, 1e10, 1e11),
+        (1e-9, 1.0, 100.0, 400.0, 1e3, 1e6, 1e11),
+        channel,
+        ordered=0,
     ),
     "gravity": Quantity(
-        unit="m/s²",
-        values=(0.0, 1e-6, 1e-3, 1.0, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6, 1e7),
-        quick=(0.0, 1.0, 100.0, 1e4, 1e6, 1e7),
-        trial=lambda v, s: _trial(struck_silo(5, gravity=(0.0, -v)), s, ordered=1),
+        "m/s²", (0.0, 1e-6, 1e-3, 1.0, 10.0, 100.0, *_powers(3, 7)), (0.0, 1.0, 100.0, 1e4, 1e6, 1e7),
+        lambda v: struck_silo(5, gravity=(0.0, -v)), ordered=1,
     ),
     "friction": Quantity(
-        unit="",
-        values=(0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12),
-        quick=(0.0, 1e-9, 1.0, 10.0, 1e6, 1e12),
-        trial=lambda v, s: _trial(small_pile(friction=v), 3 * s),
+        "", (0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12), (0.0, 1e-9, 1.0, 10.0, 1e6, 1e12),
+        lambda v: small_pile(friction=v), steps=lambda v, s: 3 * s,
     ),
     "restitution": Quantity(
-        unit="",
-        values=(0.0, 0.25, 0.5, 0.75, 1.0),
-        quick=(0.0, 0.5, 1.0),
-        trial=lambda v, s: _trial(small_pile(restitution=v), 3 * s),
+        "", (0.0, 0.25, 0.5, 0.75, 1.0), (0.0, 0.5, 1.0),
+        lambda v: small_pile(restitution=v), steps=lambda v, s: 3 * s,
     ),
     "overlap": Quantity(
-        unit="of the diameter",
-        values=(0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0),
-        quick=(0.0, 0.1, 0.5, 1.0),
-        trial=lambda v, s: _trial(overlapping(v), s),
+        "of the diameter", (0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0), (0.0, 0.1, 0.5, 1.0), overlapping
     ),
     "coinciding circles": Quantity(
-        unit="circles",
-        values=(2, 5, 10, 20, 50, 100, 200),
-        quick=(2, 10, 50),
-        trial=lambda v, s: _trial(overlapping(1.0, int(v)), s),
+        "circles", (2, 5, 10, 20, 50, 100, 200), (2, 10, 50), lambda v: overlapping(1.0, v)
     ),
     "depth in a corner": Quantity(
-        unit="m",
-        values=(0.0, 0.005, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0),
-        quick=(0.0, 0.1, 1.0, 5.0),
-        trial=lambda v, s: _trial(cornered(v), s),
+        "m", (0.0, 0.005, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0), (0.0, 0.1, 1.0, 5.0), cornered
     ),
     "coordinate": Quantity(
-        unit="m",
-        values=(1e-6, 1.0, 1e3, 1e4, 1e5, 1e6, 1e7, 1e8, 9e8, 1e10),
-        quick=(1e-6, 1e3, 1e6, 9e8, 1e10),
-        trial=lambda v, s: _trial(shifted(silo(5), v), s, ordered=1),
+        "m", (1e-6, 1.0, *_powers(3, 8), 9e8, 1e10), (1e-6, 1e3, 1e6, 9e8, 1e10),
+        lambda v: shifted(silo(5), v), ordered=1,
     ),
     "coordinate, state in float32": Quantity(
-        unit="m",
-        values=(1e-6, 1.0, 1e3, 1e4, 1e5, 1e6, 1e7),
-        quick=(1e-6, 1e3, 1e5, 1e6),
-        trial=lambda v, s: _trial(shifted(silo(5), v), s, ordered=1, single=True),
-        peers=False,
+        "m", (1e-6, 1.0, *_powers(3, 7)), (1e-6, 1e3, 1e5, 1e6),
+        lambda v: shifted(silo(5), v), ordered=1, single=True, peers=False,
     ),
     "sweeps": Quantity(
-        unit="",
-        values=(0, 1, 2, 5, 10, 100, 1000, 100_000),
-        quick=(0, 1, 10, 1000),
-        trial=lambda v, s: _swept(int(v), s),
+        "", (0, 1, 2, 5, 10, 100, 1000, 100_000), (0, 1, 10, 1000), lambda v: struck_silo(10),
+        ordered=1, steps=_fewer_steps, options=_sweeps,
     ),
     "tolerance": Quantity(
-        unit="N·s",
-        values=(0.0, 1e-12, 1e-9, 1e-6, 6e-5, 1e-3, 0.01, 0.1, 1.0, 10.0),
-        quick=(0.0, 6e-5, 0.1, 10.0),
-        trial=lambda v, s: _trial(struck_silo(10), s, ordered=1, solver=PGS(sweeps=1000, tolerance=v)),
-        peers=False,
+        "N·s", (0.0, 1e-12, 1e-9, 1e-6, 6e-5, 1e-3, 0.01, 0.1, 1.0, 10.0), (0.0, 6e-5, 0.1, 10.0),
+        lambda v: struck_silo(10), ordered=1, options=lambda v: _sweeps(1000, v), peers=False,
     ),
-    "start, huge": Quantity(
-        unit="weights",
-        values=(0.0, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12, 1e15, 1e60),
-        quick=(0.0, 1.0, 1e3, 1e9, 1e60),
-        trial=lambda v, s: _misled("huge", v, s),
-        peers=False,
-    ),
-    "start, pulling": Quantity(
-        unit="weights",
-        values=(1.0, 10.0, 1e3, 1e6, 1e9, 1e12, 1e15, 1e60),
-        quick=(1.0, 1e6, 1e60),
-        trial=lambda v, s: _misled("pulling", v, s),
-        peers=False,
-    ),
-    "start, outside the cone": Quantity(
-        unit="weights",
-        values=(0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12, 1e15, 1e60),
-        quick=(0.5, 10.0, 1e6, 1e60),
-        trial=lambda v, s: _misled("outside", v, s),
-        peers=False,
-    ),
-}
-"""What Figure 6.6 pushes. A scene is made from a value and the number of steps that a run has."""
+    "start, huge": _misled("huge", (0.0, 1.0, 10.0, *_FAR), (0.0, 1.0, 1e3, 1e9, 1e60)),
+    "start, pulling": _misled("pulling", (1.0, 10.0, *_FAR), (1.0, 1e6, 1e60)),
+    "start, outside the cone": _misled("outside", (0.5, 1.0, 10.0, *_FAR), (0.5, 10.0, 1e6, 1e60)),
+}  # fmt: skip
+"""What Figure 6.6 pushes."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Case:
-    """One cell of the chart, small enough to be sent to another process."""
+def cases(names, *, quick: bool, steps: int, engines=ENGINES) -> list[dict]:
+    """The cells of the chart of some quantities, {"quantity", "value", "engine", "steps"} each.
 
-    quantity: str
-    value: float
-    engine: str
-    steps: int
-
-
-def cases(names, *, quick: bool, steps: int, engines=ENGINES) -> list[Case]:
-    """The cases of some quantities. Raises ValueError on an unknown name."""
+    Raises ValueError on an unknown name.
+    """
     found = []
     for name in names:
         if name not in QUANTITIES:
             raise ValueError(f"quantities: expected some of {', '.join(QUANTITIES)}, got {name!r}")
         quantity = QUANTITIES[name]
-        for value in quantity.quick if quick else quantity.values:
-            for engine in engines if quantity.peers else engines[:1]:
-                found.append(Case(quantity=name, value=value, engine=engine, steps=steps))
+        chosen = engines if quantity.peers else engines[:1]
+        for value, engine in product(quantity.quick if quick else quantity.values, chosen):
+            found.append({"quantity": name, "value": value, "engine": engine, "steps": steps})
     return found
 
 
-def run_case(case: Case) -> dict:
-    """`measure` of a case; what cannot even be built is refused."""
+def run_case(case: dict) -> dict:
+    """`measure` of a case; a scene that cannot be built is refused."""
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            trial = QUANTITIES[case.quantity].trial(case.value, case.steps)
+            trial = QUANTITIES[case["quantity"]].trial(case["value"], case["steps"])
     except ValueError as error:
         nothing = dict.fromkeys(("energy", "sweep_gain", "correction", "worst", "settled", "recovered", "speed"))
         return {"verdict": REFUSED, "message": str(error), "finite": True, **nothing}
-    return measure(trial, case.engine)
+    return measure(trial, case["engine"])
 
 
 SOLVERS = (
@@ -580,7 +513,7 @@ SOLVERS = (
 
 
 def run_solver(name: str, steps: int = 600) -> dict:
-    """`measure` of `small_pile` by one of `SOLVERS`; {"name": …, …}. Absent is a start whose network is not there."""
+    """`measure` of `small_pile` by one of `SOLVERS`; {"name": …, …}. A start without its network is absent."""
     kind, _, name_of_kind = name.partition(" ")
     options = {"solver": PGS(), "warm_start": name_of_kind}
     if kind == "method":
@@ -601,7 +534,7 @@ def spans(values, verdicts) -> list[tuple[str, float, float]]:
 
 
 def stand(scene: State, engine: str, *, solver, seconds: float) -> dict:
-    """Let a scene stand, and look once a second: deepest penetration, m, largest speed, m/s.
+    """Let a scene stand, and observe it once per second: deepest penetration, m, largest speed, m/s.
 
     Returns {"penetration": (seconds,), "speed": (seconds,), "settled": of the second half, m}; where the engine is not
     installed, only {"verdict": ABSENT}. ours runs in whole seconds, as a user runs it.
@@ -609,36 +542,37 @@ def stand(scene: State, engine: str, *, solver, seconds: float) -> dict:
     per_second = round(1 / scene.dt)
     depth, speed = [], []
     try:
-        run = _run_peer(Trial(scene=scene, steps=round(seconds) * per_second, solver=solver), engine)
-        for _ in range(round(seconds)):
-            if engine == "ours":
-                scene = simulate(scene, steps=per_second, solver=solver).state
-                bodies = scene.bodies
-            else:
-                for _ in range(per_second):
-                    bodies = next(run)
-            found = contacts_of(scene.replace(bodies=bodies))
-            depth.append(max(0.0, -found.separation.min(initial=0.0)))
+        if engine == "ours":
+            run = _seconds_of_ours(scene, solver, per_second)
+        else:
+            run = islice(
+                _run_peer(scene, engine, solver, round(seconds) * per_second), per_second - 1, None, per_second
+            )
+        for bodies in islice(run, round(seconds)):
+            depth.append(metrics.penetration(scene.replace(bodies=bodies)))
             speed.append(float(np.hypot(*bodies.velocity.T).max()))
     except ImportError:
         return {"verdict": ABSENT}
     return {"penetration": depth, "speed": speed, "settled": max(depth[len(depth) // 2 :])}
 
 
+def _seconds_of_ours(state: State, solver, per_second: int) -> Iterator[Bodies]:
+    while True:
+        state = simulate(state, steps=per_second, solver=solver).state
+        yield state.bodies
+
+
 PRESSED = 1e-4
-"""Overlap of contacts that are to exist in every engine, m: what touches exactly, rounding to float32 decides."""
+"""Overlap of contacts that have to exist in every engine, m. Without it, rounding to float32 decides."""
 
 
 def leaning_silo(n: int, *, lean: float = 0.05) -> State:
-    """`silo` with room, `lean` m, in which the circles stand in zigzag, each pressed into the next and into a wall."""
+    """A `silo` that is `lean` m wider: the circles stand in zigzag, each pressed into the next and into a wall."""
     scene = silo(n)
     x_min, y_min, x_max, y_max = scene.world.box
     across, reach = lean + 2 * PRESSED, 2.0 - PRESSED
     wall = WALL_SKIN + 1.0 - PRESSED
     order = np.arange(n)
-    position = np.column_stack(
-        [x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order]
-    )
-    return with_bodies(scene, position=position).replace(
-        world=replace(scene.world, box=(x_min, y_min, x_max + lean, y_max))
-    )
+    x, y = x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order
+    scene = with_bodies(scene, position=np.column_stack([x, y]))
+    return scene.replace(world=replace(scene.world, box=(x_min, y_min, x_max + lean, y_max)))

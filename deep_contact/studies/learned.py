@@ -1,12 +1,13 @@
-"""Experiments with trained networks: what chapters 5 and 6 of the thesis say of them, layer by layer and by the clock.
+"""Experiments with trained networks: what chapters 5 and 6 of the thesis say about them.
 
 The layers of a network (Figure 5.8, Tables 5.1 and 5.2), the CNN start beside the others (Figure 5.9), time to a
-threshold by stage (Figure 5.10), one network for both impulses or one each (Table 6.1). Keras and TensorFlow are
-imported by the functions that need them; networks work on one thread.
+threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1), errors on held-out scenes
+(chapter 6). Keras and TensorFlow are imported by the functions that need them; networks run on one thread.
 """
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,8 +22,8 @@ from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import input_image, read_back
 from deep_contact.cnn.inference import network_file, network_start, one_thread
 from deep_contact.physics.engine import solve
-from deep_contact.physics.methods import PGS
 from deep_contact.physics.scenes import circles_in_box
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting.figures import Claim, parallel_map
 from deep_contact.state import State
 from deep_contact.studies.comparison import scene_of, solved_states, sweeps_to, swept_on, theta_after
@@ -30,12 +31,26 @@ from deep_contact.warm_start import Sph, WarmStart
 
 # ---- networks ----
 
+NETWORKS = {"cnn": "models/compact.h5", "cnn thesis": "models/thesis_factored.h5"}
+"""Model files of Figures 5.9 and 5.10."""
+
+LABELS = {"cnn": "CNN (ours)", "cnn thesis": "CNN (thesis network)"}
+"""Names of the networks in claims."""
+
+STARTS = {
+    "none": "none",
+    "builtin": "builtin",
+    "sph": {"spacing": 0.5, "transfer": "thesis"},
+    "sph consistent": {"spacing": 0.5, "transfer": "consistent"},
+}
+"""Descriptions of the starts of Figures 5.9 and 5.10; networks follow, and Copy comes last."""
+
 
 def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
-    """What the cards of some model files say, name -> {"architecture", "parameters", "trainable_parameters", "seed",
-    "training_states"}; None for what a card leaves out. Without TensorFlow.
+    """The cards of some model files, read without TensorFlow.
 
-    Raises FileNotFoundError where one is missing, before anything long begins.
+    Returns name -> {"file", "architecture", "parameters", "trainable_parameters", "seed", "training_states"}; None if a
+    card leaves a field out. Raises FileNotFoundError for a missing file, before anything long begins.
     """
     from deep_contact.cnn.model_file import read_metadata
 
@@ -49,52 +64,15 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
 
 # ---- layers: Figure 5.8, Tables 5.1 and 5.2 ----
 
-LAYER_TITLES = {
-    "InputLayer": "Input",
-    "Conv2D": "Convolution",
-    "MaxPooling2D": "MaxPooling",
-    "BatchNormalization": "BatchNormalization",
-    "Dropout": "Dropout",
-    "Flatten": "Flatten",
-    "Dense": "Dense",
-}
-"""Class of a Keras layer -> its name in Table 5.1."""
+LAYER_TITLES = {"InputLayer": "Input", "Conv2D": "Convolution", "MaxPooling2D": "MaxPooling"}
+"""Class of a Keras layer -> its name in Table 5.1, if they differ."""
 
-_STACKS = ((61, 32, 2), (31, 64, 3), (16, 128, 3), (8, 256, 3), (4, 512, 3))
+PRINTED = json.loads((Path(__file__).parent / "printed_tables.json").read_text(encoding="utf-8"))
 
+PRINTED_LAYERS = PRINTED["layers"]
+"""Table 5.1 as the thesis prints it (L1223-1252), misprints included: (layer, output shape without the batch)."""
 
-def _printed_layers() -> tuple[tuple[str, tuple[int, ...]], ...]:
-    rows = [("Input", (61, 61, 4))]
-    for number, (side, filters, convolutions) in enumerate(_STACKS):
-        rows += [(f"Convolution({filters})", (side, side, filters))] * convolutions
-        rows.append(("Dropout", (side, side, filters)))
-        if number < len(_STACKS) - 1:
-            pooled = _STACKS[number + 1][0]
-            rows.append(("MaxPooling", (pooled, pooled, filters)))
-        if filters == 64:
-            rows.append(("BatchNormalization", (16, 16, 64)))
-        if filters == 256:
-            rows.append(("BatchNormalization", (4, 4, 512)))  # as printed; the pooling before it gives 256
-    return (*rows, ("Flatten", (8192,)), ("Dense", (7442,)))
-
-
-PRINTED_LAYERS = _printed_layers()
-"""Table 5.1 as the thesis prints it (L1223-1252): (layer, output shape without the batch)."""
-
-PRINTED_HYPERPARAMETERS = {
-    "Activation function": "ReLU",
-    "Weight initialization": "He normal",
-    "Weight regularizer": "L2",
-    "Convolution border mode": "same",
-    "Stride": "2",
-    "Kernel size": "(3, 3)",
-    "Dropout rate": "0.1",
-    "Optimizer": "SGD",
-    "Initial learning rate": "0.005",
-    "Batch size": "200",
-    "Epochs": "1000",
-    "Validation rate": "0.2",
-}
+PRINTED_HYPERPARAMETERS = PRINTED["hyperparameters"]
 """Table 5.2 as the thesis prints it (L1260-1272); its "1 × 5 × 10⁻³" is 0.005."""
 
 
@@ -104,30 +82,29 @@ def layers_of(model) -> list[dict]:
     Each {"name", "kind": as in Table 5.1, "shape": of the output without the batch, "parameters", "trainable",
     "kernel": sides of a convolution's kernel or None}.
     """
-    inputs = [int(n) for n in model.input_shape[1:]]
-    found = [{"name": "input", "kind": "Input", "shape": inputs, "parameters": 0, "trainable": 0, "kernel": None}]
+    inputs = {"name": "input", "kind": "Input", "shape": list(model.input_shape[1:]), "parameters": 0, "trainable": 0}
+    found = [inputs | {"kernel": None}]
     for layer in model.layers:
         kind = type(layer).__name__
         if kind == "InputLayer":
             continue
         title = LAYER_TITLES.get(kind, kind)
-        if kind == "Conv2D":
-            title += f"({layer.filters})"
+        convolution = kind == "Conv2D"
         found.append(
             {
                 "name": layer.name,
-                "kind": title,
-                "shape": [int(n) for n in layer.output.shape[1:]],
+                "kind": f"{title}({layer.filters})" if convolution else title,
+                "shape": list(layer.output.shape[1:]),
                 "parameters": int(layer.count_params()),
                 "trainable": int(sum(np.prod(v.shape) for v in layer.trainable_variables)),
-                "kernel": [int(n) for n in layer.kernel_size] if kind == "Conv2D" else None,
+                "kernel": list(layer.kernel_size) if convolution else None,
             }
         )
     return found
 
 
 def thesis_layers(channels: int | None = None) -> list[dict]:
-    """`layers_of` the thesis's network as it is built here; channels: of its input, by default the thesis's five."""
+    """`layers_of` the thesis's network as built here; channels: of its input, by default the thesis's five."""
     one_thread()
     from deep_contact.cnn import architectures
 
@@ -142,26 +119,24 @@ def thesis_hyperparameters() -> dict[str, str]:
 
     config = thesis_config()
     model = architectures.build(config.architecture, **config.options)
-    layers = {kind: [layer for layer in model.layers if type(layer).__name__ == kind] for kind in LAYER_TITLES}
-    convolutions, active = layers["Conv2D"], [*layers["Conv2D"], *layers["Dense"]]
+    layers = {}
+    for layer in model.layers:
+        layers.setdefault(type(layer).__name__, []).append(layer)
+    convolutions = layers["Conv2D"]
     schedule = schedules.schedule(config.schedule, epochs=config.epochs, rate=config.rate)
+    spelling = {"relu": "ReLU", "HeNormal": "He normal"}
 
-    def only(values, form: str = "{}") -> str:
-        return " and ".join(form.format(value) for value in dict.fromkeys(values))
+    def only(values) -> str:
+        return " and ".join(spelling.get(value, str(value)) for value in dict.fromkeys(values))
 
-    activations = {"relu": "ReLU"}
-    initializers = {"HeNormal": "He normal"}
     return {
-        "Activation function": only(activations.get(a.activation.__name__, a.activation.__name__) for a in active),
-        "Weight initialization": only(
-            initializers.get(type(c.kernel_initializer).__name__, type(c.kernel_initializer).__name__)
-            for c in convolutions
-        ),
-        "Weight regularizer": only(type(c.kernel_regularizer).__name__ for c in convolutions),
-        "Convolution border mode": only(c.padding for c in convolutions),
-        "Stride": only(p.strides[0] for p in layers["MaxPooling2D"]),
-        "Kernel size": only(tuple(c.kernel_size) for c in convolutions),
-        "Dropout rate": only((d.rate for d in layers["Dropout"]), "{:g}"),
+        "Activation function": only(layer.activation.__name__ for layer in [*convolutions, *layers["Dense"]]),
+        "Weight initialization": only(type(layer.kernel_initializer).__name__ for layer in convolutions),
+        "Weight regularizer": only(type(layer.kernel_regularizer).__name__ for layer in convolutions),
+        "Convolution border mode": only(layer.padding for layer in convolutions),
+        "Stride": only(layer.strides[0] for layer in layers["MaxPooling2D"]),
+        "Kernel size": only(tuple(layer.kernel_size) for layer in convolutions),
+        "Dropout rate": only(layer.rate for layer in layers["Dropout"]),
         "Optimizer": config.optimizer.upper(),
         "Initial learning rate": f"{schedule(0):g}",
         "Batch size": str(config.batch_size),
@@ -173,14 +148,14 @@ def thesis_hyperparameters() -> dict[str, str]:
 # ---- the CNN start beside the others: Figure 5.9 ----
 
 AFTER = (3, 10, 30, 100, 1000, 3000)
-"""Sweeps after which Figure 5.9's claims compare the starts."""
+"""Numbers of sweeps after which the claims of Figure 5.9 compare the starts."""
 
 CLOSE = 2.0
-"""Two starts are close to each other where their mean θ differ by no more than this factor."""
+"""Largest factor between the mean θ of two starts that count as similar."""
 
 
 def theta_ratios(data: Mapping, first: str, second: str, mode: str) -> dict[str, float]:
-    """Mean θ of one start over that of another after each of `AFTER` sweeps, and none where both are zero."""
+    """Mean θ of one start over that of another after each number of sweeps in `AFTER`, if the other is not zero."""
     ratios = {}
     for sweeps in AFTER:
         if sweeps <= data["sweep"][-1]:
@@ -191,15 +166,15 @@ def theta_ratios(data: Mapping, first: str, second: str, mode: str) -> dict[str,
 
 
 def claims_of_network(data: Mapping, name: str, label: str, *, mode: str = "independent") -> list[Claim]:
-    """What the thesis says of Figure 5.9, of one of the networks; and the same by the velocity error, paired.
+    """The thesis's claims on Figure 5.9 for one of the networks, and a comparison by the velocity error, paired.
 
-    data: of `experiments.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one. A comparison
-    holds if it does after every number of `AFTER` sweeps; what is measured says after which it does not.
+    data: of `comparison.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one. A comparison
+    holds if it holds after each number of sweeps in `AFTER`; `measured` shows after which it does not.
     """
 
     def compared(other, within: Callable[[float], bool], text, thesis):
         ratios = theta_ratios(data, name, other, mode)
-        return Claim(text, thesis, bool(all(map(within, ratios.values()))), ratios)
+        return Claim(text, thesis, all(map(within, ratios.values())), ratios)
 
     found = [
         compared("sph", lambda r: 1 / CLOSE <= r <= CLOSE, f"{label} performs similarly to SPH", "L1337"),
@@ -214,16 +189,14 @@ def claims_of_network(data: Mapping, name: str, label: str, *, mode: str = "inde
 
 def _fewer_errors(data, name, other, text) -> Claim:
     errors = data["velocity"]
-    measured, holds = {}, []
-    for i, sweeps in enumerate(errors["sweeps"]):
-        pair = [errors["mean"][start][i] for start in (name, other)]
-        measured[f"after {sweeps}"] = pair
-        holds.append(pair[0] < pair[1])
-    return Claim(f"{text} after every number of sweeps, from the same states", None, all(holds), measured)
+    pairs = list(zip(errors["mean"][name], errors["mean"][other]))
+    measured = {f"after {sweeps}": list(pair) for sweeps, pair in zip(errors["sweeps"], pairs)}
+    holds = all(one < two for one, two in pairs)
+    return Claim(f"{text} after every number of sweeps, from the same states", None, holds, measured)
 
 
 def table_of_velocity(data: Mapping) -> list[list]:
-    """Rows of the mean velocity errors below those of `experiments.table_of_starts` for the same sweeps."""
+    """Rows of the mean velocity errors, to follow those of `comparison.table_of_starts` for the same sweeps."""
     errors = data["velocity"]
     return [[f"{name}, velocity error", errors["states"], None, None, *m] for name, m in errors["mean"].items()]
 
@@ -234,23 +207,23 @@ STAGES = ("splat", "network", "gather", "solve")
 """Stages of a step's contact solution: particles to image, image to image, image to contacts, sweeps."""
 
 THETAS = {"θ < 6e-5": 6e-5, "θ < 1e-2": 1e-2}
-"""Thresholds of θ, N·s: the thesis's, and one for those who need not wait."""
+"""Thresholds of θ, N·s: the thesis's, and a looser one."""
 
 ERRORS = {"velocity error < 1e-1": 1e-1, "velocity error < 1e-2": 1e-2}
-"""Thresholds of the relative velocity error. Only who knows the solution can stop by them: they measure the road."""
+"""Thresholds of the relative velocity error. They need the solution, so they can measure a solver but not stop it."""
 
 
 class Staged(NamedTuple):
-    """Impulses (λ_n, λ_t) of a start, and the seconds of its stages that are its own (none for None, Builtin, Copy)."""
+    """Impulses (λ_n, λ_t) of a start, and the seconds of its own stages (None, Builtin and Copy have none)."""
 
     impulses: tuple[np.ndarray, np.ndarray]
     seconds: dict[str, float]
 
 
 def staged(start: WarmStart, state: State, solver) -> Staged:
-    """start(state, solver), by the clock: to the last bit the same impulses.
+    """Time the stages of start(state, solver). The impulses are the same to the last bit.
 
-    What SPH is given, the solution itself, costs nothing here.
+    The solution, which SPH transfers, is taken as given at no cost.
     """
     clock = time.perf_counter
     if isinstance(start, Sph):
@@ -292,16 +265,16 @@ def _staged_sph(start: Sph, state: State) -> Staged:
 
 
 def sweeps_to_errors(state: State, start, errors: Sequence[float], *, most: int) -> list[int | None]:
-    """Sweeps until the relative velocity error is within each of `errors`, to a tenth; None if `most` do not do.
+    """Sweeps until the relative velocity error is within each of `errors`, to a tenth; None if `most` do not suffice.
 
-    state: solved; its impulses are what the error is measured against. start: (λ_n, λ_t).
+    state: solved; its impulses are the reference solution. start: (λ_n, λ_t).
     """
     counts = np.unique(np.concatenate([np.arange(20), np.geomspace(20, most, 120)]).round().astype(int)).tolist()
     found: list[int | None] = [None] * len(errors)
     impulses, done = start, 0
     for count in counts:
         if count > done:
-            # On from where the last ones ended: the same sweeps, each of them done once.
+            # Continue where the last sweeps ended, so that each sweep is done once.
             solution = solve(state, PGS(sweeps=count - done, tolerance=None), *impulses)
             impulses, done = (solution.normal_impulses, solution.tangent_impulses), count
         error = velocity_errors(state, impulses, [0])[0]
@@ -312,7 +285,7 @@ def sweeps_to_errors(state: State, start, errors: Sequence[float], *, most: int)
 
 
 def sampled_states(scene: State, *, steps: int, count: int, sweeps: int) -> list[State]:
-    """About `count` solved states of a run with contacts, evenly taken. Raises ValueError where there are none."""
+    """About `count` solved states with contacts, evenly from a run. Raises ValueError if no step has contacts."""
     states = solved_states(scene, steps=steps, solver=PGS(sweeps=sweeps))
     if not states:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {steps}")
@@ -324,8 +297,8 @@ def time_to_thresholds(
 ) -> dict:
     """Sweeps and seconds from each start to each threshold, on the same states.
 
-    most: sweeps after which a start is given up. repeats: of every timing, start after start, of which the median
-    counts. Returns {"criteria": names, "phases": one a state, "contacts": their mean, "starts": {name: {"stages":
+    most: sweeps after which a start is given up. repeats: interleaved runs of every timing; their median counts.
+    Returns {"criteria": names, "phases": one a state, "contacts": their mean, "starts": {name: {"stages":
     {stage: seconds, one a state}, "sweeps": {criterion: one a state, None where not reached}, "solve": {criterion:
     seconds of so many sweeps, one a state}}}}.
     """
@@ -338,16 +311,14 @@ def time_to_thresholds(
         goal = swept_on(state)
         needed = {}
         for name, start in starts.items():
-            impulses = staged(start, state, solver).impulses  # and everything is compiled before it is timed
+            impulses = staged(start, state, solver).impulses  # the warm-up run too: everything is compiled after it
             theta = solve(state, solver, *impulses).record.theta
             counts = [sweeps_to(theta, t) if theta[-1] <= t else None for t in THETAS.values()]
             counts += sweeps_to_errors(goal, impulses, list(ERRORS.values()), most=most)
             needed[name] = dict(zip(criteria, counts))
-        clocked = []
-        for _ in range(repeats):
-            clocked.append({name: _timed(start, state, needed[name], most) for name, start in starts.items()})
+        timings = [{n: _timed(start, state, needed[n], most) for n, start in starts.items()} for _ in range(repeats)]
         for name in starts:
-            stages, solves = ([part[name][i] for part in clocked] for i in range(2))
+            stages, solves = ([part[name][i] for part in timings] for i in range(2))
             for stage in stages[0]:
                 found[name]["stages"].setdefault(stage, []).append(float(np.median([s[stage] for s in stages])))
             for criterion in criteria:
@@ -375,7 +346,7 @@ def _timed(start, state, needed, most) -> tuple[dict[str, float], dict[str, floa
 
 
 def mean_stages(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> dict[str, float]:
-    """Mean seconds of each stage of a start over the states of some phases, those given up with all their sweeps."""
+    """Mean seconds of each stage of a start over the states of some phases; see `mean_sweeps_to` for those given up."""
     found = data["starts"][name]
     chosen = np.isin(data["phases"], list(phases))
     stages = found["stages"] | {"solve": found["solve"][criterion]}
@@ -388,7 +359,7 @@ def total_time(data: Mapping, name: str, criterion: str, phases: Sequence[str] =
 
 
 def mean_sweeps_to(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> float:
-    """Mean sweeps to a criterion over the states of some phases; a state given up counts with all of them."""
+    """Mean sweeps to a criterion over the states of some phases; a state given up counts with all its sweeps."""
     counts = data["starts"][name]["sweeps"][criterion]
     chosen = np.isin(data["phases"], list(phases))
     return float(np.mean([data["most"] if n is None else n for n in counts], where=chosen))
@@ -416,15 +387,16 @@ TARGET_SETS = {
     "normal": ("normal_impulse",),
     "tangent": ("tangent_impulse",),
 }
-"""What a network of Table 6.1 may have to learn."""
+"""Targets of the networks of Table 6.1."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TargetTask:
     """One training of Table 6.1, small enough to be sent to another process.
 
-    targets: one of `TARGET_SETS`. options: of `architectures.compact`. simulations: to train on and to choose by, the
-    first ones of `data`. settings: changes to `TrainingConfig`. out: folder of the run, which is gone on with.
+    targets: one of `TARGET_SETS`. options: of `architectures.compact`. simulations: number of the first simulations
+    of `data` for training and validation. settings: changes to `TrainingConfig`. out: folder of the run, which is
+    continued if it exists.
     """
 
     targets: str
@@ -437,7 +409,7 @@ class TargetTask:
 
 
 def train_on_targets(task: TargetTask) -> str:
-    """Train a network for one impulse or both; the path of its model file. What is trained already is kept."""
+    """Train a network for one impulse or both, or continue its training; the path of its model file."""
     one_thread()
     from deep_contact.cnn import training
 
@@ -453,7 +425,8 @@ def train_on_targets(task: TargetTask) -> str:
         options=task.options,
         seed=task.seed,
         simulations=task.simulations,
-        # The masked loss on images: the only one that asks for no second impulse. No test side, which is elsewhere.
+        # The masked loss on images is the only one that needs no second impulse. No test side: held-out states are
+        # other simulations.
         loss="appendix b",
         fractions=(0.8, 0.2, 0.0),
         **task.settings,
@@ -463,7 +436,7 @@ def train_on_targets(task: TargetTask) -> str:
 
 
 def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], seed: int, progress: Callable) -> Path:
-    """A small data set of the thesis's scene, as `scripts/generate_data.py` makes a large one. What is there stays."""
+    """A small data set of the thesis's scene, like that of `scripts/generate_data.py`. Existing files are kept."""
     folder = Path(folder)
     for number in progress(range(simulations), total=simulations, text="simulations"):
         path = simulation_path(folder, number)
@@ -477,18 +450,18 @@ def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], 
 
 
 def predict_targets(path, state: State) -> dict[str, np.ndarray]:
-    """Impulses at a state's contacts by a network of one or both targets, target -> (m,), N·s, not projected."""
+    """Predicted impulses at a state's contacts, not projected on the cone: target -> (m,), N·s."""
     model = network_start(path).model
     found = read_back(model.run(input_image(state, model.spec)), state, model.spec)
     return dict(zip(model.spec.targets, found))
 
 
 def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Sequence[int]) -> dict:
-    """Held-out errors of one network for both impulses, or of two for one each.
+    """Held-out errors of one network for both impulses, or of two networks for one each.
 
-    Returns means over the states: "normal" and "tangent", ‖λ'_n − λ_n‖ and ‖λ'_t − λ_t‖ over the size ‖λ‖ of the whole
-    solution, before any sweep; "velocity", the relative velocity error after each of `sweeps`, from both together,
-    projected. States with nothing to solve are left out. Raises ValueError where no other is left.
+    Returns means over the states: "normal" and "tangent", ‖λ'_n − λ_n‖ and ‖λ'_t − λ_t‖ relative to ‖λ‖ of the whole
+    solution, before any sweep; "velocity", the relative velocity error after each number of `sweeps`, from both
+    impulses projected on the cone. States with nothing to solve are omitted. Raises ValueError if no other is left.
     """
     from deep_contact.cnn.inference import projected
 
@@ -536,42 +509,43 @@ def one_or_two_networks(
 ) -> dict:
     """Train and compare the `VARIANTS`, once for each seed.
 
-    data: folder of simulations; the first `simulations` are trained on, the next `held_out` report, with about
-    `states` of their states. options: of the compact network, for one for both and one each; larger: of the one that
-    is as large as two. settings: of the training, the same for all; every network sees the same states in the same
-    order. Returns {variant: {"parameters", "errors": one a seed, see `errors_of_networks`}}, and the numbers of states.
-    Raises ValueError where there are too few simulations.
+    data: folder of simulations; the first `simulations` are for training, about `states` states of the next `held_out`
+    for the errors. options: of the compact network; larger: of the one that is as large as two. settings: of the
+    training; every network sees the same states in the same order. Returns {"variants": {name: {"parameters", "errors":
+    one a seed, see `errors_of_networks`}}, "sweeps", "seeds", "held-out states"}. Raises ValueError if there are too
+    few simulations.
     """
     store = Store(data)
     if len(store.simulations) < simulations + held_out:
         raise ValueError(f"simulations: expected {simulations + held_out} in {data}, got {len(store.simulations)}")
-    tasks, of_variant = [], []
+    tasks = {}
     for seed in seeds:
         for variant, targets in VARIANTS.items():
             for target in targets:
-                name = f"{variant.replace(',', '').replace(' ', '_')}_{target}_{seed}"
-                chosen = larger if variant.endswith("as large as two") else options
-                tasks.append(
-                    TargetTask(targets=target, options=chosen, seed=seed, data=data, simulations=simulations,
-                               settings=settings, out=str(Path(out) / name))
-                )  # fmt: skip
-                of_variant.append((variant, seed))
-    paths = parallel_map(train_on_targets, tasks, jobs=jobs, progress=progress, text="networks")
+                tasks[variant, seed, target] = TargetTask(
+                    targets=target,
+                    options=larger if variant.endswith("as large as two") else options,
+                    seed=seed,
+                    data=data,
+                    simulations=simulations,
+                    settings=settings,
+                    out=str(Path(out) / f"{variant.replace(',', '').replace(' ', '_')}_{target}_{seed}"),
+                )
+    trained = parallel_map(train_on_targets, tasks.values(), jobs=jobs, progress=progress, text="networks")
+    paths = dict(zip(tasks, trained))
     tested = store.states(store.simulations[simulations : simulations + held_out])
     tested = [store.state(*state) for state in tested[:: max(1, len(tested) // states)].tolist()]
     found = {}
-    for variant in VARIANTS:
-        errors, parameters = [], 0
-        for seed in seeds:
-            of_seed = [path for path, key in zip(paths, of_variant) if key == (variant, seed)]
-            errors.append(errors_of_networks(of_seed, tested, sweeps))
-            parameters = sum(network_start(path).model.keras.count_params() for path in of_seed)
+    for variant, targets in VARIANTS.items():
+        networks = [[paths[variant, seed, target] for target in targets] for seed in seeds]
+        errors = [errors_of_networks(of_seed, tested, sweeps) for of_seed in networks]
+        parameters = sum(network_start(path).model.network.count_params() for path in networks[-1])
         found[variant] = {"parameters": int(parameters), "errors": errors}
     return {"variants": found, "sweeps": list(sweeps), "seeds": list(seeds), "held-out states": len(tested)}
 
 
 MEASURES = ("normal", "tangent", "velocity")
-"""Errors by which Table 6.1 compares: of λ_n, of λ_t, and of the velocities before any sweep."""
+"""Errors that Table 6.1 compares: of λ_n, of λ_t, and of the velocities before any sweep."""
 
 
 def of_seeds(data: Mapping, variant: str, measure: str) -> np.ndarray:
@@ -581,32 +555,31 @@ def of_seeds(data: Mapping, variant: str, measure: str) -> np.ndarray:
 
 
 def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
-    """Whether two variants are equal by every measure, as far as the seeds tell: Welch's t within ± its 97.5 % point.
+    """Whether Welch's t test finds no difference between two variants in any measure (p ≥ 0.05), and the numbers.
 
-    And what was measured: the means of both and t. With three seeds each only differences of several standard
-    deviations are seen.
+    The numbers are both means and p, by measure. Three seeds reveal only differences of several standard deviations.
     """
     from scipy import stats
 
-    measured, equal = {}, []
+    measured, equal = {}, True
     for measure in MEASURES:
         a, b = (of_seeds(data, variant, measure) for variant in (first, second))
-        test = stats.ttest_ind(a, b, equal_var=False)
-        measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), float(test.pvalue)]
-        equal.append(not test.pvalue < 0.05)
-    return all(equal), measured
+        p = float(stats.ttest_ind(a, b, equal_var=False).pvalue)
+        measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), p]
+        equal &= not p < 0.05
+    return equal, measured
 
 
 # ---- starts on held-out scenes ----
 
 OFF = 0.05
-"""Error of Builtin's own start above which a state counts as one where there is something to win."""
+"""Velocity error of Builtin's start above which a better start can matter."""
 
 
 def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
-    """`errors_on_scene` of one scene of as many circles as the training data have, 70 to 110.
+    """`errors_on_scene` of one scene of 70 to 110 circles, as in the training data.
 
-    task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are taken.
+    task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are measured.
     """
     from deep_contact.cnn.evaluation import errors_on_scene
 
@@ -616,9 +589,9 @@ def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
 
 
 def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Mean velocity error of a start by scene and number of sweeps, of scenes as `errors_on_scene` has them.
+    """Mean velocity error of a start by scene and number of sweeps, from the output of `errors_on_scene`.
 
-    where: "all" states, or those where Builtin is "off" by more than `OFF`; scenes without any are left out.
+    where: "all" states, or only those where Builtin is "off" by more than `OFF`; scenes without any are omitted.
     """
     means = []
     for scene in scenes:
@@ -630,7 +603,7 @@ def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
 
 
 def ratios_to_builtin(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Error over Builtin's, of the means over scenes, and its 95 % interval by resampling scenes: (sweeps, 3)."""
+    """Mean error over Builtin's mean error, with the 95 % interval by resampling scenes: (sweeps, 3)."""
     found, builtin = mean_errors(scenes, name, where), mean_errors(scenes, "builtin", where)
     chosen = np.random.default_rng(0).integers(0, len(found), (2000, len(found)))
     sampled = found[chosen].mean(axis=1) / builtin[chosen].mean(axis=1)

@@ -1,11 +1,11 @@
-"""What modelling only what a scene requires saves: measured here, drawn as Figure 6.7, told by `dc.plan`.
+"""What modelling only what a scene requires saves: measured here, drawn as Figure 6.7, printed by `dc.plan`.
 
-A saving is a ratio: what the general way costs over what the special way costs, in the same process, by turns. Times
-are repeated, and the quartiles of the repeats' own ratios are the spread; counted work has none.
+A saving is a ratio: the cost of the general way over the cost of the special way, in the same process, interleaved.
+Timed savings have the quartiles of the repeats' own ratios as spread; counted work has none.
 
 Tried on resting piles of 100 to 10,000 circles and not built: one inverse and one effective mass for equal circles (a
-sweep 1 to 7 % slower, for it leaves fewer registers), and no target velocities where nothing bounces (1 to 7 % faster).
-Not tried: a gravity of 0, which is two additions a circle and step.
+sweep 1 to 7 % slower, because it leaves fewer registers), and no target velocities where nothing bounces (1 to 7 %
+faster). Not tried: a gravity of 0, which is two additions per circle and step.
 """
 
 from __future__ import annotations
@@ -15,48 +15,32 @@ import json
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from deep_contact import constants
-from deep_contact.physics.engine import advance_of, moving_room, solve_velocities, world_arguments
+from deep_contact.physics.engine import advance_of, step_input, step_problem
 from deep_contact.physics.islands import islands_of
-from deep_contact.physics.methods import PGS
-from deep_contact.physics.relaxation import settings_of
-from deep_contact.physics.scenes import circles_in_box, lattice_in_box
+from deep_contact.physics.scenes import circles_in_box
+from deep_contact.physics.solvers import PGS
+from deep_contact.physics.step import StepWorkspace, make_log
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, World, make_bodies
+from deep_contact.studies import timing, tradeoff
 from deep_contact.studies.comparison import solved_states
 
 FEW, ENOUGH = 10, 1_000_000
-"""Sweeps, and relaxations, between which the time of a sweep is taken."""
+"""The time of a sweep follows from `FEW` sweeps and from so many that they do `ENOUGH` more relaxations."""
 
 STEP = PGS(sweeps=10, tolerance=None)
-UNCORRECTED = PGS(sweeps=10, tolerance=None, position_sweeps=0)
-"""The step whose parts are compared, and the same without position correction."""
+"""The step whose parts are compared."""
 
 SCATTERED = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""
 
-
-def by_turns(runs: Mapping[str, Callable[[], float]], repeats: int) -> dict[str, np.ndarray]:
-    """Name -> result of each repeat, (repeats,): all once unheeded, which compiles, then taking turns."""
-    found = [{name: run() for name, run in runs.items()} for _ in range(repeats + 1)][1:]
-    return {name: np.array([one[name] for one in found]) for name in runs}
-
-
-def seconds(run: Callable[[], object]) -> float:
-    """Time that this thread works for a call, s: what else runs on the machine does not count, waiting neither."""
-    begin = time.thread_time()
-    run()
-    return time.thread_time() - begin
-
-
-def saving(general: np.ndarray, special: np.ndarray) -> dict:
-    """Median and quartiles of the ratios repeat by repeat, and the least times themselves."""
-    low, ratio, high = np.percentile(general / special, (25, 50, 75))
-    return {"ratio": ratio, "low": low, "high": high, "general": general.min(), "special": special.min()}
+interleaved = functools.partial(timing.interleaved, reduce=np.array, clock=time.thread_time)
+"""Name -> times of all repeats, (repeats,), s, that this thread works: other programs and waiting do not count."""
 
 
 def at_rest(scene: State) -> State:
@@ -67,11 +51,6 @@ def at_rest(scene: State) -> State:
         if run.relaxations[-1] == 0:
             break
     return scene
-
-
-def resting_pile(n_bodies: int, seed: int) -> State:
-    """A pile at rest in the thesis's box, or a lattice that has collapsed in its own."""
-    return at_rest(circles_in_box(n_bodies, seed=seed) if n_bodies <= 100 else lattice_in_box(n_bodies, seed=seed))
 
 
 def heaps_and_one_rolling(n_bodies: int, seed: int) -> State:
@@ -87,90 +66,97 @@ def heaps_and_one_rolling(n_bodies: int, seed: int) -> State:
 
 
 def sweep_savings(n_bodies: int, seed: int, *, repeats: int) -> dict[str, dict]:
-    """What rows without tangents, and single precision, save a sweep of a resting pile, ns a contact and sweep."""
-    state = resting_pile(n_bodies, seed)
-    box, gravity, friction, restitution = world_arguments(state)
-    m = state.contacts.count
-    many = FEW + ENOUGH // m
+    """What rows without tangents, and single precision, save a sweep of a resting pile, ns per contact and sweep."""
+    pile = ready(at_rest(tradeoff.scene(n_bodies, seed)))
+    contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
+    frictionless = pile.replace(world=replace(pile.world, friction=0.0), contacts=contacts)
+    many = FEW + ENOUGH // pile.contacts.count
+    ways = {"general": (pile, "double"), "frictionless": (frictionless, "double"), "single": (pile, "single")}
 
-    def cost(friction, precision="double"):
-        solver = PGS(sweeps=many, tolerance=None, precision=precision)
-        settings, moving, theta = settings_of(solver), moving_room(n_bodies, solver), np.empty(many)
-        arguments = state.bodies, state.contacts, (box, gravity, friction, restitution), state.dt, settings, moving
-        few = seconds(lambda: solve_velocities(*arguments, theta[:FEW]))
-        return (seconds(lambda: solve_velocities(*arguments, theta)) - few) / ((many - FEW) * m) * 1e9
+    def sweep(state, precision, sweeps):
+        solve_contacts(state, solver=PGS(sweeps=sweeps, tolerance=None, precision=precision))
 
-    times = by_turns(
-        {
-            "general": lambda: cost(friction),
-            "frictionless": lambda: cost(None),
-            "single": lambda: cost(friction, "single"),
-        },
-        repeats,
-    )
-    return {name: saving(times["general"], times[name]) for name in ("frictionless", "single")}
+    runs = {(name, k): functools.partial(sweep, *way, k) for name, way in ways.items() for k in (FEW, many)}
+    times = interleaved(runs, repeats=repeats)
+    relaxations = (many - FEW) * pile.contacts.count
+    cost = {name: 1e9 * (times[name, many] - times[name, FEW]) / relaxations for name in ways}
+    return {name: timing.ratio(cost["general"], cost[name]) for name in ("frictionless", "single")}
 
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
-    """What parts of `STEP` cost a resting pile, s a step: being awake, position correction, a call between steps."""
-    pile = ready(resting_pile(n_bodies, seed))
+    """What parts of `STEP` cost a resting pile, s per step: being awake, position correction, calls between steps."""
+    pile = ready(at_rest(tradeoff.scene(n_bodies, seed)))
     rolling = ready(heaps_and_one_rolling(n_bodies, seed))
-    asleep = np.full(n_bodies, np.inf)
-    times = by_turns(
+    uncorrected = replace(STEP, position_sweeps=0)
+    asleep = _Asleep(pile, np.full(n_bodies, np.inf), steps)
+    all_but_one = _Asleep(rolling, np.append(np.full(n_bodies, np.inf), 0.0), steps)
+    times = interleaved(
         {
-            "awake": lambda: seconds(lambda: simulate(pile, steps=steps, solver=STEP)),
-            "asleep": lambda: time_asleep(pile, asleep, steps),
-            "one rolling, awake": lambda: seconds(lambda: simulate(rolling, steps=steps, solver=STEP)),
-            "one rolling, asleep": lambda: time_asleep(rolling, np.append(asleep, 0.0), steps),
-            "uncorrected": lambda: seconds(lambda: simulate(pile, steps=steps, solver=UNCORRECTED)),
-            "told": lambda: seconds(lambda: simulate(pile, steps=steps, solver=STEP, on_step=lambda *_: None)),
+            "awake": lambda: simulate(pile, steps=steps, solver=STEP),
+            "asleep": asleep.run,
+            "one rolling, awake": lambda: simulate(rolling, steps=steps, solver=STEP),
+            "one rolling, asleep": all_but_one.run,
+            "uncorrected": lambda: simulate(pile, steps=steps, solver=uncorrected),
+            "called": lambda: simulate(pile, steps=steps, solver=STEP, on_step=lambda *_: None),
         },
-        repeats,
+        repeats=repeats,
+        setup={"asleep": asleep.reset, "one rolling, asleep": all_but_one.reset},
     )
     times = {name: values / steps for name, values in times.items()}
     return {
-        "asleep": saving(times["awake"], times["asleep"]),
-        "asleep but for one": saving(times["one rolling, awake"], times["one rolling, asleep"]),
-        "no position correction": saving(times["awake"], times["uncorrected"]),
-        "no call between steps": saving(times["told"], times["awake"]),
+        "asleep": timing.ratio(times["awake"], times["asleep"]),
+        "asleep but for one": timing.ratio(times["one rolling, awake"], times["one rolling, asleep"]),
+        "no position correction": timing.ratio(times["awake"], times["uncorrected"]),
+        "no call between steps": timing.ratio(times["called"], times["awake"]),
     }
 
 
-def time_asleep(state: State, rest: np.ndarray, steps: int) -> float:
-    """Time of so many steps of `STEP` with sleeping, s, by circles that have been still for `rest`, (n,), s."""
-    advance, method = advance_of(STEP, sleep=True)
-    bodies, contacts = (part._make(field.copy() for field in part) for part in (state.bodies, state.contacts))
-    room = moving_room(rest.size, STEP), np.empty(STEP.sweeps), np.empty((steps, 4)), rest.copy()
-    return seconds(lambda: advance(bodies, contacts, world_arguments(state), state.dt, *method, True, steps, *room))
+class _Asleep:
+    """Steps of `STEP` by circles that have been still for `still`, (n,), s: `simulate` lets all start awake.
+
+    It calls the compiled step itself. `reset` prepares a run, which changes its arguments.
+    """
+
+    def __init__(self, state: State, still: np.ndarray, steps: int):
+        self._state, self._still, self._steps = state, still, steps
+        self._advance, self._options = advance_of(STEP, sleep=True)
+
+    def reset(self) -> None:
+        bodies, contacts = (
+            part._make(field.copy() for field in part) for part in (self._state.bodies, self._state.contacts)
+        )
+        state = self._state.replace(bodies=bodies, contacts=contacts)
+        problem = step_problem(state, STEP)
+        workspace = StepWorkspace(problem.rows, problem.solver_bodies, np.empty(STEP.sweeps), self._still.copy())
+        self._arguments = step_input(state, self._options.settings), self._options, workspace, make_log(self._steps)
+
+    def run(self) -> None:
+        self._advance(*self._arguments)
 
 
 def island_savings(scene: State, *, steps: int, every: int) -> dict:
-    """What islands save a run, on the same states: those of every so many steps of the run that sweeps all together.
+    """What islands save a run, on the same states: one in `every` steps of the run without islands.
 
     Returns {"step", "contacts", "islands", "together", "apart": relaxations of each state, "seconds_together",
     "seconds_apart": the least of three, "difference": largest between the velocities of both, m/s, "error_together",
-    "error_apart": largest velocity error of each, m/s}. Errors are held against the solution swept on to 1e-10 N·s.
+    "error_apart": largest velocity error of each, m/s}. The reference solution is swept on to 1e-10 N·s.
     """
     found = {name: [] for name in ("step", "contacts", "islands", "difference")}
     ways = {"together": PGS(), "apart": PGS(islands=True)}
-    for name in ways:
-        found |= {name: [], f"seconds_{name}": [], f"error_{name}": []}
+    found |= {f"{what}{name}": [] for name in ways for what in ("", "seconds_", "error_")}
     for state in solved_states(scene, steps=steps, every=every, solver=ways["together"]):
         found["step"].append(state.step)
         found["contacts"].append(state.contacts.count)
         found["islands"].append(len(np.unique(islands_of(state)[state.contacts.body_a])))
         solutions = {name: solve_contacts(state, solver=solver) for name, solver in ways.items()}
         together = solutions["together"]
-        goal = solve_contacts(
-            state,
-            solver=PGS(sweeps=100_000, tolerance=1e-10),
-            start=(together.normal_impulses, together.tangent_impulses),
-        )
-        for name, solver in ways.items():
-            found[name].append(int(simulate(state, steps=1, solver=solver).relaxations[0]))
-            solve = functools.partial(solve_contacts, state, solver=solver)
-            found[f"seconds_{name}"].append(min(seconds(solve) for _ in range(3)))
-            found[f"error_{name}"].append(largest_difference(solutions[name], goal))
+        start = together.normal_impulses, together.tangent_impulses
+        reference = solve_contacts(state, solver=PGS(sweeps=100_000, tolerance=1e-10), start=start)
+        runs = {name: functools.partial(solve_contacts, state, solver=solver) for name, solver in ways.items()}
+        for name, seconds in interleaved(runs, repeats=3, reduce=min).items():
+            found[name].append(int(simulate(state, steps=1, solver=ways[name]).relaxations[0]))
+            found[f"seconds_{name}"].append(seconds)
+            found[f"error_{name}"].append(largest_difference(solutions[name], reference))
         found["difference"].append(largest_difference(solutions["apart"], together))
     return {name: np.array(values) for name, values in found.items()}
 
@@ -178,6 +164,13 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
 def largest_difference(one, other) -> float:
     """Between the velocities of two solutions, component by component, m/s."""
     return float(np.abs(one.velocities - other.velocities).max())
+
+
+def saving_by_run(runs: list[dict], general: str, special: str) -> dict:
+    """The saving over all runs of `island_savings`, with the quartiles of the runs' own ratios."""
+    totals = np.array([[run[general].sum(), run[special].sum()] for run in runs], dtype=float).T
+    found, (all_general, all_special) = timing.ratio(*totals), totals.sum(axis=1)
+    return found | {"ratio": all_general / all_special, "general": all_general, "special": all_special}
 
 
 JOBS = {
@@ -212,11 +205,10 @@ print(json.dumps(found))
 
 
 def job(name: str) -> dict:
-    """What a job takes in a process of its own, after a first one has filled the caches.
+    """What a job takes in a fresh process, after a first one has filled the caches.
 
-    Returns {"seconds", "modules": how many are loaded, "heavy": packages among them, "memory_mb": at most resident,
-    "compiled": functions that had to be compiled}. The interpreter's own start is not in the seconds. Memory is None
-    where the system does not tell it.
+    Returns {"seconds", "modules": number loaded, "heavy": packages among them, "memory_mb": peak resident memory, or
+    None where it is unknown, "compiled": number of functions compiled}. The seconds exclude the interpreter's start.
     """
     command = [sys.executable, "-c", _PROBE, JOBS[name]]
     for _ in range(2):

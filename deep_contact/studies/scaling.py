@@ -1,16 +1,15 @@
-"""Cost of a step from ten circles to a hundred thousand: time, its stages, memory, and the floor that the machine sets.
+"""Cost of a step from ten circles to a hundred thousand: time, its stages, memory, and the limits of the machine.
 
-Times are minima of several runs, engines taking turns on the same pile. A step of k sweeps over m contacts is taken
-to cost overhead + cost · k · m, whose two unknowns follow from two budgets of sweeps.
+Times are minima of interleaved runs on the same pile; the cost of a step has the two unknowns of `engines`.
 """
 
 from __future__ import annotations
 
 import math
 import multiprocessing
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,43 +17,37 @@ from numba import njit
 
 from deep_contact.compiled.simd import WIDTH, lane, spread
 from deep_contact.constants import WALL_SKIN
-from deep_contact.physics import collision, colours, contact_solver, engine, metrics
-from deep_contact.physics.methods import PGS, BatchedPGS
-from deep_contact.reporting.results import replacing
+from deep_contact.physics import batches, collision, contact_solver, engine, metrics
+from deep_contact.physics.solvers import PGS, BatchedPGS, batched
+from deep_contact.recommendation import weight_impulse
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import Bodies, State, World, make_bodies
-from deep_contact.studies import peers, tradeoff
-
-FEW, MANY = 10, 40
-"""Budgets of velocity sweeps that the two unknowns follow from."""
-
-POSITION_SWEEPS = 3
+from deep_contact.studies import engines, timing, tradeoff
+from deep_contact.studies.engines import FEW
 
 OURS = {
-    "sequential": (PGS, {}),
-    "levels": (BatchedPGS, {"order": "levels"}),
-    "colours": (BatchedPGS, {"order": "colours"}),
-    "colours, single": (BatchedPGS, {"order": "colours", "precision": "single"}),
-    "colours, 2 threads": (BatchedPGS, {"order": "colours", "threads": 2}),
+    "sequential": {"method": PGS},
+    "levels": {"method": BatchedPGS, "order": "levels"},
+    "colours": {"method": BatchedPGS, "order": "colours"},
+    "colours, single": {"method": BatchedPGS, "order": "colours", "precision": "single"},
+    "colours, 2 threads": {"method": BatchedPGS, "order": "colours", "threads": 2},
 }
 """Name -> method and its options."""
 
-PEERS = {adapter.name: adapter for adapter in (peers.Box2D23, peers.Pymunk, peers.Box2D3)}
-
 BYTES = {"double": 8 + 7 * 8 + 4 * 8, "single": 8 + 7 * 4 + 4 * 4}
-"""Memory that a sweep has to move for a contact: which circles, its row, and its impulses, read and written."""
+"""Memory that a sweep has to move for a contact: its two circles, its row, and its impulses, read and written."""
 
 BYTES_OF_CIRCLE = {"double": 64, "single": 32}
-"""And for a circle: four numbers, read and written, once a sweep."""
+"""The same for a circle: four numbers, read and written, once per sweep."""
 
 OPERATIONS = 51
-"""Additions, multiplications, minima and maxima in `colours.sweep_tiles` for a contact; a fused one counts twice."""
+"""Additions, multiplications, minima and maxima in `batched.sweep_tiles` for a contact; a fused one counts twice."""
 
 
 def packed_pile(n_bodies: int, *, seed: int = 0, steps: int = 200) -> State:
-    """A pile that has not to fall first: unlike circles close to a hexagonal packing, given `steps` steps to settle.
+    """A pile that does not have to fall first: unequal circles close to a hexagonal packing settle for `steps` steps.
 
-    Radii are uniform in 0.8 to 1 m, so that no crystal comes of it and there are about as many contacts as in a pile
+    Radii are uniform in 0.8 to 1 m, so that no crystal forms and there are about as many contacts as in a pile
     that was dropped.
     """
     rng = np.random.default_rng(seed)
@@ -66,176 +59,84 @@ def packed_pile(n_bodies: int, *, seed: int = 0, steps: int = 200) -> State:
     size = centres.max(axis=0) + np.array([1.0 + WALL_SKIN, 20.0])
     bodies = make_bodies(centres, radius=rng.uniform(0.8, 1.0, n_bodies))
     scene = State(name=f"packed_{n_bodies}", world=World(box=(0, 0, *size)), bodies=bodies)
-    solver = BatchedPGS(sweeps=FEW, tolerance=None, position_sweeps=POSITION_SWEEPS)
-    return simulate(scene, steps=steps, solver=solver).state
+    return simulate(scene, steps=steps, solver=engines.solver_of(FEW, BatchedPGS)).state
 
 
 def stored_pile(folder: Path, n_bodies: int, *, seed: int, steps: int) -> Path:
-    """The file of `packed_pile` in the folder, made if it is not there."""
+    """The file of `packed_pile` in the folder, made if it does not exist."""
     path = Path(folder) / f"packed_{n_bodies}_seed_{seed}_steps_{steps}.npz"
-    if not path.exists():
-        state = packed_pile(n_bodies, seed=seed, steps=steps)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path) as temporary:
-            np.savez(temporary, box=state.world.box, **state.bodies._asdict())
-    return path
+    return engines.stored_pile(path, lambda: packed_pile(n_bodies, seed=seed, steps=steps))
 
 
 def read_pile(path: Path) -> State:
-    """A stored pile, gone on by two steps so that its contacts carry impulses."""
-    with np.load(path) as stored:
-        fields = {name: stored[name] for name in ("radius", "velocity", "angle", "spin", "mass")}
-        bodies = make_bodies(stored["position"], **fields)
-        state = State(name=Path(path).stem, world=World(box=tuple(stored["box"])), bodies=bodies)
-    return simulate(state, steps=2, solver=solver_of("sequential", FEW)).state
+    """A stored pile two steps later: its contacts carry impulses."""
+    return simulate(engines.read_pile(path), steps=2, solver=solver_of("sequential", FEW)).state
 
 
 def solver_of(name: str, sweeps: int):
-    """Options of one of ours with a budget."""
-    method, options = OURS[name]
-    return method(sweeps=sweeps, tolerance=None, position_sweeps=POSITION_SWEEPS, **options)
-
-
-def available_peers() -> list[str]:
-    """Names of the engines whose packages are installed."""
-    found = []
-    for name, adapter in PEERS.items():
-        try:
-            adapter(State(name="empty", world=World(), bodies=make_bodies([[15.0, 15.0]])))
-        except ImportError:
-            continue
-        found.append(name)
-    return found
+    """Options of one of ours with a fixed number of sweeps."""
+    return engines.solver_of(sweeps, **OURS[name])
 
 
 def step_costs(state: State, names: Sequence[str], *, steps: int, repeats: int) -> list[dict]:
-    """Rows: of each engine on the pile, contacts, time of a step of `FEW` sweeps, and the two unknowns."""
-    runs = {name: _run_of(state, name) for name in names}
-    least = {name: {FEW: math.inf, MANY: math.inf} for name in names}
-    for name in names:
-        runs[name](1, FEW)  # compiled and warm
-    for _ in range(repeats):
-        for name in names:
-            for sweeps in (FEW, MANY):
-                start = time.perf_counter()
-                runs[name](steps, sweeps)
-                seconds = (time.perf_counter() - start) / steps
-                least[name][sweeps] = min(least[name][sweeps], seconds)
-    found = []
-    for name in names:
-        few, many = least[name][FEW], least[name][MANY]
-        m = runs[name].contacts()
-        slope = (many - few) / ((MANY - FEW) * m)
-        found.append(
-            {
-                "engine": name,
-                "n_bodies": state.bodies.count,
-                "contacts": m,
-                "step_us": 1e6 * few,
-                "sweep_ns": 1e9 * slope,
-                "overhead_us": 1e6 * (few - slope * FEW * m),
-            }
-        )
-    return found
-
-
-class _OurRun:
-    """Steps of ours, always from the same state."""
-
-    def __init__(self, state: State, name: str):
-        self.state, self.name = state, name
-
-    def __call__(self, steps: int, sweeps: int) -> None:
-        simulate(self.state, steps=steps, solver=solver_of(self.name, sweeps))
-
-    def contacts(self) -> int:
-        return self.state.contacts.count
-
-
-class _PeerRun:
-    """Steps of another engine, which go on: the pile is at rest."""
-
-    def __init__(self, state: State, name: str):
-        self.world = PEERS[name](state)
-
-    def __call__(self, steps: int, sweeps: int) -> None:
-        for _ in range(steps):
-            self.world.step(0.01, sweeps, POSITION_SWEEPS)
-
-    def contacts(self) -> int:
-        return self.world.contact_count()
-
-
-def _run_of(state: State, name: str) -> Callable:
-    return (_OurRun if name in OURS else _PeerRun)(state, name)
+    """Rows: of each engine on the pile, contacts, time of a step of ten sweeps, and the two unknowns."""
+    ours = {name: partial(engines.Ours, **options) for name, options in OURS.items()}
+    chosen = {name: (ours | engines.PEERS)[name] for name in names}
+    measured = engines.measure(state, chosen, steps=steps, repeats=repeats)
+    return [{"engine": name, "n_bodies": state.bodies.count, **costs} for name, costs in measured.items()]
 
 
 def exponent(rows: Sequence[dict], least: int = 1000) -> float:
-    """p of step time ~ contacts^p, fitted to the rows of one engine from so many circles on."""
+    """p of step time ~ contacts^p, fitted to the rows of one engine of at least so many circles."""
     rows = [row for row in rows if row["n_bodies"] >= least]
     return float(np.polyfit(np.log([row["contacts"] for row in rows]), np.log([row["step_us"] for row in rows]), 1)[0])
 
 
 def stages(state: State, name: str, *, repeats: int) -> dict[str, float]:
-    """Time of each stage of a step of one of ours on one thread, µs: what is compiled, without Python around it."""
+    """Time of each stage of a step of one of ours on one thread, µs: the compiled functions, without Python.
+
+    This function calls the internals of `physics`; nothing else in the study of scaling does.
+    """
     bodies, contacts, n = state.bodies, state.contacts, state.bodies.count
     box, gravity, friction, restitution = engine.world_arguments(state)
     solver = solver_of(name, FEW)
     settings, position_sweeps = engine.settings_of(solver), solver.position_sweeps
-    moving = engine.moving_room(n, solver)
-    room, cells = collision.make_contacts(4 * n + 64), collision.make_cells(n)
-    rows = contact_solver.make_rows(contacts.count, moving.dtype)
+    rows, solver_bodies, _ = engine.step_problem(state, solver)
+    buffer, cells = collision.make_contacts(4 * n + 64), collision.make_cells(n)
+    moved = Bodies(*(field.copy() for field in bodies))
 
     def prepare():
-        contact_solver.integrate_velocities(bodies, gravity, state.dt, moving)
-        contact_solver.contact_rows(bodies, contacts, moving, restitution, rows)
-        contact_solver.apply_impulses(rows, moving)
+        contact_solver.integrate_velocities(bodies, gravity, state.dt, solver_bodies)
+        contact_solver.contact_rows(bodies, contacts, solver_bodies, restitution, rows)
+        contact_solver.apply_impulses(rows, solver_bodies)
 
     def move():
         contact_solver.store_impulses(rows, contacts)
-        engine.integrate_positions(moved, moving, 1e-9)
+        contact_solver.integrate_positions(moved, solver_bodies, 1e-9)
 
-    def find():
-        collision.next_contacts(bodies, box, cells, contacts, True, room)
-
-    found = {"velocities and rows": fastest(prepare, repeats)}
-    moved = Bodies(*(field.copy() for field in bodies))
+    prepare()
+    calls = {"velocities and rows": prepare}
     if isinstance(solver, BatchedPGS):
-        plan = colours.plan_batches(rows.body, n, settings.colours, colours.make_plan(n, contacts.count))
-        tiles = colours.fill_tiles(rows, moving, plan, colours.make_tiles(n, 1, 1, moving.dtype))
+        plan = batches.plan_batches(rows.body, n, settings.colours, batches.make_plan(n, contacts.count))
+        tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1, solver_bodies.dtype))
 
         def batch():
-            colours.plan_batches(rows.body, n, settings.colours, plan)
-            colours.fill_tiles(rows, moving, plan, tiles)
-            colours.empty_tiles(plan, tiles, rows, moving)
+            batches.plan_batches(rows.body, n, settings.colours, plan)
+            batches.fill_tiles(rows, solver_bodies, plan, tiles)
+            batches.empty_tiles(plan, tiles, rows, solver_bodies)
 
-        found["batches"] = fastest(batch, repeats)
-        found["sweeps"] = FEW * fastest(lambda: colours.sweep_all(settings, plan, tiles, friction), repeats)
-
-        def correct():
-            colours.correct_positions_in_batches(settings, plan, tiles, moved, box, position_sweeps)
+        calls["batches"] = batch
+        calls["sweeps"] = lambda: batched.sweep_all(settings, plan, tiles, friction)
+        calls["position correction"] = lambda: batched.correct_positions_in_batches(
+            settings, plan, tiles, moved, box, position_sweeps
+        )
     else:
-        found["batches"] = 0.0
-        found["sweeps"] = FEW * fastest(lambda: contact_solver.sweep(rows, friction, moving), repeats)
-
-        def correct():
-            contact_solver.correct_positions(moved, contacts, box, position_sweeps)
-
-    found["position correction"] = fastest(correct, repeats)
-    found["new positions"] = fastest(move, repeats)
-    found["contacts"] = fastest(find, repeats)
-    return found
-
-
-def fastest(function: Callable[[], object], repeats: int) -> float:
-    """Least time of several calls, µs, after one that is not timed."""
-    function()
-    best = math.inf
-    for _ in range(repeats):
-        start = time.perf_counter()
-        function()
-        best = min(best, time.perf_counter() - start)
-    return 1e6 * best
+        calls["sweeps"] = lambda: contact_solver.sweep(rows, friction, solver_bodies)
+        calls["position correction"] = lambda: contact_solver.correct_positions(moved, contacts, box, position_sweeps)
+    calls["new positions"] = move
+    calls["contacts"] = lambda: collision.next_contacts(bodies, box, cells, contacts, True, buffer)
+    found = {"batches": 0.0} | {stage: 1e6 * timing.fastest(call, repeats) for stage, call in calls.items()}
+    return found | {"sweeps": FEW * found["sweeps"]}
 
 
 def peak_memory(path: Path, name: str) -> int:
@@ -247,7 +148,7 @@ def peak_memory(path: Path, name: str) -> int:
 def _peak_memory(path: Path, name: str) -> int:
     simulate(read_pile(path), steps=3, solver=solver_of(name, FEW))
     try:
-        # Not `getrusage`: what it tells starts from the peak of the parent.
+        # Not `getrusage`: a child's peak there starts from that of its parent.
         status = Path("/proc/self/status").read_text()
         return 1024 * int(status.partition("VmHWM:")[2].split()[0])
     except OSError:
@@ -276,23 +177,23 @@ def _fused(times):
 
 
 def bandwidth(size: int, repeats: int = 5) -> float:
-    """Bytes a second that one core moves in a ← b + s c over three arrays of so many bytes together (McCalpin's STREAM
+    """Bytes per second that one core moves in a ← b + s c over three arrays of `size` bytes together (McCalpin's STREAM
     triad): from the cache that they fit into."""
     a, b, c = np.zeros(max(size // 24, 64)), np.ones(max(size // 24, 64)), np.ones(max(size // 24, 64))
     times = max(1, 20_000_000 // a.nbytes)
-    return times * 3 * a.nbytes / (1e-6 * fastest(lambda: _triad(a, b, c, times), repeats))
+    return times * 3 * a.nbytes / timing.fastest(lambda: _triad(a, b, c, times), repeats)
 
 
 def arithmetic(repeats: int = 5) -> float:
-    """Operations a second of one core in fused multiplications and additions in float64, each counted as two."""
+    """Operations per second of one core in fused multiplications and additions in float64, each counted as two."""
     times = 200_000
-    return times * 12 * 2 * WIDTH / (1e-6 * fastest(lambda: _fused(times), repeats))
+    return times * 12 * 2 * WIDTH / timing.fastest(lambda: _fused(times), repeats)
 
 
 def floor(contacts: int, n_bodies: int, operations: float, precision: str = "double") -> dict[str, float]:
     """Least time for a contact and sweep, ns, from moving its memory once and from its operations.
 
-    operations: a second, of `arithmetic`; single precision does twice as many.
+    operations: per second, of `arithmetic`; single precision does twice as many.
     """
     size = BYTES[precision] * contacts + BYTES_OF_CIRCLE[precision] * n_bodies
     rate = bandwidth(size)
@@ -306,27 +207,30 @@ def floor(contacts: int, n_bodies: int, operations: float, precision: str = "dou
 
 
 def convergence(n_bodies: int, seed: int, *, states: int, sweeps: Sequence[int], past_need: int) -> list[dict]:
-    """Rows: what the order of relaxation does to convergence on states of a falling pile, from Builtin.
+    """Rows: convergence by order of relaxation on states of a falling pile, from Builtin.
 
     Velocity errors after so many sweeps, against the nearest of the solutions that the orders find with `past_need`
     sweeps, and sweeps until θ is a thousandth of a circle's impulse of weight.
     """
     found = []
+    orders = {name: OURS[name] for name in ("sequential", "levels", "colours")}
     pile = tradeoff.pile("falling", n_bodies, seed)
     for number, state in enumerate(tradeoff.states_of(pile, count=states)):
-        weight = float(state.bodies.mass.mean() * np.hypot(*state.world.gravity) * state.dt)
-        orders = {name: OURS[name] for name in ("sequential", "levels", "colours")}
-        solved = {
-            name: solve_contacts(state, solver=method(sweeps=past_need, tolerance=1e-6 * weight, **options))
-            for name, (method, options) in orders.items()
+        weight = weight_impulse(state)
+
+        def solved(method, state=state, **options):
+            return solve_contacts(state, solver=method(**options))
+
+        solutions = {
+            name: solved(**options, sweeps=past_need, tolerance=1e-6 * weight) for name, options in orders.items()
         }
-        references = list(solved.values())
-        for name, (method, options) in orders.items():
+        references = list(solutions.values())
+        for name, options in orders.items():
             row = {"order": name, "state": number, "contacts": state.contacts.count}
             for k in sweeps:
-                solution = solve_contacts(state, solver=method(sweeps=k, tolerance=None, **options))
+                solution = solved(**options, sweeps=k, tolerance=None)
                 row[f"error_{k}"] = metrics.nearest_velocity_error(state, solution, references)
-            below = np.flatnonzero(solved[name].record.theta <= 1e-3 * weight)
+            below = np.flatnonzero(solutions[name].record.theta <= 1e-3 * weight)
             row["sweeps"] = int(below[0]) + 1 if below.size else past_need
             found.append(row)
     return found

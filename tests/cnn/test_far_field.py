@@ -208,7 +208,7 @@ def test_a_resting_pile_pays_for_no_network(state):
         def correct(self, state, description):
             raise AssertionError("the network was asked")
 
-    guarded = Guarded(Refuses(keras=None, spec=SPEC))
+    guarded = Guarded(Refuses(source=None, spec=SPEC))
     resting = dc.simulate(dc.column(4), steps=100, solver=dc.PGS(tolerance=1e-9)).state
     normal, tangent = guarded(resting, dc.PGS())
     np.testing.assert_array_equal(normal, resting.contacts.normal_start)
@@ -227,6 +227,6 @@ def test_the_better_of_two_starts_is_taken(state, factor, taken):
         def correct(self, state, description):
             return factor * state.contacts.normal_impulse, factor * state.contacts.tangent_impulse
 
-    normal, _ = Guarded(Knows(keras=None, spec=SPEC))(state, dc.PGS())
+    normal, _ = Guarded(Knows(source=None, spec=SPEC))(state, dc.PGS())
     expected = state.contacts.normal_impulse if taken else state.contacts.normal_start
     np.testing.assert_allclose(normal, expected)

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.cnn import inference
+from deep_contact.cnn import far_field, inference, model_file, registry
 from deep_contact.cnn.architectures import build
 from deep_contact.cnn.evaluation import held_out_errors, velocity_errors
 from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec, input_image, read_back
-from deep_contact.cnn.inference import Cnn, LearnedModel, load_model, padded_shape, projected
+from deep_contact.cnn.inference import Cnn, FarFieldModel, LearnedModel, load_model, padded_shape, projected
 from deep_contact.cnn.model_file import METADATA, ModelFileError, read_metadata, save_model
 from deep_contact.warm_start import Copy, NoStart, warm_start_of
 
@@ -61,9 +61,9 @@ def changed(path, change):
 def test_round_trip_of_a_model_file(file, network, falling_states):
     model = load_model(file)
     assert (model.spec, model.card, model.coarsening, model.box) == (SPEC, CARD, 4, None)
-    for ours, theirs in zip(network.get_weights(), model.keras.get_weights()):
+    for ours, theirs in zip(network.get_weights(), model.network.get_weights()):
         np.testing.assert_array_equal(ours, theirs)
-    plain = LearnedModel(keras=network, spec=SPEC, coarsening=4).predict(falling_states[5])
+    plain = LearnedModel(source=network, spec=SPEC, coarsening=4).predict(falling_states[5])
     np.testing.assert_array_equal(model.predict(falling_states[5]), plain)
 
 
@@ -73,10 +73,47 @@ def test_file_opens_with_plain_keras(file, network):
     np.testing.assert_array_equal(loaded(image), network(image))
 
 
-def test_metadata_is_read_without_tensorflow(file):
-    code = f"import sys\nfrom deep_contact.cnn.model_file import read_metadata\nread_metadata({str(file)!r})\n"
-    code += "assert not {'tensorflow', 'keras'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
+def run_alone(code):
+    """What the code prints in a process of its own. Nothing may appear on its standard error."""
+    environment = {name: value for name, value in os.environ.items() if name != "TF_CPP_MIN_LOG_LEVEL"}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
+    assert (done.returncode, done.stderr) == (0, "")
+    return done.stdout.split()
+
+
+IMPORTED = "; import sys; print(*{'keras', 'tensorflow'} & set(sys.modules))"
+
+
+def test_metadata_is_read_without_keras(file):
+    code = f"from deep_contact.cnn.model_file import read_metadata; read_metadata({str(file)!r})"
+    assert run_alone(code + IMPORTED) == []
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        "dc.load_model().predict([state, state])",
+        "repr(dc.load_model('comparison/width_8'))",
+        "dc.simulate(state, steps=2, warm_start='cnn')",
+        "dc.simulate(state, steps=2, warm_start='guarded')",
+    ],
+)
+def test_far_field_networks_work_without_keras_and_in_silence(use):
+    state = "state = dc.simulate(dc.column(4), steps=1).state"
+    assert run_alone(f"import deep_contact as dc; {state}; {use}{IMPORTED}") == []
+
+
+@pytest.mark.parametrize(
+    "use", ["dc.load_model().network", "import deep_contact.cnn.losses", "dc.load_model('compact')"]
+)
+def test_keras_is_imported_on_request_without_a_line_of_its_log(use):
+    assert set(run_alone(f"import deep_contact as dc; {use}{IMPORTED}")) == {"keras", "tensorflow"}
+
+
+def test_a_limit_of_threads_waits_for_tensorflow():
+    code = "from deep_contact.cnn.backend import limit_threads; limit_threads(1)"
+    code += "; from deep_contact.cnn.backend import tensorflow as tf"
+    assert run_alone(code + "; print(tf.config.threading.get_intra_op_parallelism_threads())") == ["1"]
 
 
 @pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
@@ -129,7 +166,7 @@ def test_lambda_layer_is_refused_before_keras_sees_it(file, monkeypatch):
     def poison(config):
         config["config"]["layers"][1]["class_name"] = "Lambda"
 
-    monkeypatch.setattr(keras.models, "load_model", None)
+    monkeypatch.setattr(model_file.StoredNetwork, "build", None)
     with pytest.raises(ModelFileError, match="Lambda"):
         load_model(changed(file, poison))
 
@@ -176,6 +213,117 @@ def test_network_that_does_not_fit_the_spec_is_not_written(tmp_path, network, sp
         save_model(tmp_path / "model.h5", network, spec, CARD)
 
 
+# Arguments that Keras 3.15 writes and Keras 3.4 refuses, and one that no Keras knows.
+FOREIGN = {"kernel_initializer": {"input_axes": None, "output_axes": None}, "quantization_config": None, "later": 1}
+
+
+def test_arguments_that_do_not_shape_a_layer_stay_out_of_keras(file, network):
+    def rewritten(config):
+        for layer in config["config"]["layers"]:
+            layer["config"] |= {name: value for name, value in FOREIGN.items() if layer["class_name"] == "Conv2D"}
+
+    changed(file, rewritten)
+    with h5py.File(file, "r+") as f:
+        metadata = json.loads(f[METADATA][()])
+        datasets = model_file._datasets(f["model_weights"], file)
+        metadata["digest"] = model_file._digest(f.attrs["model_config"], datasets, metadata)
+        del f[METADATA]
+        f[METADATA] = json.dumps(metadata)
+    for ours, theirs in zip(network.get_weights(), load_model(file).network.get_weights()):
+        np.testing.assert_array_equal(ours, theirs)
+
+
+def test_a_written_file_holds_only_the_arguments_of_the_list(file):
+    with h5py.File(file) as f:
+        config = json.loads(f.attrs["model_config"])
+    kept = {name for layer in config["config"]["layers"] for name in layer["config"]}
+    assert kept <= model_file._ARGUMENTS
+    assert model_file.portable(config, file) == config
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX")
+def test_a_named_pipe_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "model.h5")
+    with pytest.raises(ModelFileError, match="expected a regular file"):
+        load_model(tmp_path / "model.h5")
+    with pytest.raises(ModelFileError, match="expected a regular file"):
+        read_metadata(tmp_path)
+
+
+def link_weights(f, elsewhere):
+    f["model_weights"] = h5py.ExternalLink(str(elsewhere), "model_weights")
+
+
+def link_a_layer(f, elsewhere):
+    f["model_weights/half"] = h5py.ExternalLink(str(elsewhere), "model_weights/half")
+
+
+def link_softly(f, elsewhere):
+    f["model_weights/half"] = h5py.SoftLink("/model_weights/quarter")
+
+
+def raw_file(f, elsewhere):
+    f.create_dataset("model_weights/half/raw", (4,), "u1", external=[(str(elsewhere), 0, 4)])
+
+
+def virtual(f, elsewhere):
+    layout = h5py.VirtualLayout((1,), "f4")
+    layout[:] = h5py.VirtualSource(str(elsewhere), "data", (1,))
+    f.create_virtual_dataset("model_weights/half/virtual", layout)
+
+
+def bomb(f, elsewhere):
+    f.create_dataset("model_weights/half/zeros", (1 << 40,), "f4", chunks=True, compression="gzip")
+
+
+def link_metadata(f, elsewhere):
+    f[METADATA] = h5py.ExternalLink(str(elsewhere), METADATA)
+
+
+@pytest.mark.parametrize("poison", [link_weights, link_a_layer, link_softly, raw_file, virtual, bomb, link_metadata])
+def test_links_and_bombs_are_refused(file, tmp_path, poison):
+    shutil.copy(file, tmp_path / "elsewhere.h5")
+    with h5py.File(file, "r+") as f:
+        for name in {link_weights: ["model_weights"], link_metadata: [METADATA]}.get(poison, []):
+            del f[name]
+        if poison in (link_a_layer, link_softly):
+            del f["model_weights/half"]
+        poison(f, tmp_path / "elsewhere.h5")
+    with pytest.raises(ModelFileError, match=r"model_weights|deep_contact"):
+        load_model(file)
+
+
+# ---- names ----
+
+
+def test_every_shipped_file_is_registered_under_its_hash():
+    files = sorted((registry.CHECKOUT / "models").rglob("*.h5"))
+    assert sorted(registry.path_of(name) for name in registry.registered()) == files
+    assert load_model("comparison/width_8").path.samefile(load_model("models/comparison/width_8.h5").path)
+
+
+def test_models_are_found_in_the_folder_that_is_named(tmp_path, monkeypatch):
+    (tmp_path / "comparison").mkdir()
+    copy = shutil.copy(registry.path_of("comparison/width_4"), tmp_path / "comparison")
+    monkeypatch.setenv("DEEP_CONTACT_MODELS", str(tmp_path))
+    assert str(registry.path_of("comparison/width_4")) == copy
+    assert registry.path_of("model") == registry.CHECKOUT / "models" / "model.h5"
+    shutil.copy(registry.path_of("comparison/width_8"), copy)
+    with pytest.raises(ModelFileError, match=r"width_4\.h5: sha256: expected"):
+        load_model("comparison/width_4")
+
+
+def test_a_model_that_is_missing_is_named(tmp_path, monkeypatch):
+    known = registry.registered()
+    monkeypatch.setattr(registry, "CHECKOUT", tmp_path)
+    monkeypatch.setattr(registry, "registered", lambda: known)
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileNotFoundError, match=r"comparison/width_8: expected comparison/width_8\.h5 in .*train\.py"):
+        load_model("comparison/width_8")
+    with pytest.raises(FileNotFoundError, match=r"or one of .*comparison/width_8.*got magic"):
+        load_model("magic")
+
+
 # ---- the scene ----
 
 
@@ -211,7 +359,7 @@ def test_network_of_fixed_size_needs_its_box(tmp_path):
 @pytest.mark.parametrize("size", [(6.0, 6.0), (7.3, 4.1)])
 def test_convolutional_network_takes_any_box(network, size):
     state = small_state(size)
-    image = LearnedModel(keras=network, spec=SPEC, coarsening=4).predict_image(state)
+    image = LearnedModel(source=network, spec=SPEC, coarsening=4).predict_image(state)
     assert image.shape == (*SPEC.shape(state.world), 2)
 
 
@@ -226,7 +374,7 @@ def test_padded_shape(shape, coarsening, expected):
 
 
 def test_inference_is_the_network(network, falling_states):
-    model = LearnedModel(keras=network, spec=SPEC, coarsening=4)
+    model = LearnedModel(source=network, spec=SPEC, coarsening=4)
     image = input_image(falling_states[5], SPEC)
     np.testing.assert_allclose(model.run(image), np.asarray(network(image[None]))[0], rtol=1e-5, atol=1e-6)
 
@@ -236,7 +384,7 @@ def test_inference_is_traced_once(network, falling_states, monkeypatch):
     monkeypatch.setattr(
         inference, "compiled", lambda *given, **more: compilations.append(given[1]) or (lambda image: image[..., :2])
     )
-    model = LearnedModel(keras=network, spec=SPEC, coarsening=4)
+    model = LearnedModel(source=network, spec=SPEC, coarsening=4)
     for state in falling_states:
         model.predict(state)
     assert compilations == [(61, 61, len(SPEC.channels))]
@@ -279,17 +427,60 @@ def test_simulation_runs_from_a_network(file):
     assert (run.status == "converged").all()
 
 
-def test_cnn_start_without_contacts(file):
-    state = dc.simulate(dc.circles_in_box(2, seed=0), steps=0).state
-    assert [len(part) for part in Cnn(file)(state, None)] == [0, 0]
+@pytest.mark.parametrize("name", ["compact", "model"])
+def test_without_contacts_the_prediction_is_empty(name):
+    state, model = dc.simulate(dc.circles_in_box(2, seed=0), steps=0).state, load_model(name)
+    assert [part.shape for part in model.predict(state)] == [(0,), (0,)]
+    assert [part.shape for part in Cnn(model)(state, None)] == [(0,), (0,)]
 
 
-def test_the_shipped_model_is_found_from_anywhere(tmp_path, monkeypatch, file):
+@pytest.mark.parametrize("name", ["compact", "model"])
+def test_several_states_and_foreign_byte_orders(name, falling_states):
+    model, states = load_model(name), falling_states[4:6]
+    expected = [model.predict(state) for state in states]
+    np.testing.assert_array_equal(np.hstack(model.predict(states)), np.hstack(expected))
+
+    def swapped(part):
+        return type(part)(*(array.astype(array.dtype.newbyteorder(">")) for array in part))
+
+    foreign = states[0].replace(bodies=swapped(states[0].bodies), contacts=swapped(states[0].contacts))
+    np.testing.assert_array_equal(model.predict(foreign), expected[0])
+    image = model.predict_image(foreign)
+    np.testing.assert_array_equal(image, model.predict_image(states[0]))
+
+
+def test_a_foreign_image_is_cast():
+    model, image = load_model("model"), np.random.default_rng(0).normal(size=(9, 9, 29))
+    expected = model.run(image.astype(np.float32))
+    np.testing.assert_array_equal(model.run(np.asfortranarray(image.astype(">f8"))), expected)
+
+
+def test_a_model_says_what_it_is_takes_and_gives():
+    text = repr(load_model())
+    for part in ("model.h5", "far field", "115,420", "29 channels", "8 k + 1", "12 coefficients at every second node"):
+        assert part in text
+    assert "30 m × 30 m" in inference.takes(ImageSpec(), 1, (30.0, 30.0))
+    assert "<td>images of normal_impulse, tangent_impulse</td>" in load_model("compact")._repr_html_()
+
+
+def test_the_shipped_model_is_found_from_anywhere(tmp_path, monkeypatch):
     (tmp_path / "models").mkdir()
-    shutil.copy(file, tmp_path / "models" / "model.h5")
+    for name in ("model.h5", "registry.json"):
+        shutil.copy(registry.CHECKOUT / "models" / name, tmp_path / "models")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("deep_contact.cnn.model_file.__file__", str(tmp_path / "a" / "b" / "c.py"))
+    monkeypatch.setattr(registry, "CHECKOUT", tmp_path / "elsewhere")
     assert load_model().path == tmp_path / "models" / "model.h5"
+
+
+def test_far_field_network_in_numba_is_the_network_in_keras(falling_states):
+    model = load_model("comparison/width_8")
+    image = far_field.describe(falling_states[5], model.spec).image
+    expected = np.asarray(model.network(image[None]))[0]
+    np.testing.assert_allclose(model.run(image), expected, rtol=0, atol=2e-5 * np.abs(expected).max())
+    # A network whose layers have other shapes never reaches the compiled code.
+    weights = model.source.weights | {"far_1": [np.zeros((5, 5, 16, 16), np.float32), np.zeros(16, np.float32)]}
+    with pytest.raises(ModelFileError, match="model_config"):
+        FarFieldModel(source=model.source._replace(weights=weights), spec=model.spec, coarsening=8).run(image)
 
 
 # ---- what a start is worth ----
@@ -319,8 +510,8 @@ def test_metadata_carry_the_spec(file):
 
 def test_a_start_by_name_reads_the_model_again_only_if_the_file_changes(tmp_path, monkeypatch):
     path = tmp_path / "model.h5"
-    shutil.copy(inference.default_model_path(), path)
-    monkeypatch.setattr(inference, "default_model_path", lambda: path)
+    shutil.copy(registry.path_of("model"), path)
+    monkeypatch.setenv(registry.FOLDER, str(tmp_path))
     first, again = (warm_start_of("guarded").model for _ in range(2))
     assert warm_start_of("cnn").model is first is again
     os.utime(path, ns=(0, 0))

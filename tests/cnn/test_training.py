@@ -69,7 +69,7 @@ def test_training_lowers_the_loss(undisturbed):
 def test_same_seed_same_history(undisturbed, data, tmp_path):
     again = quietly(tiny(), data, tmp_path)
     assert without_time(again.history) == without_time(undisturbed.history)
-    for ours, theirs in zip(again.model.keras.get_weights(), undisturbed.model.keras.get_weights()):
+    for ours, theirs in zip(again.model.network.get_weights(), undisturbed.model.network.get_weights()):
         np.testing.assert_array_equal(ours, theirs)
 
 
@@ -92,7 +92,7 @@ def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path
         quietly(tiny(), data, tmp_path, on_batch=interrupt)
     resumed = quietly(tiny(), data, tmp_path)
     assert without_time(resumed.history) == without_time(undisturbed.history)
-    for ours, theirs in zip(resumed.model.keras.get_weights(), undisturbed.model.keras.get_weights()):
+    for ours, theirs in zip(resumed.model.network.get_weights(), undisturbed.model.network.get_weights()):
         np.testing.assert_array_equal(ours, theirs)
 
 
@@ -122,7 +122,7 @@ def test_best_epoch_is_kept(undisturbed):
     losses = [line["validation_loss"] for line in undisturbed.history]
     assert undisturbed.best_epoch == int(np.argmin(losses))
     best = load_model(undisturbed.path.with_name("best.h5"))
-    for ours, theirs in zip(best.keras.get_weights(), undisturbed.model.keras.get_weights()):
+    for ours, theirs in zip(best.network.get_weights(), undisturbed.model.network.get_weights()):
         np.testing.assert_array_equal(ours, theirs)
 
 
@@ -130,7 +130,7 @@ def test_card_says_what_a_reader_needs(undisturbed, data):
     card = undisturbed.model.card
     assert card["data_hash"] == Store(data).data_hash()
     assert card["seed"] == 0
-    assert card["parameters"] == undisturbed.model.keras.count_params()
+    assert card["parameters"] == undisturbed.model.network.count_params()
     assert {"none", "builtin", "cnn", "states"} == set(card["held_out"]["phases"]["all"])
     assert {"keras", "numpy", "python"} <= set(card["versions"])
     assert len(card["history"]) == 4
@@ -164,7 +164,7 @@ def test_patience_ends_a_run(data, tmp_path):
 def test_thesis_network_trains_on_images(data, tmp_path):
     done = quietly(thesis_config(epochs=1, batch_size=8, fractions=(0.6, 0.2, 0.2)), data, tmp_path)
     assert done.model.box == (6.0, 6.0)
-    assert done.model.keras.output_shape == (None, 13 * 13 * 2)
+    assert done.model.network.output_shape == (None, 13 * 13 * 2)
     assert done.model.spec == ImageSpec()
 
 
@@ -204,7 +204,7 @@ def test_training_pads_as_inference_does(data, spacing):
     run.model.set_weights([rng.normal(0, 0.2, w.shape) for w in run.model.get_weights()])
     batch = run.batches.batch([store.states(split.train)[10]])
     images, _ = run._predict(*run.arrays(batch))
-    model = LearnedModel(keras=run.model, spec=run.spec, coarsening=run.coarsening)
+    model = LearnedModel(source=run.model, spec=run.spec, coarsening=run.coarsening)
     np.testing.assert_allclose(np.asarray(images)[0], model.run(batch.inputs[0]), rtol=1e-4, atol=1e-6)
 
 

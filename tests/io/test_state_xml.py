@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from deep_contact import constants
-from deep_contact.io import xml_tree
+from deep_contact.io import state_xml, xml_tree
 from deep_contact.io.state_xml import (
     StateFileError,
     format_state,
@@ -26,8 +26,7 @@ from deep_contact.io.state_xml import (
     state_path,
     write_state,
 )
-from deep_contact.physics import methods
-from deep_contact.physics.methods import METHODS, PGS
+from deep_contact.physics.solvers import METHODS, PGS
 from deep_contact.state import (
     BOTTOM,
     LEFT,
@@ -181,7 +180,7 @@ def test_options_of_every_kind_are_stored(monkeypatch):
         e: str = 'for"ward'
         f: float = 3.0
 
-    monkeypatch.setitem(methods.METHODS, "Other", Other)
+    monkeypatch.setitem(state_xml.METHODS, "Other", Other)
     again = parse_state(format_state(example(solver=Other())), "s.xml").solver
     assert again == Other()
     assert [type(v) for v in vars(again).values()] == [type(v) for v in vars(Other()).values()]
@@ -193,7 +192,7 @@ def test_an_option_that_would_not_come_back_is_refused(monkeypatch, option):
     class Other:
         a: object = option
 
-    monkeypatch.setitem(methods.METHODS, "Other", Other)
+    monkeypatch.setitem(state_xml.METHODS, "Other", Other)
     with pytest.raises(ValueError, match=r"solver\.a"):
         format_state(example(solver=Other()))
 
@@ -612,6 +611,7 @@ def test_state_path_refuses(name, step):
 
 def test_two_thousand_damaged_files_only_raise_state_file_errors():
     """The whole run is `fuzz_state_xml.py --inputs 1000000`."""
+    pytest.importorskip("atheris")
     command = [sys.executable, SCRIPTS / "fuzz_state_xml.py", "--inputs", "2000", "--seed", "1"]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from box2d_recorder import RecordingBox2D
 
 import deep_contact as dc
 from deep_contact.physics.engine import solve
-from deep_contact.studies.peers import Box2D23
 
 pytest.importorskip("Box2D")
 pytestmark = pytest.mark.peers
@@ -14,7 +14,7 @@ pytestmark = pytest.mark.peers
 def recorded_steps(seed, radius, sweeps):
     """Every 12th step of a Box2D run, from the first contacts to the settled pile."""
     scene = dc.circles_in_box(80, radius=radius, seed=seed)
-    peer = Box2D23(scene)
+    peer = RecordingBox2D(scene)
     for step in range(600):
         if step % 12 == 0:
             recorded = peer.record_step(scene.dt, sweeps, 10)
@@ -46,7 +46,7 @@ def test_ten_seconds_of_the_thesis_scene_end_as_in_box2d():
     for seed in range(10):
         scene = dc.circles_in_box(seed=seed)
         run = dc.simulate(scene, steps=1000, solver=dc.PGS(sweeps=50, tolerance=None, position_sweeps=10))
-        peer = Box2D23(scene)
+        peer = RecordingBox2D(scene)
         for _ in range(1000):
             peer.step(scene.dt, 50, 10)
         heights.append((run.state.bodies.position[:, 1].mean(), peer.bodies().position[:, 1].mean()))

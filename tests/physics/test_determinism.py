@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.physics.methods import METHODS
+from deep_contact.physics.solvers import METHODS
 from deep_contact.reporting import figures
 from deep_contact.state import Bodies, make_bodies
 

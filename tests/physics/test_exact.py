@@ -23,7 +23,7 @@ def from_nothing(state, **options):
 
 
 def check_solution(state, found, residual=1e-8):
-    """It solves Eq 2.27 and 2.29: by `errors.residual`, in the cone, and a sweep of PGS leaves it as it is."""
+    """It solves Eq 2.27 and 2.29: by `metrics.residual`, in the cone, and a sweep of PGS leaves it as it is."""
     solution = found.solution
     assert found.converged
     assert solution.record.status == "converged"

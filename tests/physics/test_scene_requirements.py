@@ -6,8 +6,8 @@ from conftest import kinetic_energy, momentum
 
 import deep_contact as dc
 from deep_contact import simulation
-from deep_contact.physics import engine, relaxation
-from deep_contact.physics.contact_solver import contact_rows, integrate_velocities, make_rows, sweep
+from deep_contact.physics import engine
+from deep_contact.physics.contact_solver import sweep
 
 
 def spinning_scene(**options):
@@ -22,7 +22,7 @@ def general(monkeypatch):
 
     def run(scene, **options):
         with monkeypatch.context() as patch:
-            patch.setattr(simulation, "required_arguments", lambda state, *_: engine.world_arguments(state))
+            patch.setattr(engine, "leaves_tangents_out", lambda state, settings: False)
             return dc.simulate(scene, **options)
 
     return run
@@ -47,9 +47,8 @@ def test_frictionless_nncg_solves_the_same_problem(frictionless_states):
 
 def test_frictionless_rows_have_no_tangents():
     state = simulation.ready(dc.column(3, friction=0.0))
-    settings = relaxation.settings_of(dc.PGS())
-    assert engine.required_arguments(state, settings, np.zeros(3))[2] is None
-    rows = make_rows(3, np.float64, None)
+    rows, _, friction = engine.step_problem(state, dc.PGS())
+    assert friction is None
     assert (rows.data.shape, rows.impulse.shape) == ((3, 4), (3, 1))
 
 
@@ -57,8 +56,10 @@ def test_frictionless_rows_have_no_tangents():
 def test_friction_or_a_start_with_tangents_requires_them(friction, start):
     state = simulation.ready(dc.column(3, friction=friction))
     for solver in (dc.PGS(), dc.NNCG()):
-        world = engine.required_arguments(state, relaxation.settings_of(solver), np.full(3, start))
-        assert world == engine.world_arguments(state)
+        started = state.replace(contacts=state.contacts._replace(tangent_start=np.full(state.contacts.count, start)))
+        problem = engine.step_problem(started, solver)
+        assert problem.friction == friction
+        assert problem.rows.impulse.shape == (state.contacts.count, 2)
 
 
 def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_states):
@@ -72,8 +73,7 @@ def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_state
 @pytest.mark.parametrize("solver", [dc.APGD(), dc.SoftSteps()])
 def test_methods_that_need_tangent_rows_keep_them(solver):
     state = simulation.ready(dc.column(3, friction=0.0))
-    _, (settings, _) = engine.advance_of(solver)
-    assert engine.required_arguments(state, settings, np.zeros(3))[2] == 0.0
+    assert engine.step_problem(state, solver).friction == 0.0
 
 
 def test_nothing_turns_without_friction():
@@ -95,9 +95,8 @@ def test_frictionless_impacts_keep_momentum_and_the_energy_of_newtons_law():
 def test_a_frictionless_sweep_relaxes_each_normal_row():
     # One contact: λ_n = max(0, −k v_n), Eq 2.29, with k = m / 2 for two equal circles.
     state = simulation.ready(dc.two_bodies(speed=2.0, friction=0.0))
-    moving = engine.moving_room(2, dc.PGS())
-    integrate_velocities(state.bodies, (0.0, 0.0), 0.01, moving)
-    rows, _ = contact_rows(state.bodies, state.contacts, moving, 0.0, make_rows(1, moving.dtype, None), None)
-    theta = sweep(rows, None, moving)
+    state = state.replace(world=dc.World(gravity=(0.0, 0.0), friction=0.0))
+    rows, solver_bodies, friction = engine.step_problem(state, dc.PGS())
+    theta = sweep(rows, friction, solver_bodies)
     np.testing.assert_allclose([theta, rows.impulse[0, 0]], np.pi * 2.0 / 2, rtol=1e-15)
-    np.testing.assert_allclose(moving[:2, :2], 0.0, atol=1e-15)
+    np.testing.assert_allclose(solver_bodies[:2, :2], 0.0, atol=1e-15)

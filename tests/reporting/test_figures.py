@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from conftest import load_script
 
+from deep_contact.io import provenance
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.state import Contacts, State, World, make_bodies, no_contacts
@@ -134,7 +135,7 @@ def test_replot_refuses_to_change_settings(tmp_path):
 
 @pytest.fixture
 def clean_checkout(monkeypatch):
-    monkeypatch.setattr(results, "commit", lambda: "a" * 40)
+    monkeypatch.setattr(provenance, "commit", lambda: "a" * 40)
 
 
 @pytest.mark.usefixtures("clean_checkout")
@@ -147,13 +148,13 @@ def test_resume_keeps_results_with_the_same_options_seed_and_commit(tmp_path, ca
     for change in (["--seed", "7"], ["--set", "n=5"]):
         run(tmp_path, "--resume", *change)
         assert "up to date" not in capsys.readouterr().out
-    monkeypatch.setattr(results, "commit", lambda: "b" * 40)
+    monkeypatch.setattr(provenance, "commit", lambda: "b" * 40)
     run(tmp_path, "--resume", "--set", "n=5")
     assert "up to date" not in capsys.readouterr().out
 
 
 def test_resume_trusts_nothing_in_a_changed_checkout(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(results, "commit", lambda: "a" * 40 + "+changes")
+    monkeypatch.setattr(provenance, "commit", lambda: "a" * 40 + "+changes")
     run(tmp_path)
     run(tmp_path, "--resume")
     assert "up to date" not in capsys.readouterr().out

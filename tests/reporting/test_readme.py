@@ -1,5 +1,6 @@
-"""README.md: its tables are what the results files say, and every block of code in it does what it says."""
+"""README and the documentation: tables are what the results files say, and every block of code does what it says."""
 
+import ast
 import os
 import re
 import shlex
@@ -12,11 +13,16 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-SECTIONS = re.split(r"^## ", README, flags=re.MULTILINE)[1:]
+README = ROOT / "README.md"
+DOCS = ROOT / "docs"
+PAGES = {
+    str(path.relative_to(ROOT)): path for path in (README, *sorted(DOCS.glob("*.md")), DOCS / "gallery" / "index.md")
+}
+TEXTS = {name: path.read_text(encoding="utf-8") for name, path in PAGES.items()}
+EXAMPLES = sorted((DOCS / "gallery").glob("*.py"))
 
 
-def blocks(language, text=README):
+def blocks(language, text):
     """The fenced blocks of a language."""
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
@@ -26,36 +32,41 @@ def is_kernel(block):
     return block.startswith("@njit")
 
 
-def section(title):
-    """The section whose heading has these words."""
-    return next(found for found in SECTIONS if title in found.partition("\n")[0])
+PYTHON = {name: [b for b in blocks("python", text) if not is_kernel(b)] for name, text in TEXTS.items()}
+COMMANDS = {
+    line: None
+    for text in TEXTS.values()
+    for block in blocks("bash", text)
+    for line in block.splitlines()
+    if line.strip()
+}
 
 
-PYTHON = {found.partition("\n")[0]: [b for b in blocks("python", found) if not is_kernel(b)] for found in SECTIONS}
-COMMANDS = [line for block in blocks("bash") for line in block.splitlines() if line.strip()]
+def test_readme_is_one_page():
+    assert README.stat().st_size <= 10 * 1024
+    assert len(TEXTS["README.md"].splitlines()) <= 200
 
 
 def test_tables_are_those_of_the_results_files():
-    run = subprocess.run(
-        [sys.executable, ROOT / "scripts" / "readme.py", "--check"], capture_output=True, text=True, check=False
-    )
+    command = [sys.executable, ROOT / "scripts" / "readme.py", "--check"]
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
 
 
-@pytest.mark.parametrize("title", [title for title, found in PYTHON.items() if found])
-def test_python_of_a_section_runs_in_order_in_one_namespace(title, tmp_path, monkeypatch):
+@pytest.mark.parametrize("page", [page for page, found in PYTHON.items() if found])
+def test_python_of_a_page_runs_in_order_in_one_namespace(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for block in blocks("xml", section(title)):
+    for block in blocks("xml", TEXTS[page]):
         Path("mine.xml").write_text(block, encoding="utf-8")
     namespace = {}
-    for block in PYTHON[title]:
-        exec(compile(block, f"README.md, {title}", "exec"), namespace)
-    for name in re.findall(r'(?:save\(figure, |write_state\()"(\S+)"', "".join(PYTHON[title])):
+    for block in PYTHON[page]:
+        exec(compile(block, page, "exec"), namespace)
+    for name in re.findall(r'(?:save\(figure, |write_state\()"(\S+)"', "".join(PYTHON[page])):
         assert Path(name).stat().st_size > 0
 
 
 def test_a_state_file_of_ones_own_is_predicted(tmp_path):
-    (tmp_path / "mine.xml").write_text(blocks("xml")[0], encoding="utf-8")
+    (tmp_path / "mine.xml").write_text(blocks("xml", TEXTS["docs/guide.md"])[0], encoding="utf-8")
     command = next(command for command in COMMANDS if "predict.py mine.xml" in command)
     _, script, *arguments = shlex.split(command, comments=True)
     subprocess.run([sys.executable, ROOT / script, *arguments], cwd=tmp_path, check=True)
@@ -65,7 +76,7 @@ def test_a_state_file_of_ones_own_is_predicted(tmp_path):
 
 def test_a_kernel_of_ones_own_is_taken_up_by_the_tests(tmp_path):
     """In a copy of the package, uncompiled: that changes no number and takes seconds where compiling takes a minute."""
-    (kernel,) = filter(is_kernel, blocks("python"))
+    (kernel,) = filter(is_kernel, blocks("python", TEXTS["docs/developing.md"]))
     name = re.search(r"def (\w+)", kernel)[1]
     shutil.copytree(ROOT / "deep_contact", tmp_path / "deep_contact", ignore=shutil.ignore_patterns("__pycache__"))
     shutil.copy(ROOT / "tests" / "sph" / "test_kernels.py", tmp_path)
@@ -98,25 +109,44 @@ def test_commands_name_scripts_files_and_options_that_there_are(command):
         subprocess.run(["bash", "-n", files[0]], cwd=ROOT, check=True)
         return
     assert program == "python"
+    if arguments[0].startswith("docs/gallery/"):
+        assert len(arguments) == 1  # an example has no options, and --help would run it
+        return
     words = arguments[:3] if arguments[0] == "-m" else arguments[:1]
     known = help_of(sys.executable, *words)
     for option in (word for word in arguments if word.startswith("--")):
         assert re.search(rf"{option}\b", known), option
 
 
-def test_every_picture_path_and_link_exists():
-    pictures = re.findall(r"!\[.*?\]\((.*?)\)", README)
-    paths = re.findall(r"`((?:scripts|tests|data|models|deep_contact)/[\w./]*)`", README)
-    assert pictures
-    for path in {*pictures, *paths}:
+@pytest.mark.parametrize("page", PAGES)
+def test_every_picture_path_and_link_exists(page):
+    text = TEXTS[page]
+    links = [link for link in re.findall(r"\]\(([^)#\s]+)", text) if "://" not in link and not link.startswith("api/")]
+    paths = re.findall(r"`((?:scripts|tests|data|models|deep_contact)/[\w./]*)`", text)
+    for path in links:
+        assert (PAGES[page].parent / path).exists() or path == "../api/index.md", path
+    for path in paths:
         assert (ROOT / path).exists(), path
-    anchors = {re.sub(r"[^\w -]", "", found.partition("\n")[0].lower()).replace(" ", "-") for found in SECTIONS}
-    assert set(re.findall(r"\]\(#(.*?)\)", README)) <= anchors
 
 
 def test_the_stages_of_a_step_are_those_of_the_engine_in_its_order():
     source = (ROOT / "deep_contact" / "physics" / "engine.py").read_text(encoding="utf-8")
     loop = re.search(r"^def advance\(.*?^    return ", source, re.DOTALL | re.MULTILINE)[0].partition("for k in")[2]
-    stages = re.findall(r"^\d+\. `(\w+)`", section("What a step does"), re.MULTILINE)
+    stages = re.findall(r"^\d+\. `(\w+)`", TEXTS["docs/solvers.md"], re.MULTILINE)
     assert stages == [name for name in re.findall(r"\b(\w+)\(", loop) if name in stages]
     assert len(stages) == 8
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short_listed_and_public(path):
+    """`scripts/docs.sh` runs it."""
+    source = path.read_text(encoding="utf-8")
+    assert len(source.splitlines()) <= 40
+    assert f"({path.name})" in TEXTS["docs/gallery/index.md"]
+    tree = ast.parse(source)
+    assert ast.get_docstring(tree).partition("\n")[0].endswith(".")
+    names = [node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
+    names += [
+        alias.name for node in ast.walk(tree) if isinstance(node, (ast.Import, ast.ImportFrom)) for alias in node.names
+    ]
+    assert not [name for name in names if name.startswith("_") and not name.startswith("__")]

@@ -108,6 +108,14 @@ def assert_equal(found, stored, rtol, where="data"):
         assert found == stored, where
 
 
+@pytest.mark.parametrize("id", STORED)
+def test_every_stored_result_can_be_drawn_again(id, tmp_path):
+    figure = figure_of(id)
+    (tmp_path / f"{figure.stem}.json").write_bytes((ROOT / "data" / "reference" / f"{figure.stem}.json").read_bytes())
+    assert figures.main(figure, ["--replot", "--out", str(tmp_path)]) == 0
+    assert (tmp_path / f"{figure.stem}.png").read_bytes().startswith(b"\x89PNG")
+
+
 # ---- runs made now ----
 
 

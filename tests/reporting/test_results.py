@@ -1,13 +1,8 @@
 """Results files, by the contract of the figures: six fields, strict JSON, nothing half-written, checked both ways."""
 
 import copy
-import importlib.metadata
 import json
-import platform
 import re
-import subprocess
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +10,6 @@ import pytest
 from deep_contact.reporting import results
 from deep_contact.reporting.results import Claim, ResultsError
 
-SCHEMA = json.loads((Path(__file__).parent / "figure_schema.json").read_text(encoding="utf-8"))
 GOOD = {
     "id": "3.7",
     "title": "Convergence",
@@ -61,49 +55,22 @@ def changed(place, value):
     return found
 
 
-def fits(value, schema):
-    """Whether a value fits a schema: the keywords that figure_schema.json uses, as JSON Schema 2020-12 has them."""
-    kinds = {"object": dict, "array": list, "string": str, "boolean": bool, "integer": int, "null": type(None)}
-    kinds["number"] = (int, float)
-    names = schema.get("type", list(kinds))
-    names = [names] if isinstance(names, str) else names
-    exact = [k for k in names if isinstance(value, kinds[k]) and (k == "boolean" or not isinstance(value, bool))]
-    if not exact:
-        return False
-    if isinstance(value, str):
-        return re.search(schema.get("pattern", ""), value) is not None
-    if isinstance(value, list):
-        return all(fits(item, schema.get("items", {})) for item in value)
-    if not isinstance(value, dict):
-        return value is None or isinstance(value, bool) or value >= schema.get("minimum", -np.inf)
-    known, others = schema.get("properties", {}), schema.get("additionalProperties", {})
-    return (
-        all(name in value for name in schema.get("required", ()))
-        and len(value) >= schema.get("minProperties", 0)
-        and all(others is not False or name in known for name in value)
-        and all(fits(item, known.get(name, others or {})) for name, item in value.items())
-    )
-
-
-def test_the_schema_and_the_check_take_a_good_file():
-    assert fits(GOOD, SCHEMA)
+def test_a_good_file_is_taken():
     assert results.check_results(GOOD) is GOOD
 
 
 @pytest.mark.parametrize("place", BAD)
-def test_the_schema_and_the_check_refuse_the_same_fields(place):
-    found = changed(place, BAD[place])
-    assert not fits(found, SCHEMA)
-    with pytest.raises(ResultsError):
-        results.check_results(found)
+def test_a_bad_field_is_refused_by_its_name(place):
+    name = place.replace(".0.", "[0].")
+    with pytest.raises(ResultsError, match=rf"^{re.escape(name)}\b.*: expected .*, got "):
+        results.check_results(changed(place, BAD[place]))
 
 
 @pytest.mark.parametrize("name", GOOD)
-def test_a_missing_and_an_unknown_field_are_refused_by_both(name):
+def test_a_missing_and_an_unknown_field_are_refused(name):
     missing = {key: value for key, value in GOOD.items() if key != name}
     for found in (missing, GOOD | {"colour": "red"}):
-        assert not fits(found, SCHEMA)
-        with pytest.raises(ResultsError, match="expected the fields id, title"):
+        with pytest.raises(ResultsError, match="expected an object with the fields id, title"):
             results.check_results(found)
 
 
@@ -168,21 +135,6 @@ def test_a_failed_write_leaves_what_was_there(tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
 
 
-def test_an_interrupted_replacement_leaves_no_temporary_file(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-
-    def interrupted():
-        with results.replacing(path) as temporary:
-            temporary.write_text("half")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert path.read_text() == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
-
-
 @pytest.mark.parametrize("text", ["", "{", '{"id": NaN}', "[" * 100_000, "[1, 2]", json.dumps(GOOD)[:-2], "\xff"])
 def test_a_file_that_is_not_a_results_file_is_refused_by_name(tmp_path, text):
     path = tmp_path / "broken.json"
@@ -198,42 +150,5 @@ def test_a_number_too_large_for_a_float_is_refused(tmp_path):
         results.read_results(path)
 
 
-def test_provenance_fits_the_schema_and_names_no_place():
-    found = results.provenance(seed=5, wall_s=0.25)
-    assert fits(found, SCHEMA["properties"]["provenance"])
-    assert found["seed"] == 5
-    assert found["wall_s"] == 0.25
-    assert found["packages"]["numpy"] == np.__version__
-    text = json.dumps(found)
-    assert str(Path(results.__file__).parents[1]) not in text
-    assert platform.node() not in text.split('"')
-
-
-def test_the_commit_is_the_checkout_s():
-    done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True)
-    if done.returncode:
-        pytest.skip("not a checkout")
-    assert results.commit().startswith(done.stdout.strip())
-
-
-def test_a_package_outside_a_checkout_has_no_commit(tmp_path, monkeypatch):
-    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)  # a checkout, but not one that tracks the package
-    monkeypatch.setattr(results, "__file__", str(tmp_path / "results.py"))
-    assert results.commit() == "unknown"
-
-
-def test_versions_are_known_without_importing_the_packages():
-    code = "import sys; from deep_contact import results; results.provenance(); print(*sys.modules)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    loaded = set(done.stdout.split())
-    assert loaded.isdisjoint({"tensorflow", "keras", "numba", "scipy", "lxml", "matplotlib"})
-
-
-def test_a_package_that_is_not_installed_is_left_out(monkeypatch):
-    def version(name):
-        if name == "tensorflow-cpu":
-            return "2.16"
-        raise importlib.metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(results.metadata, "version", version)
-    assert results.package_versions() == {"tensorflow": "2.16"}
+def test_provenance_fits_the_schema():
+    results.check_results(GOOD | {"provenance": results.provenance(seed=5, wall_s=0.25)})

@@ -28,11 +28,11 @@ def untrained(kind):
     if kind == "far field":
         spec = FarFieldSpec()
         network = architectures.far_field(channels=len(spec.channels), outputs=len(spec.targets), width=2)
-        return FarFieldModel(keras=network, spec=spec, coarsening=8)
+        return FarFieldModel(source=network, spec=spec, coarsening=8)
     spec = ImageSpec(channels=SOLVER_CHANNELS, transfer="consistent", scale_free=True)
     options = training.compact_options(spec) | {"stem": 2, "width": 2, "decoder": 2, "dilations": (1,)}
     network = architectures.compact(channels=len(spec.channels), outputs=len(spec.targets), **options)
-    return LearnedModel(keras=network, spec=spec, coarsening=architectures.coarsening("compact"))
+    return LearnedModel(source=network, spec=spec, coarsening=architectures.coarsening("compact"))
 
 
 @pytest.mark.parametrize("kind", ["compact", "far field"])

@@ -10,7 +10,7 @@ from conftest import load_script
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec
-from deep_contact.physics.methods import PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures
 from deep_contact.studies import comparison
 from deep_contact.studies import learned as learned

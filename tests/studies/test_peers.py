@@ -5,16 +5,15 @@ sweeps in plain Python float64 that shares no code with the package.
 """
 
 import math
-import runpy
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from box2d_recorder import RecordingBox2D
 
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World, make_bodies
-from deep_contact.studies import peers
+from deep_contact.studies import engines, peers
 
 MODULES = {peers.Box2D23: "Box2D", peers.Pymunk: "pymunk", peers.Box2D3: "pyb2d3"}
 FLOAT32 = 1e-6
@@ -32,7 +31,7 @@ def engine(request):
 @pytest.fixture
 def box2d():
     pytest.importorskip("Box2D")
-    return peers.Box2D23
+    return RecordingBox2D
 
 
 def scene(position, *, box=(0, 0, 20, 30), gravity=(0, -9.81), friction=0.5, restitution=0.0, **bodies) -> State:
@@ -316,10 +315,9 @@ def test_bad_state_is_refused_by_name(engine):
 
 def test_benchmark_recovers_the_costs_of_its_model():
     """t = overhead + cost k m: exact however the contacts differ between the blocks of 10 and of 100 sweeps."""
-    script = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "benchmark_engine.py"))
     contacts = np.array([700, 710, 740, 760])  # of all 4 steps of a block
-    seconds = 4 * 30e-6 + 5e-9 * np.array(script["BLOCKS"]) * contacts
-    found = script["costs"](seconds, contacts, 4)
+    seconds = 4 * 30e-6 + 5e-9 * np.array(engines.BLOCKS) * contacts
+    found = engines.costs(seconds, contacts, 4)
     assert found["sweep_ns"] == pytest.approx(5)
     assert found["overhead_us"] == pytest.approx(30)
     assert found["step_us"] == pytest.approx(30 + 5e-3 * 10 * 1460 / 8)

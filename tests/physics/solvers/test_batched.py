@@ -6,7 +6,8 @@ from conftest import momentum
 from test_determinism import fingerprint
 
 import deep_contact as dc
-from deep_contact.physics import colours, contact_solver, engine
+from deep_contact.physics import batches, contact_solver, engine
+from deep_contact.physics.solvers import batched
 from deep_contact.studies import scaling
 
 ORDERS = ("levels", "colours")
@@ -22,7 +23,7 @@ def plan_of(state, order):
     """The plan of a state's contacts."""
     n, m = state.bodies.count, state.contacts.count
     body = np.column_stack([state.contacts.body_a, state.contacts.body_b]).astype(np.uint32)
-    return colours.plan_batches(body, n, order == "colours", colours.make_plan(n, m))
+    return batches.plan_batches(body, n, order == "colours", batches.make_plan(n, m))
 
 
 def circles_of(state, contacts):
@@ -34,9 +35,9 @@ def circles_of(state, contacts):
 @pytest.mark.parametrize("order", ORDERS)
 def test_every_contact_has_one_place_of_its_own(order, pile):
     plan, m = plan_of(pile, order), pile.contacts.count
-    assert m > 2 * colours.BLOCK
+    assert m > 2 * batches.BLOCK
     assert np.unique(plan.place[:m]).size == m
-    tiles = plan.count[2]
+    tiles = plan.count[batches.TILES]
     assert plan.place[:m].min() >= 0
     np.testing.assert_array_equal(np.bincount(plan.place[:m] // 8, minlength=tiles), plan.used[:tiles])
 
@@ -45,7 +46,7 @@ def test_every_contact_has_one_place_of_its_own(order, pile):
 def test_no_circle_occurs_twice_in_a_batch(order, pile):
     # By brute force, batch by batch, not only tile by tile: within a batch no tile may wait for another.
     plan, m = plan_of(pile, order), pile.contacts.count
-    block = np.searchsorted(plan.first[1 : plan.count[1] + 1], plan.place[:m] // 8, side="right")
+    block = np.searchsorted(plan.first[1 : plan.count[batches.BLOCKS] + 1], plan.place[:m] // 8, side="right")
     for key in np.unique(block * m + plan.batch[:m]):
         circles = circles_of(pile, np.flatnonzero(block * m + plan.batch[:m] == key))
         assert np.unique(circles).size == circles.size
@@ -53,15 +54,17 @@ def test_no_circle_occurs_twice_in_a_batch(order, pile):
 
 def test_blocks_of_a_phase_share_no_circle(pile):
     plan, m = plan_of(pile, "colours"), pile.contacts.count
-    blocks = np.arange(m) // colours.BLOCK
+    blocks = np.arange(m) // batches.BLOCK
     seen = []
-    for p in range(plan.count[3]):
+    for p in range(plan.count[batches.PHASES]):
         mine = plan.order[plan.start[p] : plan.start[p + 1]]
         found = np.concatenate([np.unique(circles_of(pile, np.flatnonzero(blocks == k))) for k in mine])
         assert np.unique(found).size == found.size
         seen.extend(mine)
-    assert sorted(seen) == list(range(plan.count[1]))
-    assert plan.count[3] < plan.count[1], "every block is a phase of its own: this tests nothing"
+    assert sorted(seen) == list(range(plan.count[batches.BLOCKS]))
+    assert plan.count[batches.PHASES] < plan.count[batches.BLOCKS], (
+        "every block is a phase of its own: this tests nothing"
+    )
 
 
 def test_levels_keep_the_order_of_every_circle(pile):
@@ -145,10 +148,12 @@ def test_positions_are_corrected_as_contact_by_contact(pile):
     expected, found = (deep._replace(position=deep.position.copy()) for _ in range(2))
     contact_solver.correct_positions(expected, state.contacts, state.world.box, 3)
     plan, n = plan_of(state, "levels"), state.bodies.count
-    moving = np.zeros((n + 4, 4))
-    rows, _ = contact_solver.contact_rows(deep, state.contacts, moving, 0.0, contact_solver.make_rows(0, moving.dtype))
-    tiles = colours.fill_tiles(rows, moving, plan, colours.make_tiles(n, 1, 1, moving.dtype))
-    colours.correct_positions_in_batches(colours.BatchSettings(0.0, False), plan, tiles, found, state.world.box, 3)
+    solver_bodies = np.zeros((n + 4, 4))
+    rows, _ = contact_solver.contact_rows(
+        deep, state.contacts, solver_bodies, 0.0, contact_solver.make_rows(0, solver_bodies.dtype)
+    )
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1, solver_bodies.dtype))
+    batched.correct_positions_in_batches(batched.BatchSettings(0.0, False), plan, tiles, found, state.world.box, 3)
     assert np.abs(expected.position - deep.position).max() > 0.05
     np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
 
@@ -163,10 +168,9 @@ def test_threads_change_no_bit(pile):
 
 def test_walls_stay_as_they_are(pile):
     solver = dc.BatchedPGS(sweeps=5, order="colours")
-    moving, theta = engine.moving_room(pile.bodies.count, solver), np.empty(5)
-    world = engine.world_arguments(pile)
-    engine.solve_velocities(pile.bodies, pile.contacts, world, 0.01, engine.settings_of(solver), moving, theta)
-    np.testing.assert_array_equal(moving[-4:], 0.0)
+    rows, solver_bodies, friction = engine.step_problem(pile, solver)
+    engine.solve_velocities(rows, friction, engine.settings_of(solver), solver_bodies, np.empty(5))
+    np.testing.assert_array_equal(solver_bodies[-4:], 0.0)
 
 
 @pytest.mark.parametrize(

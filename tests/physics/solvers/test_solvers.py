@@ -7,14 +7,14 @@ from scipy import optimize
 
 import deep_contact as dc
 from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION
-from deep_contact.physics import engine, metrics, relaxation, soft_steps
+from deep_contact.physics import engine, metrics
 from deep_contact.physics.collision import make_contacts
 from deep_contact.physics.contact_solver import apply_impulses, contact_rows, integrate_velocities, make_rows, sweep
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
-from deep_contact.physics.methods import METHODS, describe
-from deep_contact.physics.relaxation import LARGEST_OMEGA, better_omega
 from deep_contact.physics.scenes import single_body
+from deep_contact.physics.solvers import METHODS, apgd, describe, nesterov, soft_steps
+from deep_contact.physics.solvers.psor import LARGEST_OMEGA, better_omega
 from deep_contact.simulation import ready
 from deep_contact.state import State, World, make_bodies
 from deep_contact.warm_start import Builtin
@@ -192,9 +192,9 @@ def test_apgd_is_nesterov_with_backtracking_and_restarts(falling_states):
 def test_kinetic_is_twice_the_kinetic_energy_of_all_circles():
     # s = ω r of a disc: I ω² = m s² / 2. The four walls at the end are not moved.
     rng = np.random.default_rng(0)
-    change, moving = rng.normal(size=(7, 4)), rng.uniform(0.5, 2.0, (7, 4))
-    expected = sum((x**2 + y**2 + s**2 / 2) / w for (x, y, s), w in zip(change[:3, :3], moving[:3, 3]))
-    np.testing.assert_allclose(relaxation.kinetic(change, moving), expected, rtol=1e-14)
+    change, solver_bodies = rng.normal(size=(7, 4)), rng.uniform(0.5, 2.0, (7, 4))
+    expected = sum((x**2 + y**2 + s**2 / 2) / w for (x, y, s), w in zip(change[:3, :3], solver_bodies[:3, 3]))
+    np.testing.assert_allclose(apgd.kinetic(change, solver_bodies), expected, rtol=1e-14)
 
 
 @pytest.mark.parametrize("method", [dc.PSOR, dc.SymmetricPGS, dc.NNCG, dc.NesterovPGS])
@@ -248,7 +248,7 @@ def test_nncg_needs_under_half_of_the_sweeps_of_pgs():
 def test_momentum_is_nesterovs(falling_states, sweeps):
     # β = (t − 1) / t⁺ from t = 1, restarted by the gradient; within the first window only sudden growth binds it.
     A, b, mu, start = problem_of(falling_states[5])
-    last, t, most, size, shares = start, 1.0, relaxation.FIRST_LEAD, np.inf, []
+    last, t, most, size, shares = start, 1.0, nesterov.FIRST_MOMENTUM, np.inf, []
     for _ in range(sweeps):
         impulse = swept(A, b, mu, start)
         size, before = ((impulse - start) ** 2).sum(), size
@@ -399,15 +399,15 @@ SPRING = soft_steps.SoftSettings(substeps=4, hertz=30.0, damping_ratio=0.7, push
 
 
 def soft_row(scene, *, gap, start=0.0, speed=0.0):
-    """One contact for a small step: its rows with λ_n = `start` applied, moving velocities, masses and gap."""
+    """One contact for a small step: its rows with λ_n = `start` applied, solver bodies, masses and gap."""
     state = ready(scene)
     contacts = state.contacts._replace(normal_start=np.array([start]), tangent_start=np.zeros(1))
     bodies = state.bodies._replace(velocity=state.bodies.velocity + speed * np.array([0.0, 1.0]))
-    moving = engine.moving_room(bodies.count, dc.PGS())
-    integrate_velocities(bodies, (0.0, 0.0), 0.0, moving)
-    rows, _ = contact_rows(bodies, contacts, moving, 0.0, make_rows(1, moving.dtype))
-    apply_impulses(rows, moving)
-    return rows, moving, rows.data[:, 2].copy(), np.array([gap])
+    solver_bodies = np.empty((bodies.count + 4, 4))
+    integrate_velocities(bodies, (0.0, 0.0), 0.0, solver_bodies)
+    rows, _ = contact_rows(bodies, contacts, solver_bodies, 0.0, make_rows(1, solver_bodies.dtype))
+    apply_impulses(rows, solver_bodies)
+    return rows, solver_bodies, rows.data[:, 2].copy(), np.array([gap])
 
 
 @pytest.mark.parametrize("start", [0.0, 0.3])
@@ -416,11 +416,11 @@ def test_soft_contacts_are_springs_by_implicit_euler(scene, hertz, start):
     # m v' = −k C − c v with C' = v, k = m ω², c = 2 ζ m ω: v₁ = (v₀ − h ω² C₀) / (1 + 2 ζ ω h + ω² h²), whatever
     # impulse the row starts from. Walls are twice as stiff. C: the gap beyond the slop.
     h, zeta, omega, gap = 0.0025, 0.7, 2 * np.pi * hertz, -0.01
-    rows, moving, mass, gaps = soft_row(scene, gap=gap, start=start)
+    rows, solver_bodies, mass, gaps = soft_row(scene, gap=gap, start=start)
     soft_steps.soften(rows, gaps, mass, SPRING, h, scene.bodies.count)
-    sweep(rows, 0.0, moving)
+    sweep(rows, 0.0, solver_bodies)
     a, b = rows.body[0]
-    apart = (moving[b, :2] - moving[a, :2]) @ rows.data[0, :2]
+    apart = (solver_bodies[b, :2] - solver_bodies[a, :2]) @ rows.data[0, :2]
     np.testing.assert_allclose(apart, -h * omega**2 * gap / (1 + 2 * zeta * omega * h + (omega * h) ** 2), rtol=1e-12)
 
 
@@ -439,22 +439,22 @@ def test_open_contacts_may_close_within_the_small_step(speed, expected):
     # A gap of 0.01 m leaves 4 m/s for h = 0.0025 s, in both sweeps.
     h = 0.0025
     for stage in ("soften", "harden"):
-        rows, moving, mass, gaps = soft_row(single_body(), gap=0.01, speed=speed)
+        rows, solver_bodies, mass, gaps = soft_row(single_body(), gap=0.01, speed=speed)
         if stage == "soften":
             soft_steps.soften(rows, gaps, mass, SPRING, h, 1)
         else:
             soft_steps.harden(rows, gaps, mass, h)
-        sweep(rows, 0.0, moving)
-        np.testing.assert_allclose(moving[0, 1], expected, rtol=1e-12)
+        sweep(rows, 0.0, solver_bodies)
+        np.testing.assert_allclose(solver_bodies[0, 1], expected, rtol=1e-12)
 
 
 def test_the_second_sweep_takes_the_push_back():
-    rows, moving, mass, gaps = soft_row(single_body(), gap=-0.01)
+    rows, solver_bodies, mass, gaps = soft_row(single_body(), gap=-0.01)
     soft_steps.soften(rows, gaps, mass, SPRING, 0.0025, 1)
-    sweep(rows, 0.0, moving)
+    sweep(rows, 0.0, solver_bodies)
     soft_steps.harden(rows, gaps, mass, 0.0025)
-    sweep(rows, 0.0, moving)
-    np.testing.assert_allclose(moving[0, :2], 0.0, atol=1e-15)
+    sweep(rows, 0.0, solver_bodies)
+    np.testing.assert_allclose(solver_bodies[0, :2], 0.0, atol=1e-15)
     np.testing.assert_array_equal(rows.data[:, 2], mass)
 
 

@@ -1,0 +1,75 @@
+"""Keras and TensorFlow: the one place that imports them, without a line of TensorFlow's log on the screen."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import sys
+import tempfile
+from contextlib import contextmanager
+
+_threads: int | None = None
+"""What `limit_threads` asked for."""
+
+
+def __getattr__(name: str):
+    """`from deep_contact.cnn.backend import keras`, or `tensorflow`: the package, imported by the first who asks."""
+    if name not in ("keras", "tensorflow"):
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    if name not in sys.modules:
+        # TensorFlow's later messages are below this level. The first ones do not know any level yet.
+        os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
+        with _standard_error_held_back():
+            importlib.import_module(name)
+        _apply_limit()
+    return sys.modules[name]
+
+
+def limit_threads(count: int) -> None:
+    """Let TensorFlow use so many threads for all networks of this process, now or as soon as it is imported.
+
+    Raises RuntimeError where TensorFlow is already at work with another number.
+    """
+    global _threads
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
+        raise ValueError(f"threads: expected an integer >= 1, got {count!r}")
+    _threads = count
+    _apply_limit()
+
+
+def one_thread() -> None:
+    """Let TensorFlow use one thread in this process, unless it is already at work."""
+    try:
+        limit_threads(1)
+    except RuntimeError:  # as whoever used it first set it up: the numbers stay the same, the times may not
+        pass
+
+
+def _apply_limit() -> None:
+    if _threads is None or "tensorflow" not in sys.modules:
+        return
+    threading = sys.modules["tensorflow"].config.threading
+    if (threading.get_intra_op_parallelism_threads(), threading.get_inter_op_parallelism_threads()) != (_threads, 1):
+        threading.set_intra_op_parallelism_threads(_threads)
+        threading.set_inter_op_parallelism_threads(1)
+
+
+@contextmanager
+def _standard_error_held_back():
+    """Keep what is written to file descriptor 2, by C++ as well, and show it only after an exception."""
+    try:
+        before = os.dup(2)
+    except OSError:  # a process without one, as under pythonw
+        yield
+        return
+    with tempfile.TemporaryFile() as kept:
+        os.dup2(kept.fileno(), 2)
+        try:
+            yield
+        except BaseException:
+            kept.seek(0)
+            os.write(before, kept.read())
+            raise
+        finally:
+            os.dup2(before, 2)
+            os.close(before)

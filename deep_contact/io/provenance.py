@@ -1,0 +1,76 @@
+"""Where results come from: the package's version and commit, the packages below it, the processor."""
+
+from __future__ import annotations
+
+import os
+import platform
+import re
+import subprocess
+from importlib import metadata
+from pathlib import Path
+
+from deep_contact.version import VERSION
+
+PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
+"""Packages whose versions are recorded, where they are installed."""
+
+
+def provenance(*, seed: int | None = None, wall_s: float = 0.0) -> dict:
+    """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
+
+    Neither paths nor the name of the machine are recorded. No package is imported to learn its version.
+    """
+    return {
+        "version": VERSION,
+        "commit": commit(),
+        "python": platform.python_version(),
+        "packages": package_versions(),
+        "cpu": processor(),
+        "seed": seed,
+        "wall_s": round(float(wall_s), 3),
+    }
+
+
+def commit() -> str:
+    """The 40 digits of the package's commit; "unknown" for an installed package or without git.
+
+    "+changes" follows the digits if tracked files differ from the commit.
+    """
+    try:
+        # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
+        _git("ls-files", "--error-unmatch", "version.py")
+        digits = _git("rev-parse", "HEAD")
+        changed = _git("status", "--porcelain", "--untracked-files=no")
+    except (OSError, subprocess.SubprocessError):
+        return "unknown"
+    return digits + ("+changes" if changed else "")
+
+
+def _git(*arguments: str) -> str:
+    package = Path(__file__).resolve().parents[1]
+    done = subprocess.run(["git", *arguments], cwd=package, capture_output=True, text=True, timeout=20, check=True)
+    return done.stdout.strip()
+
+
+def package_versions() -> dict[str, str]:
+    """Version of each installed package of `PACKAGES`, without importing any."""
+    versions = {}
+    for name in PACKAGES:
+        for distribution in (name, f"{name}-cpu"):  # TensorFlow is published under both names
+            try:
+                versions[name] = metadata.version(distribution)
+                break
+            except metadata.PackageNotFoundError:
+                continue
+    return versions
+
+
+def processor() -> str:
+    """Model of the processor and number of cores, "AMD EPYC 9R14, 2 cores"."""
+    model = platform.processor() or platform.machine() or "unknown"
+    try:
+        info = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        info = ""
+    named = re.search(r"^model name\s*:\s*(.+)$", info, re.MULTILINE)
+    return f"{named[1].strip() if named else model}, {os.cpu_count()} cores"

@@ -1,0 +1,30 @@
+"""The solvers, one file each: options with their weakness and source, the compiled loop, the registration.
+
+How many sweeps each needs, and what a sweep costs, is measured by `scripts/tradeoff.py`.
+"""
+
+from deep_contact.physics.solvers.apgd import APGD
+from deep_contact.physics.solvers.batched import BatchedPGS
+from deep_contact.physics.solvers.nesterov import NesterovPGS
+from deep_contact.physics.solvers.nncg import NNCG
+from deep_contact.physics.solvers.pgs import PGS, PRECISIONS
+from deep_contact.physics.solvers.psor import PSOR
+from deep_contact.physics.solvers.registry import METHODS, Loop, describe, register
+from deep_contact.physics.solvers.soft_steps import SoftSteps
+from deep_contact.physics.solvers.symmetric import SymmetricPGS
+
+__all__ = [
+    "APGD",
+    "METHODS",
+    "NNCG",
+    "PGS",
+    "PRECISIONS",
+    "PSOR",
+    "BatchedPGS",
+    "Loop",
+    "NesterovPGS",
+    "SoftSteps",
+    "SymmetricPGS",
+    "describe",
+    "register",
+]

@@ -1,0 +1,116 @@
+"""Projected Gauss-Seidel: one sweep after the other, over all contacts or island by island."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact import constants, validation
+from deep_contact.physics.contact_solver import Rows, sweep
+from deep_contact.physics.convergence import is_over
+from deep_contact.physics.islands import make_islands_workspace, sort_by_island
+from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
+
+PRECISIONS = {"double": np.float64, "single": np.float32}
+"""Name -> type of the numbers that the sweeps work on. The state is float64 with either."""
+
+MOST_SWEEPS = 10_000_000
+"""Upper limit of every count: the θ of each sweep is kept, which takes 8 bytes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PGS:
+    """Projected Gauss-Seidel, the thesis's Algorithm 1 with the friction row of Box2D beside every normal row.
+
+    sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
+    sweep, N·s) is no larger; None sweeps to the end. position_sweeps: at most so many sweeps of position correction.
+    precision: of the rows and velocities in the sweeps, "double" or "single". islands: sweep each island on its own.
+
+    Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
+    a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
+    With islands, groups of touching circles are swept and stopped separately, so that an impact does not keep piles
+    at rest elsewhere iterating. This saves nothing for one pile, or without a tolerance. Only PGS has it.
+    Single precision saves little: a sweep waits for the result that the next contact needs, not for memory (Figure
+    6.7). It never meets a tight tolerance.
+    """
+
+    sweeps: int = 3000
+    tolerance: float | None = constants.THETA_TOLERANCE
+    position_sweeps: int = 10
+    precision: str = "double"
+    islands: bool = False
+
+    def __post_init__(self):
+        validation.integer("sweeps", self.sweeps, most=MOST_SWEEPS)
+        validation.integer("position_sweeps", self.position_sweeps, most=MOST_SWEEPS)
+        validation.one_of("precision", self.precision, PRECISIONS)
+        if validation.flag("islands", self.islands) and type(self) is not PGS:
+            raise ValueError(f"islands: expected False, since {type(self).__name__} sweeps them together, got True")
+        if self.tolerance is not None:
+            validation.number("tolerance", self.tolerance, low=0)
+
+
+class PGSSettings(NamedTuple):
+    """Settings of `PGS`. tolerance: θ at which to stop, N·s; a negative one is never met."""
+
+    tolerance: float
+
+
+class IslandsSettings(NamedTuple):
+    """Settings of `PGS(islands=True)`."""
+
+    tolerance: float
+
+
+@njit(cache=True)
+def relax_pgs(settings, rows, friction, solver_bodies, theta, workspace):
+    """Projected Gauss-Seidel: one sweep after the other."""
+    for k in range(theta.shape[0]):
+        theta[k] = sweep(rows, friction, solver_bodies)
+        if is_over(theta[k], settings.tolerance):
+            return k + 1
+    return theta.shape[0]
+
+
+@njit(cache=True)
+def relax_islands(settings, rows, friction, solver_bodies, theta, workspace):
+    """Projected Gauss-Seidel, one island after the other. Returns (sweeps, relaxations).
+
+    The number of sweeps is that of the slowest island. θ of a sweep is the largest over the islands that did it, so
+    the last θ tells whether all islands are within the tolerance.
+    """
+    if rows.body.shape[0] > workspace.order.shape[0]:
+        workspace = make_islands_workspace(rows, solver_bodies)
+    islands, by_island = sort_by_island(rows, workspace)
+    most = relaxations = 0
+    for i in range(islands):
+        first, end = workspace.start[i], workspace.start[i + 1]
+        part = Rows(by_island.body[first:end], by_island.data[first:end], by_island.impulse[first:end])
+        for k in range(theta.shape[0]):
+            largest = sweep(part, friction, solver_bodies)
+            relaxations += end - first
+            theta[k] = max(theta[k], largest) if k < most else largest
+            most = max(most, k + 1)
+            if is_over(largest, settings.tolerance):
+                break
+    for i in range(rows.body.shape[0]):
+        for c in range(rows.impulse.shape[1]):
+            rows.impulse[workspace.order[i], c] = by_island.impulse[i, c]
+    return most, relaxations
+
+
+def _settings(solver: PGS) -> NamedTuple:
+    return (IslandsSettings if solver.islands else PGSSettings)(tolerance_argument(solver))
+
+
+register(
+    PGS,
+    _settings,
+    (
+        Loop(PGSSettings, relax_pgs),
+        Loop(IslandsSettings, relax_islands, make_islands_workspace, counts_relaxations=True),
+    ),
+)

@@ -1,0 +1,78 @@
+"""What a step is given and where it works: the arguments of `engine.advance` and of the steps that stand in for it."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.contact_solver import Rows
+from deep_contact.state import Bodies, Contacts
+
+
+class StepInput(NamedTuple):
+    """What the steps read.
+
+    bodies: `Bodies`; they move in place. contacts: `Contacts` at their positions, with the impulses to start from.
+    box, gravity, friction, restitution: of the `World`; friction None, in place of 0, leaves the tangent rows out.
+    dt: s.
+    """
+
+    bodies: Bodies
+    contacts: Contacts
+    box: tuple
+    gravity: tuple
+    friction: float | None
+    restitution: float
+    dt: float
+
+
+class StepOptions(NamedTuple):
+    """How the steps solve.
+
+    settings: of the solver (`solvers.registry`); their type picks the loop. position_sweeps: most sweeps of position
+    correction. carry: start the steps after the first from the impulses of the step before; otherwise from zero.
+    """
+
+    settings: NamedTuple
+    position_sweeps: int
+    carry: bool
+
+
+class StepWorkspace(NamedTuple):
+    """Where the steps work.
+
+    rows: `Rows` of the first step, with the impulses to start from. solver_bodies: (n + 4, 4), after gravity, in the
+    precision of the sweeps (`contact_solver.integrate_velocities`). theta: buffer for the θ of one step's sweeps; its
+    length is the largest number of sweeps. still: time for which each circle has been still, (n,), s; infinite while it
+    sleeps; empty where nothing may sleep.
+    """
+
+    rows: Rows
+    solver_bodies: np.ndarray
+    theta: np.ndarray
+    still: np.ndarray
+
+
+class StepLog(NamedTuple):
+    """What the steps log, (steps,) each: number of contacts, of sweeps, last θ (N·s), relaxations."""
+
+    contacts: np.ndarray
+    sweeps: np.ndarray
+    theta: np.ndarray
+    relaxations: np.ndarray
+
+
+def make_log(steps: int) -> StepLog:
+    """A log for so many steps."""
+    return StepLog(np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps), np.zeros(steps, np.int64))
+
+
+@njit(cache=True)
+def log_step(log, k, contacts, sweeps, theta, relaxations):
+    """Write the k-th step into the log. contacts: number of them. theta: of the step's sweeps."""
+    log.contacts[k] = contacts
+    log.sweeps[k] = sweeps
+    log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
+    log.relaxations[k] = relaxations

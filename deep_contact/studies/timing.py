@@ -1,0 +1,77 @@
+"""How long calls take: warm-up runs, interleaved runs, and what is kept of their times. All times are in seconds.
+
+A minimum is the time that other programs disturbed least, so it is the default. Callables that are compared are run in
+turns, so that a change of the processor's speed meets all of them. Nothing else should run meanwhile.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from collections.abc import Callable, Mapping
+from typing import TypeVar
+
+import numpy as np
+
+Result = TypeVar("Result")
+
+
+def timed(function: Callable[[], Result], clock: Callable[[], float] = time.perf_counter) -> tuple[float, Result]:
+    """Time of one call, and what it returned. clock: `time.thread_time` counts only what this thread works."""
+    start = clock()
+    result = function()
+    return clock() - start, result
+
+
+def interleaved(
+    runs: Mapping,
+    *,
+    repeats: int,
+    reduce: Callable = min,
+    clock: Callable[[], float] = time.perf_counter,
+    setup: Mapping | None = None,
+) -> dict:
+    """Time of several callables, name -> `reduce` of a list of `repeats` times, after a warm-up run of each.
+
+    runs: name -> callable without arguments; they take turns in this order. setup: name -> callable that is called
+    before each run of that name and is not timed. The garbage collector waits until all runs are done.
+    """
+    times = {name: [] for name in runs}
+    setup = setup or {}
+    gc.collect()
+    was_enabled = gc.isenabled()
+    gc.disable()
+    try:
+        for _ in range(repeats + 1):
+            for name, run in runs.items():
+                if name in setup:
+                    setup[name]()
+                times[name].append(timed(run, clock)[0])
+    finally:
+        if was_enabled:
+            gc.enable()
+    return {name: reduce(found[1:]) for name, found in times.items()}
+
+
+def fastest(function: Callable[[], object], repeats: int) -> float:
+    """Least time of `repeats` calls, after a warm-up run."""
+    return interleaved({"": function}, repeats=repeats)[""]
+
+
+def slope_and_overhead(few: tuple[float, float], many: tuple[float, float]) -> tuple[float, float]:
+    """The two unknowns of time = overhead + slope · work, from two pairs (work, time)."""
+    slope = (many[1] - few[1]) / (many[0] - few[0])
+    return slope, few[1] - slope * few[0]
+
+
+def sweep_time(solve: Callable[[int], object], contacts: int, *, repeats: int) -> float:
+    """Time of one sweep over so many contacts. solve: does a given number of sweeps."""
+    few, many = 10, 10 + max(20, 400_000 // contacts)
+    took = interleaved({k: lambda k=k: solve(k) for k in (few, many)}, repeats=repeats)
+    return slope_and_overhead((few, took[few]), (many, took[many]))[0]
+
+
+def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
+    """What the special way saves: median and quartiles of the ratios of paired times, (repeats,), and both minima."""
+    low, middle, high = np.percentile(general / special, (25, 50, 75))
+    return {"ratio": middle, "low": low, "high": high, "general": general.min(), "special": special.min()}

@@ -1,0 +1,31 @@
+"""Compare warm starts on the same states.
+
+For readers of the thesis: its experiment in short. A run is solved well, and every start then solves the same states
+again. Builtin takes the impulses of the step before, Copy takes the solution itself, Sph sends it through a grid
+image. Copy and Sph know the solution, so they show what a perfect prediction could give; they are no rivals in
+practice.
+"""
+
+import numpy as np
+
+import deep_contact as dc
+
+scene = dc.circles_in_box(n_bodies=50, size=22.0, seed=1)
+states = dc.experiments.solved_states(scene, steps=240, every=12)
+starts = {
+    "none": dc.warm_start.NoStart(),
+    "builtin": dc.warm_start.Builtin(),
+    "sph": dc.warm_start.Sph(spacing=0.5, transfer="thesis"),
+    "sph consistent": dc.warm_start.Sph(spacing=0.5),
+    "copy": dc.warm_start.Copy(),
+}
+found = dc.experiments.paired(states, starts, sweeps=1000)
+for name, one in found.items():
+    print(f"{name:15s} mean {one.sweeps.mean():6.1f} sweeps to 6e-5 N·s, median {np.median(one.sweeps):5.0f}")
+
+figure, ax = dc.plotting.subplots()
+for name, one in found.items():
+    ax.loglog(np.arange(1, 1001), one.theta, **dc.plotting.style_of(name))
+dc.plotting.label_axes(ax, "sweep", "θ, mean over states", y_unit="N·s")
+ax.legend()
+dc.plotting.save(figure, "compare_starts.png")

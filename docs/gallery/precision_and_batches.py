@@ -1,0 +1,31 @@
+"""Trade the order of the contacts for speed.
+
+For large scenes: `BatchedPGS` relaxes eight contacts that share no circle at a time. With `order="levels"` it is PGS
+up to rounding; with `order="colours"` the order of the contacts changes, and two threads may share the work.
+"""
+
+import time
+
+import numpy as np
+
+import deep_contact as dc
+
+pile = dc.simulate(dc.lattice_in_box(n_bodies=3000, seed=1), steps=150, solver=dc.PGS(sweeps=20)).state
+budget = {"sweeps": 20, "tolerance": None}
+solvers = {
+    "PGS": dc.PGS(**budget),
+    "PGS, single": dc.PGS(precision="single", **budget),
+    "levels": dc.BatchedPGS(**budget),
+    "colours": dc.BatchedPGS(order="colours", **budget),
+    "colours, 2 threads": dc.BatchedPGS(order="colours", threads=2, **budget),
+}
+reference = None
+for name, solver in solvers.items():
+    dc.simulate(pile, steps=1, solver=solver)  # compile
+    begin = time.perf_counter()
+    run = dc.simulate(pile, steps=40, solver=solver)
+    took = 1e3 * (time.perf_counter() - begin) / 40
+    position = run.state.bodies.position
+    reference = position if reference is None else reference
+    apart = np.abs(position - reference).max()
+    print(f"{name:19s} {took:6.2f} ms a step, at most {apart:.1e} m from PGS after 40 steps")

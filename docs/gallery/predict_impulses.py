@@ -1,0 +1,29 @@
+"""Load model.h5 and predict the impulses of a state.
+
+For those who want the network: `dc.load_model()` reads the file that is shipped (no code in it is run), `predict`
+returns one normal and one tangent impulse for each contact, and the solver starts from them.
+"""
+
+from pathlib import Path
+
+import deep_contact as dc
+from deep_contact.cnn.evaluation import velocity_errors
+
+sample = Path(dc.__file__).parents[1] / "data" / "sample" / "impact_154.xml.gz"
+state = dc.read_state(sample)  # a solved state of a simulation that no training has seen
+model = dc.load_model()
+normal, tangent = model.predict(state)
+print(f"{state.contacts.count} contacts; the network was trained on {model.card['training_states']:,} states")
+
+builtin = state.contacts.normal_start, state.contacts.tangent_start
+for name, start in (("builtin", builtin), ("network", dc.warm_start.STARTS["cnn"]()(state, dc.PGS()))):
+    errors = ", ".join(f"{error:.3f}" for error in velocity_errors(state, start, (3, 10, 30)))
+    print(f"{name}: velocity error after 3, 10 and 30 sweeps {errors}")
+
+figure, ax = dc.plotting.subplots(size=(4.5, 4.5))
+ax.plot(state.contacts.normal_impulse, state.contacts.normal_start, "s", label="Builtin", markersize=4)
+ax.plot(state.contacts.normal_impulse, normal, "o", label="network", markersize=4)
+ax.axline((0, 0), slope=1, color=dc.plotting.GREY, linewidth=1)
+dc.plotting.label_axes(ax, "solved λ_n", "start", x_unit="N·s", y_unit="N·s")
+ax.legend()
+dc.plotting.save(figure, "predict_impulses.png")

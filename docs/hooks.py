@@ -1,0 +1,104 @@
+"""What the site has beyond its Markdown: executed examples, a page for every module, the pictures of the results.
+
+MkDocs calls the `on_` functions (mkdocs.yml). Any failure stops the build.
+"""
+
+import inspect
+import os
+import pkgutil
+import re
+import subprocess
+import sys
+import tempfile
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from mkdocs.exceptions import PluginError
+from mkdocs.structure.files import File
+
+import deep_contact
+
+ROOT = Path(__file__).resolve().parent.parent
+GALLERY = ROOT / "docs" / "gallery"
+PICTURES = (".png", ".gif")
+TIMEOUT_S = 600
+MODULES = [module.name for module in pkgutil.iter_modules(deep_contact.__path__) if not module.name.startswith("_")]
+_pictures = {}
+_work = tempfile.TemporaryDirectory()
+
+
+def on_config(config):
+    """Add the examples, in the order of the gallery's index, and the modules to the navigation."""
+    config.nav += [
+        {"Gallery": ["gallery/index.md", *(f"gallery/{name}.md" for name in _order())]},
+        {"API": ["api/index.md", *(f"api/{name}.md" for name in MODULES)]},
+    ]
+    return config
+
+
+def on_files(files, config):
+    """Run the examples, and add their pages, those of the API, and the pictures of the results."""
+    first, *others = _order()
+    pages = [_example(first)]  # alone: it compiles what all of them need
+    with ThreadPoolExecutor(2) as pool:
+        pages += pool.map(_example, others)
+    for name, (page, pictures) in zip([first, *others], pages):
+        _pictures[name] = pictures
+        files.append(File.generated(config, f"gallery/{name}.md", content=page))
+        for path in pictures:
+            files.append(File.generated(config, f"gallery/{name}/{path.name}", abs_src_path=str(path)))
+    for name in MODULES:
+        text = f"# {name}\n\n::: deep_contact.{name}\n"
+        files.append(File.generated(config, f"api/{name}.md", content=text))
+    files.append(File.generated(config, "api/index.md", content=_public_names()))
+    for path in (ROOT / "data" / "reference").glob("*.png"):
+        files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
+    return files
+
+
+def on_page_markdown(markdown, page, config, files):
+    """Turn links that are right in the repository into links of the site, and add the pictures to the gallery."""
+    if page.file.src_uri == "gallery/index.md":
+        shown = [(name, found[0].name) for name, found in _pictures.items() if found]
+        markdown += "\n".join(f"[![{name}]({name}/{file}){{ width=300 }}]({name}.md)" for name, file in shown)
+    markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
+    return markdown.replace("](../data/reference/", "](reference/")
+
+
+def _order() -> list[str]:
+    """The examples in the order in which the gallery's index links them."""
+    linked = list(dict.fromkeys(re.findall(r"\((\w+)\.py\)", (GALLERY / "index.md").read_text(encoding="utf-8"))))
+    found = sorted(path.stem for path in GALLERY.glob("*.py"))
+    if sorted(linked) != found:
+        raise PluginError(f"docs/gallery/index.md: expected links to {found}, got {linked}")
+    return linked
+
+
+def _public_names() -> str:
+    """The page that lists what `import deep_contact` offers, with links to where it is described."""
+    rows = []
+    for name in deep_contact._HOME:
+        found = getattr(deep_contact, name)
+        if inspect.ismodule(found):
+            continue
+        first = inspect.getdoc(found).partition("\n")[0]
+        rows.append(f"| [`dc.{name}`][{found.__module__}.{found.__qualname__}] | {first} |\n")
+    return f"# Public names\n\nAfter `import deep_contact as dc`:\n\n| Name | |\n| --- | --- |\n{''.join(rows)}"
+
+
+def _example(name: str) -> tuple[str, list[Path]]:
+    """Run an example in an empty folder. Returns its page, and the pictures that it wrote."""
+    path, folder = GALLERY / f"{name}.py", Path(_work.name) / name
+    folder.mkdir()
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3", "CUDA_VISIBLE_DEVICES": ""}
+    options = {"capture_output": True, "text": True, "timeout": TIMEOUT_S, "check": False}
+    run = subprocess.run([sys.executable, path], cwd=folder, env=environment, **options)
+    if run.returncode:
+        raise PluginError(f"docs/gallery/{name}.py failed:\n{run.stderr}")
+    _, docstring, code = path.read_text(encoding="utf-8").split('"""', 2)
+    title, _, text = docstring.partition("\n")
+    pictures = sorted(found for found in folder.iterdir() if found.suffix in PICTURES)
+    shown = "\n".join(f"![{found.stem}]({name}/{found.name})" for found in pictures)
+    printed = f"It prints\n\n```text\n{run.stdout.rstrip()}\n```\n" if run.stdout else ""
+    page = f"# {title.rstrip('.')}\n{text}\n```python\n{code.strip()}\n```\n\n{shown}\n\n{printed}"
+    return f"{page}\nThe file is `docs/gallery/{name}.py`.\n", pictures

@@ -1,0 +1,53 @@
+"""The record of where results come from."""
+
+import importlib.metadata
+import json
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deep_contact
+from deep_contact.io import provenance
+
+
+def test_provenance_holds_seed_time_and_versions_and_names_no_place():
+    found = provenance.provenance(seed=5, wall_s=0.25)
+    assert found["seed"] == 5
+    assert found["wall_s"] == 0.25
+    assert found["packages"]["numpy"] == np.__version__
+    text = json.dumps(found)
+    assert str(Path(deep_contact.__file__).parents[1]) not in text
+    assert platform.node() not in text.split('"')
+
+
+def test_the_commit_is_the_checkout_s():
+    done = subprocess.run(["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True)
+    if done.returncode:
+        pytest.skip("not a checkout")
+    assert provenance.commit().startswith(done.stdout.strip())
+
+
+def test_a_package_outside_a_checkout_has_no_commit(tmp_path, monkeypatch):
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)  # a checkout, but not one that tracks the package
+    monkeypatch.setattr(deep_contact, "__file__", str(tmp_path / "__init__.py"))
+    assert provenance.commit() == "unknown"
+
+
+def test_versions_are_known_without_importing_the_packages():
+    code = "import sys; from deep_contact.io import provenance; provenance.provenance(); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"tensorflow", "keras", "numba", "scipy", "lxml", "matplotlib", "numpy"}
+
+
+def test_a_package_that_is_not_installed_is_left_out(monkeypatch):
+    def version(name):
+        if name == "tensorflow-cpu":
+            return "2.16"
+        raise importlib.metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(provenance.metadata, "version", version)
+    assert provenance.package_versions() == {"tensorflow": "2.16"}

@@ -1,0 +1,86 @@
+"""A solver from outside the package: one file of options, settings, loop and one registration, as the registry says."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from numba import njit
+
+import deep_contact as dc
+from deep_contact.physics.contact_solver import sweep
+from deep_contact.physics.convergence import is_over
+from deep_contact.physics.solvers import Loop, register
+from deep_contact.physics.solvers.registry import tolerance_argument
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToyPGS:
+    """Two sweeps of PGS for each that is asked for. Weakness: every second sweep is not counted."""
+
+    sweeps: int = 20
+    tolerance: float | None = None
+    position_sweeps: int = 10
+    precision: str = "double"
+
+
+class ToySettings(NamedTuple):
+    tolerance: float
+
+
+@njit
+def make_counter(rows, solver_bodies):
+    return np.zeros(1, np.int64)
+
+
+@njit
+def relax_toy(settings, rows, friction, solver_bodies, theta, workspace):
+    for k in range(theta.shape[0]):
+        for _ in range(2):
+            theta[k] = sweep(rows, friction, solver_bodies)
+            workspace[0] += 1
+        if is_over(theta[k], settings.tolerance):
+            return k + 1
+    return theta.shape[0]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def toy():
+    register(
+        ToyPGS, lambda solver: ToySettings(tolerance_argument(solver)), (Loop(ToySettings, relax_toy, make_counter),)
+    )
+
+
+@pytest.mark.parametrize("friction", [0.5, 0.0])
+def test_simulate_runs_a_solver_from_outside(friction):
+    scene = dc.circles_in_box(20, size=12.0, friction=friction, seed=1)
+    toy = dc.simulate(scene, steps=120, solver=ToyPGS())
+    pgs = dc.simulate(scene, steps=120, solver=dc.PGS(sweeps=40, tolerance=None))
+    assert toy.contacts.max() > 15
+    np.testing.assert_array_equal(toy.state.bodies.position, pgs.state.bodies.position)
+    np.testing.assert_array_equal(toy.theta, pgs.theta)
+    assert toy.sweeps.max() == 20
+
+
+def test_it_sleeps_and_solves_and_is_written_to_files(tmp_path):
+    scene = dc.circles_in_box(10, size=10.0, seed=1)
+    run = dc.simulate(scene, steps=200, solver=ToyPGS(sweeps=30), sleep=True)
+    dc.write_state(tmp_path / "toy.xml", run.state)
+    assert dc.read_state(tmp_path / "toy.xml").solver == ToyPGS(sweeps=30)
+    solution = dc.solve_contacts(run.state, solver=ToyPGS(sweeps=500))
+    expected = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=1000, tolerance=None))
+    np.testing.assert_array_equal(solution.velocities, expected.velocities)
+
+
+def test_another_solver_of_the_same_name_is_refused():
+    @dataclass(frozen=True)
+    class PGS:
+        sweeps: int = 1
+
+    with pytest.raises(ValueError, match="options: expected a new name, got PGS"):
+        register(PGS, lambda solver: ToySettings(0.0), ())
+
+
+def test_options_that_are_not_registered_are_refused():
+    with pytest.raises(ValueError, match=r"solver: expected options such as PGS\(sweeps=…\), of one of PGS"):
+        dc.simulate(dc.column(2), steps=1, solver=object())

@@ -1,0 +1,77 @@
+"""The physics as plain Python, with Numba's compiler switched off, against the compiled one: debuggers, coverage and
+mutation testing rely on it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+
+METHODS = {
+    "PGS": dc.PGS,
+    "PSOR": dc.PSOR,
+    "SymmetricPGS": dc.SymmetricPGS,
+    "NNCG": dc.NNCG,
+    "NesterovPGS": dc.NesterovPGS,
+    "APGD": dc.APGD,
+    "BatchedPGS": dc.BatchedPGS,
+}
+CASES = {
+    **{name: {"solver": method(sweeps=12)} for name, method in METHODS.items()},
+    "PSOR, adaptive": {"solver": dc.PSOR(sweeps=24, adaptive=True)},
+    "BatchedPGS, colours": {"solver": dc.BatchedPGS(sweeps=12, order="colours")},
+    "SoftSteps": {"solver": dc.SoftSteps()},
+    "islands": {"solver": dc.PGS(sweeps=12, islands=True)},
+    "single precision": {"solver": dc.PGS(sweeps=12, precision="single")},
+    "sleep": {"solver": dc.PGS(sweeps=12), "sleep": True, "steps": 70},
+    **{f"start {name}": {"solver": dc.PGS(sweeps=12), "warm_start": name} for name in (None, "copy", "sph")},
+    "no friction": {"solver": dc.PGS(sweeps=12), "friction": 0.0},
+}
+"""Options of `simulate`, and the friction of the scene."""
+
+
+def simulated(name):
+    """Everything that a short run of nine falling circles computes, or one of a column that falls asleep."""
+    options = {"steps": 15, **CASES[name]}
+    friction = options.pop("friction", 0.5)
+    scene = dc.column(3) if "sleep" in options else dc.lattice_in_box(9, gap=0.01, friction=friction)
+    run = dc.simulate(scene, **options)
+    assert run.contacts.max() >= 3
+    return [*run.state.bodies, *run.state.contacts, run.contacts, run.sweeps, run.theta]
+
+
+def write_all(folder):
+    """Write every case into a file of the folder; one that fails leaves its error instead."""
+    for number, name in enumerate(CASES):
+        try:
+            np.savez(Path(folder, f"{number}.npz"), *simulated(name))
+        except Exception as error:
+            Path(folder, f"{number}.txt").write_text(f"{type(error).__name__}: {error}")
+
+
+@pytest.fixture(scope="module")
+def interpreted(tmp_path_factory):
+    """A folder with what each case computes without the compiler."""
+    folder = tmp_path_factory.mktemp("interpreted")
+    paths = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": paths}
+    code = f"import test_without_compiler as t; t.write_all({str(folder)!r})"
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_interpreted_functions_compute_what_the_compiled_ones_do(interpreted, name):
+    stem = str(list(CASES).index(name))
+    error = interpreted / f"{stem}.txt"
+    assert not error.exists(), error.read_text()
+    # The compiler may fuse a multiplication and an addition, which changes the last bits.
+    close = {"rtol": 1e-4, "atol": 1e-5} if name == "single precision" else {"rtol": 1e-9, "atol": 1e-9}
+    with np.load(interpreted / f"{stem}.npz") as found:
+        for key, wanted in zip(found, simulated(name), strict=True):
+            np.testing.assert_allclose(found[key], wanted, **close, err_msg=key)

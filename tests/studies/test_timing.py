@@ -1,0 +1,70 @@
+"""Timing: warm-up runs, interleaved runs, and what is kept of their times."""
+
+import gc
+
+import numpy as np
+import pytest
+
+from deep_contact.studies import timing
+
+
+class Clock:
+    """A clock that the callables of `spend` advance."""
+
+    now = 0.0
+
+    def __call__(self):
+        return self.now
+
+    def spend(self, *seconds):
+        """A callable that takes these times, one per call."""
+        left = list(seconds)
+
+        def run():
+            self.now += left.pop(0)
+
+        return run
+
+
+def test_runs_are_interleaved_after_a_warm_up_run_that_does_not_count():
+    clock, order = Clock(), []
+    runs = {name: (lambda name=name: order.append(name)) for name in "ab"}
+    timing.interleaved(runs, repeats=2, clock=clock, setup={"b": lambda: order.append("setup")})
+    assert order == ["a", "setup", "b"] * 3
+    runs = {"a": clock.spend(1.0, 3.0, 5.0), "b": clock.spend(0.0, 4.0, 2.0)}
+    found = timing.interleaved(runs, repeats=2, clock=clock, reduce=list)
+    assert found == {"a": [3.0, 5.0], "b": [4.0, 2.0]}
+
+
+def test_the_minimum_is_kept_by_default():
+    clock = Clock()
+    assert timing.interleaved({0: clock.spend(0.0, 3.0, 2.0)}, repeats=2, clock=clock) == {0: 2.0}
+
+
+def test_set_up_is_not_timed():
+    clock = Clock()
+    found = timing.interleaved({0: clock.spend(0.0, 1.0)}, repeats=1, clock=clock, setup={0: clock.spend(9.0, 9.0)})
+    assert found == {0: 1.0}
+
+
+def test_the_garbage_collector_waits_and_is_enabled_again_after_an_error():
+    seen = []
+    timing.fastest(lambda: seen.append(gc.isenabled()), 1)
+    assert seen == [False, False]
+    with pytest.raises(ZeroDivisionError):
+        timing.fastest(lambda: 1 / 0, 1)
+    assert gc.isenabled()
+
+
+def test_a_timed_call_returns_its_result():
+    assert timing.timed(lambda: "result", clock=iter([2.0, 5.0]).__next__) == (3.0, "result")
+
+
+def test_slope_and_overhead_solve_the_linear_model():
+    assert timing.slope_and_overhead((10, 7 + 3 * 10), (40, 7 + 3 * 40)) == (3.0, 7.0)
+
+
+def test_the_ratio_is_that_of_paired_times():
+    found = timing.ratio(np.array([2.0, 9.0, 8.0]), np.array([1.0, 3.0, 2.0]))
+    assert (found["ratio"], found["general"], found["special"]) == (3.0, 2.0, 1.0)
+    assert (found["low"], found["high"]) == (2.5, 3.5)
