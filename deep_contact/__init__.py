@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from deep_contact.state import Bodies, Contacts, State, World, make_bodies
     from deep_contact.studies import comparison as experiments
     from deep_contact.studies import peers
+    from deep_contact.trajectory import Trajectory, load_trajectory
 
 _IMPORT = re.compile(r"^    from ([\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)
 _HOME = {  # public name -> (module or package, name in it)
@@ -50,8 +51,8 @@ def __getattr__(public: str):
     if public not in _HOME:
         raise AttributeError(f"module 'deep_contact' has no attribute {public!r}")
     module, name = _HOME[public]
-    home = importlib.import_module(module)
-    return importlib.import_module(f"{module}.{name}") if hasattr(home, "__path__") else getattr(home, name)
+    found = vars(importlib.import_module(module)).get(name)
+    return importlib.import_module(f"{module}.{name}") if found is None else found
 
 
 def __dir__() -> list[str]:
