@@ -51,8 +51,10 @@ def __getattr__(public: str):
     if public not in _HOME:
         raise AttributeError(f"module 'deep_contact' has no attribute {public!r}")
     module, name = _HOME[public]
-    found = vars(importlib.import_module(module)).get(name)
-    return importlib.import_module(f"{module}.{name}") if found is None else found
+    home = importlib.import_module(module)
+    if module == __name__ or not hasattr(home, name):
+        return importlib.import_module(f"{module}.{name}")
+    return getattr(home, name)
 
 
 def __dir__() -> list[str]:
