@@ -125,44 +125,28 @@ def profile(kernel, q, dim):
 
 
 @njit(cache=True, error_model="numpy")
-def weight(kernel, r, h, dim):
-    """W(r, h), m^-dim."""
-    return profile(kernel, r / h, dim)[0] / h**dim
-
-
-@njit(cache=True, error_model="numpy")
-def slope(kernel, r, h, dim):
-    """dW/dr, m^-(dim + 1). At r = 0 the one-sided slope (not 0 for the spiky kernel)."""
-    return profile(kernel, r / h, dim)[1] / h ** (dim + 1)
-
-
-@njit(cache=True, error_model="numpy")
-def laplace(kernel, r, h, dim):
-    """∇²W = W'' + (dim - 1)/r W', m^-(dim + 2), with its limit at r = 0."""
-    q = r / h
-    _, first, second = profile(kernel, q, dim)
+def _radial_term(order, kernel, q, dim):
+    """W (order 0), dW/dr (1) or ∇²W = W'' + (dim - 1) W'/q (2) for h = 1. At q = 0 one-sided slope and limit."""
+    w, first, second = profile(kernel, q, dim)
+    if order == 0:
+        return w
+    if order == 1:
+        return first
     if q > 0.0:
-        return (second + (dim - 1) * first / q) / h ** (dim + 2)
-    if first == 0.0:
-        return dim * second / h ** (dim + 2)
-    return math.copysign(math.inf, first)
+        return second + (dim - 1) * first / q
+    return dim * second if first == 0.0 else math.copysign(math.inf, first)
 
 
 @njit(cache=True, error_model="numpy")
 def _evaluate(order, kernel, r, h, dim, out):
-    """Fill `out` with W (order 0), dW/dr (1) or ∇²W (2) at the distances r.
+    """Fill `out` with W (order 0), dW/dr (1) or ∇²W (2) at the distances r, m^-(dim + order).
 
     Returns the index of the first distance that is negative or not finite, or -1.
     """
     for k in range(r.shape[0]):
         if not (0.0 <= r[k] < math.inf):
             return k
-        if order == 0:
-            out[k] = weight(kernel, r[k], h, dim)
-        elif order == 1:
-            out[k] = slope(kernel, r[k], h, dim)
-        else:
-            out[k] = laplace(kernel, r[k], h, dim)
+        out[k] = _radial_term(order, kernel, r[k] / h, dim) / h ** (dim + order)
     return -1
 
 
