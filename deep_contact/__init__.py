@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from deep_contact.state import Bodies, Contacts, State, World, make_bodies
     from deep_contact.studies import comparison as experiments
     from deep_contact.studies import peers
+    from deep_contact.trajectory import Trajectory, load_trajectory
 
 _IMPORT = re.compile(r"^    from ([\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)
 _HOME = {  # public name -> (module or package, name in it)

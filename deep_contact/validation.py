@@ -6,7 +6,7 @@ All raise ValueError in the form "name: expected …, got …".
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection
 from numbers import Integral, Real
 
 import numpy as np
@@ -54,12 +54,11 @@ def flag(name: str, value) -> bool:
     raise ValueError(f"{name}: expected True or False, got {value!r}")
 
 
-def one_of(name: str, value, known: Iterable):
+def one_of(name: str, value, known: Collection):
     """`value`, which has to be among `known`: a table by its names, or a sequence."""
-    known = list(known)
     try:
         if value in known:
             return value
-    except ValueError:  # an array compares element by element
+    except (TypeError, ValueError):  # what cannot be hashed, and arrays, which compare element by element
         pass
     raise ValueError(f"{name}: expected one of {', '.join(map(str, known))}, got {value!r}")

@@ -238,12 +238,17 @@ def write_simulation(
     Raises ValueError naming the state and the field.
     """
     simulation = pack_simulation(states, sweeps=sweeps, theta=theta, seed=seed, options=options)
+    write_packed(path, simulation, compression=compression)
+    return simulation.digest
+
+
+def write_packed(path, simulation: StoredSimulation, *, compression="gzip") -> None:
+    """Write a simulation that is in memory. Arguments and errors as for `write_simulation`."""
     data = simulation_file(simulation, compression=compression)
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
         temporary.write_bytes(data)
-    return simulation.digest
 
 
 def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> bytes:

@@ -1,8 +1,7 @@
 """Smoothed particle hydrodynamics as a transfer between particles and grid images (the thesis's chapter 3).
 
-Kernels: `value`, `derivative`, `gradient`, `laplacian`, and their names in `KERNELS`.
-Transfer: `Grid`, `splat`, `density`, `gather`. The slow witness, by k-d tree, is in
-`deep_contact.sph.neighbours`.
+Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KERNELS`, and `register_kernel` adds one.
+Transfer: `Grid`, `splat`, `density`, `gather`. `deep_contact.sph.neighbours` has the slow reference, by k-d tree.
 """
 
 from deep_contact.compiled import prepare_numba
@@ -10,6 +9,17 @@ from deep_contact.compiled import prepare_numba
 prepare_numba()
 
 from deep_contact.sph.grid import Grid, density, gather, splat  # noqa: E402
-from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, value  # noqa: E402
+from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, register_kernel, value  # noqa: E402
 
-__all__ = ["KERNELS", "Grid", "density", "derivative", "gather", "gradient", "laplacian", "splat", "value"]
+__all__ = [
+    "KERNELS",
+    "Grid",
+    "density",
+    "derivative",
+    "gather",
+    "gradient",
+    "laplacian",
+    "register_kernel",
+    "splat",
+    "value",
+]

@@ -1,18 +1,18 @@
 """The grid, and the transfer between particles and grid images: `splat`, `density` and `gather`.
 
-An image is a C-contiguous array of shape (n_y, n_x, channels), row 0 at y_min; channels are what the
+An image is a C-contiguous array of shape (n_y, n_x, channels), row 0 at y_min; the channels are the quantities that the
 particles carry. A transfer is a splat followed by a gather with the same `normalization`:
 
-* "raw": node j holds Σ_k V_k W(|x_j - x_k|, h) S_k (Eq 3.6; Algorithms 2 and 3, where V = 1).
-* "particle": the weights of every particle are divided by their sum over the nodes (Appendix A), so that an
-  image's sum is the sum of the values. The thesis reads it back bilinearly (Algorithm 4), which returns
-  between a quarter and all of an isolated particle's value where h is the spacing.
-* "consistent": the image is that of "particle", and the gather divides by the gathered density D, the image
-  of ones. An isolated particle comes back exactly, and so does a field that is constant. D needs positions
-  only: a network that predicts an image need not predict D.
+* "raw": node j holds Σ_k V_k W(|x_j - x_k|, h) S_k (Eq 3.6; Algorithms 2 and 3, with V = 1).
+* "particle": the weights of every particle are divided by their sum over the nodes (Appendix A), so the sum of an image
+  is the sum of the values. The thesis reads it back bilinearly (Algorithm 4), which returns between a quarter and all
+  of the value of an isolated particle if h is the spacing.
+* "consistent": the image is that of "particle", and the gather divides by the gathered density D, the image of ones.
+  The value of an isolated particle comes back exactly, and so does a constant field. D needs positions only: a network
+  that predicts an image need not predict D.
 
-Only the nodes within reach of a particle are touched, so the cost grows with the particles, not with the
-nodes. A node is within reach if r < h; W(h) is 0.
+Only the nodes within reach of a particle are visited, so the cost grows with the particles, not with the nodes. A node
+is within reach if r < h; W(h) is 0.
 """
 
 from __future__ import annotations
@@ -23,22 +23,27 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 
-from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile, stale_cache
+from deep_contact.sph.kernels import as_floats, check_support_radius, compiled_for, kernel_number, profile
+from deep_contact.validation import integer, number, one_of
 
 ROUNDING = 1e-9
-"""In spacings: a point so little beyond the last node is taken to lie on it, an extent so little more than a
-whole number of spacings is that number of spacings."""
+"""In spacings: a point that lies beyond the last node by no more is taken to lie on it, and an extent that exceeds a
+whole number of spacings by no more is that number of spacings."""
 
 _MOST_NODES = 2**31 - 1
-_NORMALIZATIONS = {"raw": 0, "particle": 1, "consistent": 2}
-_METHODS = {"bilinear": 0, "sph": 1}
-_UNREACHED = {"error": 0, "zero": 1, "nearest": 2}
-_OUTSIDE = {"error": 0, "clamp": 1, "ignore": 2}
-_RAW, _PARTICLE, _CONSISTENT = _NORMALIZATIONS.values()
-_BILINEAR, _SPH = _METHODS.values()
-_ERROR, _ZERO, _NEAREST = _UNREACHED.values()
-_CLAMP, _IGNORE = _OUTSIDE["clamp"], _OUTSIDE["ignore"]
-_DONE, _BAD_POSITION, _BAD_VALUE, _BAD_VOLUME, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED, _NO_KERNEL = range(8)
+_OPTIONS = {
+    "normalization": {"raw": 0, "particle": 1, "consistent": 2},
+    "method": {"bilinear": 0, "sph": 1},
+    "unreached": {"error": 0, "zero": 1, "nearest": 2},
+    "outside": {"error": 0, "clamp": 1, "ignore": 2},
+}
+"""Names of options, and the numbers by which Numba code knows them."""
+
+_RAW, _PARTICLE, _CONSISTENT = range(3)
+_BILINEAR, _SPH = range(2)
+_ERROR, _ZERO, _NEAREST = range(3)
+_CLAMP, _IGNORE = 1, 2
+_DONE, _BAD_POSITION, _BAD_VALUE, _BAD_VOLUME, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED = range(7)
 _NO_VOLUME = np.empty(0)
 _NO_DENSITY = np.empty((0, 0))
 
@@ -57,32 +62,31 @@ class Grid:
     _geometry: tuple[float, float, float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        origin = _pair("origin", self.origin)
-        spacing = _pair("spacing", (self.spacing,) * 2 if np.ndim(self.spacing) == 0 else self.spacing)
-        if not min(spacing) > 0:
-            raise ValueError(f"spacing: expected numbers > 0, got {self.spacing}")
+        origin, spacing = _pair("origin", self.origin), _spacing(self.spacing)
         try:
-            shape = tuple(int(n) for n in self.shape)
-            whole = len(shape) == 2 and shape == tuple(self.shape)
-        except (TypeError, ValueError, OverflowError):
-            whole = False
-        if not whole or min(shape) < 2 or max(shape) > _MOST_NODES:
+            shape = tuple(integer("shape", n, 2, _MOST_NODES) for n in self.shape)
+        except (TypeError, ValueError):
+            shape = ()
+        if len(shape) != 2:
             raise ValueError(f"shape: expected (n_y, n_x), two integers >= 2, got {self.shape}")
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
-        object.__setattr__(self, "origin", origin)
-        object.__setattr__(self, "spacing", spacing)
-        object.__setattr__(self, "shape", shape)
-        object.__setattr__(self, "_geometry", origin + spacing)
+        for name, value in (
+            ("origin", origin),
+            ("spacing", spacing),
+            ("shape", shape),
+            ("_geometry", origin + spacing),
+        ):
+            object.__setattr__(self, name, value)
 
     @classmethod
     def over_box(cls, box, spacing) -> Grid:
         """The smallest grid from the lower left corner of a box that covers it.
 
-        box: (x_min, y_min, x_max, y_max), m. spacing: (dx, dy), or one number for both, m. Where the spacing
-        does not divide the extent, the last nodes lie beyond the box: 30 m at 0.5 m gives 61 nodes, up to
-        30 m; at 0.7 m it gives 44, up to 30.1 m. Raises ValueError naming the argument and the value.
+        box: (x_min, y_min, x_max, y_max), m. spacing: (dx, dy), or one number for both, m. If the spacing does not
+        divide the extent, the last nodes lie beyond the box: 30 m at 0.5 m gives 61 nodes, up to 30 m; at 0.7 m it
+        gives 44, up to 30.1 m. Raises ValueError naming the argument and the value.
         """
         try:
             x_min, y_min, x_max, y_max = (float(v) for v in box)
@@ -91,9 +95,7 @@ class Grid:
             good = False
         if not good:
             raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max), not empty, got {box}")
-        dx, dy = _pair("spacing", (spacing,) * 2 if np.ndim(spacing) == 0 else spacing)
-        if not min(dx, dy) > 0:
-            raise ValueError(f"spacing: expected numbers > 0, got {spacing}")
+        dx, dy = _spacing(spacing)
         cells = (y_max - y_min) / dy, (x_max - x_min) / dx
         if max(cells) >= _MOST_NODES:
             raise ValueError(f"spacing: expected at most {_MOST_NODES} nodes along an edge, got {spacing}")
@@ -157,14 +159,25 @@ def _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights):
 
 
 @njit(cache=True, error_model="numpy")
+def cell_of(x, first, spacing, count):
+    """The cell of an axis that a coordinate lies in, and how far, 0 to 1; the nearest cell outside the grid."""
+    u = min(max((x - first) / spacing, 0.0), count - 1.0)
+    i = min(int(u), count - 2)
+    return i, u - i
+
+
+@njit(cache=True, error_model="numpy")
+def corner_weights(s, t):
+    """Bilinear weights at (s, t) in a cell, Eq 3.16: lower left, lower right, upper left, upper right corner."""
+    return (1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t
+
+
+@njit(cache=True, error_model="numpy")
 def _bilinear_weights(geometry, n_y, n_x, x, y, weights):
-    """Fill `weights` for the corners of the cell around (x, y), Eq 3.16; returns as `_kernel_weights`."""
-    x0, y0, dx, dy = geometry
-    u, v = (x - x0) / dx, (y - y0) / dy
-    i, j = int(min(max(u, 0.0), n_x - 2.0)), int(min(max(v, 0.0), n_y - 2.0))
-    s, t = min(max(u - i, 0.0), 1.0), min(max(v - j, 0.0), 1.0)
-    weights[0], weights[1] = (1.0 - s) * (1.0 - t), s * (1.0 - t)
-    weights[2], weights[3] = (1.0 - s) * t, s * t
+    """Fill `weights` for the corners of the cell around (x, y); returns as `_kernel_weights`."""
+    i, s = cell_of(x, geometry[0], geometry[2], n_x)
+    j, t = cell_of(y, geometry[1], geometry[3], n_y)
+    weights[0], weights[1], weights[2], weights[3] = corner_weights(s, t)
     return i, i + 2, j, j + 2, 1.0
 
 
@@ -204,13 +217,10 @@ def _first_infinite(array):
 def _splat_core(geometry, position, values, volume, h, kernel, normalization, unreached, outside, image):
     """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
 
-    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); volume (k,), or empty for 1;
-    image (n_y, n_x, c). The rest are numbers from the tables above. Checks that all is finite, before it
-    writes.
+    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); volume (k,), or empty for 1; image (n_y, n_x, c).
+    The rest are numbers from the tables above. Checks that all is finite before it writes.
     """
     n_y, n_x, channels = image.shape
-    if not profile(kernel, 0.0, 2)[0] > 0.0:
-        return _NO_KERNEL, 0
     bad = _first_infinite(position)
     if bad >= 0:
         return _BAD_POSITION, bad
@@ -229,8 +239,9 @@ def _splat_core(geometry, position, values, volume, h, kernel, normalization, un
                 continue
             return _IS_OUTSIDE, k
         i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights)
-        factor = 1.0 / (h * h) if normalization == _RAW else 1.0 / total
-        if not total > 0.0:
+        if total > 0.0:
+            factor = 1.0 / (h * h) if normalization == _RAW else 1.0 / total
+        else:
             if unreached == _ERROR:
                 return _IS_UNREACHED, k
             if unreached == _ZERO:
@@ -265,13 +276,11 @@ def _density_at(weights, density, i0, i1, j0, j1):
 def _gather_core(geometry, image, density, position, h, kernel, method, unreached, outside, out):
     """Fill `out`, in place, with Σ_j w_j G_j / Σ_j w_j D_j at every query.
 
-    With bilinear weights and D = 1 that is Algorithm 4. geometry: `Grid._geometry`. image (n_y, n_x, c);
-    density (n_y, n_x), or empty for 1; position (k, 2), m; out (k, c). The rest are numbers from the tables
-    above. Checks that the positions and what it gathers are finite.
+    With bilinear weights and D = 1 that is Algorithm 4. geometry: `Grid._geometry`. image (n_y, n_x, c); density
+    (n_y, n_x), or empty for 1; position (k, 2), m; out (k, c). The rest are numbers from the tables above. Checks that
+    the positions and the results are finite.
     """
     n_y, n_x, channels = image.shape
-    if not profile(kernel, 0.0, 2)[0] > 0.0:
-        return _NO_KERNEL, 0
     bad = _first_infinite(position)
     if bad >= 0:
         return _BAD_POSITION, bad
@@ -332,20 +341,16 @@ def splat(
 
     position: (k, 2), m. values: (k, c) or (k,). h: support radius, m. kernel: one of `KERNELS`, dim = 2.
     normalization: "raw", "particle" or "consistent" (the same image as "particle"); see the module.
-    volume: V_k of Eq 3.6, (k,), m²; only with "raw"; None is 1, as in Algorithms 2 and 3, and gives values
-    per m².
-    unreached: what becomes of a particle with no node within h. "error"; "zero", it adds nothing; "nearest",
-    it goes to the nearest node (with the weight 1, or V / (dx dy) if raw).
-    outside: what becomes of a particle outside the grid. "error"; "clamp", it acts from the nearest point of
-    the grid; "ignore", it adds nothing. Contacts with a wall lie beyond it by half their penetration: clamp
-    these.
+    volume: V_k of Eq 3.6, (k,), m²; only with "raw"; None is 1, as in Algorithms 2 and 3, and gives values per m².
+    unreached: for a particle with no node within h. "error"; "zero": it adds nothing; "nearest": it goes to the nearest
+    node (with the weight 1, or V / (dx dy) if raw).
+    outside: for a particle outside the grid. "error"; "clamp": it acts from the nearest point of the grid; "ignore": it
+    adds nothing. Contacts with a wall lie beyond it by half their penetration: clamp these.
 
     Raises ValueError naming the argument, what was expected and the value.
     """
-    number, h = kernel_number(kernel), check_support_radius(h)
-    normalization_code = _code("normalization", normalization, _NORMALIZATIONS)
-    unreached_code = _code("unreached", unreached, _UNREACHED)
-    outside_code = _code("outside", outside, _OUTSIDE)
+    chosen, h = kernel_number(kernel), check_support_radius(h)
+    codes = _code("normalization", normalization), _code("unreached", unreached), _code("outside", outside)
     position = _positions(position)
     given = as_floats("values", values)
     columns = given.reshape(-1, 1) if given.ndim == 1 else given
@@ -353,15 +358,15 @@ def splat(
         raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {given.shape}")
     volumes = _NO_VOLUME if volume is None else as_floats("volume", volume)
     if volume is not None:
-        if normalization_code != _RAW:
+        if normalization != "raw":
             raise ValueError(f"volume: expected None, since it cancels in {normalization!r}, got an array")
         if volumes.shape != position.shape[:1]:
             raise ValueError(f"volume: expected shape ({position.shape[0]},), got {volumes.shape}")
     image = np.zeros((*grid.shape, columns.shape[1]))
-    options = h, number, normalization_code, unreached_code, outside_code
-    code, k = _splat_core(grid._geometry, position, columns, volumes, *options, image)
+    core = compiled_for(_splat_core, kernel)
+    code, k = core(grid._geometry, position, columns, volumes, h, chosen, *codes, image)
     if code != _DONE:
-        raise _error(code, k, grid, position, h, kernel, {"values": columns, "volume": volumes})
+        raise _error(code, k, grid, position, h, {"values": columns, "volume": volumes})
     return image if given.ndim == 2 else image.reshape(grid.shape)
 
 
@@ -373,16 +378,8 @@ def density(
     Needs positions only. Arguments and errors as for `splat`, with the same values as the splat of the image.
     """
     position = _positions(position)
-    return splat(
-        grid,
-        position,
-        np.ones(position.shape[0]),
-        h=h,
-        kernel=kernel,
-        normalization="consistent",
-        unreached=unreached,
-        outside=outside,
-    )
+    options = {"normalization": "consistent", "unreached": unreached, "outside": outside}
+    return splat(grid, position, np.ones(position.shape[0]), h=h, kernel=kernel, **options)
 
 
 _density = density  # `gather` has an argument of that name
@@ -403,30 +400,24 @@ def gather(
 ) -> np.ndarray:
     """Image to particles, float64, shape (k, c), or (k,) for an image of shape (n_y, n_x).
 
-    position: where to read, (k, 2), m. image: (n_y, n_x, c) or (n_y, n_x), of any origin, for instance a
-    network.
+    position: where to read, (k, 2), m. image: (n_y, n_x, c) or (n_y, n_x), of any origin, for instance a network.
     normalization: "raw" and "particle" read the image as it is; "consistent" divides by the gathered density.
-    density: D of `sph.density`, for "consistent". None says that `position` are the particles themselves;
-    then D is made from them, with h and kernel.
-    method: "bilinear" (Algorithm 4, with the matrix of Eq 3.16: Algorithm 4 has it transposed), or "sph", the
-    mean of the nodes within h, weighted by W; this is the adjoint of the splat with the normalization
-    "particle".
-    h, kernel: as for `splat`; h may be None where neither `method` nor `density` needs it.
-    unreached: a query with no node within h ("sph") or no density around it ("consistent"). "error"; "zero",
-    it reads 0; "nearest", it reads the nearest node, over that node's density (an error if it has none).
-    outside: a query outside the grid. "error"; "clamp", it reads the nearest point of the grid; "ignore", it
-    reads 0.
+    density: D of `sph.density`, for "consistent". None means that `position` are the particles themselves: D is then
+    made from them, with h and kernel.
+    method: "bilinear" (Algorithm 4, with the matrix of Eq 3.16; Algorithm 4 has it transposed), or "sph", the mean of
+    the nodes within h, weighted by W; this is the adjoint of the splat with the normalization "particle".
+    h, kernel: as for `splat`; h may be None if neither `method` nor `density` needs it.
+    unreached: for a query with no node within h ("sph") or no density around it ("consistent"). "error"; "zero": it
+    reads 0; "nearest": it reads the nearest node, over that node's density (an error if it has none).
+    outside: for a query outside the grid. "error"; "clamp": it reads the nearest point of the grid; "ignore": 0.
 
-    Raises ValueError naming the argument, what was expected and the value; also where what is read is not
-    finite.
+    Raises ValueError naming the argument, what was expected and the value, also if a result is not finite.
     """
-    consistent = _code("normalization", normalization, _NORMALIZATIONS) == _CONSISTENT
-    number, method_code = kernel_number(kernel), _code("method", method, _METHODS)
-    unreached_code = _code("unreached", unreached, _UNREACHED)
-    outside_code = _code("outside", outside, _OUTSIDE)
+    chosen, consistent = kernel_number(kernel), _code("normalization", normalization) == _CONSISTENT
+    codes = _code("method", method), _code("unreached", unreached), _code("outside", outside)
     if h is not None:
         h = check_support_radius(h)
-    elif method_code == _SPH or (consistent and density is None):
+    elif method == "sph" or (consistent and density is None):
         raise ValueError("h: expected the support radius, for method 'sph' or to make the density, got None")
     position = _positions(position)
     given = as_floats("image", image)
@@ -444,21 +435,26 @@ def gather(
         if divisor.shape != grid.shape:
             raise ValueError(f"density: expected shape {grid.shape}, got {divisor.shape}")
     out = np.empty((position.shape[0], layers.shape[2]))
-    options = h or 0.0, number, method_code, unreached_code, outside_code
-    code, k = _gather_core(grid._geometry, layers, divisor, position, *options, out)
+    core = compiled_for(_gather_core, kernel)
+    code, k = core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
     if code != _DONE:
-        raise _error(code, k, grid, position, h, kernel, {})
+        raise _error(code, k, grid, position, h, {})
     return out if given.ndim == 3 else out.reshape(-1)
 
 
 def _pair(name, given):
     try:
-        pair = tuple(float(v) for v in given)
+        x, y = (number(name, v) for v in given)
     except (TypeError, ValueError):
-        pair = ()
-    if len(pair) != 2 or not (math.isfinite(pair[0]) and math.isfinite(pair[1])):
-        raise ValueError(f"{name}: expected two finite numbers, got {given}")
-    return pair
+        raise ValueError(f"{name}: expected two finite numbers, got {given}") from None
+    return x, y
+
+
+def _spacing(given):
+    spacing = _pair("spacing", (given,) * 2 if np.ndim(given) == 0 else given)
+    if not min(spacing) > 0:
+        raise ValueError(f"spacing: expected numbers > 0, got {given}")
+    return spacing
 
 
 def _positions(given):
@@ -470,18 +466,17 @@ def _positions(given):
     return position
 
 
-def _code(name, given, table):
+def _code(name, given):
+    """The number of an option."""
     try:
-        return table[given]
+        return _OPTIONS[name][given]
     except (KeyError, TypeError):
-        raise ValueError(f"{name}: expected one of {', '.join(table)}, got {given!r}") from None
+        return one_of(name, given, _OPTIONS[name])
 
 
-def _error(code, k, grid, position, h, kernel, arrays):
+def _error(code, k, grid, position, h, arrays):
     """The exception for what a core returned."""
     at = f"({position[k, 0]}, {position[k, 1]})" if position.shape[0] else ""
-    if code == _NO_KERNEL:
-        return stale_cache(kernel)
     if code == _BAD_POSITION:
         return ValueError(f"position[{k}]: expected finite numbers, got {at}")
     if code == _BAD_VALUE:

@@ -1,26 +1,30 @@
 """Smoothing kernels: value W(r, h), radial derivative, gradient and Laplacian, on the plane and in space.
 
-A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1,
-normalised to a unit integral; everything else (h, the gradient's direction, the Laplacian, r = 0, the edge)
-is done once for all. **To add one**, write that function and enter it in `_PROFILES`: `tests/sph/test_kernels.py`
-takes it up by itself, and machine code that was compiled before is dropped (`deep_contact.compiled.code_cache`).
+A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1, normalised to
+a unit integral. Everything else (h, the gradient's direction, the Laplacian, r = 0, the edge) is done once for all.
+`register_kernel` adds one.
 
-What holds for every kernel:
+For every kernel:
 
-* The support is open: W, W' and the Laplacian are 0 for r >= h. All but the Gaussian go to 0 continuously,
-  with both derivatives.
-* At r = 0 the gradient is the zero vector: for the spiky kernel, whose slope there depends on the direction,
-  that is the mean over all directions. The Laplacian is its limit: dim·W''(0) where W'(0) = 0, and -inf for
-  the spiky kernel.
+* The support is open: W, W' and the Laplacian are 0 for r >= h. All but the Gaussian go to 0 continuously, with both
+  derivatives.
+* At r = 0 the gradient is the zero vector: for the spiky kernel, whose slope there depends on the direction, that is
+  the mean over all directions. The Laplacian is its limit: dim·W''(0) if W'(0) = 0, and -inf for the spiky kernel.
 * For other h, W(r, h) = W(r/h, 1) / h^dim.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
+from collections.abc import Callable
+from functools import cache
+from types import FunctionType
 
 import numpy as np
 from numba import njit
+
+from deep_contact.validation import one_of
 
 GAUSSIAN_DECAY = 9.0
 """The Gaussian is exp(-9 q²): the support radius h is 3 √2 standard deviations, σ = 0.2357 h."""
@@ -84,15 +88,17 @@ def gaussian(q, dim):
 
 _PROFILES = (poly6, spiky, cubic_spline, wendland_c2, gaussian)
 
-KERNELS = tuple(profile.__name__ for profile in _PROFILES)
-"""Names of the kernels; the place of a name is the kernel's number in Numba code."""
+KERNELS = [function.__name__ for function in _PROFILES]
+"""Names of the kernels, in the end also of registered ones; the place of a name is its number in Numba code."""
+
+_registered: dict[str, Callable] = {}
 
 
 def _choose(profiles, number=0):
-    """A Numba function of (kernel, q, dim) that calls the profile of that number; of an unknown one, nan.
+    """A Numba function of (kernel, q, dim) that calls the profile of that number; NaN for an unknown number.
 
-    A chain of comparisons, since a Numba function passed as an argument would be compiled anew in every
-    process. Not cached itself: it is compiled into its callers, which are.
+    A chain of comparisons, since a Numba function passed as an argument would be compiled anew in every process. Not
+    cached itself: it is compiled into its callers, which are.
     """
     if not profiles:
         return njit(lambda kernel, q, dim: (math.nan, math.nan, math.nan))
@@ -119,44 +125,28 @@ def profile(kernel, q, dim):
 
 
 @njit(cache=True, error_model="numpy")
-def weight(kernel, r, h, dim):
-    """W(r, h), m^-dim."""
-    return profile(kernel, r / h, dim)[0] / h**dim
-
-
-@njit(cache=True, error_model="numpy")
-def slope(kernel, r, h, dim):
-    """dW/dr, m^-(dim + 1). At r = 0 the one-sided slope (not 0 for the spiky kernel)."""
-    return profile(kernel, r / h, dim)[1] / h ** (dim + 1)
-
-
-@njit(cache=True, error_model="numpy")
-def laplace(kernel, r, h, dim):
-    """∇²W = W'' + (dim - 1)/r W', m^-(dim + 2), with its limit at r = 0."""
-    q = r / h
-    _, first, second = profile(kernel, q, dim)
+def _radial_term(order, kernel, q, dim):
+    """W (order 0), dW/dr (1) or ∇²W = W'' + (dim - 1) W'/q (2) for h = 1. At q = 0 one-sided slope and limit."""
+    w, first, second = profile(kernel, q, dim)
+    if order == 0:
+        return w
+    if order == 1:
+        return first
     if q > 0.0:
-        return (second + (dim - 1) * first / q) / h ** (dim + 2)
-    if first == 0.0:
-        return dim * second / h ** (dim + 2)
-    return math.copysign(math.inf, first)
+        return second + (dim - 1) * first / q
+    return dim * second if first == 0.0 else math.copysign(math.inf, first)
 
 
 @njit(cache=True, error_model="numpy")
 def _evaluate(order, kernel, r, h, dim, out):
-    """Fill `out` with W (order 0), dW/dr (1) or ∇²W (2) at the distances r.
+    """Fill `out` with W (order 0), dW/dr (1) or ∇²W (2) at the distances r, m^-(dim + order).
 
     Returns the index of the first distance that is negative or not finite, or -1.
     """
     for k in range(r.shape[0]):
         if not (0.0 <= r[k] < math.inf):
             return k
-        if order == 0:
-            out[k] = weight(kernel, r[k], h, dim)
-        elif order == 1:
-            out[k] = slope(kernel, r[k], h, dim)
-        else:
-            out[k] = laplace(kernel, r[k], h, dim)
+        out[k] = _radial_term(order, kernel, r[k] / h, dim) / h ** (dim + order)
     return -1
 
 
@@ -208,24 +198,55 @@ def _radial(order, kernel, r, h, dim):
     number, h, dim = kernel_number(kernel), check_support_radius(h), check_dim(dim)
     r = as_floats("r", r)
     out = np.empty_like(r)
-    bad = _evaluate(order, number, r.reshape(-1), h, dim, out.reshape(-1))
+    bad = compiled_for(_evaluate, kernel)(order, number, r.reshape(-1), h, dim, out.reshape(-1))
     if bad >= 0:
         where = [int(i) for i in np.unravel_index(bad, r.shape)]
         raise ValueError(f"r{where or ''}: expected a finite distance >= 0, got {r.reshape(-1)[bad]}")
-    if np.isnan(out).any():
-        raise stale_cache(kernel)
     return out if out.ndim else float(out)
 
 
-_NUMBERS = {name: number for number, name in enumerate(KERNELS)}
+def register_kernel(function: Callable) -> Callable:
+    """Make a kernel known by its function's name to all that takes a `kernel`, in this process. Returns the function.
+
+    function: (q, dim) -> (W, W', W'') for h = 1, 0 <= q < 1 and dim 2 or 3, which Numba can compile. It is compiled
+    into a transfer when that first uses it. A function of the same name is replaced, unless it is one of this module.
+    Raises ValueError for a name that is taken, and unless W(0) > 0, and W' and W'' at q = 1/2 are finite.
+    """
+    name = function.__name__
+    if name in KERNELS and name not in _registered:
+        raise ValueError(f"kernel: expected a name other than {', '.join(KERNELS)}, got {name!r}")
+    compiled = function if hasattr(function, "py_func") else njit(error_model="numpy")(function)
+    for dim in (2, 3):
+        found = [*np.ravel(compiled(0.0, dim)), *np.ravel(compiled(0.5, dim))]
+        if len(found) != 6 or not np.isfinite([found[0], *found[3:]]).all() or not found[0] > 0:
+            raise ValueError(f"kernel: expected {name}(q, {dim}) to return W > 0, W' and W'', got {found}")
+    _registered[name] = compiled
+    if name not in KERNELS:
+        KERNELS.append(name)
+    _bound.cache_clear()
+    return function
+
+
+def compiled_for(core: Callable, kernel: str) -> Callable:
+    """A Numba function that calls `profile`, or one that calls it, for a kernel: itself for those of this module."""
+    return _bound(core, _registered[kernel]) if kernel in _registered else core
+
+
+@cache
+def _bound(core: Callable, kernel: Callable) -> Callable:
+    """A copy of a Numba function, and of all that it calls, in which `_profile` is a registered kernel."""
+    if core is _profile:
+        return njit(error_model="numpy")(lambda number, q, dim: kernel(q, dim))
+    plain = getattr(core, "py_func", core)
+    called = {name: plain.__globals__.get(name) for name in plain.__code__.co_names}
+    ours = {name: f for name, f in called.items() if hasattr(f, "py_func") or inspect.isfunction(f)}
+    copies = {name: _bound(f, kernel) for name, f in ours.items()}
+    return njit(error_model="numpy")(FunctionType(plain.__code__, plain.__globals__ | copies, plain.__name__))
 
 
 def kernel_number(kernel: str) -> int:
     """The number by which Numba code knows a kernel. Raises ValueError for an unknown name."""
-    try:
-        return _NUMBERS[kernel]
-    except (KeyError, TypeError):
-        raise ValueError(f"kernel: expected one of {', '.join(KERNELS)}, got {kernel!r}") from None
+    return KERNELS.index(one_of("kernel", kernel, KERNELS))
 
 
 def check_support_radius(h) -> float:
@@ -262,10 +283,3 @@ def as_floats(name: str, array) -> np.ndarray:
         raise ValueError(f"{name}: expected an array of real numbers, got dtype {given.dtype}")
     floats = np.asarray(given, dtype=np.float64, order="C")
     return floats if floats.flags.carray else floats.copy()
-
-
-def stale_cache(kernel: str) -> RuntimeError:
-    """The error for compiled code that is older than the table of kernels."""
-    return RuntimeError(
-        f"kernel {kernel!r}: the cached machine code is older than the kernel; delete the __pycache__ folders"
-    )

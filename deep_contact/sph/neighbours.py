@@ -1,4 +1,4 @@
-"""The splat by neighbour search in a k-d tree, as the thesis had it: the slow witness of `sph.splat`."""
+"""The splat by neighbour search in a k-d tree, as the thesis had it: the slow reference of `sph.splat`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 
 from deep_contact.sph import kernels
 from deep_contact.sph.grid import Grid
+from deep_contact.validation import one_of
 
 
 def splat_by_tree(
@@ -20,18 +21,16 @@ def splat_by_tree(
 ) -> np.ndarray:
     """Particles to image, shape (n_y, n_x, c): for every node its neighbours, then Σ_k W S_k.
 
-    Algorithms 2 and 3 as they are written. position: (k, 2), m. values: (k, c). normalization: "raw", or
-    "particle" (Appendix A: the weights of a particle sum to one). A particle with no node within h adds
-    nothing. one_query: look up all nodes in one call of scipy, which the thesis did not, but which is several
-    times faster. Needs scipy.
+    Algorithms 2 and 3 as they are written. position: (k, 2), m. values: (k, c). normalization: "raw", or "particle"
+    (Appendix A: the weights of a particle sum to one). A particle with no node within h adds nothing. one_query: look
+    up all nodes in one call of scipy, which the thesis did not do and which is several times faster.
     Raises ValueError for an unknown kernel, h or normalization.
     """
     from scipy.spatial import cKDTree
 
     h = kernels.check_support_radius(h)
     kernels.kernel_number(kernel)
-    if normalization not in ("raw", "particle"):
-        raise ValueError(f"normalization: expected one of raw, particle, got {normalization!r}")
+    one_of("normalization", normalization, ("raw", "particle"))
     position, values = np.asarray(position, dtype=np.float64), np.asarray(values, dtype=np.float64)
     x, y = grid.nodes
     nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)

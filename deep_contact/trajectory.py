@@ -1,0 +1,164 @@
+"""A recorded run: its states as arrays over time, its file, and how it is shown.
+
+    run = Trajectory.from_states(states)
+    run.save("fall.h5")
+    run.energies[:, 0].max()                     # largest kinetic energy, J
+    HTML(run.animate().to_jshtml())              # in a notebook
+
+The file is that of a data set (`deep_contact.io.simulation_h5`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from deep_contact.validation import number
+
+if TYPE_CHECKING:
+    from matplotlib.animation import FuncAnimation
+    from pandas import DataFrame
+
+    from deep_contact.io.simulation_h5 import StoredSimulation
+    from deep_contact.state import State, World
+
+
+@dataclass(frozen=True, repr=False, eq=False)
+class Trajectory:
+    """T states of one run of n circles, with M contacts in all. `len`, indexing and iteration give its states.
+
+    | property   | meaning                                              | shape     | unit   |
+    |------------|------------------------------------------------------|-----------|--------|
+    | times      |                                                      | (T,)      | s      |
+    | positions  | of the centres                                       | (T, n, 2) | m      |
+    | velocities | of the centres                                       | (T, n, 2) | m/s    |
+    | angles     | orientations, counter-clockwise                      | (T, n)    | rad    |
+    | spins      | angular velocities                                   | (T, n)    | rad/s  |
+    | offsets    | the contacts of state i: offsets[i] … offsets[i + 1] | (T + 1,)  | –      |
+    | pairs      | body_a and body_b of each contact                    | (M, 2)    | –      |
+    | impulses   | λ_n and λ_t of each contact                          | (M, 2)    | N·s    |
+    | energies   | kinetic and potential                                | (T, 2)    | J      |
+
+    Arrays are those of the run, not copies; `run[i]` has arrays of its own. Potential energy is zero at the origin.
+    """
+
+    stored: StoredSimulation
+    """All that its file holds."""
+
+    @classmethod
+    def from_states(cls, states: Iterable[State]) -> Trajectory:
+        """A run from its states, in the order of time, with contacts. Raises ValueError naming state and field."""
+        from deep_contact.io.simulation_h5 import pack_simulation
+
+        return cls(pack_simulation(states))
+
+    def save(self, path) -> None:
+        """Write the run to an HDF5 file, whole or not at all. Raises OSError where that cannot be written."""
+        from deep_contact.io.simulation_h5 import write_packed
+
+        write_packed(path, self.stored)
+
+    def __len__(self) -> int:
+        return self.stored.count
+
+    def __getitem__(self, index: int) -> State:
+        return self.stored.state(range(len(self))[index])
+
+    def __iter__(self) -> Iterator[State]:
+        return (self[i] for i in range(len(self)))
+
+    def __repr__(self) -> str:
+        t = self.times
+        contacts = f"{len(self.pairs):,} contact{'' if len(self.pairs) == 1 else 's'}"
+        return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
+
+    @property
+    def world(self) -> World:
+        return self.stored.header["world"]
+
+    @property
+    def times(self) -> np.ndarray:
+        return self.stored.arrays["time"]
+
+    @property
+    def positions(self) -> np.ndarray:
+        return self.stored.arrays["position"]
+
+    @property
+    def velocities(self) -> np.ndarray:
+        return self.stored.arrays["velocity"]
+
+    @property
+    def angles(self) -> np.ndarray:
+        return self.stored.arrays["angle"]
+
+    @property
+    def spins(self) -> np.ndarray:
+        return self.stored.arrays["spin"]
+
+    @property
+    def offsets(self) -> np.ndarray:
+        return self.stored.arrays["contact_offset"]
+
+    @property
+    def pairs(self) -> np.ndarray:
+        return np.column_stack([self.stored.arrays[name] for name in ("body_a", "body_b")])
+
+    @property
+    def impulses(self) -> np.ndarray:
+        return np.column_stack([self.stored.arrays[name] for name in ("normal_impulse", "tangent_impulse")])
+
+    @property
+    def energies(self) -> np.ndarray:
+        mass, radius = self.stored.arrays["mass"], self.stored.arrays["radius"]
+        linear = (self.velocities**2).sum(axis=2) @ mass
+        turning = self.spins**2 @ (0.5 * mass * radius**2)
+        potential = -(self.positions @ np.array(self.world.gravity)) @ mass
+        return np.column_stack([0.5 * (linear + turning), potential])
+
+    def to_frame(self) -> DataFrame:
+        """A pandas table with a row for each circle at each time. Raises ImportError where pandas is not installed."""
+        import pandas
+
+        count, n = len(self), self.positions.shape[1]
+        columns = {"time": np.repeat(self.times, n), "body": np.tile(np.arange(n), count)}
+        for name, array in (("", self.positions), ("v_", self.velocities)):
+            columns |= {f"{name}{axis}": array[:, :, k].ravel() for k, axis in enumerate("xy")}
+        return pandas.DataFrame(columns | {"angle": self.angles.ravel(), "spin": self.spins.ravel()})
+
+    def animate(self, *, fps: float = 25, height: float = 5.0) -> FuncAnimation:
+        """A matplotlib animation of the circles, coloured by speed, and their contacts, as wide as their impulses.
+
+        fps: states shown in a second. height: of the picture, inches. Its `to_jshtml()` is for notebooks, its `save`
+        writes a film.
+        """
+        from matplotlib.animation import FuncAnimation
+
+        from deep_contact.reporting import plotting
+
+        fastest = max(float(np.hypot(*self.velocities.reshape(-1, 2).T).max(initial=0.0)), 1e-9)
+        strongest = float(self.impulses[:, 0].max(initial=0.0)) or None
+        x_min, y_min, x_max, y_max = self.world.box
+        width = height * min(2.0, max(0.5, (x_max - x_min) / (y_max - y_min)))
+        with plotting.style():
+            figure, ax = plotting.subplots(size=(width, height))
+
+        def draw(i: int) -> None:
+            ax.clear()
+            plotting.draw_state(ax, self[i], limits=(0.0, fastest), largest_impulse=strongest)
+            ax.set_title(f"t = {self.times[i]:.2f} s", loc="left")
+
+        return FuncAnimation(figure, draw, frames=len(self), interval=1000 / number("fps", fps, above=0), repeat=False)
+
+
+def load_trajectory(path) -> Trajectory:
+    """The run in a file of `Trajectory.save`, or of a data set.
+
+    Raises DataFileError naming file, field and value, and OSError where the file cannot be opened.
+    """
+    from deep_contact.io.simulation_h5 import read_simulation
+
+    return Trajectory(read_simulation(path))
