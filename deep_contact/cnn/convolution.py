@@ -39,35 +39,25 @@ _WIDEST = 2 if get_host_cpu_features().get("avx512f") else 1
 """Vectors of `WIDTH` that a register of the processor holds."""
 
 
-class Layer(NamedTuple):
-    """One row of the program. Places count in vectors of `WIDTH` numbers in the workspace; -1 is nowhere.
+LAYER = np.dtype(
+    [(name, np.int64) for name in "first blocks pitch rows run weights groups vectors skip out positive".split()]
+)
+"""One row of the program. Places count in vectors of `WIDTH` numbers in the workspace; -1 is nowhere.
 
-    | field    | meaning                                                              |
-    |----------|----------------------------------------------------------------------|
-    | first    | of its nodes in `Program.nodes`                                      |
-    | blocks   | how many times `WIDTH` nodes                                         |
-    | pitch    | numbers from a row of taps to the next in the input                  |
-    | rows     | of taps                                                              |
-    | run      | numbers in a row of taps                                             |
-    | weights  | first vector in `Program.weights`: bias, then taps, group by group   |
-    | groups   | of features                                                          |
-    | vectors  | of `WIDTH` features in a group, 1 or 2                               |
-    | skip     | image that is added                                                  |
-    | out      | image that is written                                                |
-    | positive | image of the same with negative numbers cut                          |
-    """
-
-    first: int
-    blocks: int
-    pitch: int
-    rows: int
-    run: int
-    weights: int
-    groups: int
-    vectors: int
-    skip: int
-    out: int
-    positive: int
+| field    | meaning                                                              |
+|----------|----------------------------------------------------------------------|
+| first    | of its nodes in `Program.nodes`                                      |
+| blocks   | how many times `WIDTH` nodes                                         |
+| pitch    | numbers from a row of taps to the next in the input                  |
+| rows     | of taps                                                              |
+| run      | numbers in a row of taps                                             |
+| weights  | first vector in `Program.weights`: bias, then taps, group by group   |
+| groups   | of features                                                          |
+| vectors  | of `WIDTH` features in a group, 1 or 2                               |
+| skip     | image that is added                                                  |
+| out      | image that is written                                                |
+| positive | image of the same with negative numbers cut                          |
+"""
 
 
 class Image(NamedTuple):
@@ -105,7 +95,7 @@ class Program:
         self._threads = threads
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
         self._build(*shape)
-        self.layers = np.array(self._layers, np.int64)
+        self.layers = np.array(self._layers, LAYER)
         self.nodes = np.concatenate(self._nodes)
         self.weights = np.concatenate(self._weights)
         self.workspace = _aligned(self._size)
@@ -113,6 +103,8 @@ class Program:
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Coefficients (rows, columns, outputs) of an image of this shape, both float32."""
+        if image.shape != self.image_shape:
+            raise ValueError(f"image: expected shape {self.image_shape}, got {image.shape}")
         rows, columns, outputs = self.shape
         found = np.empty((rows * columns, outputs), np.float32)
         given = image, self.input, self.layers, self.nodes, self.weights, self.workspace, self.output, found
@@ -124,8 +116,8 @@ class Program:
         return found.reshape(self.shape)
 
     def _build(self, n_y, n_x):
-        width = self._weights_of["to_second"][0].shape[3]
-        channels = self._weights_of["to_second"][0].shape[2]
+        channels, width = self._weights_of["to_second"][0].shape[2:]
+        self.image_shape = n_y, n_x, channels
         image = self._image(n_y, n_x, channels)
         self.input = image.place, image.pitch
         sides = [((n_y - 1) // k + 1, (n_x - 1) // k + 1) for k in (2, 4, 8)]
@@ -209,7 +201,7 @@ class Program:
                 continue
             pieces = [-1 if image is None else image.place // WIDTH + begin for image in (skip, out, positive)]
             row = (first, count // WIDTH, image.pitch, rows, columns * image.numbers)
-            self._layers.append(Layer(*row, self._filled, groups, vectors, *pieces))
+            self._layers.append((*row, self._filled, groups, vectors, *pieces))
             packed = wide[:, begin : begin + groups * vectors].reshape(len(wide), groups, -1).swapaxes(0, 1)
             self._weights.append(packed.ravel())
             self._filled += packed.size // WIDTH
@@ -251,19 +243,18 @@ def _aligned(size: int) -> np.ndarray:
 @njit(cache=True, error_model="numpy")
 def _convolve(layer, b, nodes, weights, space, zero):
     """Block b of a layer: `WIDTH` nodes, all groups of features, each of as many as `zero` has lanes."""
-    first, rows, run, pitch = layer[0] + b * WIDTH, layer[3], layer[4], uint64(layer[2])
-    vectors, skip, out, positive = layer[7], layer[8], layer[9], layer[10]
+    first, pitch, vectors = layer.first + b * WIDTH, uint64(layer.pitch), layer.vectors
     i, j = uint64(first), uint64(1)
     x0, x1, x2, x3 = nodes[i, 0], nodes[i + j, 0], nodes[i + 2 * j, 0], nodes[i + 3 * j, 0]
     x4, x5, x6, x7 = nodes[i + 4 * j, 0], nodes[i + 5 * j, 0], nodes[i + 6 * j, 0], nodes[i + 7 * j, 0]
-    w, next_w = uint64(layer[5]), uint64(vectors)
-    for g in range(layer[6]):
+    w, next_w = uint64(layer.weights), uint64(vectors)
+    for g in range(layer.groups):
         a0 = load_like(zero, weights, w)
         w += next_w
         a1, a2, a3, a4, a5, a6, a7 = a0, a0, a0, a0, a0, a0, a0
-        for r in range(rows):
+        for r in range(layer.rows):
             o = uint64(r) * pitch
-            for _ in range(run):
+            for _ in range(layer.run):
                 c = load_like(zero, weights, w)
                 a0 = a0 + c * spread_like(zero, space[x0 + o])
                 a1 = a1 + c * spread_like(zero, space[x1 + o])
@@ -278,19 +269,19 @@ def _convolve(layer, b, nodes, weights, space, zero):
         k = 0
         for a in (a0, a1, a2, a3, a4, a5, a6, a7):
             place = np.int64(nodes[first + k, 1]) + g * vectors
-            if skip >= 0:
-                a = a + load_like(zero, space, skip + place)
-            if out >= 0:
-                store(space, out + place, a)
-            if positive >= 0:
-                store(space, positive + place, most(a, zero))
+            if layer.skip >= 0:
+                a = a + load_like(zero, space, layer.skip + place)
+            if layer.out >= 0:
+                store(space, layer.out + place, a)
+            if layer.positive >= 0:
+                store(space, layer.positive + place, most(a, zero))
             k += 1
 
 
 @njit(cache=True, error_model="numpy")
 def _block(layer, b, nodes, weights, space):
     zero = spread(np.float32(0.0))
-    if layer[7] == 2:
+    if layer.vectors == 2:
         _convolve(layer, b, nodes, weights, space, doubled(zero))
     else:
         _convolve(layer, b, nodes, weights, space, zero)
@@ -322,7 +313,7 @@ def _take(space, place, columns, found):
 def _run(image, inlet, layers, nodes, weights, space, outlet, found):
     _put(image, inlet, space)
     for layer in layers:
-        for b in range(layer[1]):
+        for b in range(layer.blocks):
             _block(layer, b, nodes, weights, space)
     _take(space, outlet, (image.shape[1] + 1) // 2, found)
 
@@ -332,6 +323,6 @@ def _run_side_by_side(image, inlet, layers, nodes, weights, space, outlet, found
     _put(image, inlet, space)
     for i in range(layers.shape[0]):
         layer = layers[i]
-        for b in prange(layer[1]):
+        for b in prange(layer.blocks):
             _block(layer, b, nodes, weights, space)
     _take(space, outlet, (image.shape[1] + 1) // 2, found)
