@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.util
 import sys
 from pathlib import Path
@@ -61,11 +60,3 @@ def kinetic_energy(bodies):
     """Total kinetic energy, J."""
     linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
     return 0.5 * (linear + bodies.inertia @ bodies.spin**2)
-
-
-def fingerprint(state):
-    """SHA-256 of everything that a run has computed."""
-    digest = hashlib.sha256()
-    for array in (*state.bodies, *state.contacts):
-        digest.update(np.ascontiguousarray(array).tobytes())
-    return digest.hexdigest()

@@ -5,6 +5,7 @@ Not promised, and not tested: other processors (fused operations and vector widt
 LLVM, and `precision="single"` against "double".
 """
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -13,7 +14,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import fingerprint
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
@@ -21,6 +21,14 @@ from deep_contact.reporting import figures
 from deep_contact.state import Bodies, make_bodies
 
 PACKAGE = Path(dc.__file__).parent
+
+
+def fingerprint(state):
+    """SHA-256 of everything that a run has computed."""
+    digest = hashlib.sha256()
+    for array in (*state.bodies, *state.contacts):
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return digest.hexdigest()
 
 
 def run(seed, *, method="PGS", warm_start="builtin"):
