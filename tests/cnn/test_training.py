@@ -11,6 +11,7 @@ from pathlib import Path
 import keras
 import numpy as np
 import pytest
+from conftest import load_script
 
 import deep_contact as dc
 from deep_contact.cnn import training
@@ -241,14 +242,12 @@ def test_bad_settings_are_named(field, value):
 
 
 def test_factored_network_of_full_rank_is_the_network():
-    sys.path.insert(0, str(TRAIN.parent))
-    from factor_thesis_network import factored, largest_rank, right_vectors
-
+    script = load_script("factor_thesis_network")
     keras.utils.set_random_seed(0)
     network = training.architectures.build("thesis", shape=(3, 3))
     image = np.random.default_rng(0).normal(size=(40, 3, 3, 5)).astype(np.float32)
     features = keras.Sequential([keras.Input((3, 3, 5)), *network.layers[:-1]])(image)
-    vectors = right_vectors(np.asarray(features), network.layers[-1].get_weights()[0], 18)
-    np.testing.assert_allclose(factored(network, vectors)(image), network(image), rtol=1e-3, atol=1e-5)
+    vectors = script.right_vectors(np.asarray(features), network.layers[-1].get_weights()[0], 18)
+    np.testing.assert_allclose(script.factored(network, vectors)(image), network(image), rtol=1e-3, atol=1e-5)
     limit = 4 * network.count_params()
-    assert largest_rank(network, limit) < 18
+    assert script.largest_rank(network, limit) < 18

@@ -5,15 +5,14 @@ impacts, though no higher or faster. So what no simulation enters has to be equa
 factor that is stated here with its reason.
 """
 
-import importlib
 import json
 import re
-import sys
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import load_script
 
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.studies import comparison
@@ -41,10 +40,8 @@ MADE_BY_QUICK_RUNS = {"6.6"}
 
 @cache
 def figure_of(id):
-    """The `Figure` of the script of this number, imported by its name so that its processes find it."""
-    if str(ROOT / "scripts") not in sys.path:
-        sys.path.append(str(ROOT / "scripts"))
-    return importlib.import_module(SCRIPTS[id].stem).FIGURE
+    """The `Figure` of the script of this number."""
+    return load_script(SCRIPTS[id].stem).FIGURE
 
 
 @cache
