@@ -35,6 +35,7 @@ from deep_contact.cnn.dataset import (
     write_simulation,
 )
 from deep_contact.cnn.images import CHANNELS, THESIS_CHANNELS, ImageSpec, augment, image_pair
+from deep_contact.io import simulation_h5
 from deep_contact.state import no_contacts
 
 ROOT = Path(__file__).parents[2]
@@ -122,7 +123,7 @@ def test_files_outlive_options_that_a_solver_gains(path, monkeypatch):
     class Later(dc.PGS):
         omega: float = 1.0
 
-    monkeypatch.setitem(dataset.METHODS, "PGS", Later)
+    monkeypatch.setitem(simulation_h5.METHODS, "PGS", Later)
     assert read_simulation(path).state(0).solver == Later(sweeps=200)
 
 
