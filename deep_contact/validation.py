@@ -1,0 +1,65 @@
+"""The border between callers and the package: each function checks one argument, and returns it as a plain Python value.
+
+All raise ValueError in the form "name: expected …, got …".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from numbers import Integral, Real
+
+import numpy as np
+
+
+def integer(name: str, value, least: int = 0, most: int | None = None) -> int:
+    """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise ValueError(f"{name}: expected an integer >= {least}, got {value!r}")
+    if most is not None and value > most:
+        raise ValueError(f"{name}: expected an integer <= {most}, got {value!r}")
+    return int(value)
+
+
+def number(name: str, value, low=None, high=None, *, above=None, below=None) -> float:
+    """`value` as a finite float with low <= value <= high and above < value < below, each where given."""
+    try:
+        checked = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        checked = math.inf
+    if (
+        not math.isfinite(checked)
+        or (low is not None and checked < low)
+        or (above is not None and checked <= above)
+        or (high is not None and checked > high)
+        or (below is not None and checked >= below)
+    ):
+        raise ValueError(f"{name}: expected {_interval(low, high, above, below)}, got {value!r}")
+    return checked
+
+
+def _interval(low, high, above, below) -> str:
+    if (low is None and above is None) or (high is None and below is None):
+        limits = {">=": low, ">": above, "<=": high, "<": below}
+        return "a finite number" + "".join(f" {sign} {limit}" for sign, limit in limits.items() if limit is not None)
+    if above is None:
+        return f"a number from {low} to {high}" if below is None else f"a number from {low} to below {below}"
+    return f"a number above {above}, " + (f"up to {high}" if below is None else f"below {below}")
+
+
+def flag(name: str, value) -> bool:
+    """`value` as a bool; NumPy's bools are accepted, integers are not."""
+    if isinstance(value, (bool, np.bool_)):
+        return bool(value)
+    raise ValueError(f"{name}: expected True or False, got {value!r}")
+
+
+def one_of(name: str, value, known: Iterable):
+    """`value`, which has to be among `known`: a table by its names, or a sequence."""
+    known = list(known)
+    try:
+        if value in known:
+            return value
+    except ValueError:  # an array compares element by element
+        pass
+    raise ValueError(f"{name}: expected one of {', '.join(map(str, known))}, got {value!r}")
