@@ -146,8 +146,7 @@ class FarFieldSpec:
 
 
 def window_side(cells: float) -> int:
-    """Number of nodes along an edge of a window whose contacts span so many cells, with a margin of one cell each side.
-    """
+    """Nodes along an edge of a window whose contacts span so many cells, with a margin of one cell on each side."""
     least = cells + 3.0 - ROUNDING
     return WINDOW_SIDES[min(bisect_left(WINDOW_SIDES, least), len(WINDOW_SIDES) - 1)]
 
