@@ -31,8 +31,8 @@ def compute(options, seed, jobs, progress):
 
 def one_scene(task):
     """Errors of all starts on one scene, in a process of its own."""
-    from deep_contact.cnn.evaluation import errors_on_scene
     from deep_contact.cnn.inference import Guarded, network_start
+    from deep_contact.studies.scene_errors import errors_on_scene
     from deep_contact.warm_start import Builtin
 
     kind = {**TRAINED, **task["kind"]}

@@ -608,7 +608,7 @@ def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
 
     task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are taken.
     """
-    from deep_contact.cnn.evaluation import errors_on_scene
+    from deep_contact.studies.scene_errors import errors_on_scene
 
     rng = np.random.default_rng(task["seed"])
     scene = circles_in_box(int(rng.integers(70, 111)), seed=rng)

@@ -119,6 +119,8 @@ def test_networks_are_of_stock_layers(name):
     [
         ("alexnet", {}, "architecture"),
         ("thesis", {"shape": (61,)}, "shape"),
+        ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
+        ("compact", {"channels": 3, "widht": 8}, "options of compact: expected one of channels"),
         ("thesis", {"dropout": 1.0}, "dropout"),
         ("compact", {"channels": 0}, "channels"),
         ("compact", {"channels": 3, "dilations": (1, 0)}, r"dilations\[1\]"),
