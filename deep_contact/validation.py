@@ -1,4 +1,4 @@
-"""The border between callers and the package: each function checks one argument, and returns it as a plain Python value.
+"""The border of the package: every function checks one argument and returns it as a plain Python value.
 
 All raise ValueError in the form "name: expected …, got …".
 """
