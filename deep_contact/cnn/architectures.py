@@ -73,7 +73,7 @@ def thesis(
     number("dropout", dropout, 0, below=1)
     number("weight_decay", weight_decay, 0)
     stack = [keras.Input((n_y, n_x, channels), name="bodies")]
-    for number, (filters, kernels) in enumerate(_THESIS_STACKS, 1):
+    for stage, (filters, kernels) in enumerate(_THESIS_STACKS, 1):
         for turn, side in enumerate(kernels, 1):
             stack.append(
                 layers.Conv2D(
@@ -83,14 +83,14 @@ def thesis(
                     activation="relu",
                     kernel_initializer="he_normal",
                     kernel_regularizer=keras.regularizers.L2(weight_decay),
-                    name=f"convolution_{number}_{turn}",
+                    name=f"convolution_{stage}_{turn}",
                 )
             )
-        stack.append(layers.Dropout(dropout, name=f"dropout_{number}"))
-        if number < len(_THESIS_STACKS):
-            stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{number}"))
+        stack.append(layers.Dropout(dropout, name=f"dropout_{stage}"))
+        if stage < len(_THESIS_STACKS):
+            stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{stage}"))
             if filters in _NORMALIZED:
-                stack.append(layers.BatchNormalization(name=f"normalization_{number}"))
+                stack.append(layers.BatchNormalization(name=f"normalization_{stage}"))
     stack.append(layers.Flatten(name="flatten"))
     stack.append(layers.Dense(n_y * n_x * outputs, activation="relu", name="impulses"))
     return keras.Sequential(stack, name="thesis")
