@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-
-from deep_contact.cnn.model_file import read_metadata
-from deep_contact.reporting.results import replacing
 
 MODELS = Path(__file__).resolve().parent.parent / "models"
 ABOUT = {
@@ -34,9 +32,12 @@ the far-field networks are `python scripts/generate_data.py --simulations 400 --
 
 def card(path: Path) -> str:
     """One model's section."""
-    stored = read_metadata(path)
-    found = stored["card"]
+    from deep_contact.cnn.model_file import read_metadata
+
+    found = read_metadata(path)["card"]
     lines = [f"## {path.name}", "", ABOUT.get(path.name, ""), ""]
+    minutes = f"{found.get('seconds', 0) / 60:.0f} minutes on {found.get('cpu', 'one core')}"
+    history, best = found.get("history"), found.get("best_epoch")
     rows = [
         ("architecture", found.get("architecture")),
         ("weights", found.get("parameters")),
@@ -45,15 +46,9 @@ def card(path: Path) -> str:
         ("trained on", f"{found['training_states']:,} states" if found.get("training_states") else None),
         ("data", f"`{found['data_hash']}`" if found.get("data_hash") else None),
         ("seed", found.get("seed")),
-        (
-            "time",
-            f"{found['seconds'] / 60:.0f} minutes on {found.get('cpu', 'one core')}" if "seconds" in found else None,
-        ),
-        (
-            "epochs",
-            f"{len(found['history'])}, the best is {found['best_epoch'] + 1}" if "best_epoch" in found else None,
-        ),
-        ("loss", f"{found['history'][found['best_epoch']]['validation_loss']:.4g}" if "best_epoch" in found else None),
+        ("time", minutes if "seconds" in found else None),
+        ("epochs", f"{len(history)}, the best is {best + 1}" if best is not None else None),
+        ("loss", f"{history[best]['validation_loss']:.4g}" if best is not None else None),
         ("rank", found.get("rank")),
     ]
     lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows if value is not None), ""]
@@ -73,8 +68,11 @@ def card(path: Path) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
+def main(arguments=None) -> None:
     """Write the page."""
+    argparse.ArgumentParser(description=__doc__).parse_args(arguments)
+    from deep_contact.io.files import replacing
+
     cards = [card(MODELS / name) for name in ABOUT if (MODELS / name).exists()]
     with replacing(MODELS / "README.md") as temporary:
         temporary.write_text("\n".join([HEAD, *cards]), encoding="utf-8")

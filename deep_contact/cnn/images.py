@@ -131,6 +131,13 @@ SOLVER_CHANNELS = (
 )
 """What the solver knows of its contacts, free of the arbitrary sign of n."""
 
+CHANNEL_SETS = {
+    "thesis": THESIS_CHANNELS,
+    "solver": SOLVER_CHANNELS,
+    "bodies and solver": ("mass", "velocity_x", "velocity_y", "spin", *SOLVER_CHANNELS),
+}
+"""Name -> input channels of a network in training."""
+
 TRANSFERS = ("thesis", "consistent")
 NORMALIZATIONS = ("particle", "raw")
 

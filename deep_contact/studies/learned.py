@@ -458,7 +458,7 @@ def train_on_targets(task: TargetTask) -> str:
         fractions=(0.8, 0.2, 0.0),
         **task.settings,
     )
-    done = training.train(config, task.data, task.out, log=lambda line: None)
+    done = training.train(config, task.data, task.out, verbose=0)
     return str(done.path)
 
 
