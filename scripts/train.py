@@ -98,8 +98,8 @@ def configuration(given: dict, from_model) -> TrainingConfig:
     return configs.get(given.get("architecture"), TrainingConfig)(**given)
 
 
-def learning_curve(history, path) -> None:
-    """Loss and validation errors against the epoch."""
+def learning_curve(history, path):
+    """Draw loss and validation errors against the epoch. Returns the axes of the errors."""
     from deep_contact.reporting import plotting
 
     with plotting.style():
@@ -116,6 +116,7 @@ def learning_curve(history, path) -> None:
     left.legend()
     right.legend()
     plotting.save(figure, path)
+    return right
 
 
 def run(data, out, model, **given) -> None:

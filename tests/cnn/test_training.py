@@ -11,6 +11,7 @@ from pathlib import Path
 import keras
 import numpy as np
 import pytest
+from conftest import load_script
 
 import deep_contact as dc
 from deep_contact.cnn import architectures, losses
@@ -231,7 +232,9 @@ def test_settings_of_the_shipped_models_are_known():
     root = TRAIN.parents[1] / "models"
     for path in root.glob("*.h5"):
         metadata = read_metadata(path)
-        assert set(config.config_of(metadata).spec().to_dict().items() - metadata["spec"].items()) == set()
+        images = config.config_of(metadata).spec().to_dict()
+        changed = {name for name, value in images.items() if value != metadata["spec"][name]}
+        assert changed <= {"scales", "target_scales"}
 
 
 def test_names_in_the_settings_are_those_of_the_networks_and_losses():
@@ -327,3 +330,69 @@ def test_factored_network_of_full_rank_is_the_network():
     np.testing.assert_allclose(factored(network, vectors)(image), network(image), rtol=1e-3, atol=1e-5)
     limit = 4 * network.count_params()
     assert largest_rank(network, limit) < 18
+
+
+# ---- scripts/train.py, scripts/model_cards.py ----
+
+
+@pytest.mark.parametrize(
+    ("flags", "status", "message"),
+    [
+        (["--ratee", "3"], 2, "unrecognized arguments: --ratee 3"),
+        (["--rate", "abc"], 2, "invalid float value: 'abc'"),
+        (["--options", "stem"], 2, "invalid option value: 'stem'"),
+        (["--epochs", "0"], 1, "epochs: expected an integer >= 1, got 0"),
+        (["--data", "nowhere"], 1, "nowhere: expected files sim_0000.h5"),
+        (["--from", "nowhere.h5"], 1, "nowhere.h5 does not exist"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(flags, status, message, capsys):
+    script = load_script("train")
+    try:
+        found = script.main(flags)
+    except SystemExit as error:
+        found = error.code
+    assert found == status
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+def test_ctrl_c_ends_training_with_one_line(data, tmp_path, monkeypatch, capsys):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("deep_contact.cnn.training.run.train", interrupted)
+    assert load_script("train").main(["--data", str(data), "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("train.py: stopped; the same command goes on")
+
+
+@pytest.mark.parametrize("script", ["train", "model_cards"])
+def test_help_loads_neither_tensorflow_nor_numba(script):
+    code = "import runpy, sys\ntry: runpy.run_path(sys.argv[0], run_name='__main__')\nfinally: print(*sys.modules)"
+    code = f"import sys; sys.argv = [{str(TRAIN.with_name(script + '.py'))!r}, '--help']\n{code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "usage:" in done.stdout
+    assert not {"tensorflow", "keras", "numba"} & set(done.stdout.splitlines()[-1].split())
+
+
+def test_a_script_goes_on_from_a_model(undisturbed):
+    script = load_script("train")
+    settings = script.configuration({"epochs": 2, "options": [("stem", 3)]}, undisturbed.path)
+    assert (settings.epochs, settings.rate, settings.options) == (2, 0.02, {"stem": 3})
+
+
+def test_the_learning_curve_names_what_the_columns_hold(tmp_path):
+    errors = {"validation_velocity_error": 0.5, "validation_velocity_error_10": 0.1, "validation_impulse_error": 0.3}
+    line = {"epoch": 0, "loss": 1.0, "validation_loss": 1.0, **errors}
+    right = load_script("train").learning_curve([line], tmp_path / "curve.png")
+    labels = [text.get_text() for text in right.get_legend().get_texts()]
+    assert labels == ["velocity, no sweep", "velocity, 10 sweeps", "impulse, no sweep"]
+
+
+def test_shipped_histories_have_the_columns_of_new_ones():
+    for path in (TRAIN.parents[1] / "models").glob("*_history.csv"):
+        with open(path, encoding="utf-8") as file:
+            columns = next(csv.reader(file))
+        far_field = path.stem != "compact_history"
+        assert ("validation_velocity_error_30" in columns) == far_field
+        assert ("validation_impulse_error" in columns) != far_field

@@ -46,7 +46,7 @@ class TrainingConfig:
     | validation_states                  | about so many                                                               |
     | simulations                        | only the first so many, or None                                             |
     | fractions                          | of the simulations: train, validation, test                                 |
-    | phases, augment                    | only these phases, None: all; turn and mirror the training states|
+    | phases, augment                    | only these phases, None: all; turn and mirror the training states           |
 
     Raises ValueError naming the field and the value.
     """
