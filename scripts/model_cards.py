@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import json
 from pathlib import Path
-
-from deep_contact.cnn.inference import gives, takes
-from deep_contact.cnn.model_file import read_metadata, spec_of
-from deep_contact.reporting.results import replacing
 
 MODELS = Path(__file__).resolve().parent.parent / "models"
 ABOUT = {
@@ -41,10 +38,14 @@ the far-field networks are `python scripts/generate_data.py --simulations 400 --
 
 def card(path: Path) -> str:
     """One model's section."""
+    from deep_contact.cnn.inference import gives, takes
+    from deep_contact.cnn.model_file import read_metadata, spec_of
+
     stored = read_metadata(path)
-    found = stored["card"]
-    spec = spec_of(stored, path)
+    found, spec = stored["card"], spec_of(stored, path)
     lines = [f"## {path.name}", "", ABOUT.get(path.name, ""), ""]
+    minutes = f"{found.get('seconds', 0) / 60:.0f} minutes on {found.get('cpu', 'one core')}"
+    history, best = found.get("history"), found.get("best_epoch")
     rows = [
         ("architecture", found.get("architecture")),
         ("weights", found.get("parameters")),
@@ -55,15 +56,9 @@ def card(path: Path) -> str:
         ("trained on", f"{found['training_states']:,} states" if found.get("training_states") else None),
         ("data", f"`{found['data_hash']}`" if found.get("data_hash") else None),
         ("seed", found.get("seed")),
-        (
-            "time",
-            f"{found['seconds'] / 60:.0f} minutes on {found.get('cpu', 'one core')}" if "seconds" in found else None,
-        ),
-        (
-            "epochs",
-            f"{len(found['history'])}, the best is {found['best_epoch'] + 1}" if "best_epoch" in found else None,
-        ),
-        ("loss", f"{found['history'][found['best_epoch']]['validation_loss']:.4g}" if "best_epoch" in found else None),
+        ("time", minutes if "seconds" in found else None),
+        ("epochs", f"{len(history)}, the best is {best + 1}" if best is not None else None),
+        ("loss", f"{history[best]['validation_loss']:.4g}" if best is not None else None),
         ("rank", found.get("rank")),
     ]
     lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows if value is not None), ""]
@@ -85,6 +80,8 @@ def card(path: Path) -> str:
 
 def entry(path: Path) -> dict:
     """One model's entry in the registry."""
+    from deep_contact.cnn.model_file import read_metadata
+
     found = read_metadata(path)["card"]
     return {
         "file": path.relative_to(MODELS).as_posix(),
@@ -94,8 +91,11 @@ def entry(path: Path) -> dict:
     }
 
 
-def main() -> None:
+def main(arguments=None) -> None:
     """Write the page and the registry."""
+    argparse.ArgumentParser(description=__doc__).parse_args(arguments)
+    from deep_contact.io.files import replacing
+
     cards = [card(MODELS / name) for name in ABOUT if (MODELS / name).exists()]
     files = sorted(MODELS.rglob("*.h5"), key=lambda path: (path.parent != MODELS, path.name))
     entries = {path.relative_to(MODELS).with_suffix("").as_posix(): entry(path) for path in files}

@@ -4,11 +4,12 @@
     python scripts/train.py --out runs/compact               # ours
     python scripts/train.py --architecture thesis --out runs/thesis --epochs 10
     python scripts/train.py --architecture "far field"       # the far-field network, through the solver
+    python scripts/train.py --from models/model.h5 --epochs 5 --out runs/further    # go on from a model, its settings
 
-With --devices N, TensorFlow shares every batch among N of its devices, the same step but for rounding.
+With --devices N, TensorFlow shares every batch among N of its devices; the step is the same up to rounding.
 
 Started again with the same flags, a run goes on where it was stopped. At the end <out>/model.h5 is a model file with
-its card, and <out>/history.png the learning curve; --model copies both to where they are wanted.
+its card, and <out>/history.png the learning curve; --model copies both to another place.
 """
 
 from __future__ import annotations
@@ -20,42 +21,52 @@ import shutil
 import sys
 import types
 import typing
-from dataclasses import MISSING, fields
+from dataclasses import fields
 from pathlib import Path
 
+from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
 
-def arguments(config_class) -> argparse.ArgumentParser:
+
+class Parser(argparse.ArgumentParser):
+    """Reports a wrong option in one line, without the list of all options."""
+
+    def error(self, message: str):
+        self.exit(2, f"{self.prog}: {message}; --help lists the options\n")
+
+
+def arguments() -> argparse.ArgumentParser:
     """A flag for every field of the configuration, and those of this script."""
-    parser = argparse.ArgumentParser(
+    parser = Parser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, argument_default=argparse.SUPPRESS
     )
     parser.add_argument("--data", default="data/generated", help="folder of the simulations")
     parser.add_argument("--out", default=None, help="folder of the run; by default runs/<architecture>")
     parser.add_argument("--model", default=None, metavar="PATH", help="copy the finished model file there too")
+    parser.add_argument("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model file")
     parser.add_argument("--threads", type=int, default=1, help="of TensorFlow")
     parser.add_argument("--devices", type=int, default=1, metavar="N", help="GPUs that share every batch (1)")
     parser.add_argument("--held-out", type=int, default=300, metavar="N", help="test states for the card")
     parser.add_argument("--tensorboard", default=None, metavar="DIR", help="write event files there")
     settings = parser.add_argument_group("settings (defaults by architecture)")
-    hints = typing.get_type_hints(config_class)
-    for field in fields(config_class):
+    hints = typing.get_type_hints(TrainingConfig)
+    special = {
+        "options": {"nargs": "*", "type": option, "metavar": "NAME=NUMBER", "help": "of the network"},
+        "phases": {"nargs": "+", "help": "train on these phases only"},
+        "sweeps": {"nargs": "+", "type": int, "help": "numbers of sweeps whose errors the far-field network learns"},
+        "fractions": {"nargs": 3, "type": float, "help": "train, validation, test"},
+    }
+    for field in fields(TrainingConfig):
         flag, kind = "--" + field.name.replace("_", "-"), hints[field.name]
-        shown = field.default if field.default is not MISSING else None
-        if field.name == "options":
-            settings.add_argument(flag, nargs="*", type=option, metavar="NAME=NUMBER", help="of the network")
-        elif field.name == "phases":
-            settings.add_argument(flag, nargs="+", help=f"train on these alone; compact: {' '.join(shown)}")
-        elif field.name == "sweeps":
-            settings.add_argument(flag, nargs="+", type=int, help=f"whose errors the far-field network learns: {shown}")
-        elif field.name == "fractions":
-            settings.add_argument(flag, nargs=3, type=float, help=f"train, validation, test; compact: {shown}")
+        shown = f"compact: {field.default}"
+        if field.name in special:
+            settings.add_argument(flag, **special[field.name])
         elif kind is bool:
-            settings.add_argument(flag, action=argparse.BooleanOptionalAction, help=f"compact: {shown}")
+            settings.add_argument(flag, action=argparse.BooleanOptionalAction, help=shown)
         elif isinstance(kind, types.UnionType):
             inner = next(t for t in typing.get_args(kind) if t is not type(None))
-            settings.add_argument(flag, type=optional(inner), help=f"a number or none; compact: {shown}")
+            settings.add_argument(flag, type=optional(inner), metavar="NUMBER", help=f"or none; {shown}")
         else:
-            settings.add_argument(flag, type=kind, help=f"compact: {shown}")
+            settings.add_argument(flag, type=kind, help=shown)
     return parser
 
 
@@ -68,52 +79,59 @@ def option(text: str):
 
 def optional(kind):
     """Parser of a number, or None for "none"."""
-    return lambda text: None if text.lower() == "none" else kind(text)
+
+    def number(text):
+        return None if text.lower() == "none" else kind(text)
+
+    return number
 
 
-def learning_curve(history, path, last="impulses") -> None:
-    """Loss and errors against the epoch. last: what the last column of errors is of."""
+def configuration(given: dict, from_model) -> TrainingConfig:
+    """The settings by their flags: those of a model, or the defaults of the architecture, with changes."""
+    if "options" in given:
+        given["options"] = dict(given["options"])
+    if from_model is not None:
+        from deep_contact.cnn.model_file import read_metadata
+
+        return config_of(read_metadata(from_model), **given)
+    configs = {"thesis": thesis_config, "far field": far_field_config}
+    return configs.get(given.get("architecture"), TrainingConfig)(**given)
+
+
+def learning_curve(history, path):
+    """Draw loss and validation errors against the epoch. Returns the axes of the errors."""
     from deep_contact.reporting import plotting
 
     with plotting.style():
         figure, (left, right) = plotting.subplots(1, 2, size=(8.4, 3.4))
     epochs = [line["epoch"] + 1 for line in history]
-    left.plot(epochs, [line["loss"] for line in history], label="training")
-    left.plot(epochs, [line["validation_loss"] for line in history], label="validation")
+    for name, label in (("loss", "training"), ("validation_loss", "validation")):
+        left.plot(epochs, [line[name] for line in history], label=label)
+    for name in [name for name in history[-1] if name.startswith("validation_") and name != "validation_loss"]:
+        quantity, _, sweeps = name.removeprefix("validation_").partition("_error")
+        label = f"{quantity}, {sweeps.lstrip('_') or 'no'} sweep{'s' if sweeps else ''}"
+        right.semilogy(epochs, [line.get(name, float("nan")) for line in history], label=label)
     plotting.label_axes(left, "epoch", "loss")
-    right.semilogy(epochs, [line["validation_velocity_error"] for line in history], label="velocities, no sweep")
-    right.semilogy(epochs, [line["validation_impulse_error"] for line in history], label=last)
     plotting.label_axes(right, "epoch", "relative error, validation")
     left.legend()
     right.legend()
     plotting.save(figure, path)
+    return right
 
 
-def main() -> int:
+def run(data, out, model, **given) -> None:
     """Train, and print the errors on the test states."""
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
-    from deep_contact.cnn.training import TrainingConfig, far_field_config, thesis_config, train
-
-    given = vars(arguments(TrainingConfig).parse_args())
-    names = ("data", "out", "model", "threads", "devices", "held_out", "tensorboard")
-    data, out, model, threads, devices, held_out, tensorboard = (given.pop(name) for name in names)
-    given["options"] = dict(given.get("options") or [])
-    configs = {"thesis": thesis_config, "far field": far_field_config}
-    config = configs.get(given.get("architecture"), TrainingConfig)(**given)
+    options = {name: given.pop(name) for name in ("threads", "devices", "held_out", "tensorboard", "from_model")}
+    config = configuration(given, options["from_model"])
     out = Path(out or f"runs/{config.architecture.replace(' ', '_')}")
-    done = train(
-        config,
-        data,
-        out,
-        threads=threads,
-        devices=devices,
-        held_out=held_out,
-        tensorboard=tensorboard,
-        command=shlex.join(["python", "scripts/train.py", *sys.argv[1:]]),
-    )
-    far = config.architecture == "far field"
-    last = f"velocities, {config.sweeps[-1]} sweeps" if far else "impulses, no sweep"
-    learning_curve(done.history, out / "history.png", last)
+    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
+    from deep_contact.cnn.dataset import Store
+
+    store = Store(data)  # before TensorFlow, which takes seconds to load
+    from deep_contact.cnn.training import train
+
+    done = train(config, store, out, command=shlex.join(["python", "scripts/train.py", *sys.argv[1:]]), **options)
+    learning_curve(done.history, out / "history.png")
     print(f"best epoch {done.best_epoch + 1} of {len(done.history)}; {done.path}")
     errors = done.model.card["held_out"]
     print("mean relative velocity error after", ", ".join(map(str, errors["sweeps"])), "sweeps, test states")
@@ -126,8 +144,20 @@ def main() -> int:
         model = Path(model)
         model.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(done.path, model)
-        shutil.copyfile(out / "history.png", model.with_name(f"{model.stem}_history.png"))
-        shutil.copyfile(out / "history.csv", model.with_name(f"{model.stem}_history.csv"))
+        for name in ("history.png", "history.csv"):
+            shutil.copyfile(out / name, model.with_name(f"{model.stem}_{name}"))
+
+
+def main(given=None) -> int:
+    parsed = vars(arguments().parse_args(given))
+    try:
+        run(**parsed)
+    except KeyboardInterrupt:
+        print("\ntrain.py: stopped; the same command goes on after the last finished epoch", file=sys.stderr)
+        return 130
+    except (OSError, ValueError, ArithmeticError, RuntimeError) as error:
+        print(f"train.py: {error}", file=sys.stderr)
+        return 1
     return 0
 
 

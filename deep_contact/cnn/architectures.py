@@ -1,16 +1,18 @@
-"""The networks: the thesis's own, exactly, and one that is fit to ship. `build(name, ...)` makes either.
+"""The networks: the thesis's own, exactly, and two that are small enough to ship. `build(name, ...)` makes each.
 
-Both take images (batch, n_y, n_x, channels) and are made of stock Keras layers only, so that a file of theirs holds
-no code and opens with plain `keras.models.load_model(path, compile=False)`.
+All take images (batch, n_y, n_x, channels) and consist of stock Keras layers only, so that their files hold no code
+and open with plain `keras.models.load_model(path, compile=False)`.
 """
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from deep_contact.cnn.backend import keras
+from deep_contact.validation import integer, number, one_of
 
 layers = keras.layers
 
@@ -40,11 +42,12 @@ COMPACT_COARSENING = 4
 def build(name: str, **options) -> keras.Model:
     """The network of that name, untrained: "thesis", "compact" or "far field", with the options of the function below.
 
-    Raises ValueError on another name, TypeError on options that the network does not have.
+    Raises ValueError on another name, and on options that the network does not have.
     """
-    if name not in ARCHITECTURES:
-        raise ValueError(f"architecture: expected one of {', '.join(ARCHITECTURES)}, got {name!r}")
-    return ARCHITECTURES[name](**options)
+    make = ARCHITECTURES[one_of("architecture", name, ARCHITECTURES)]
+    for option in options:
+        one_of(f"options of {name}", option, inspect.signature(make).parameters)
+    return make(**options)
 
 
 def thesis(
@@ -57,21 +60,21 @@ def thesis(
 ) -> keras.Model:
     """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · outputs).
 
-    With the defaults: 64,498,866 trainable parameters (L1201). A fully connected last layer holds 61 million of them
-    and ties the network to images of one size. Its ReLU can give no negative impulse, so that half of all friction
-    is out of its reach; this is how the thesis has it.
+    With the defaults: 64,498,866 trainable parameters (L1201). The fully connected last layer holds 61 million of them
+    and ties the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
+    as in the thesis.
 
     dropout: after every stack (Table 5.1). weight_decay: of the L2 regulariser; the thesis does not print its value.
     Raises ValueError naming the option and the value.
     """
-    n_y, n_x = _shape(shape)
+    if len(shape) != 2:
+        raise ValueError(f"shape: expected (n_y, n_x), two integers >= 1, got {shape!r}")
+    n_y, n_x = (integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape))
     _counts(channels=channels, outputs=outputs)
-    if not 0 <= dropout < 1:
-        raise ValueError(f"dropout: expected a number from 0 to below 1, got {dropout!r}")
-    if not weight_decay >= 0:
-        raise ValueError(f"weight_decay: expected a number >= 0, got {weight_decay!r}")
+    number("dropout", dropout, 0, below=1)
+    number("weight_decay", weight_decay, 0)
     stack = [keras.Input((n_y, n_x, channels), name="bodies")]
-    for number, (filters, kernels) in enumerate(_THESIS_STACKS, 1):
+    for stage, (filters, kernels) in enumerate(_THESIS_STACKS, 1):
         for turn, side in enumerate(kernels, 1):
             stack.append(
                 layers.Conv2D(
@@ -81,14 +84,14 @@ def thesis(
                     activation="relu",
                     kernel_initializer="he_normal",
                     kernel_regularizer=keras.regularizers.L2(weight_decay),
-                    name=f"convolution_{number}_{turn}",
+                    name=f"convolution_{stage}_{turn}",
                 )
             )
-        stack.append(layers.Dropout(dropout, name=f"dropout_{number}"))
-        if number < len(_THESIS_STACKS):
-            stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{number}"))
+        stack.append(layers.Dropout(dropout, name=f"dropout_{stage}"))
+        if stage < len(_THESIS_STACKS):
+            stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{stage}"))
             if filters in _NORMALIZED:
-                stack.append(layers.BatchNormalization(name=f"normalization_{number}"))
+                stack.append(layers.BatchNormalization(name=f"normalization_{stage}"))
     stack.append(layers.Flatten(name="flatten"))
     stack.append(layers.Dense(n_y * n_x * outputs, activation="relu", name="impulses"))
     return keras.Sequential(stack, name="thesis")
@@ -108,19 +111,19 @@ def compact(
     """Ours: fully convolutional, signed, (b, n_y, n_x, channels) -> (b, n_y, n_x, outputs) where n = 1 (mod 4).
 
     An hourglass of three resolutions. Two convolutions with stride 2 lead to every fourth node (2 m where d = 0.5),
-    where residual convolutions of growing dilation see the whole of the thesis's box: with the defaults 61 nodes to
-    every side. Two transposed ones lead back, past the features kept from half the resolution. All
-    strided layers are padded such that their outputs lie on the nodes 0, 2, 4, … and 0, 4, 8, …: mirrored input,
-    mirrored geometry. Other sizes are padded with zeros at the top and right (`inference.padded_shape`).
+    where residual convolutions of growing dilation cover the thesis's box: with the defaults 61 nodes to every side.
+    Two transposed convolutions lead back, joined by the features at half the resolution. All strided layers are padded
+    such that their outputs lie on the nodes 0, 2, 4, … and 0, 4, 8, …, so that mirrored input gives mirrored geometry.
+    Other sizes are padded with zeros at the top and right (`inference.padded_shape`).
 
     stem, width, decoder: features at half resolution, at a quarter, and at half on the way back. dilations: one
     residual convolution each. The last layer starts from zero, so an untrained network predicts nothing.
 
-    density: the input channel with the density of contacts. The output is then a field times this density, as the
-    image of the impulses is: the field is smooth, and the network need not say again where the contacts are.
-    starts: the input channels with Builtin's start, one an output. A share of them, decided node by node by a gate
-    between 0 and 1, is added to the output: in a resting pile the solution is there already.
-    Both pick their channels by a 1 × 1 convolution that starts as the choice named and is trained with the rest.
+    density: the input channel with the density of contacts. The output is then a smooth field times this density, so
+    that the network need not predict where the contacts are.
+    starts: the input channels with Builtin's start, one for each output. They are added to the output, multiplied by a
+    gate between 0 and 1 at each node: in a resting pile they already are the solution.
+    Both select their channels by a 1 × 1 convolution, initialised with that choice and trained with the rest.
     Raises ValueError naming the option and the value.
     """
     dilations = tuple(dilations)
@@ -191,7 +194,7 @@ def far_field(*, channels: int, outputs: int, width: int = 24) -> keras.Model:
 
 
 ARCHITECTURES: dict[str, Callable[..., keras.Model]] = {"thesis": thesis, "compact": compact, "far field": far_field}
-"""Name -> what builds the network."""
+"""Name -> function that builds the network."""
 
 _COARSENING = {"compact": COMPACT_COARSENING, "far field": 8}
 
@@ -216,18 +219,6 @@ def _choice(image, outputs, name):
     return layers.Conv2D(outputs, 1, use_bias=False, name=name)(image)
 
 
-def _shape(shape):
-    try:
-        n_y, n_x = (int(n) for n in shape)
-        whole = (n_y, n_x) == tuple(shape) and min(n_y, n_x) > 0
-    except (TypeError, ValueError):
-        whole = False
-    if not whole:
-        raise ValueError(f"shape: expected (n_y, n_x), two integers >= 1, got {shape!r}")
-    return n_y, n_x
-
-
 def _counts(**numbers):
     for name, value in numbers.items():
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
+        integer(name, value, 1)

@@ -32,6 +32,7 @@ from deep_contact.io.simulation_h5 import (  # noqa: F401
     write_simulation,
 )
 from deep_contact.state import State
+from deep_contact.validation import integer, one_of
 
 CACHE_BYTES = 8 * 2**30
 """Memory that a store keeps of simulations it has read, unpacked."""
@@ -43,17 +44,15 @@ def simulation_path(folder, sim: int) -> Path:
 
 
 class Store:
-    """The simulations of a folder: `sim_0000.h5`, `sim_0001.h5`, …
+    """The simulations of a folder: `sim_0000.h5`, `sim_0001.h5`, … Iterating over a store yields all states in order.
 
-    A simulation is read, and checked, as a whole when one of its states is first asked for; the last ones are kept,
-    up to `cache_bytes` (always at least one). Raises DataFileError where there is none.
+    A simulation is read and checked as a whole on the first access to one of its states. The last ones are kept in
+    memory, up to `cache_bytes` (at least one). Raises DataFileError where there is none.
     """
 
     def __init__(self, folder, *, cache_bytes: int = CACHE_BYTES):
-        if isinstance(cache_bytes, bool) or not isinstance(cache_bytes, (int, np.integer)) or cache_bytes < 0:
-            raise ValueError(f"cache_bytes: expected an integer >= 0, got {cache_bytes!r}")
         self.folder = Path(folder)
-        self.cache_bytes = int(cache_bytes)
+        self.cache_bytes = integer("cache_bytes", cache_bytes)
         matches = (re.fullmatch(r"sim_(\d{4,9})\.h5", path.name) for path in self.folder.glob("sim_*.h5"))
         found = sorted(int(match[1]) for match in matches if match)
         self.simulations = tuple(sim for sim in found if simulation_path(self.folder, sim).exists())
@@ -66,6 +65,10 @@ class Store:
     def __len__(self) -> int:
         """Number of states in all."""
         return sum(self.info(sim).count for sim in self.simulations)
+
+    def __iter__(self) -> Iterator[State]:
+        """All states, one simulation after the other."""
+        return (self.state(sim, index) for sim, index in self.states().tolist())
 
     def path(self, sim: int) -> Path:
         """The file of a simulation. Raises KeyError on an unknown one."""
@@ -86,7 +89,7 @@ class Store:
             self._cache.move_to_end(sim)
             return self._cache[sim]
         needed = self.info(sim).bytes
-        # Room first, so that the bound holds while the file is read.
+        # Make room first, so that the bound holds while the file is read.
         while self._cache and needed + sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
             self._cache.popitem(last=False)
         self._cache[sim] = read_simulation(self.path(sim))
@@ -99,10 +102,11 @@ class Store:
     def states(self, sims=None, *, phases=None, stride: int = 1) -> np.ndarray:
         """(k, 2) of (simulation, index): every stride-th state of some simulations (all by default), in order.
 
-        phases: only states of these `PHASES`, of which then every stride-th.
+        phases: one of `PHASES` or several; then every stride-th state of these phases.
         """
-        _check_count("stride", stride)
-        wanted = None if phases is None else [_phase_number(name) for name in _tuple(phases)]
+        integer("stride", stride, 1)
+        phases = (phases,) if isinstance(phases, str) else phases
+        wanted = None if phases is None else [PHASES.index(one_of("phases", name, PHASES)) for name in phases]
         found = []
         for sim in self.simulations if sims is None else sims:
             index = np.arange(self.info(sim).count)
@@ -111,17 +115,17 @@ class Store:
             found.append(np.stack([np.full_like(index, sim), index], axis=1)[::stride])
         return np.concatenate(found) if found else np.empty((0, 2), np.int64)
 
-    def data_hash(self) -> str:
-        """SHA-256 over the numbers and (checked) contents of all simulations, whatever their compression."""
-        sha = hashlib.sha256()
-        for sim in self.simulations:
-            kept = self._cache.get(sim) or read_simulation(self.path(sim))
-            sha.update(f"{sim} {kept.digest}\n".encode())
-        return sha.hexdigest()
+    def data_hash(self, sims=None) -> str:
+        """SHA-256 over the numbers and digests of some simulations (all by default), whatever their compression.
+
+        The digests are those in the files; each is checked against the contents when the simulation is read.
+        """
+        lines = (f"{sim} {self.info(sim).digest}\n" for sim in (self.simulations if sims is None else sims))
+        return hashlib.sha256("".join(lines).encode()).hexdigest()
 
 
 class Split(NamedTuple):
-    """Numbers of the simulations to train on, to choose by, and to report; rising, and none in two of them."""
+    """Numbers of the simulations to train on, to choose the epoch by, and to report; increasing and disjoint."""
 
     train: tuple[int, ...]
     validation: tuple[int, ...]
@@ -129,11 +133,11 @@ class Split(NamedTuple):
 
 
 def split_by_simulation(store_or_ids, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
-    """Simulations dealt out by chance. States of one simulation resemble each other, so it goes to one side as a whole.
+    """Simulations assigned at random to three sides, each as a whole, since states of one simulation are similar.
 
-    store_or_ids: a `Store`, or numbers of simulations. fractions: of train, validation and test; they sum to 1.
-    A side with a fraction > 0 gets at least one. Same seed and same numbers, same split.
-    Raises ValueError where the fractions do not hold together or there are too few simulations.
+    store_or_ids: a `Store`, or numbers of simulations. fractions: of train, validation and test, with the sum 1. A side
+    with a fraction > 0 gets at least one simulation. The split depends on the seed and the numbers only.
+    Raises ValueError for other fractions or too few simulations.
     """
     ids = store_or_ids.simulations if isinstance(store_or_ids, Store) else tuple(int(i) for i in store_or_ids)
     ids = np.array(sorted(set(ids)), dtype=np.int64)
@@ -144,7 +148,7 @@ def split_by_simulation(store_or_ids, *, fractions=(0.8, 0.1, 0.1), seed: int = 
         raise ValueError(f"store_or_ids: expected a simulation for each side, got {ids.size} simulations")
     counts = np.floor(shares * ids.size).astype(int)
     counts[(shares > 0) & (counts == 0)] = 1
-    # What rounding left over goes to, or comes from, the side that is furthest from its share.
+    # Rounding errors are settled on the side that is furthest from its share.
     while counts.sum() != ids.size:
         lack = shares * ids.size - counts
         if counts.sum() < ids.size:
@@ -165,7 +169,7 @@ class Batch(NamedTuple):
     | labels   | float32, in the network's units                            | (b, n_y, n_x, t)    |
     | scales   | s by which both were divided; 1 if not scale-free          | (b,)                |
     | states   | (simulation, index) of each, for `Store.state`             | (b, 2)              |
-    | symmetry | how each was turned (`images.augment`), 0 is not at all    | (b,)                |
+    | symmetry | symmetry of each (`images.augment`); 0 is the identity     | (b,)                |
     """
 
     inputs: np.ndarray
@@ -176,14 +180,14 @@ class Batch(NamedTuple):
 
 
 class ImageBatches:
-    """Batches of images, splatted as they are asked for; the same for the same seed and epoch.
+    """Batches of images, splatted on access; the same for the same seed and epoch.
 
-    store: a `Store`. sims: the simulations to take (a side of a `Split`), or None for all. spec: an `ImageSpec`.
+    store: a `Store`. sims: numbers of simulations (a side of a `Split`), or None for all. spec: an `ImageSpec`.
     states: (k, 2) of (simulation, index), instead of all states of `sims`. shuffle: in random order, by epoch.
-    augment: turn each state by chance, among the spec's `symmetries`. drop_last: leave out a last, smaller batch.
+    augment: apply one of the spec's `symmetries` to each state at random. drop_last: omit a last, smaller batch.
 
-    Memory stays at the store's cache: where the simulations do not fit it together, random groups of them that do are
-    shuffled one after the other. Raises ValueError where two simulations make images of different shapes.
+    Memory is limited to the store's cache: if it does not hold all simulations, random groups that fit are shuffled one
+    after the other. Raises ValueError where two simulations have images of different shapes.
     """
 
     def __init__(
@@ -199,7 +203,7 @@ class ImageBatches:
         states=None,
         drop_last: bool = False,
     ):
-        _check_count("batch_size", batch_size)
+        integer("batch_size", batch_size, 1)
         if states is None:
             states = store.states(None if sims is None else sims)
         self.states = np.array(states, dtype=np.int64).reshape(-1, 2)
@@ -236,9 +240,10 @@ class ImageBatches:
         sims, which = np.unique(self.states[:, 0], return_inverse=True)
         dealt = rng.permutation(sims.size)
         size = np.array([self.store.info(sim).bytes for sim in sims.tolist()], dtype=np.int64)
-        room = max(1, self.store.cache_bytes - size.max(initial=0))  # a group may exceed it by a part of one simulation
+        # Less than the cache holds: a group may exceed this by a part of one simulation.
+        limit = max(1, self.store.cache_bytes - size.max(initial=0))
         group = np.empty_like(size)
-        group[dealt] = np.cumsum(size[dealt]) // room
+        group[dealt] = np.cumsum(size[dealt]) // limit
         return self.states[np.lexsort((rng.random(len(self.states)), group[which]))], symmetry
 
     def epoch(self, epoch: int = 0) -> Iterator[Batch]:
@@ -273,7 +278,7 @@ def fit_scales(store: Store, sims, spec: ImageSpec, *, count: int = 500, seed: i
     count: states drawn by chance from the simulations (train on no others). The two parts of a vector share a scale,
     so that the symmetries stay. A channel that is zero throughout keeps 1.
     """
-    _check_count("count", count)
+    integer("count", count, 1)
     plain = spec.replace(scales=None, target_scales=None)
     batches = ImageBatches(store, sims, plain, batch_size=1, seed=seed, states=states)
     chosen = np.random.default_rng(seed).permutation(batches.states)[:count]
@@ -293,18 +298,3 @@ def fit_scales(store: Store, sims, spec: ImageSpec, *, count: int = 500, seed: i
     rms = [math.sqrt(total / many) if total > 0 else 1.0 for total, many in zip(totals.tolist(), nodes.tolist())]
     split = len(spec.channels)
     return spec.replace(scales=tuple(rms[:split]), target_scales=tuple(rms[split:]))
-
-
-def _check_count(name: str, value) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-        raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
-
-
-def _tuple(given) -> tuple:
-    return (given,) if isinstance(given, str) else tuple(given)
-
-
-def _phase_number(name: str) -> int:
-    if name not in PHASES:
-        raise ValueError(f"phases: expected among {', '.join(PHASES)}, got {name!r}")
-    return PHASES.index(name)

@@ -1,24 +1,24 @@
 """The far-field network: a coarse image of stress that corrects Builtin's start, read at the contacts.
 
-Projected Gauss-Seidel removes what is wrong between neighbours in a few sweeps; what it takes long for is the far
-field. That is smooth, and fits a coarse image. So the network does not predict impulses: it predicts, at the nodes of a
-coarse grid, coefficients c_j (`COEFFICIENTS`), which are read bilinearly at a contact and multiplied by features F_j
+Projected Gauss-Seidel removes errors between neighbours in a few sweeps; errors of the far field need many. The far
+field is smooth, so a coarse image can represent it. The network does not predict impulses: it predicts coefficients
+c_j (`COEFFICIENTS`) at the nodes of a coarse grid. They are read bilinearly at a contact and multiplied by features F_j
 that the solver knows there (normal, effective mass, residual, last impulses):
 
     λ = λ_Builtin + Σ_j c_j F_j
 
 The first four coefficients are a stress tensor S (λ_n = n·S·n, λ_t = t·S·n, with its antisymmetric part), the others
-gates on Builtin and on the rows' residuals. With c = 0 the start is Builtin's.
+are gates on Builtin's impulses and on the residuals of the rows. With c = 0 the start is Builtin's.
 
-The inputs carry the contact problem: its rows before and after Builtin's impulses, as tensors by the normals, so that
-the arbitrary sign of a normal drops out. All is divided by the state's own residual (the problem is positively
-homogeneous), and sizes without bound are compressed by arsinh. Symmetries of the square turn the description exactly.
+The inputs describe the contact problem: its rows before and after Builtin's impulses, as tensors of the normals, which
+do not depend on the arbitrary sign of a normal. All inputs are divided by the state's own residual (the problem is
+positively homogeneous), and unbounded quantities are compressed by arsinh. Symmetries of the square act exactly.
 
-Images cover a window: what the contacts span, with a margin of a node. A box has no part in it but by its contacts, so
-that any box will do and empty space costs nothing. Lengths are in mean radii, so that small circles look like large
-ones; what is called d = 1 is 1 m in the thesis's scene.
+An image covers a window: the extent of the contacts, with a margin of one node. The box enters only through its
+contacts, so the network fits any box, and empty space costs nothing. Lengths are in mean radii, so small circles look
+like large ones; d = 1 is 1 m in the thesis's scene.
 
-It is trained through the solver (`through_solver`).
+The network is trained through the solver (`through_solver`).
 """
 
 from __future__ import annotations
@@ -31,11 +31,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.contact_solver import apply_impulses, contact_rows, integrate_velocities, make_rows
+from deep_contact.cnn.rows import bilinear_nodes, contact_problem, row_velocity
+from deep_contact.physics.contact_solver import apply_impulses
 from deep_contact.physics.engine import world_arguments
 from deep_contact.sph import Grid
-from deep_contact.sph.grid import ROUNDING
+from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
+from deep_contact.sph.kernels import kernel_number
 from deep_contact.state import State
+from deep_contact.validation import flag, integer, number, one_of
 
 CONTACT_CHANNELS = (
     "density",
@@ -80,18 +83,22 @@ COEFFICIENTS = (
 """What the network predicts at a node."""
 
 _SMALL = 1e-2
-"""Share of the carried impulses' size in the scale of a state: keeps a resting pile's residual from being blown up."""
+"""Share of the carried impulses in the scale of a state, so that the tiny residual of a resting pile is not magnified.
+"""
 
+_POLY6 = kernel_number("poly6")
 
 WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
-"""Nodes along an edge of a window, n = 1 (mod 8): few, because a network is compiled for each shape."""
+"""Numbers of nodes along an edge of a window, n = 1 (mod 8): few, because the network is compiled for each shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FarFieldSpec:
-    """The images of a far-field network. spacing: of the input's nodes, in mean radii. coarsening: nodes of the input
-    per node of the output. support: h of the splat, in mean radii. inputs: of `INPUTS`. correction: λ_Builtin is added
-    to what is predicted; without, λ = Σ_j c_j F_j. Raises ValueError naming the field and the value.
+    """The images of a far-field network.
+
+    spacing: of the input's nodes, mean radii. support: h of the splat, mean radii. coarsening: nodes of the input per
+    node of the output. inputs: of `INPUTS`. correction: add the prediction to λ_Builtin; otherwise λ = Σ_j c_j F_j.
+    Raises ValueError naming the field and the value.
     """
 
     spacing: float = 1.0
@@ -101,16 +108,11 @@ class FarFieldSpec:
     correction: bool = True
 
     def __post_init__(self):
-        for name in ("spacing", "support"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-                raise ValueError(f"{name}: expected a finite number > 0, got {value!r}")
-        if isinstance(self.coarsening, bool) or not isinstance(self.coarsening, int) or self.coarsening < 1:
-            raise ValueError(f"coarsening: expected an integer >= 1, got {self.coarsening!r}")
-        if self.inputs not in INPUTS:
-            raise ValueError(f"inputs: expected one of {', '.join(INPUTS)}, got {self.inputs!r}")
-        if not isinstance(self.correction, bool):
-            raise ValueError(f"correction: expected True or False, got {self.correction!r}")
+        number("spacing", self.spacing, above=0)
+        number("support", self.support, above=0)
+        integer("coarsening", self.coarsening, 1)
+        one_of("inputs", self.inputs, INPUTS)
+        flag("correction", self.correction)
 
     targets = COEFFICIENTS
 
@@ -120,9 +122,9 @@ class FarFieldSpec:
         return INPUTS[self.inputs]
 
     def window(self, low: np.ndarray, high: np.ndarray, radius: float) -> Grid:
-        """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles of this mean radius, m.
+        """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles with this mean radius, m.
 
-        Where they lie farther apart than the largest window has nodes, the nodes lie farther apart too.
+        The spacing grows where the contacts extend beyond the largest window.
         """
         spacing = self.spacing * radius
         extent = float(max(high[0] - low[0], high[1] - low[1]))
@@ -144,23 +146,23 @@ class FarFieldSpec:
 
 
 def window_side(cells: float) -> int:
-    """Nodes along an edge of the window of contacts that span so many cells: with a margin of one on either side."""
+    """Nodes along an edge of a window whose contacts span so many cells, with a margin of one cell on each side."""
     least = cells + 3.0 - ROUNDING
     return WINDOW_SIDES[min(bisect_left(WINDOW_SIDES, least), len(WINDOW_SIDES) - 1)]
 
 
 class Description(NamedTuple):
-    """A state as the far-field network meets it, possibly turned (`symmetry`).
+    """A state as the input of the far-field network, possibly turned (`symmetry`).
 
     | field    | meaning                                                              | shape          |
     |----------|----------------------------------------------------------------------|----------------|
     | image    | the input, float32                                                   | (n_y, n_x, c)  |
     | grid     | of the image                                                         |                |
     | point    | contact points, turned, m                                            | (m, 2)         |
-    | features | F: what each coefficient adds to λ_n and λ_t (not turned), N·s        | (m, 12, 2)     |
-    | start    | what is corrected: Builtin's impulses, or zeros, N·s                 | (m, 2)         |
+    | features | F: change of λ_n and λ_t per coefficient (not turned), N·s           | (m, 12, 2)     |
+    | start    | the impulses to correct: Builtin's, or zeros, N·s                    | (m, 2)         |
     | scale    | the velocity by which the state was divided, m/s                     |                |
-    | unsolved | rms of what one relaxation of each row would change, over that of λ  |                |
+    | unsolved | rms change by one relaxation of each row, over the rms of λ          |                |
     """
 
     image: np.ndarray
@@ -175,14 +177,14 @@ class Description(NamedTuple):
 def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description:
     """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
 
-    Raises ValueError where there is no contact, or none has been looked for.
+    Raises ValueError if there is no contact, or contacts have not been searched.
     """
     if state.contacts is None:
         raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
     found = _measure(state.bodies, state.contacts, world_arguments(state), state.dt, symmetry >= 4, symmetry % 4)
-    # NumPy takes several at a time.
+    # In NumPy, whose arsinh is vectorised.
     np.arcsinh(found.contact_sizes, out=found.contact_sizes)
     np.arcsinh(found.body_sizes, out=found.body_sizes)
     grid = spec.window(found.low, found.high, found.mean_radius)
@@ -198,7 +200,7 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description
 
 
 def correct(image: np.ndarray, description: Description, spec: FarFieldSpec) -> np.ndarray:
-    """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected, with the coefficients that the network's image has there."""
+    """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected, with the coefficients c read from the network's image."""
     node, weight = nodes_of(description, spec, image.shape[:2])
     flat = image.reshape(-1, image.shape[2])
     return _correct(flat, node, weight, description.features, description.start)
@@ -218,46 +220,21 @@ def _correct(image, node, weight, features, start):
 
 
 def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
-    """The same from coefficients (m, 12) that have been read already, as training has them."""
+    """`correct` with coefficients (m, 12) that have been read already: training reads them in TensorFlow."""
     return description.start + np.einsum("ij,ijk->ik", coefficients, description.features)
 
 
 def nodes_of(description: Description, spec: FarFieldSpec, shape: tuple[int, int]):
-    """(m, 4) numbers of the output's nodes around each contact, of an image of this shape, and their weights."""
+    """Nodes of the flattened output, an image of this shape, around each contact, (m, 4), and their weights, (m, 4)."""
     point, grid = description.point, description.grid
     node, weight = np.empty((len(point), 4), np.int32), np.empty((len(point), 4), np.float32)
     distance = grid.spacing[0] * spec.coarsening
-    _bilinear(point, grid.origin[0], grid.origin[1], distance, shape[0], shape[1], node, weight)
+    bilinear_nodes((*grid.origin, distance, distance), *shape, point, node, weight)
     return node, weight
 
 
-@njit(cache=True)
-def _bilinear(point, x_0, y_0, distance, n_y, n_x, node, weight):
-    for i in range(point.shape[0]):
-        u = min(max((point[i, 0] - x_0) / distance, 0.0), n_x - 1.0)
-        v = min(max((point[i, 1] - y_0) / distance, 0.0), n_y - 1.0)
-        column, row = min(int(u), n_x - 2), min(int(v), n_y - 2)
-        s, t = u - column, v - row
-        node[i, 0] = row * n_x + column
-        node[i, 1] = node[i, 0] + 1
-        node[i, 2] = node[i, 0] + n_x
-        node[i, 3] = node[i, 2] + 1
-        weight[i, 0], weight[i, 1] = (1 - s) * (1 - t), s * (1 - t)
-        weight[i, 2], weight[i, 3] = (1 - s) * t, s * t
-
-
-@njit(cache=True)
-def _relative_velocities(rows, moving, i):
-    """Normal relative velocity less its target, and tangential one, of contact i."""
-    a, b = rows.body[i, 0], rows.body[i, 1]
-    n_x, n_y = rows.data[i, 0], rows.data[i, 1]
-    v_x, v_y = moving[b, 0] - moving[a, 0], moving[b, 1] - moving[a, 1]
-    turn = rows.data[i, 4] * moving[a, 2] + rows.data[i, 5] * moving[b, 2]
-    return v_x * n_x + v_y * n_y - rows.data[i, 6], v_x * n_y - v_y * n_x + turn
-
-
 class _Measured(NamedTuple):
-    """What `describe` needs of a state, turned and divided by its scale; sizes without bound are not compressed yet."""
+    """The quantities of `describe`, turned and divided by the state's scale, before unbounded ones are compressed."""
 
     point: np.ndarray  # (m, 2)
     normal: np.ndarray  # (m, 2)
@@ -278,21 +255,19 @@ class _Measured(NamedTuple):
 @njit(cache=True, error_model="numpy")
 def _measure(bodies, contacts, world, dt, mirrored, turns):
     """`_Measured` of a state with contacts."""
-    box, gravity, friction, restitution = world
+    box, friction = world[0], world[2]
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
-    free = np.empty((n + 4, 4))
-    integrate_velocities(bodies, gravity, dt, free)
-    rows, _ = contact_rows(bodies, contacts, free, restitution, make_rows(m, free.dtype))
+    rows, free = contact_problem(bodies, contacts, world, dt)
     after = free.copy()
     apply_impulses(rows, after)
 
-    # What one relaxation of each row would change, in m/s: 0 where the row is satisfied.
+    # Change by one relaxation of each row, m/s: 0 where the row is satisfied.
     residual = np.empty((m, 2))
     unsolved, carried = 0.0, 0.0
     for i in range(m):
         k_n, k_t = rows.data[i, 2], rows.data[i, 3]
         p_n, p_t = rows.impulse[i, 0], rows.impulse[i, 1]
-        v_n, v_t = _relative_velocities(rows, after, i)
+        v_n, v_t = row_velocity(rows, after, i)
         largest = friction * p_n
         residual[i, 0] = max(-v_n, -p_n / k_n)
         residual[i, 1] = (max(-largest, min(p_t - k_t * v_t, largest)) - p_t) / k_t
@@ -321,7 +296,7 @@ def _measure(bodies, contacts, world, dt, mirrored, turns):
         point[i, 0], point[i, 1] = x, y
         normal[i, 0], normal[i, 1] = n_x, n_y
         k_n, k_t = rows.data[i, 2], rows.data[i, 3]
-        v_n, v_t = _relative_velocities(rows, free, i)
+        v_n, v_t = row_velocity(rows, free, i)
         p_n, p_t = rows.impulse[i, 0], sign * rows.impulse[i, 1]
         sizes[i, 0], sizes[i, 1] = v_n / scale, sign * v_t / scale
         sizes[i, 2], sizes[i, 3] = p_n / (k_n * scale), p_t / (k_n * scale)
@@ -339,7 +314,7 @@ def _measure(bodies, contacts, world, dt, mirrored, turns):
         F[7, 1] = share * p_t
         F[8, 0], F[9, 0], F[10, 0] = unit * r_n, unit * r_n * xx, unit * r_n * xy
         F[11, 1] = k_t * scale * r_t
-        # Back from the mirror: λ_t changes its sign there.
+        # λ_t has the opposite sign in the mirrored state.
         for j in range(12):
             F[j, 1] *= sign
 
@@ -366,19 +341,19 @@ def _measure(bodies, contacts, world, dt, mirrored, turns):
 def _paint(image, geometry, h, point, normal, sizes, residual, wall, centre, moving):
     """Splat `CONTACT_CHANNELS` and `BODY_CHANNELS` as `sph.splat` with poly6 and the normalization "particle" does.
 
-    A particle with no node within h goes to the nearest one; a circle outside of the image is left out, for it touches
-    nothing.
+    A particle with no node within h goes to the nearest node; a circle outside the image touches nothing and is left
+    out.
     """
     n_y, n_x, channels = image.shape
     first = len(CONTACT_CHANNELS)
-    weights = np.empty((int(2.0 * h / geometry[2]) + 2) ** 2)
+    weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
     values = np.empty(channels, np.float32)
     for k in range(point.shape[0]):
         xx = normal[k, 0] * normal[k, 0] - normal[k, 1] * normal[k, 1]
         xy = 2.0 * normal[k, 0] * normal[k, 1]
         values[0], values[1], values[2] = 1.0, xx, xy
         for j in range(3):
-            # What there is of approach and slip, of the residuals, and of Builtin's impulses.
+            # Approach and slip, the residuals, Builtin's impulses.
             along = residual[k, 0] if j == 1 else sizes[k, j]
             across = residual[k, 1] if j == 1 else sizes[k, j + 1]
             values[3 + 6 * j], values[4 + 6 * j], values[5 + 6 * j] = along, along * xx, along * xy
@@ -398,22 +373,14 @@ def _paint(image, geometry, h, point, normal, sizes, residual, wall, centre, mov
 
 @njit(cache=True, error_model="numpy")
 def _add(image, geometry, h, x, y, values, begin, end, weights):
-    """Add a particle's values, the channels from `begin` to `end`."""
-    u, v = (x - geometry[0]) / geometry[2], (y - geometry[1]) / geometry[3]
-    reach, closer = h / geometry[2], (geometry[2] / h) ** 2
-    i0, i1 = max(math.ceil(u - reach), 0), min(math.floor(u + reach), image.shape[1] - 1) + 1
-    j0, j1 = max(math.ceil(v - reach), 0), min(math.floor(v + reach), image.shape[0] - 1) + 1
-    total, n = 0.0, 0
-    for j in range(j0, j1):
-        for i in range(i0, i1):
-            # poly6 but for its factor, which is divided out.
-            inside = max(1.0 - closer * ((u - i) ** 2 + (v - j) ** 2), 0.0)
-            weights[n] = inside * inside * inside
-            total += weights[n]
-            n += 1
+    """Add a particle's values, the channels from `begin` to `end`.
+
+    `sph.splat` would take eight times as long: it writes float64 and checks its arguments.
+    """
+    n_y, n_x, _ = image.shape
+    i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, _POLY6, weights)
     if not total > 0.0:
-        i0, j0 = int(min(max(u + 0.5, 0.0), image.shape[1] - 1.0)), int(min(max(v + 0.5, 0.0), image.shape[0] - 1.0))
-        i1, j1, total, weights[0] = i0 + 1, j0 + 1, 1.0, 1.0
+        i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
     n = 0
     for j in range(j0, j1):
         for i in range(i0, i1):

@@ -1,10 +1,10 @@
 """States as images for a network, and a network's image back as impulses: `input_image`, `label_image`, `read_back`.
 
-An image is what `deep_contact.sph` makes of particles: (n_y, n_x, channels), row 0 at y_min, float32. `ImageSpec` says
-everything about it, travels with the model as JSON, and is all that the two sides have to agree on. Bodies and contacts
-are splatted with the same kernel and support radius; a channel of contacts is 0 where there are none.
+An image is a splat by `deep_contact.sph`: (n_y, n_x, channels), row 0 at y_min, float32. An `ImageSpec` defines it
+completely and is stored with the model as JSON. Bodies and contacts are splatted with the same kernel and support
+radius; a channel of contacts is 0 where there are none.
 
-The channels, by name (`CHANNELS`); those of contacts are what the solver knows before its first sweep:
+The channels, by name (`CHANNELS`); the solver knows those of contacts before its first sweep:
 
 | name                      | of      | meaning                                                            | unit  |
 |---------------------------|---------|--------------------------------------------------------------------|-------|
@@ -33,40 +33,18 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-from deep_contact.physics.contact_solver import contact_rows, integrate_velocities, make_rows
+from deep_contact.cnn.rows import contact_problem, row_velocities
 from deep_contact.physics.engine import world_arguments
 from deep_contact.sph import KERNELS, Grid, gather, splat
 from deep_contact.sph.grid import ROUNDING
 from deep_contact.state import Contacts, State, World, check_contacts
+from deep_contact.validation import flag, integer, number, one_of
 
-# A mapped particle always counts: where h < d / √2 some are within h of no node, and an impulse that no node holds
-# would be a start of zero that nobody asked for. A contact with a wall, or a body pushed out of the box, lies beyond
-# the grid by a part of its penetration, and acts from its edge.
+# Every particle is mapped. Where h < d / √2 some particles have no node within h: they go to the nearest node, since
+# an impulse on no node would become a start of zero. A contact with a wall lies outside the grid by a part of its
+# penetration, as does a body that was pushed out of the box: both act from the edge of the grid.
 _REACH = {"unreached": "nearest", "outside": "clamp"}
-
-
-# ---- what the solver knows of a state ----
-
-
-@njit(cache=True, error_model="numpy")
-def _row_values(bodies, contacts, world, dt):
-    """(m, 3): right-hand side of the normal row (v_n − target) and of the friction row, m/s; normal mass, kg."""
-    _, gravity, _, restitution = world
-    m = contacts.body_a.shape[0]
-    moving = np.empty((bodies.mass.shape[0] + 4, 4))
-    integrate_velocities(bodies, gravity, dt, moving)
-    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(m, moving.dtype))
-    values = np.empty((m, 3))
-    for i in range(m):
-        a, b = rows.body[i, 0], rows.body[i, 1]
-        n_x, n_y, arm_a, arm_b = rows.data[i, 0], rows.data[i, 1], rows.data[i, 4], rows.data[i, 5]
-        v_x, v_y = moving[b, 0] - moving[a, 0], moving[b, 1] - moving[a, 1]
-        values[i, 0] = n_x * v_x + n_y * v_y - rows.data[i, 6]
-        values[i, 1] = n_y * v_x - n_x * v_y + arm_a * moving[a, 2] + arm_b * moving[b, 2]
-        values[i, 2] = rows.data[i, 2]
-    return values
 
 
 class _View:
@@ -81,8 +59,9 @@ class _View:
 
     @cached_property
     def rows(self) -> np.ndarray:
-        state = self.state
-        return _row_values(state.bodies, state.contacts, world_arguments(state), state.dt)
+        """(m, 3): right-hand sides of the normal row (v_n − target) and the friction row, m/s; normal mass, kg."""
+        rows, free = contact_problem(self.bodies, self.contacts, world_arguments(self.state), self.state.dt)
+        return np.column_stack([row_velocities(rows, free), rows.data[:, 2]])
 
     @cached_property
     def scale(self) -> float:
@@ -152,21 +131,28 @@ SOLVER_CHANNELS = (
 )
 """What the solver knows of its contacts, free of the arbitrary sign of n."""
 
+CHANNEL_SETS = {
+    "thesis": THESIS_CHANNELS,
+    "solver": SOLVER_CHANNELS,
+    "bodies and solver": ("mass", "velocity_x", "velocity_y", "spin", *SOLVER_CHANNELS),
+}
+"""Name -> input channels of a network in training."""
+
 TRANSFERS = ("thesis", "consistent")
 NORMALIZATIONS = ("particle", "raw")
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSpec:
-    """What an image is made of. The defaults are the thesis's.
+    """The definition of an image. The defaults are the thesis's.
 
     spacing: d of the grid, m. support: radius h of the kernel, m. kernel: one of `sph.KERNELS`.
     normalization: of the inputs: "particle" (the weights of a particle sum to one, Appendix A) or "raw" (Eq 3.6).
     transfer: of the impulses: "thesis" (particle-normalised splat, bilinear gather) or "consistent" (the same image,
     but the gather divides by the gathered density: see `sph.grid`).
     channels: names of `CHANNELS`. targets: names of `TARGETS`.
-    scales, target_scales: what each is divided by on the way in; a target is multiplied by it on the way out.
-    scale_free: divide velocities and impulses by the state's own scale (`state_scale`), and multiply what is read back.
+    scales, target_scales: each channel of the image is divided by its scale; `read_back` multiplies by target_scales.
+    scale_free: divide velocities and impulses by the state's scale (`state_scale`); `read_back` multiplies by it.
     Raises ValueError naming the field and the value.
     """
 
@@ -182,25 +168,20 @@ class ImageSpec:
     scale_free: bool = False
 
     def __post_init__(self):
-        for name in ("spacing", "support"):
-            object.__setattr__(self, name, _positive(name, getattr(self, name)))
         for name, known in (("kernel", KERNELS), ("normalization", NORMALIZATIONS), ("transfer", TRANSFERS)):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name}: expected one of {', '.join(known)}, got {getattr(self, name)!r}")
+            one_of(name, getattr(self, name), known)
+        checked = {name: number(name, getattr(self, name), above=0) for name in ("spacing", "support")}
+        checked["scale_free"] = flag("scale_free", self.scale_free)
         for name, table in (("channels", CHANNELS), ("targets", TARGETS)):
-            object.__setattr__(self, name, _names(name, getattr(self, name), table))
-        for name, of in (("scales", self.channels), ("target_scales", self.targets)):
+            checked[name] = _names(name, getattr(self, name), table)
+        for name, count in (("scales", len(checked["channels"])), ("target_scales", len(checked["targets"]))):
             given = getattr(self, name)
-            scales = (1.0,) * len(of) if given is None else given
-            if isinstance(scales, str) or not np.iterable(scales):
-                raise ValueError(f"{name}: expected {len(of)} numbers, got {given!r}")
-            scales = tuple(_positive(f"{name}[{i}]", s) for i, s in enumerate(scales))
-            if len(scales) != len(of):
-                raise ValueError(f"{name}: expected {len(of)} numbers, one a channel, got {len(scales)}")
-            object.__setattr__(self, name, scales)
-        if not isinstance(self.scale_free, (bool, np.bool_)):
-            raise ValueError(f"scale_free: expected True or False, got {self.scale_free!r}")
-        object.__setattr__(self, "scale_free", bool(self.scale_free))
+            given = (1.0,) * count if given is None else given
+            if isinstance(given, str) or not np.iterable(given) or len(given) != count:
+                raise ValueError(f"{name}: expected {count} numbers, one for each channel, got {given!r}")
+            checked[name] = tuple(number(f"{name}[{i}]", scale, above=0) for i, scale in enumerate(given))
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     def grid(self, world: World) -> Grid:
         """The grid over a world's box."""
@@ -229,21 +210,10 @@ class ImageSpec:
         return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
 
 
-def _positive(name: str, given) -> float:
-    try:
-        value = float(given)
-    except (TypeError, ValueError):
-        value = math.nan
-    if isinstance(given, (bool, str)) or not (math.isfinite(value) and value > 0):
-        raise ValueError(f"{name}: expected a finite number > 0, got {given!r}")
-    return value
-
-
 def _names(name: str, given, table) -> tuple[str, ...]:
     names = (given,) if isinstance(given, str) or not np.iterable(given) else tuple(given)
     for i, item in enumerate(names):
-        if not isinstance(item, str) or item not in table:
-            raise ValueError(f"{name}[{i}]: expected one of {', '.join(table)}, got {item!r}")
+        one_of(f"{name}[{i}]", item, table)
     if not names or len(set(names)) != len(names):
         raise ValueError(f"{name}: expected one or more different names, got {given!r}")
     return names
@@ -258,16 +228,16 @@ def _grid(box, spacing) -> Grid:
 
 
 def state_scale(state: State) -> float:
-    """The velocity s by which a scale-free image divides, m/s; the solver knows it before it starts.
+    """The velocity s by which a scale-free image is divided, m/s. It is known before the solver starts.
 
-    s² is the mean over all rows of the square of their right-hand sides (approach and slip velocity after Δt of
-    gravity), plus that of the impulses carried over from the step before, each over the effective mass of its normal
-    row. 1 where there is no contact, or nothing moves. Scaling all velocities, gravity and the carried impulses by
-    c > 0 scales s, and the solution λ, by c (but for the threshold of restitution).
+    s² is the mean over all rows of the squared right-hand sides (approach and slip velocity after Δt of gravity), plus
+    the mean of the squared impulses carried over from the last step, each divided by the effective mass of its normal
+    row. s = 1 without contacts, and where nothing moves. Scaling all velocities, gravity and the carried impulses by
+    c > 0 scales s and the solution λ by c (except for the threshold of restitution).
 
     With the right-hand sides alone, a resting pile would have labels a hundred times larger than an impact: over 30
-    simulations of the data set, the logarithm of ‖λ‖ / s spreads by 1.25 (standard deviation) without the carried
-    impulses and by 0.62 with them.
+    simulations of the data set, the logarithm of ‖λ‖ / s has a standard deviation of 1.25 without the carried impulses
+    and of 0.62 with them.
     """
     return _View(state).scale
 
@@ -377,10 +347,8 @@ def augment(inputs, labels, spec: ImageSpec, k: int) -> tuple[np.ndarray, np.nda
     Equal to the images of `transform_state(state, k)` up to rounding, for k among `symmetries(spec, world)`.
     Raises ValueError on another k where the channels show it.
     """
-    return (
-        _turn(inputs, _signed(spec.channels, CHANNELS, spec.scales, _symmetry(k)), k),
-        _turn(labels, _signed(spec.targets, TARGETS, spec.target_scales, _symmetry(k)), k),
-    )
+    turned = _turn(inputs, spec.channels, CHANNELS, spec.scales, k)
+    return turned, _turn(labels, spec.targets, TARGETS, spec.target_scales, k)
 
 
 def transform_state(state: State, k: int) -> State:
@@ -431,9 +399,8 @@ def transform_state(state: State, k: int) -> State:
 
 
 def _symmetry(k) -> tuple[bool, int]:
-    if isinstance(k, bool) or not isinstance(k, (int, np.integer)) or not 0 <= k < 8:
-        raise ValueError(f"k: expected a symmetry, 0 to 7, got {k!r}")
-    return bool(k >= 4), int(k % 4)
+    k = integer("k", k, 0, 7)
+    return k >= 4, k % 4
 
 
 def _matrix(k: int) -> np.ndarray:
@@ -442,10 +409,10 @@ def _matrix(k: int) -> np.ndarray:
     return np.linalg.matrix_power(turn, turns) @ np.diag([-1.0 if mirrored else 1.0, 1.0])
 
 
-def _signed(names, table, scales, symmetry) -> tuple[list[int], np.ndarray]:
-    """Which channel each new one is, and the factor between them."""
-    mirrored, turns = symmetry
-    m = _matrix(turns + 4 * mirrored)
+def _signed(names, table, scales, k: int) -> tuple[list[int], np.ndarray]:
+    """The old channel from which each new channel comes, and the factor between them."""
+    mirrored, turns = _symmetry(k)
+    m = _matrix(k)
     source, factor = [], []
     for i, name in enumerate(names):
         channel = table[name]
@@ -466,8 +433,8 @@ def _signed(names, table, scales, symmetry) -> tuple[list[int], np.ndarray]:
     return source, np.array(factor, dtype=np.float32)
 
 
-def _turn(image, signed, k: int) -> np.ndarray:
-    source, factor = signed
+def _turn(image, names, table, scales, k: int) -> np.ndarray:
+    source, factor = _signed(names, table, scales, k)
     mirrored, turns = _symmetry(k)
     image = np.asarray(image)
     if turns % 2 and image.shape[-3] != image.shape[-2]:

@@ -1,12 +1,12 @@
-"""What training minimises: the thesis's loss on images, and ours on the velocities that the impulses cause.
+"""The losses: the thesis's on images, and ours on the velocities that the impulses cause.
 
-An image loss pays for every node alike. What a start is for is the velocities: λ itself is not even unique (a
-frictional packing is hyperstatic). `velocity_loss` therefore reads the image back at the contacts, as the solver will,
-and measures √(δλᵀ A δλ), A = J M⁻¹ Jᵀ: the velocity error M⁻¹ Jᵀ δλ in the norm of kinetic energy, in shares of what
-the solution changes. Impulses in the null space of A cost nothing.
+A loss on images weights all nodes alike. But a start only serves the velocities, and λ itself is not unique: a packing
+with friction is hyperstatic. `velocity_loss` reads the image at the contacts, as the solver will, and measures
+√(δλᵀ A δλ), A = J M⁻¹ Jᵀ: the velocity error M⁻¹ Jᵀ δλ in the norm of kinetic energy, relative to the change of
+velocity by the solution. Impulses in the null space of A cost nothing.
 
-A loss at the contacts is a function of (impulses, batch), the impulses (K, 2) as read back and the `ContactBatch` they
-were read at, and has its line in `CONTACT_LOSSES`.
+A loss at the contacts is a function of (impulses, batch), with the impulses (K, 2) read at the contacts of the
+`ContactBatch`, and is listed in `CONTACT_LOSSES`.
 """
 
 from __future__ import annotations
@@ -15,25 +15,25 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from deep_contact import sph
 from deep_contact.cnn.backend import keras
 from deep_contact.cnn.images import ImageSpec, state_scale
-from deep_contact.physics.contact_solver import contact_rows, integrate_velocities, make_rows
+from deep_contact.cnn.rows import bilinear_nodes, contact_problem, row_velocities
+from deep_contact.physics.contact_solver import Rows, apply_impulses
 from deep_contact.physics.engine import world_arguments
 from deep_contact.state import State
 
 ops = keras.ops
 
 IMPULSE_SHARE = 0.1
-"""Weight of the impulses' own error beside the velocities': it decides where the velocities do not."""
+"""Weight of the error of the impulses: it selects among impulses that cause the same velocities."""
 
 _ROUND = 0.02
-"""Relative error below which errors count by their squares."""
+"""Relative error below which the loss is quadratic in the error."""
 
 _FLOOR = 0.01
-"""Share of the energy of approach and slip that is added to the solution's: contacts that part have a solution of 0."""
+"""Share of the energy of approach and slip that is added to the solution's: separating contacts have λ* = 0."""
 
 
 # ---- on images ----
@@ -42,14 +42,14 @@ _FLOOR = 0.01
 def masked_squared_error(y_true, y_pred):
     """Loss of Appendix B (Eq 5.3): mean of (y_pred − y_true)² over the last axis, where y_true ≠ 0, else 0.
 
-    The mask is on the label. Nodes without a label count in the mean, and the network may put there what it likes.
+    The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction.
     """
     flags = ops.cast(ops.not_equal(y_true, 0.0), y_pred.dtype)
     return ops.mean(ops.square((y_pred - y_true) * flags), axis=-1)
 
 
 def masked_absolute_error(y_true, y_pred):
-    """The same with the absolute value in place of the square; a metric."""
+    """`masked_squared_error` with the absolute value in place of the square; a metric."""
     flags = ops.cast(ops.not_equal(y_true, 0.0), y_pred.dtype)
     return ops.mean(ops.abs((y_pred - y_true) * flags), axis=-1)
 
@@ -58,35 +58,33 @@ def masked_absolute_error(y_true, y_pred):
 
 
 class ContactBatch(NamedTuple):
-    """The K contacts and N bodies of a batch of B states, as a loss needs them; float32 and int32.
+    """The K contacts and N bodies of a batch of B states, for the losses; float32 and int32.
 
-    Impulses and velocities are in shares of each state's scale if the spec is scale-free. Bodies are numbered through
-    the batch; the last one stands for all walls, with neither weight nor inverse mass.
+    Impulses and velocities are relative to each state's scale if the spec is scale-free. Bodies are numbered through
+    the batch; the last one stands for all walls, with weight and inverse mass 0.
 
     | field          | meaning                                                                    | shape  |
     |----------------|----------------------------------------------------------------------------|--------|
     | node           | the nodes around the contact, as numbers in the batch's (B · n_y · n_x)    | (K, 4) |
-    | node_weight    | what `read_back` gives each of them                                        | (K, 4) |
+    | node_weight    | their weights in `read_back`                                               | (K, 4) |
     | impulse        | λ*_n, λ*_t, solved                                                         | (K, 2) |
-    | start          | λ_n, λ_t of Builtin                                                        | (K, 2) |
     | impulse_weight | 1 / effective mass, over the state's Σ λ*² / effective mass                | (K, 2) |
     | body           | a, b                                                                       | (K, 2) |
     | inverse_mass   | of a, of b                                                                 | (K, 2) |
     | arm            | of a, of b, over the radius                                                | (K, 2) |
     | normal         | n                                                                          | (K, 2) |
     | friction       | μ                                                                          | (K,)   |
-    | state          | which of the B states the contact belongs to                               | (K,)   |
+    | state          | the number of the contact's state, 0 … B − 1                               | (K,)   |
     | body_weight    | mass, over the state's energy of v* − v⁻                                   | (N,)   |
-    | body_state     | which of the B states the body belongs to                                  | (N,)   |
+    | body_state     | the number of the body's state, 0 … B − 1                                  | (N,)   |
     | share          | 1 / B for each state                                                       | (B,)   |
-    | unit           | what turns the network's numbers into impulses: the targets' scales and, for |  (K, 2) |
-    |                | a mirrored image, the sign of λ_t                                          |        |
+    | unit           | impulse per number of the network: the scales of the targets, with the     | (K, 2) |
+    |                | sign of λ_t in a mirrored image                                            |        |
     """
 
     node: np.ndarray
     node_weight: np.ndarray
     impulse: np.ndarray
-    start: np.ndarray
     impulse_weight: np.ndarray
     body: np.ndarray
     inverse_mass: np.ndarray
@@ -109,14 +107,14 @@ FIELD_WIDTHS |= {"friction": None, "state": None, "body_weight": None, "body_sta
 
 
 def read_at_contacts(images, batch: ContactBatch):
-    """Impulses (K, 2) that images (B, n_y, n_x, 2) give back at the contacts: `read_back`, differentiable."""
+    """Impulses (K, 2) at the contacts from images (B, n_y, n_x, 2): `images.read_back`, differentiable."""
     nodes = ops.reshape(images, (-1, images.shape[-1]))
     corners = ops.take(nodes, batch.node, axis=0)
     return ops.sum(corners * ops.expand_dims(batch.node_weight, -1), axis=1) * batch.unit
 
 
 def velocity_errors(impulses, batch: ContactBatch):
-    """‖v − v*‖² / ‖v* − v⁻‖² of each state, (B,), before any sweep, in kinetic energy."""
+    """‖v − v*‖² / ‖v* − v⁻‖² of each state, (B,), before any sweep: `metrics.velocity_error`², differentiable."""
     change = impulses - batch.impulse
     normal, tangent = change[:, :1], change[:, 1:]
     n_x, n_y = batch.normal[:, :1], batch.normal[:, 1:]
@@ -127,7 +125,7 @@ def velocity_errors(impulses, batch: ContactBatch):
     both = ops.concatenate([on_a, on_b], axis=0)
     body = ops.concatenate([batch.body[:, 0], batch.body[:, 1]], axis=0)
     velocity = ops.segment_sum(both, body, num_segments=ops.shape(batch.body_weight)[0])
-    # The third is s = ω r, whose inertia is half the mass.
+    # The third component is s = ω r, whose inertia is half the mass.
     energy = ops.sum(ops.square(velocity) * ops.convert_to_tensor([1.0, 1.0, 0.5], velocity.dtype), axis=-1)
     return ops.segment_sum(batch.body_weight * energy, batch.body_state, num_segments=ops.shape(batch.share)[0])
 
@@ -139,16 +137,16 @@ def impulse_errors(impulses, batch: ContactBatch):
 
 
 def velocity_loss(impulses, batch: ContactBatch):
-    """Mean over states of the relative velocity error, plus a share of that of the impulses.
+    """Mean over states of the relative velocity error, plus a share of the relative error of the impulses.
 
-    Errors, not their squares: of a state that is nearly solved the rest still counts.
+    It is linear in the errors, so that the error left in nearly solved states still counts.
     """
     velocity = ops.sum(batch.share * _root(velocity_errors(impulses, batch)))
     return velocity + IMPULSE_SHARE * impulse_loss(impulses, batch)
 
 
 def squared_velocity_loss(impulses, batch: ContactBatch):
-    """The same with the squares of both errors: the states that go most wrong decide."""
+    """`velocity_loss` with the squares of both errors: dominated by the states with the largest errors."""
     errors = velocity_errors(impulses, batch) + IMPULSE_SHARE * impulse_errors(impulses, batch)
     return ops.sum(batch.share * errors)
 
@@ -159,7 +157,7 @@ def impulse_loss(impulses, batch: ContactBatch):
 
 
 def _root(squares):
-    """√, rounded off at the bottom, where it would pull at errors of nothing without end."""
+    """√, smoothed at 0, where its slope is infinite."""
     return ops.sqrt(squares + _ROUND**2) - _ROUND
 
 
@@ -174,65 +172,50 @@ CONTACT_LOSSES: dict[str, Callable] = {
 # ---- batches, in NumPy ----
 
 
-class StateContacts(NamedTuple):
-    """What one state contributes to a `ContactBatch`: see there. `node` and `body` count within the state."""
+def state_contacts(state: State, spec: ImageSpec) -> dict[str, np.ndarray]:
+    """Fields of a `ContactBatch` for one solved state, from `node` to `body_weight`, numbered within the state.
 
-    node: np.ndarray
-    node_weight: np.ndarray
-    impulse: np.ndarray
-    start: np.ndarray
-    impulse_weight: np.ndarray
-    body: np.ndarray
-    inverse_mass: np.ndarray
-    arm: np.ndarray
-    normal: np.ndarray
-    friction: np.ndarray
-    body_weight: np.ndarray
-
-
-def state_contacts(state: State, spec: ImageSpec) -> StateContacts:
-    """What a loss has to know of a solved state's contacts. Raises ValueError on a state that is not solved."""
+    Raises ValueError on a state that is not solved.
+    """
     if state.contacts is None or not state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
-    contacts = state.contacts
+    contacts, mass = state.contacts, state.bodies.mass
+    rows, free = contact_problem(state.bodies, contacts, world_arguments(state), state.dt)
+    effective_mass, inverse_mass = rows.data[:, 2:4], free[:, 3][rows.body]
+    impulse = np.stack([contacts.normal_impulse, contacts.tangent_impulse], axis=1)
+    change = np.zeros_like(free)
+    change[:, 3] = free[:, 3]
+    apply_impulses(Rows(rows.body, rows.data, impulse), change)
+    # Twice the energies, J, of v* − v⁻, and of the impulses row by row; s = ω r has half the inertia of the mass.
+    body_energy = mass @ (change[: len(mass), :3] ** 2 @ [1.0, 1.0, 0.5])
+    row_energy = np.sum(impulse**2 / effective_mass)
+    floor = _FLOOR * np.sum(effective_mass * row_velocities(rows, free) ** 2)
     scale = state_scale(state) if spec.scale_free else 1.0
-    values, body, body_energy, energies = _contact_values(state.bodies, contacts, world_arguments(state), state.dt)
-    impulse = np.stack([contacts.normal_impulse, contacts.tangent_impulse], axis=1) / scale
-    start = np.stack([contacts.normal_start, contacts.tangent_start], axis=1) / scale
-    floor = _FLOOR * energies[1]
-    # Energies go by the square of the scale, as do those that they are to divide.
-    inverse = 1.0 / values[:, :2]
-    own = scale**2 / max(energies[2] + floor, 1e-300)
-    node, weight = gather_weights(state, spec)
-    return StateContacts(
-        node,
-        weight,
-        impulse,
-        start,
-        inverse * own,
-        body,
-        values[:, 2:4],
-        values[:, 4:6],
-        contacts.normal,
-        np.full(contacts.count, state.world.friction),
-        body_energy * (scale**2 / max(energies[0] + floor, 1e-300)),
-    )
+    node, node_weight = gather_weights(state, spec)
+    return {
+        "node": node,
+        "node_weight": node_weight,
+        "impulse": impulse / scale,
+        # Energies scale with the square of the scale.
+        "impulse_weight": scale**2 / max(row_energy + floor, 1e-300) / effective_mass,
+        "body": rows.body.astype(np.int64),
+        "inverse_mass": inverse_mass,
+        "arm": rows.data[:, 4:6],
+        "normal": contacts.normal,
+        "friction": np.full(contacts.count, state.world.friction),
+        "body_weight": mass * (scale**2 / max(body_energy + floor, 1e-300)),
+    }
 
 
 def gather_weights(state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndarray]:
-    """`read_back` as numbers: (m, 4) nodes of the flattened image and what each contributes to the contact.
+    """The weights of `read_back`: nodes of the flattened image, (m, 4), and what each contributes to the contact.
 
-    A point outside the grid reads its edge; where the nodes around hold no density, the nearest one counts.
+    A point outside the grid reads its edge; without density at the nodes around it, it reads the nearest node.
     """
-    grid = spec.grid(state.world)
-    (x_0, y_0), (d_x, d_y), (n_y, n_x) = grid.origin, grid.spacing, grid.shape
-    position = state.contacts.position
-    u = np.clip((position[:, 0] - x_0) / d_x, 0.0, n_x - 1.0)
-    v = np.clip((position[:, 1] - y_0) / d_y, 0.0, n_y - 1.0)
-    i, j = np.minimum(u.astype(np.int64), n_x - 2), np.minimum(v.astype(np.int64), n_y - 2)
-    s, t = u - i, v - j
-    node = (j * n_x + i)[:, None] + np.array([0, 1, n_x, n_x + 1])
-    weight = np.stack([(1 - s) * (1 - t), s * (1 - t), (1 - s) * t, s * t], axis=1)
+    grid, position = spec.grid(state.world), state.contacts.position
+    (n_y, n_x), geometry = grid.shape, (*grid.origin, *grid.spacing)
+    node, weight = np.empty((len(position), 4), np.int64), np.empty((len(position), 4))
+    bilinear_nodes(geometry, n_y, n_x, position, node, weight)
     if spec.transfer != "consistent" or not len(position):
         return node, weight
     options = {"unreached": "nearest", "outside": "clamp"}
@@ -240,90 +223,35 @@ def gather_weights(state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndarra
     total = np.sum(weight * density[node], axis=1)
     lost = total <= 0.0
     if lost.any():
-        nearest = (np.floor(v + 0.5) * n_x + np.floor(u + 0.5)).astype(np.int64)[lost]
-        node[lost] = nearest[:, None]
+        steps = np.floor((position[lost] - geometry[:2]) / geometry[2:] + 0.5).astype(np.int64)
+        i, j = np.clip(steps, 0, [n_x - 1, n_y - 1]).T
+        node[lost] = (j * n_x + i)[:, None]
         weight[lost] = [1.0, 0.0, 0.0, 0.0]
-        total[lost] = density[nearest]
+        total[lost] = density[node[lost, 0]]
     return node, weight / total[:, None]
 
 
-def contact_batch(parts: Sequence[StateContacts], nodes: int, spec: ImageSpec, symmetries=None) -> ContactBatch:
-    """The contacts of several states, whose images have `nodes` nodes each, as one batch.
+def contact_batch(parts: Sequence[dict], nodes: int, spec: ImageSpec, symmetries=None) -> ContactBatch:
+    """The contacts of several states, of `state_contacts`, whose images have `nodes` nodes each, as one batch.
 
-    symmetries: one a state, a pair (where each node goes, whether it is mirrored), if the images have been turned:
-    the image is read where the contact went, and everything else stays as it was.
+    symmetries: a pair for each state if the images were turned: (new number of each node or None, mirrored or not).
+    The image is read at the turned contacts; all other fields stay as they are.
     """
-    count = len(parts)
-    contacts = [part.node.shape[0] for part in parts]
-    bodies = [part.body_weight.shape[0] for part in parts]
-    first = np.concatenate([[0], np.cumsum(bodies)])
-    wall = first[-1]
-    node, unit = [], []
-    for k, part in enumerate(parts):
-        goes, mirrored = (None, False) if symmetries is None else symmetries[k]
-        node.append((part.node if goes is None else goes[part.node]) + k * nodes)
-        unit.append(np.broadcast_to([1.0, -1.0 if mirrored else 1.0], (contacts[k], 2)))
-    body = [np.where(part.body < n, part.body + f, wall) for part, n, f in zip(parts, bodies, first)]
-
-    def joined(name):
-        return np.concatenate([getattr(part, name) for part in parts]).astype(np.float32)
-
-    return ContactBatch(
-        node=np.concatenate(node).astype(np.int32),
-        node_weight=joined("node_weight"),
-        impulse=joined("impulse"),
-        start=joined("start"),
-        impulse_weight=joined("impulse_weight"),
-        body=np.concatenate(body).astype(np.int32),
-        inverse_mass=joined("inverse_mass"),
-        arm=joined("arm"),
-        normal=joined("normal"),
-        friction=joined("friction"),
-        state=np.repeat(np.arange(count, dtype=np.int32), contacts),
-        body_weight=np.append(joined("body_weight"), np.float32(0.0)),
-        body_state=np.append(np.repeat(np.arange(count), bodies), 0).astype(np.int32),
-        share=np.full(count, 1.0 / count, np.float32),
-        unit=(np.concatenate(unit) * np.asarray(spec.target_scales)).astype(np.float32),
-    )
-
-
-@njit(cache=True, error_model="numpy")
-def _contact_values(bodies, contacts, world, dt):
-    """Effective masses, inverse masses and arms (m, 6), bodies (m, 2), masses (n,), and three energies.
-
-    The energies, in J · 2: of the solution's v* − v⁻; of the rows' approach and slip, Σ k b²; of the solution row
-    by row, Σ λ² / k.
-    """
-    _, gravity, _, restitution = world
-    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
-    moving = np.empty((n + 4, 4))
-    integrate_velocities(bodies, gravity, dt, moving)
-    rows, _ = contact_rows(bodies, contacts, moving, restitution, make_rows(m, moving.dtype))
-    values, body = np.empty((m, 6)), np.empty((m, 2), np.int64)
-    change = np.zeros((n + 4, 3))
-    energies = np.zeros(3)
-    for i in range(m):
-        a, b = rows.body[i, 0], rows.body[i, 1]
-        n_x, n_y, k_n, k_t = rows.data[i, 0], rows.data[i, 1], rows.data[i, 2], rows.data[i, 3]
-        arm_a, arm_b = rows.data[i, 4], rows.data[i, 5]
-        w_a, w_b = moving[a, 3], moving[b, 3]
-        body[i, 0], body[i, 1] = a, b
-        values[i, 0], values[i, 1], values[i, 2], values[i, 3] = k_n, k_t, w_a, w_b
-        values[i, 4], values[i, 5] = arm_a, arm_b
-        v_x, v_y = moving[b, 0] - moving[a, 0], moving[b, 1] - moving[a, 1]
-        b_n = n_x * v_x + n_y * v_y - rows.data[i, 6]
-        b_t = n_y * v_x - n_x * v_y + arm_a * moving[a, 2] + arm_b * moving[b, 2]
-        energies[1] += k_n * b_n * b_n + k_t * b_t * b_t
-        p_n, p_t = contacts.normal_impulse[i], contacts.tangent_impulse[i]
-        energies[2] += p_n * p_n / k_n + p_t * p_t / k_t
-        p_x, p_y = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x
-        change[a, 0] -= w_a * p_x
-        change[a, 1] -= w_a * p_y
-        change[a, 2] += 2.0 * w_a * arm_a * p_t
-        change[b, 0] += w_b * p_x
-        change[b, 1] += w_b * p_y
-        change[b, 2] += 2.0 * w_b * arm_b * p_t
-    for i in range(n):
-        speed = change[i, 0] ** 2 + change[i, 1] ** 2 + 0.5 * change[i, 2] ** 2
-        energies[0] += bodies.mass[i] * speed
-    return values, body, bodies.mass, energies
+    contacts, bodies = ([len(part[name]) for part in parts] for name in ("node", "body_weight"))
+    first = np.cumsum([0, *bodies])
+    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    moved, sign = zip(*(symmetries or [(None, False)] * len(parts)))
+    node = [part["node"] if goes is None else goes[part["node"]] for part, goes in zip(parts, moved)]
+    body = [np.where(part["body"] < n, part["body"] + f, first[-1]) for part, n, f in zip(parts, bodies, first)]
+    joined |= {
+        "node": np.concatenate([own + k * nodes for k, own in enumerate(node)]),
+        "body": np.concatenate(body),
+        "state": np.repeat(np.arange(len(parts)), contacts),
+        "body_weight": np.append(joined["body_weight"], 0.0),
+        "body_state": np.append(np.repeat(np.arange(len(parts)), bodies), 0),
+        "share": np.full(len(parts), 1.0 / len(parts)),
+        "unit": np.repeat([[1.0, -1.0 if mirrored else 1.0] for mirrored in sign], contacts, axis=0)
+        * np.asarray(spec.target_scales),
+    }
+    types = {name: np.int32 if name in INTEGER_FIELDS else np.float32 for name in ContactBatch._fields}
+    return ContactBatch(**{name: joined[name].astype(kind) for name, kind in types.items()})

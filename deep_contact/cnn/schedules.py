@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
+
+from deep_contact.validation import integer, number, one_of
 
 Schedule = Callable[[int], float]
 
@@ -22,47 +23,35 @@ def appendix_b(epoch: int) -> float:
 
 
 def cosine(epochs: int, rate: float = 2e-3, *, warm_up: int = 1, last: float = 0.01) -> Schedule:
-    """Half a cosine from `rate` down to `last` times it in the last of `epochs`, after a linear warm-up (ours).
+    """Keras's `CosineDecay` by epoch, from `rate` to `last` times it in the last of `epochs`, after a linear warm-up.
 
     Raises ValueError naming the argument and the value.
     """
-    if epochs < 1 or not rate > 0 or warm_up < 0 or not 0 <= last <= 1:
-        raise ValueError(
-            "cosine: expected epochs >= 1, rate > 0, warm_up >= 0 and last from 0 to 1, "
-            f"got {epochs}, {rate}, {warm_up}, {last}"
-        )
+    warm_up = min(integer("warm_up", warm_up), integer("epochs", epochs, 1) - 1)
+    first = number("rate", rate, above=0) / (warm_up + 1)
+    number("last", last, 0, 1)
+    from keras.optimizers.schedules import CosineDecay  # TensorFlow: imported with what needs it
 
-    def schedule(epoch: int) -> float:
-        if epoch < min(warm_up, epochs - 1):
-            return rate * (epoch + 1) / (warm_up + 1)
-        done = min((epoch - warm_up) / max(epochs - 1 - warm_up, 1), 1.0) if epochs > 1 else 0.0
-        return rate * (last + (1 - last) * 0.5 * (1 + math.cos(math.pi * done)))
-
-    return schedule
+    options = {"warmup_target": rate, "warmup_steps": warm_up} if warm_up else {}
+    decay = CosineDecay(first, max(epochs - 1 - warm_up, 1), alpha=last, **options)
+    return lambda epoch: float(decay(epoch))
 
 
 def constant(rate: float) -> Schedule:
-    """One rate for all epochs."""
-    if not rate > 0:
-        raise ValueError(f"rate: expected a number > 0, got {rate!r}")
+    """The same rate for all epochs."""
+    number("rate", rate, above=0)
     return lambda epoch: rate
 
 
-SCHEDULES = ("algorithm 6", "appendix b", "cosine", "constant")
+_SCHEDULES = {
+    "algorithm 6": lambda epochs, rate: algorithm_6,
+    "appendix b": lambda epochs, rate: appendix_b,
+    "cosine": cosine,
+    "constant": lambda epochs, rate: constant(rate),
+}
+SCHEDULES = tuple(_SCHEDULES)
 
 
 def schedule(name: str, *, epochs: int, rate: float) -> Schedule:
-    """The schedule of that name. epochs, rate: for those that need them ("cosine", "constant").
-
-    Raises ValueError on another name.
-    """
-    key = name.lower().replace("-", " ").replace("_", " ")
-    if key == "algorithm 6":
-        return algorithm_6
-    if key == "appendix b":
-        return appendix_b
-    if key == "cosine":
-        return cosine(epochs, rate)
-    if key == "constant":
-        return constant(rate)
-    raise ValueError(f"schedule: expected one of {', '.join(SCHEDULES)}, got {name!r}")
+    """The schedule of that name; "cosine" and "constant" use epochs or rate. Raises ValueError on another name."""
+    return _SCHEDULES[one_of("schedule", name, SCHEDULES)](epochs, rate)

@@ -54,7 +54,11 @@ def _read(file: Path, root: Path) -> tuple[bytes, set[Path]]:
     text, modules = file.read_bytes(), set()
     for origin, names, module in _IMPORT.findall(text):
         modules |= {origin or module, *(origin + b"." + name for name in re.findall(rb"\w+", names))}
-    files = {root / (module.decode().replace(".", "/") + ".py") for module in modules}
+    places = [root / module.decode().replace(".", "/") for module in modules]
+    # The import of a module runs its packages, too: the engine gets the loops of the solvers by their package alone.
+    inside = root / "deep_contact"
+    packages = {package for place in places for package in (place, *place.parents) if inside in package.parents}
+    files = {place.with_suffix(".py") for place in places} | {package / "__init__.py" for package in packages}
     return _checksum(text), {file for file in files if file.exists()}
 
 

@@ -64,7 +64,7 @@ def errors_beyond(
 
 
 def _errors_on_scene_of_kind(task: Mapping) -> dict:
-    from deep_contact.cnn.evaluation import errors_on_scene
+    from deep_contact.studies.scene_errors import errors_on_scene
 
     # As much time as the runs of the other kinds have.
     steps = round(task["steps"] * TRAINED["dt"] / task["kind"]["dt"])

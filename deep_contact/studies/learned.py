@@ -431,7 +431,7 @@ def train_on_targets(task: TargetTask) -> str:
         fractions=(0.8, 0.2, 0.0),
         **task.settings,
     )
-    done = training.train(config, task.data, task.out, log=lambda line: None)
+    done = training.train(config, task.data, task.out, verbose=0)
     return str(done.path)
 
 
@@ -581,7 +581,7 @@ def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
 
     task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are measured.
     """
-    from deep_contact.cnn.evaluation import errors_on_scene
+    from deep_contact.studies.scene_errors import errors_on_scene
 
     rng = np.random.default_rng(task["seed"])
     scene = circles_in_box(int(rng.integers(70, 111)), seed=rng)

@@ -119,6 +119,8 @@ def test_networks_are_of_stock_layers(name):
     [
         ("alexnet", {}, "architecture"),
         ("thesis", {"shape": (61,)}, "shape"),
+        ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
+        ("compact", {"channels": 3, "widht": 8}, "options of compact: expected one of channels"),
         ("thesis", {"dropout": 1.0}, "dropout"),
         ("compact", {"channels": 0}, "channels"),
         ("compact", {"channels": 3, "dilations": (1, 0)}, r"dilations\[1\]"),
@@ -160,11 +162,17 @@ def contacts_of(states, spec=SPEC):
     return losses.contact_batch([losses.state_contacts(state, spec) for state in states], 61 * 61, spec)
 
 
+def builtin_impulses(states):
+    """Impulses of Builtin's start at the contacts of a batch, over the scale of their state, float32."""
+    starts = [np.stack([s.contacts.normal_start, s.contacts.tangent_start], axis=1) / state_scale(s) for s in states]
+    return np.concatenate(starts).astype(np.float32)
+
+
 def test_velocity_error_is_that_of_the_engine(falling_states, monkeypatch):
     monkeypatch.setattr(losses, "_FLOOR", 0.0)
     states = falling_states[3::5]
     batch = contacts_of(states)
-    found = np.asarray(losses.velocity_errors(batch.start, batch))
+    found = np.asarray(losses.velocity_errors(builtin_impulses(states), batch))
     for state, squared in zip(states, found):
         start = state.contacts.normal_start, state.contacts.tangent_start
         # float32 against float64
@@ -195,13 +203,13 @@ def test_contact_losses_scale_with_nothing(falling_states):
 def test_gradient_of_the_velocity_loss(falling_states):
     import tensorflow as tf
 
-    batch = contacts_of(falling_states[4:6])
-    impulses = tf.Variable(batch.start)
+    batch, start = contacts_of(falling_states[4:6]), builtin_impulses(falling_states[4:6])
+    impulses = tf.Variable(start)
     with tf.GradientTape() as tape:
         loss = losses.squared_velocity_loss(impulses, batch)
     gradient = np.asarray(tape.gradient(loss, impulses))
     direction = np.random.default_rng(0).normal(size=gradient.shape).astype(np.float32)
-    ahead, behind = (float(losses.squared_velocity_loss(batch.start + s * direction, batch)) for s in (0.5, -0.5))
+    ahead, behind = (float(losses.squared_velocity_loss(start + s * direction, batch)) for s in (0.5, -0.5))
     # The loss is quadratic: central differences are exact but for float32.
     assert ahead - behind == pytest.approx(np.sum(gradient * direction), rel=1e-3)
 

@@ -331,6 +331,14 @@ def test_the_store_knows_its_simulations(folder):
         store.state(2, 70)
 
 
+def test_iterating_over_a_store_yields_its_states_in_order(folder):
+    store = Store(folder)
+    states = list(store)
+    assert len(states) == len(store)
+    assert [(state.name, state.step) for state in states[:2]] == [("sim_0000", 40), ("sim_0000", 41)]
+    assert_equal(states[75], store.state(1, 5))
+
+
 def test_a_folder_without_data_says_what_is_missing(tmp_path):
     with pytest.raises(DataFileError, match="generate_data"):
         Store(tmp_path)

@@ -1,5 +1,5 @@
-"""Training on several devices (`training.strategy_for`): two logical CPUs, in a process of their own, since TensorFlow
-takes such a setting only before it starts."""
+"""Training on several devices (`training.image_run.strategy_for`): two logical CPUs, in a process of their own, since
+TensorFlow takes such a setting only before it starts."""
 
 import json
 import os
@@ -36,7 +36,7 @@ def in_a_process_with_two_devices(folder, out):
 
     def history(name, epochs):
         config = TrainingConfig(**RUN, epochs=epochs)
-        run = train(config, folder, f"{out}/{name}", threads=1, devices=2, held_out=10, log=lambda line: None)
+        run = train(config, folder, f"{out}/{name}", threads=1, devices=2, held_out=10, verbose=0)
         return [{key: value for key, value in line.items() if key != "seconds"} for line in run.history]
 
     found["undisturbed"] = history("undisturbed", 2)
@@ -47,16 +47,16 @@ def in_a_process_with_two_devices(folder, out):
 
 def one_step(config, folder):
     """The loss of the first batch, and by how much its step changes every number of the network, on one and two."""
-    from deep_contact.cnn import training
+    from deep_contact.cnn.training.image_run import ImageRun, strategy_for
+    from deep_contact.cnn.training.run import set_up
 
     store, losses, steps = Store(folder), [], []
     split = split_by_simulation(store.simulations, fractions=config.fractions)
     for devices in (1, 2):
-        training.set_up(0, threads=1)
-        run = training._ImageRun(config, store, split, config.spec(), training.strategy_for(config, devices))
+        set_up(0, threads=1)
+        run = ImageRun(config, store, split, config.spec(), strategy=strategy_for(config, devices))
         before = run.model.get_weights()
-        states, symmetry = run.batches.order(0)
-        losses.append(float(run._step(*run.shares(states[:8], symmetry[:8]))))
+        losses.append(float(run.step(*run.images.parts(0, devices))))
         steps.append(np.concatenate([(a - b).ravel() for a, b in zip(run.model.get_weights(), before)], dtype=float))
     size, error = np.linalg.norm(steps[0]), np.linalg.norm(steps[1] - steps[0])
     return {"losses": losses, "size": float(size), "error": float(error / size)}
@@ -119,7 +119,8 @@ def test_a_run_on_two_devices_goes_on_where_it_was(found):
     ],
 )
 def test_devices_that_cannot_share_are_refused(settings, devices, message):
-    from deep_contact.cnn.training import TrainingConfig, strategy_for
+    from deep_contact.cnn.training import TrainingConfig
+    from deep_contact.cnn.training.image_run import strategy_for
 
     with pytest.raises(ValueError, match=message):
         strategy_for(TrainingConfig(**settings), devices)

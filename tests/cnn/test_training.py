@@ -14,11 +14,13 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact.cnn import training
-from deep_contact.cnn.dataset import Store, split_by_simulation, write_simulation
-from deep_contact.cnn.images import SYMMETRIES, ImageSpec, transform_state
+from deep_contact.cnn import architectures, losses
+from deep_contact.cnn.dataset import ImageBatches, Store, split_by_simulation, write_simulation
+from deep_contact.cnn.images import CHANNEL_SETS, SYMMETRIES, ImageSpec, transform_state
 from deep_contact.cnn.inference import LearnedModel, limit_threads, load_model
-from deep_contact.cnn.training import CHANNEL_SETS, TrainingConfig, thesis_config, train
+from deep_contact.cnn.model_file import read_metadata
+from deep_contact.cnn.training import ImageDataset, TrainingConfig, config, thesis_config, train
+from deep_contact.cnn.training.image_run import ImageRun
 
 # Before TensorFlow does anything: sums go in another order on more threads.
 limit_threads(1)
@@ -50,7 +52,7 @@ def tiny(**changes):
 
 
 def quietly(config, data, out, **options):
-    return train(config, data, out, log=lambda line: None, held_out=10, **options)
+    return train(config, data, out, **({"verbose": 0, "held_out": 10} | options))
 
 
 def without_time(history):
@@ -83,14 +85,25 @@ class Killed(BaseException):
     """As abrupt as an exception can be."""
 
 
-@pytest.mark.parametrize(("epoch", "batch"), [(0, 1), (2, 3), (3, 0)])
-def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path, epoch, batch):
-    def interrupt(*now):
-        if now == (epoch, batch):
+class KillAt(keras.callbacks.Callback):
+    """Raises `Killed` before a batch."""
+
+    def __init__(self, epoch, batch):
+        super().__init__()
+        self.when = epoch, batch
+
+    def on_epoch_begin(self, epoch, logs=None):
+        self.epoch = epoch
+
+    def on_train_batch_begin(self, batch, logs=None):
+        if (self.epoch, batch) == self.when:
             raise Killed
 
+
+@pytest.mark.parametrize(("epoch", "batch"), [(0, 1), (2, 3), (3, 0)])
+def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path, epoch, batch):
     with pytest.raises(Killed):
-        quietly(tiny(), data, tmp_path, on_batch=interrupt)
+        quietly(tiny(), data, tmp_path, callbacks=[KillAt(epoch, batch)])
     resumed = quietly(tiny(), data, tmp_path)
     assert without_time(resumed.history) == without_time(undisturbed.history)
     for ours, theirs in zip(resumed.model.network.get_weights(), undisturbed.model.network.get_weights()):
@@ -160,6 +173,73 @@ def test_patience_ends_a_run(data, tmp_path):
     done = quietly(tiny(rate=1e-12, schedule="constant", patience=2, epochs=20), data, tmp_path)
     assert len(done.history) < 20
     assert len(done.history) - 1 - done.best_epoch == 2
+    # Given again, it has run out already.
+    again = quietly(tiny(rate=1e-12, schedule="constant", patience=2, epochs=20), data, tmp_path)
+    assert again.history == done.history
+
+
+def test_callbacks_of_keras_see_the_history_and_may_stop_the_run(data, tmp_path):
+    seen = []
+    callbacks = [
+        keras.callbacks.EarlyStopping(patience=1, min_delta=1e9),
+        keras.callbacks.CSVLogger(tmp_path / "theirs.csv"),
+        keras.callbacks.LambdaCallback(on_train_batch_end=lambda batch, logs: seen.append((batch, logs["loss"]))),
+    ]
+    done = quietly(tiny(), data, tmp_path / "run", callbacks=callbacks)
+    assert len(done.history) == 2
+    assert [batch for batch, _ in seen] == 2 * list(range(len(seen) // 2))
+    assert seen[-1][1] == done.history[-1]["loss"]
+    with open(tmp_path / "theirs.csv", encoding="utf-8") as file:
+        rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
+    assert rows == [line | {"val_loss": line["validation_loss"]} for line in done.history]
+
+
+def test_progress_is_that_of_keras(data, tmp_path, capfd):
+    done = quietly(tiny(epochs=1), data, tmp_path, verbose=2)
+    text = capfd.readouterr().out
+    assert f"validation_loss: {done.history[0]['validation_loss']:.4f}" in text
+
+
+@pytest.mark.parametrize("spacing", [0.5, 0.7])
+def test_keras_fits_the_batches_of_images(data, spacing):
+    spec = tiny(spacing=spacing, support=spacing).spec()
+    batches = ImageBatches(Store(data), None, spec, batch_size=10, drop_last=True)
+    images = ImageDataset(batches, coarsening=4)
+    first = images[0][0]
+    model = architectures.build("compact", channels=len(spec.channels), stem=2, width=4, decoder=2, dilations=(1,))
+    model.compile("adam", losses.masked_squared_error)
+    model.fit(images, epochs=1, verbose=0)
+    assert not np.array_equal(images[0][0], first)
+
+
+# ---- going on from a model ----
+
+
+def test_a_run_goes_on_from_a_model(undisturbed, data, tmp_path):
+    settings = config.config_of(read_metadata(undisturbed.path), epochs=1, rate=1e-12, schedule="constant")
+    assert settings.spec() == tiny().spec()
+    further = quietly(settings, data, tmp_path, from_model=undisturbed.path)
+    best = undisturbed.history[undisturbed.best_epoch]["validation_loss"]
+    assert further.history[0]["validation_loss"] == pytest.approx(best, rel=1e-5)
+    assert further.model.spec == undisturbed.model.spec
+    with pytest.raises(ValueError, match="from_model: expected None, with which"):
+        quietly(tiny(), data, undisturbed.path.parent, from_model=undisturbed.path)
+    with pytest.raises(ValueError, match="from_model: expected a network for the images"):
+        quietly(tiny(spacing=0.7), data, tmp_path / "other", from_model=undisturbed.path)
+
+
+def test_settings_of_the_shipped_models_are_known():
+    root = TRAIN.parents[1] / "models"
+    for path in root.glob("*.h5"):
+        metadata = read_metadata(path)
+        images = config.config_of(metadata).spec().to_dict()
+        changed = {name for name, value in images.items() if value != metadata["spec"][name]}
+        assert changed <= {"scales", "target_scales"}
+
+
+def test_names_in_the_settings_are_those_of_the_networks_and_losses():
+    assert set(config.ARCHITECTURES) == set(architectures.ARCHITECTURES)
+    assert set(config.LOSSES) == {"appendix b", *losses.CONTACT_LOSSES, *config.FAR_FIELD_LOSSES}
 
 
 def test_thesis_network_trains_on_images(data, tmp_path):
@@ -179,18 +259,15 @@ def test_thesis_settings_are_those_of_table_5_2():
 
 @pytest.mark.parametrize("k", SYMMETRIES)
 def test_contacts_of_a_turned_image_are_those_of_the_turned_state(data, k):
-    store = Store(data)
-    config = tiny()
-    split = split_by_simulation(store, fractions=config.fractions, seed=0)
-    run = training._ImageRun(config, store, split, config.spec())
+    store, settings = Store(data), tiny()
+    split = split_by_simulation(store, fractions=settings.fractions, seed=0)
+    run = ImageRun(settings, store, split, settings.spec())
     where = store.states(split.train)[10]
-    turned = run.contacts(run.batches.batch([where], [k]))
+    turned = run.images.contact_batch(run.images.batches.batch([where], [k]))
     state = transform_state(store.state(*where), k)
-    expected = training.losses.contact_batch(
-        [training.losses.state_contacts(state, run.spec)], run.shape[0] * run.shape[1], run.spec
-    )
+    expected = losses.contact_batch([losses.state_contacts(state, run.spec)], run.shape[0] * run.shape[1], run.spec)
     image = np.random.default_rng(0).normal(size=(1, *run.shape, 2)).astype(np.float32)
-    found, wanted = (np.asarray(training.losses.read_at_contacts(image, batch)) for batch in (turned, expected))
+    found, wanted = (np.asarray(losses.read_at_contacts(image, batch)) for batch in (turned, expected))
     # The contacts keep their order, and λ_t its sign of before: the mirror is undone where it is read.
     wanted = wanted * [1.0, -1.0 if k >= 4 else 1.0]
     np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5)
@@ -198,14 +275,14 @@ def test_contacts_of_a_turned_image_are_those_of_the_turned_state(data, k):
 
 @pytest.mark.parametrize("spacing", [0.5, 0.7])
 def test_training_pads_as_inference_does(data, spacing):
-    store, config = Store(data), tiny(spacing=spacing, support=spacing, augment=False)
-    split = split_by_simulation(store, fractions=config.fractions, seed=0)
-    run = training._ImageRun(config, store, split, config.spec())
+    store, settings = Store(data), tiny(spacing=spacing, support=spacing, augment=False)
+    split = split_by_simulation(store, fractions=settings.fractions, seed=0)
+    run = ImageRun(settings, store, split, settings.spec())
     rng = np.random.default_rng(0)
     run.model.set_weights([rng.normal(0, 0.2, w.shape) for w in run.model.get_weights()])
-    batch = run.batches.batch([store.states(split.train)[10]])
-    images, _ = run._predict(*run.arrays(batch))
-    model = LearnedModel(source=run.model, spec=run.spec, coarsening=run.coarsening)
+    batch = run.images.batches.batch([store.states(split.train)[10]])
+    images, _ = run.predict(*run.images.arrays(batch))
+    model = LearnedModel(keras=run.model, spec=run.spec, coarsening=run.coarsening)
     np.testing.assert_allclose(np.asarray(images)[0], model.run(batch.inputs[0]), rtol=1e-4, atol=1e-6)
 
 
@@ -216,7 +293,7 @@ def test_event_files_are_written_on_request(data, tmp_path):
     done = quietly(tiny(epochs=1), data, tmp_path / "run", tensorboard=tmp_path / "events")
     (path,) = (tmp_path / "events").glob("events.*")
     values = {v.tag: v for event in summary_iterator(str(path)) for v in event.summary.value}
-    for name in training.COLUMNS[1:]:
+    for name in set(done.history[0]) - {"epoch"}:
         assert values[name].metadata.plugin_data.plugin_name == "scalars"
         assert tf.make_ndarray(values[name].tensor) == np.float32(done.history[0][name])
 
@@ -244,10 +321,76 @@ def test_bad_settings_are_named(field, value):
 def test_factored_network_of_full_rank_is_the_network():
     script = load_script("factor_thesis_network")
     keras.utils.set_random_seed(0)
-    network = training.architectures.build("thesis", shape=(3, 3))
+    network = architectures.build("thesis", shape=(3, 3))
     image = np.random.default_rng(0).normal(size=(40, 3, 3, 5)).astype(np.float32)
     features = keras.Sequential([keras.Input((3, 3, 5)), *network.layers[:-1]])(image)
     vectors = script.right_vectors(np.asarray(features), network.layers[-1].get_weights()[0], 18)
     np.testing.assert_allclose(script.factored(network, vectors)(image), network(image), rtol=1e-3, atol=1e-5)
     limit = 4 * network.count_params()
     assert script.largest_rank(network, limit) < 18
+
+
+# ---- scripts/train.py, scripts/model_cards.py ----
+
+
+@pytest.mark.parametrize(
+    ("flags", "status", "message"),
+    [
+        (["--ratee", "3"], 2, "unrecognized arguments: --ratee 3"),
+        (["--rate", "abc"], 2, "invalid float value: 'abc'"),
+        (["--options", "stem"], 2, "invalid option value: 'stem'"),
+        (["--epochs", "0"], 1, "epochs: expected an integer >= 1, got 0"),
+        (["--data", "nowhere"], 1, "nowhere: expected files sim_0000.h5"),
+        (["--from", "nowhere.h5"], 1, "nowhere.h5 does not exist"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(flags, status, message, capsys):
+    script = load_script("train")
+    try:
+        found = script.main(flags)
+    except SystemExit as error:
+        found = error.code
+    assert found == status
+    (line,) = capsys.readouterr().err.splitlines()
+    assert message in line
+
+
+def test_ctrl_c_ends_training_with_one_line(data, tmp_path, monkeypatch, capsys):
+    def interrupted(*args, **kwargs):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("deep_contact.cnn.training.run.train", interrupted)
+    assert load_script("train").main(["--data", str(data), "--out", str(tmp_path)]) == 130
+    assert capsys.readouterr().err.splitlines()[-1].startswith("train.py: stopped; the same command goes on")
+
+
+@pytest.mark.parametrize("script", ["train", "model_cards"])
+def test_help_loads_neither_tensorflow_nor_numba(script):
+    code = "import runpy, sys\ntry: runpy.run_path(sys.argv[0], run_name='__main__')\nfinally: print(*sys.modules)"
+    code = f"import sys; sys.argv = [{str(TRAIN.with_name(script + '.py'))!r}, '--help']\n{code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "usage:" in done.stdout
+    assert not {"tensorflow", "keras", "numba"} & set(done.stdout.splitlines()[-1].split())
+
+
+def test_a_script_goes_on_from_a_model(undisturbed):
+    script = load_script("train")
+    settings = script.configuration({"epochs": 2, "options": [("stem", 3)]}, undisturbed.path)
+    assert (settings.epochs, settings.rate, settings.options) == (2, 0.02, {"stem": 3})
+
+
+def test_the_learning_curve_names_what_the_columns_hold(tmp_path):
+    errors = {"validation_velocity_error": 0.5, "validation_velocity_error_10": 0.1, "validation_impulse_error": 0.3}
+    line = {"epoch": 0, "loss": 1.0, "validation_loss": 1.0, **errors}
+    right = load_script("train").learning_curve([line], tmp_path / "curve.png")
+    labels = [text.get_text() for text in right.get_legend().get_texts()]
+    assert labels == ["velocity, no sweep", "velocity, 10 sweeps", "impulse, no sweep"]
+
+
+def test_shipped_histories_have_the_columns_of_new_ones():
+    for path in (TRAIN.parents[1] / "models").glob("*_history.csv"):
+        with open(path, encoding="utf-8") as file:
+            columns = next(csv.reader(file))
+        far_field = path.stem != "compact_history"
+        assert ("validation_velocity_error_30" in columns) == far_field
+        assert ("validation_impulse_error" in columns) != far_field

@@ -15,6 +15,9 @@ SOURCES = {
     "physics/rows.py": "from deep_contact import constants\n",
     "physics/sweep.py": "import numba\nfrom deep_contact.physics import (\n    islands,\n    rows,\n)\n",
     "physics/islands.py": "x = 1\n",
+    "physics/__init__.py": "from deep_contact.physics.loops import pgs\n",
+    "physics/loops/__init__.py": "",
+    "physics/loops/pgs.py": "x = 1\n",
     "plotting.py": "import deep_contact.physics.sweep\n",
 }
 
@@ -22,7 +25,7 @@ SOURCES = {
 @pytest.fixture
 def stamp(tmp_path):
     """A function that writes a source and tells the stamp of the module sweep after it."""
-    (tmp_path / "deep_contact" / "physics").mkdir(parents=True)
+    (tmp_path / "deep_contact" / "physics" / "loops").mkdir(parents=True)
     for name, text in SOURCES.items():
         (tmp_path / "deep_contact" / name).write_text(text)
 
@@ -35,7 +38,9 @@ def stamp(tmp_path):
     return write
 
 
-@pytest.mark.parametrize("name", ["constants.py", "physics/rows.py", "physics/sweep.py", "physics/islands.py"])
+@pytest.mark.parametrize(
+    "name", ["constants.py", "physics/rows.py", "physics/sweep.py", "physics/islands.py", "physics/loops/pgs.py"]
+)
 def test_code_is_stale_once_anything_changed_that_its_module_imports(stamp, name):
     before = stamp(name, SOURCES[name])
     assert stamp(name, SOURCES[name] + "# changed\n") != before

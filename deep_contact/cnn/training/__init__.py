@@ -1,0 +1,18 @@
+"""Training a network (section 5.3): `train`, and its settings, `TrainingConfig`.
+
+The settings are in `config`, the loop with checkpoints and history in `run`, the epochs of each kind of network in
+`image_run` and `far_field_run`, and their common part in `network`. All but `config` load TensorFlow.
+"""
+
+from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
+
+_HOME = {"Training": "run", "train": "run", "ImageDataset": "image_run", "compact_options": "image_run"}
+__all__ = [*_HOME, "TrainingConfig", "config_of", "far_field_config", "thesis_config"]
+
+
+def __getattr__(name: str):
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    from importlib import import_module
+
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

@@ -1,0 +1,145 @@
+"""Runs of the far-field network, trained through the solver. They need TensorFlow."""
+
+from __future__ import annotations
+
+import keras
+import numpy as np
+
+from deep_contact.cnn.far_field import corrected, describe, nodes_of
+from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
+from deep_contact.cnn.training.network import NetworkRun
+
+_LEARN_FROM, _JUDGE_BY = 0.02, 0.05
+"""Least relative error of Builtin's start in the states of the training and of the validation side."""
+
+
+class FarFieldRun(NetworkRun):
+    """A run whose network corrects Builtin, trained through the solver."""
+
+    steps = None  # batches hold windows of one shape, so their number depends on the states
+
+    def __init__(self, config, store, split, spec, *, initial=None):
+        super().__init__(config, store, split, spec)
+        self.states = self._states_with_error(split.train, _LEARN_FROM)
+        self.training_states = len(self.states)
+        self.per_epoch = self.batches_per_epoch() * config.batch_size
+        self.validation = self.validation_states(self._states_with_error(split.validation, _JUDGE_BY))
+        self.build(initial, **config.options)
+        # Equal weight for each number of sweeps, although the errors get smaller.
+        errors = self.errors(self.validation, learned=False)[:, 1:]
+        self.weights = 1.0 / (errors.mean(axis=0) * len(config.sweeps))
+        self._coefficients, self._apply = self._compiled()
+
+    def _states_with_error(self, sims, least: float) -> np.ndarray:
+        """States (k, 2) of the simulations in which the relative error of Builtin's start is larger than `least`."""
+        found = [[sim, i] for sim in sims for i in np.flatnonzero(self.store.simulation(sim).start_errors() > least)]
+        return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+    def _compiled(self):
+        """(images, nodes, weights) -> coefficients (K, 12), differentiable; and gradients -> one step by them."""
+        import tensorflow as tf
+
+        signature = [
+            tf.TensorSpec((None, None, None, len(self.spec.channels)), tf.float32),
+            tf.TensorSpec((None, 4), tf.int32),
+            tf.TensorSpec((None, 4), tf.float32),
+        ]
+
+        @tf.function(input_signature=signature)
+        def coefficients(images, node, weight):
+            nodes = tf.reshape(self.model(images, training=True), (-1, len(self.spec.targets)))
+            return tf.reduce_sum(tf.gather(nodes, node) * weight[:, :, None], axis=1)
+
+        # As one program: called one by one, the optimizer's small operations take as long as the network.
+        @tf.function(input_signature=[[tf.TensorSpec(v.shape, tf.float32) for v in self.model.trainable_variables]])
+        def apply(gradients):
+            self.optimizer.apply(gradients, self.model.trainable_variables)
+
+        return coefficients, apply
+
+    def examples(self, states: np.ndarray, symmetry: np.ndarray):
+        """(description, problem) of each of the states (k, 2), one after the other."""
+        for state, k in zip(states.tolist(), symmetry.tolist()):
+            found = self.store.state(*state)
+            yield describe(found, self.spec, k), solved_problem(found)
+
+    def arrays(self, descriptions):
+        """(images, nodes, weights) of descriptions with windows of one shape, the arguments of the network."""
+        shape = descriptions[0].image.shape[:2]
+        out = tuple((n - 1) // self.spec.coarsening + 1 for n in shape)
+        read = [nodes_of(description, self.spec, out) for description in descriptions]
+        node = np.concatenate([node + k * out[0] * out[1] for k, (node, _) in enumerate(read)]).astype(np.int32)
+        return np.stack([d.image for d in descriptions]), node, np.concatenate([weight for _, weight in read])
+
+    def epoch(self, epoch: int, callbacks: keras.callbacks.CallbackList) -> float:
+        """Train on one epoch's states. Returns the mean loss."""
+        rng = np.random.default_rng((self.config.seed, epoch))
+        states = self.states[rng.permutation(len(self.states))[: self.per_epoch]]
+        symmetry = rng.integers(0, 8, self.per_epoch) if self.config.augment else np.zeros(self.per_epoch, np.int64)
+        total, done = 0.0, 0
+        for k, batch in enumerate(_by_shape(self.examples(states, symmetry), self.config.batch_size)):
+            callbacks.on_train_batch_begin(k)
+            total += self.step(batch)
+            done += len(batch)
+            callbacks.on_train_batch_end(k, {"loss": total / done})
+        return total / self.per_epoch
+
+    def step(self, batch) -> float:
+        """One step by examples with windows of one shape. Returns the sum of their losses."""
+        import tensorflow as tf
+
+        with tf.GradientTape() as tape:
+            coefficients = self._coefficients(*self.arrays([description for description, _ in batch]))
+        values = coefficients.numpy().astype(np.float64)
+        by_coefficient, total, first = np.empty_like(values), 0.0, 0
+        for description, problem in batch:
+            own = slice(first, first + len(description.start))
+            loss, gradient = self.loss_and_gradient(problem, corrected(description, values[own]))
+            by_coefficient[own] = np.einsum("ik,ijk->ij", gradient, description.features)
+            total += loss
+            first = own.stop
+        # Divided by a full batch, so that a few states with a rare window do not count as much as a batch.
+        given = tf.constant(by_coefficient / self.config.batch_size, tf.float32)
+        self._apply(tape.gradient(coefficients, self.model.trainable_variables, output_gradients=given))
+        return total
+
+    def loss_and_gradient(self, problem, start) -> tuple[float, np.ndarray]:
+        """The loss of one state by its start, and the gradient with respect to the start."""
+        if self.config.loss == "impulses":
+            return impulse_loss(problem, start)
+        if self.config.loss == "through solver":
+            return loss_and_gradient(problem, start, self.config.sweeps, self.weights)[:2]
+        equal = np.full(len(self.weights), 1 / len(self.weights))
+        return loss_and_gradient(problem, start, self.config.sweeps, equal, "residual")[:2]
+
+    def errors(self, states: np.ndarray, *, learned: bool) -> np.ndarray:
+        """Velocity errors (k, 1 + sweeps) before and after each number of sweeps, from the network or Builtin."""
+        sweeps = sorted({0, *self.config.sweeps})
+        found = []
+        for batch in _by_shape(self.examples(states, np.zeros(len(states), np.int64)), 64):
+            descriptions, problems = zip(*batch)
+            starts = [problem.rows.impulse for problem in problems]
+            if learned:
+                values = self._coefficients(*self.arrays(descriptions)).numpy().astype(np.float64)
+                parts = np.split(values, np.cumsum([len(start) for start in starts])[:-1])
+                starts = [corrected(description, part) for description, part in zip(descriptions, parts)]
+            found += [errors_after(problem, start, sweeps) for problem, start in zip(problems, starts)]
+        return np.array(found)[:, [0, *(sweeps.index(k) for k in self.config.sweeps)]]
+
+    def validate(self) -> dict[str, float]:
+        """Loss on the validation states over Builtin's, and mean velocity errors before and after `sweeps` sweeps."""
+        errors = self.errors(self.validation, learned=True).mean(axis=0)
+        found = {"validation_loss": float(errors[1:] @ self.weights), "validation_velocity_error": float(errors[0])}
+        after = zip(self.config.sweeps, errors[1:].tolist())
+        return found | {f"validation_velocity_error_{k}": error for k, error in after}
+
+
+def _by_shape(examples, size: int):
+    """Lists of up to `size` examples with windows of one shape, full ones first."""
+    waiting: dict[tuple, list] = {}
+    for example in examples:
+        batch = waiting.setdefault(example[0].image.shape, [])
+        batch.append(example)
+        if len(batch) == size:
+            yield waiting.pop(example[0].image.shape)
+    yield from waiting.values()

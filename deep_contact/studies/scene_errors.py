@@ -1,0 +1,61 @@
+"""Starts on the states of one run: sweeps to a threshold, and velocity errors after few sweeps."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from deep_contact.cnn.evaluation import velocity_errors
+from deep_contact.constants import THETA_TOLERANCE
+from deep_contact.physics.engine import solve
+from deep_contact.physics.solvers import PGS
+from deep_contact.simulation import simulate
+from deep_contact.state import State
+
+
+def errors_on_scene(
+    scene: State,
+    starts: Mapping[str, object],
+    *,
+    steps: int = 600,
+    every: int = 5,
+    sweeps: Sequence[int] = (0, 3, 10, 30, 100),
+    threshold: float = THETA_TOLERANCE,
+    most: int = 5000,
+) -> dict[str, np.ndarray]:
+    """Errors of several starts on the same states of one run, one state in `every` step that has contacts.
+
+    The run starts from Builtin and solves to `threshold`, as the training data did. The reference solution of each
+    state goes on from the run's, to θ < 1e-9 N·s or by 20,000 sweeps.
+    starts: name -> callable of `deep_contact.warm_start`; "builtin" has to be among them.
+    Returns {"step": (k,), "sweeps": {name: (k,) sweeps until θ ≤ threshold, at most `most`}, "errors": {name:
+    (k, len(sweeps)), `cnn.evaluation.velocity_errors`}}.
+    """
+    states: list[State] = []
+
+    def keep(state: State, record) -> None:
+        if state.step % every == 0 and state.contacts.count:
+            states.append(state)
+
+    to_threshold = PGS(sweeps=most, tolerance=threshold)
+    simulate(scene, steps=steps, solver=to_threshold, on_step=keep)
+    found: dict = {"step": [], "sweeps": {n: [] for n in starts}, "errors": {n: [] for n in starts}}
+    for state in states:
+        contacts = state.contacts
+        exact = solve(state, PGS(sweeps=20_000, tolerance=1e-9), contacts.normal_impulse, contacts.tangent_impulse)
+        contacts = contacts._replace(normal_impulse=exact.normal_impulses, tangent_impulse=exact.tangent_impulses)
+        state = state.replace(contacts=contacts)
+        given = {name: start(state, to_threshold) for name, start in starts.items()}
+        errors = {name: velocity_errors(state, impulses, sweeps) for name, impulses in given.items()}
+        if not all(np.isfinite(error).all() for error in errors.values()):
+            continue  # contacts without anything to solve
+        found["step"].append(state.step)
+        for name, impulses in given.items():
+            found["errors"][name].append(errors[name])
+            found["sweeps"][name].append(solve(state, to_threshold, *impulses).record.sweeps)
+    return {
+        "step": np.array(found["step"]),
+        "sweeps": {name: np.array(counts) for name, counts in found["sweeps"].items()},
+        "errors": {name: np.array(errors).reshape(-1, len(sweeps)) for name, errors in found["errors"].items()},
+    }
