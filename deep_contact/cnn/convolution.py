@@ -83,18 +83,16 @@ class Program:
 
     network: a `keras.Model` or a `model_file.StoredNetwork`. threads: at most so many work on a layer; the number
     changes no bit of the result. Do not call it from several threads at a time: they would share a workspace.
-    Raises ValueError where the network has other layers (see `supports`).
+    Raises ValueError where the network has other layers (see `layer_shapes`).
     """
 
     def __init__(self, network, shape: tuple[int, int], *, threads: int = 1):
-        if not supports(network):
-            raise ValueError(
-                f"network: expected the layers of architectures.far_field, got {sorted(weights_of(network))}"
-            )
-        self._weights_of = weights_of(network)
+        self._weights_of, found = weights_of(network), dimensions(network)
+        if found is None:
+            raise ValueError(f"network: expected the layers of architectures.far_field, got {sorted(self._weights_of)}")
         self._threads = threads
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
-        self._build(*shape)
+        self._build(*shape, *found)
         self.layers = np.array(self._layers, LAYER)
         self.nodes = np.concatenate(self._nodes)
         self.weights = np.concatenate(self._weights)
@@ -115,8 +113,7 @@ class Program:
                 _run_side_by_side(*given)
         return found.reshape(self.shape)
 
-    def _build(self, n_y, n_x):
-        channels, width = self._weights_of["to_second"][0].shape[2:]
+    def _build(self, n_y, n_x, channels, outputs, width):
         self.image_shape = n_y, n_x, channels
         image = self._image(n_y, n_x, channels)
         self.input = image.place, image.pitch
@@ -128,7 +125,6 @@ class Program:
         eighth = self._block("far", eighth)
         fourth = self._block("fourth_back", self._up("back_to_fourth", eighth[0], fourth[0]))
         second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
-        outputs = self._weights_of["coefficients"][0].shape[3]
         last = self._image(*sides[0], outputs)
         rows, columns = (np.arange(n) for n in sides[0])
         self._layer("coefficients", second[1].nodes(rows, columns), second[1], last.nodes(rows, columns), out=last)
@@ -215,21 +211,14 @@ def weights_of(network) -> dict[str, list[np.ndarray]]:
     return {layer.name: layer.get_weights() for layer in network.layers if layer.weights}
 
 
-def supports(network) -> bool:
-    """Whether a network has the layers of `architectures.far_field`, and no others with weights."""
+def dimensions(network) -> tuple[int, int, int] | None:
+    """(channels, outputs, width) of a network with the layers of `architectures.far_field`, None for any other."""
     found = {name: [array.shape for array in arrays] for name, arrays in weights_of(network).items()}
     try:
-        (_, _, channels, width), outputs = found["to_second"][0], found["coefficients"][0][-1]
+        (*_, channels, width), outputs = found["to_second"][0], found["coefficients"][0][-1]
     except (KeyError, IndexError, ValueError):
-        return False
-    return found == layer_shapes(channels, outputs, width)
-
-
-def shapes_of(network) -> tuple[tuple, tuple]:
-    """Shapes of what a network that is supported takes and gives, as `keras.Model` has them."""
-    weights = weights_of(network)
-    ends = weights["to_second"][0].shape[2], weights["coefficients"][0].shape[3]
-    return tuple((None, None, None, count) for count in ends)
+        return None
+    return (channels, outputs, width) if found == layer_shapes(channels, outputs, width) else None
 
 
 def _aligned(size: int) -> np.ndarray:
@@ -322,7 +311,7 @@ def _run(image, inlet, layers, nodes, weights, space, outlet, found):
 def _run_side_by_side(image, inlet, layers, nodes, weights, space, outlet, found):
     _put(image, inlet, space)
     for i in range(layers.shape[0]):
-        layer = layers[i]
-        for b in prange(layer.blocks):
-            _block(layer, b, nodes, weights, space)
+        for b in prange(layers[i].blocks):
+            # Numba hands an array to its threads, and no single record.
+            _block(layers[i], b, nodes, weights, space)
     _take(space, outlet, (image.shape[1] + 1) // 2, found)

@@ -16,7 +16,7 @@ import numpy as np
 
 from deep_contact.cnn import registry
 from deep_contact.cnn.backend import limit_threads, one_thread
-from deep_contact.cnn.convolution import Program, supports, weights_of
+from deep_contact.cnn.convolution import Program, dimensions, weights_of
 from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model
@@ -185,7 +185,7 @@ class FarFieldModel(LearnedModel):
         return self._padded(image)
 
     def _compile(self, shape):
-        if supports(self.source):
+        if dimensions(self.source):
             return Program(self.source, shape[:2], threads=self.threads)
         # In TensorFlow one program takes three quarters of the time that one call for each layer does.
         return compiled(self.network, shape, one_program=True)

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from deep_contact.cnn.convolution import shapes_of, supports
+from deep_contact.cnn.convolution import dimensions
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
 
@@ -104,7 +104,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coars
     path = Path(path)
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": int(coarsening), "box": size, "card": card}
-    _check_fit(model.input_shape, model.output_shape, spec, size, path)
+    _check_fit(model, spec, size, path)
     config = json.dumps(portable(json.loads(model.to_json()), path))
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.h5")
@@ -145,12 +145,10 @@ def read_model(path):
     """
     network, metadata = _read(Path(path))
     spec = spec_of(metadata, path)
-    if isinstance(spec, FarFieldSpec) and supports(network):
-        shapes = shapes_of(network)
-    else:
+    fits = dimensions(network) or (0, 0)
+    if not isinstance(spec, FarFieldSpec) or fits[:2] != (len(spec.channels), len(spec.targets)):
         network = network.build()
-        shapes = network.input_shape, network.output_shape
-    _check_fit(*shapes, spec, metadata["box"], path)
+        _check_fit(network, spec, metadata["box"], path)
     return network, spec, metadata
 
 
@@ -292,8 +290,9 @@ def _datasets(group, path, prefix: str = "") -> dict[str, np.ndarray]:
     return found
 
 
-def _check_fit(inputs, outputs, spec: ImageSpec | FarFieldSpec, box, path) -> None:
-    """Raise ModelFileError unless a network of these shapes takes the spec's images and gives its targets."""
+def _check_fit(model, spec: ImageSpec | FarFieldSpec, box, path) -> None:
+    """Raise ModelFileError unless a `keras.Model` takes the spec's images and gives its targets."""
+    inputs, outputs = model.input_shape, model.output_shape
     if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != len(spec.channels):
         raise ModelFileError(
             f"{path}: channels: expected a network of {len(spec.channels)} input channels "
