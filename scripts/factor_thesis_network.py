@@ -1,10 +1,10 @@
 """python scripts/factor_thesis_network.py runs/thesis/model.h5: make the thesis's network small enough to be tracked.
 
-258 MB, of which the last layer has 244. Its matrix W (8192 × 7442) is replaced by a product of rank r, the largest that
-keeps the file below --bytes; all other weights stay as they are. The product is a truncated singular value
-decomposition, not of W itself, most of which is still the noise it started from, but of what W makes of the features of
-training states: with Y = X W = U S Vᵀ, W V_r V_rᵀ is the matrix of rank r that changes the outputs for X least
-(Eckart, Young). The loss of accuracy is measured on test states and goes into the card.
+It has 258 MB, of which the last layer has 244. Its matrix W (8192 × 7442) is replaced by a product of rank r, the
+largest that keeps the file below --bytes; all other weights stay. W itself is mostly the noise of its initialisation,
+so the product is a truncated singular value decomposition of the outputs on the features X of training states: with
+Y = X W = U S Vᵀ, W V_r V_rᵀ is the matrix of rank r that changes the outputs for X least (Eckart, Young). The loss of
+accuracy is measured on test states and stored in the card.
 
 The full network is rebuilt by the command in its card: python scripts/train.py --architecture thesis …
 """
@@ -59,21 +59,19 @@ def factored(model, vectors: np.ndarray):
     return small
 
 
-def measured(model, batches, spec) -> dict[str, float]:
-    """Appendix B's loss, its absolute twin, and the share of the squared labels that is left as error."""
-    squares = absolutes = left = size = count = 0.0
-    for batch in batches.epoch(0):
-        made = model.predict_on_batch(batch.inputs).reshape(batch.labels.shape)
-        off = np.where(batch.labels != 0, made - batch.labels, 0.0)
-        squares += np.sum(np.mean(off**2, axis=(1, 2, 3)))
-        absolutes += np.sum(np.mean(np.abs(off), axis=(1, 2, 3)))
-        left += np.sum(off.astype(np.float64) ** 2)
-        size += np.sum(batch.labels.astype(np.float64) ** 2)
-        count += len(batch.inputs)
+def measured(model, batches) -> dict[str, float]:
+    """Appendix B's loss, the same with absolute values, and the root of the squared error over the squared labels."""
+    totals, count = np.zeros(3), 0
+    for batch in batches:
+        labels = batch.labels.astype(np.float64)
+        off = np.where(labels != 0, model.predict_on_batch(batch.inputs).reshape(labels.shape) - labels, 0.0)
+        totals += np.sum(off**2), np.sum(np.abs(off)), np.sum(labels**2)
+        count += labels.size
+    squares, absolutes, size = totals.tolist()
     return {
-        "masked_squared_error": float(squares / count),
-        "masked_absolute_error": float(absolutes / count),
-        "relative_error": float(np.sqrt(left / size)),
+        "masked_squared_error": squares / count,
+        "masked_absolute_error": absolutes / count,
+        "relative_error": (squares / size) ** 0.5,
     }
 
 
@@ -91,31 +89,28 @@ def main() -> int:
     given = parser.parse_args()
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.dataset import ImageBatches, Store
-    from deep_contact.cnn.evaluation import held_out_errors
+    from deep_contact.cnn.evaluation import BASELINES, held_out_errors
     from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model
     from deep_contact.cnn.model_file import save_model
-    from deep_contact.warm_start import Builtin, NoStart
+    from deep_contact.cnn.training.network import evenly
 
     limit_threads(given.threads)
     full = load_model(given.model)
     model, spec, box = full.network, full.spec, full.box
     store, split = Store(given.data), full.card["split"]
-    chosen = store.states(split["train"])
-    chosen = chosen[:: max(1, len(chosen) // given.states)]
+    chosen = evenly(store.states(split["train"]), given.states)
     batches = ImageBatches(store, split["train"], spec, states=chosen, shuffle=False)
     before = keras.Sequential([keras.Input(model.input_shape[1:]), *model.layers[:-1]])
-    features = np.concatenate([before.predict_on_batch(batch.inputs) for batch in batches.epoch(0)])
+    features = np.concatenate([before.predict_on_batch(batch.inputs) for batch in batches])
     rank = given.rank or largest_rank(model, given.bytes)
     small = factored(model, right_vectors(features, model.layers[-1].get_weights()[0], rank))
 
-    tested = store.states(split["test"])
-    tested = tested[:: max(1, len(tested) // given.held_out)]
+    tested = evenly(store.states(split["test"]), given.held_out)
     test = ImageBatches(store, split["test"], spec, states=tested, shuffle=False)
-    errors = {name: measured(network, test, spec) for name, network in (("full", model), ("factored", small))}
-    starts = {"none": NoStart(), "builtin": Builtin()}
-    for name, network in (("full", model), ("cnn", small)):
-        starts[name] = Cnn(LearnedModel(source=network, spec=spec, box=box))
-    held_out = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
+    errors = {name: measured(network, test) for name, network in (("full", model), ("factored", small))}
+    networks = {"full": model, "cnn": small}
+    starts = {name: Cnn(LearnedModel(source=network, spec=spec, box=box)) for name, network in networks.items()}
+    held_out = held_out_errors((store.state(*state) for state in tested.tolist()), BASELINES | starts)
     card = full.card | {
         "factored": {"rank": rank, "training_states": len(chosen), "errors": errors, "of": "the last Dense layer"},
         "held_out": held_out,

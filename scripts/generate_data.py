@@ -4,17 +4,17 @@
                                     [--out data/generated] [--jobs 2] [--scheduler ADDRESS] [--xml] [--gzip] [--quick]
     python scripts/generate_data.py --sample [--out data/sample]
 
-Writes <out>/sim_0000.h5, …, one file a simulation, as `deep_contact.cnn.dataset` describes it (data/README.md). States
-without contacts are left out. --xml also writes every state as <out>/xml/sim_0000/sim_0000_<step>.xml, with --gzip as
-.xml.gz. --quick is four short simulations of few circles, in <out>/quick. --sample writes the few states that are kept
-with the source.
+Writes <out>/sim_0000.h5, …, one file per simulation (`deep_contact.io.simulation_h5`, data/README.md), without the
+states that have no contacts. --xml also writes every state as <out>/xml/sim_0000/sim_0000_<step>.xml, with --gzip as
+.xml.gz. --quick makes four short simulations of few circles, in <out>/quick. --sample makes the few states that are
+tracked with the source.
 
-Simulation i depends on the seed and on i alone: the same bits whatever the number of simulations or jobs. It can be
-stopped at any moment and started again: what is finished stays, what is not leaves nothing behind.
+Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be
+stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind.
 
-With --scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`). They need no file system of this
-machine: they return every simulation as the bytes of its file, which this process writes, and what a worker that dies
-was at is done by another. XML files are made of these files afterwards, by processes of this machine.
+With --scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`). They need no shared file system: they
+return every simulation as the bytes of its file, which this process writes; the simulation of a worker that dies is
+repeated by another. XML files are made from these files afterwards, by processes of this machine.
 """
 
 from __future__ import annotations
@@ -27,14 +27,16 @@ import sys
 import time
 from concurrent.futures import Executor
 from contextlib import closing
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 import deep_contact as dc
 from deep_contact import constants, parallel
-from deep_contact.cnn.dataset import (
+from deep_contact.cnn.dataset import simulation_path
+from deep_contact.io.files import replacing
+from deep_contact.io.simulation_h5 import (
     PHASES,
     DataFileError,
     pack_simulation,
@@ -42,27 +44,25 @@ from deep_contact.cnn.dataset import (
     read_simulation,
     simulation_file,
     simulation_info,
-    simulation_path,
 )
 from deep_contact.io.state_xml import state_path, write_state
 from deep_contact.reporting import figures
-from deep_contact.reporting.results import replacing
 
 SWEEPS = 5000
-"""The most sweeps a step is given, as in the thesis's generator; those that need more are kept as they are."""
+"""Limit of sweeps in a step, as in the thesis's generator; states that need more are kept as they are."""
 
 FULL = {"simulations": 150, "steps": 600, "bodies": (70, 110)}
 QUICK = {"simulations": 4, "steps": 200, "bodies": (20, 30)}
 
 SAMPLE_SEED = 2019
-"""Of the tracked sample, so that it is of no data set made with the default seed."""
+"""Of the tracked sample, so that no data set with the default seed contains it."""
 
 SAMPLES_A_PHASE = 2
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Job:
-    """What a worker needs to make one simulation."""
+    """One simulation, as it is sent to a worker."""
 
     number: int
     seed: int
@@ -73,21 +73,26 @@ class Job:
     gzip: bool = False
 
     @property
-    def settings(self) -> dict:
-        """What decides the states, as it is kept in the file."""
-        return {"steps": self.steps, "bodies": list(self.bodies)}
+    def path(self) -> Path:
+        """The simulation's file."""
+        return simulation_path(self.out, self.number)
 
     @property
-    def origin(self) -> dict:
-        """Where the simulation's random numbers come from, as it is kept in the file."""
-        return {"entropy": self.seed, "spawn_key": [self.number]}
+    def xml_folder(self) -> Path:
+        """The folder of the simulation's XML files."""
+        return state_path(Path(self.out) / "xml", f"sim_{self.number:04d}", 0).parent
+
+    @property
+    def header(self) -> dict:
+        """Fields of the file's header that determine the states."""
+        options = {"steps": self.steps, "bodies": list(self.bodies)}
+        return {"seed": {"entropy": self.seed, "spawn_key": [self.number]}, "options": options}
 
 
 def make_simulation(job: Job) -> bytes:
     """The file of one simulation. Nothing is written here: a worker may be on another machine."""
     states, sweeps, theta = simulate(job)
-    packed = pack_simulation(states, sweeps=sweeps, theta=theta, seed=job.origin, options=job.settings)
-    return simulation_file(packed)
+    return simulation_file(pack_simulation(states, sweeps=sweeps, theta=theta, **job.header))
 
 
 def simulate(job: Job) -> tuple[list, list, list]:
@@ -110,15 +115,9 @@ def simulate(job: Job) -> tuple[list, list, list]:
     return states, sweeps, theta
 
 
-def xml_folder(job: Job) -> Path:
-    """The folder of one simulation's XML files."""
-    return state_path(Path(job.out) / "xml", f"sim_{job.number:04d}", 0).parent
-
-
 def write_xml(job: Job) -> None:
-    """Write every state of the simulation's file as XML, under a name of its own until the folder is complete."""
-    simulation = read_simulation(simulation_path(job.out, job.number))
-    final = xml_folder(job)
+    """Write every state of the simulation's file as XML, in a folder with a temporary name until it is complete."""
+    simulation, final = read_simulation(job.path), job.xml_folder
     unfinished = final.with_name(f".{final.name}.{os.getpid()}")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
@@ -134,9 +133,8 @@ def write_xml(job: Job) -> None:
 def make_sample(out: Path) -> None:
     """Two states of each phase of a full simulation as XML, and a short one of few circles as HDF5."""
     out.mkdir(parents=True, exist_ok=True)
-    run([Job(number=0, seed=SAMPLE_SEED, steps=QUICK["steps"], bodies=QUICK["bodies"], out=str(out))], 1)
-    full = Job(number=1, seed=SAMPLE_SEED, steps=FULL["steps"], bodies=FULL["bodies"], out=str(out))
-    states, _, _ = simulate(full)
+    run([Job(0, SAMPLE_SEED, QUICK["steps"], QUICK["bodies"], str(out))], 1)
+    states, _, _ = simulate(Job(1, SAMPLE_SEED, FULL["steps"], FULL["bodies"], str(out)))
     for name in PHASES:
         of_phase = [state for state in states if phase(state) == name]
         for i in range(SAMPLES_A_PHASE):
@@ -153,7 +151,7 @@ def remove_unfinished(out: Path) -> None:
 
 
 def is_running(process: int) -> bool:
-    """Whether a process of this number is running, as far as can be told without harm (on Windows, it cannot)."""
+    """Whether a process of this number is running; True on Windows, where the question would end the process."""
     if os.name == "nt":
         return True
     try:
@@ -166,29 +164,25 @@ def is_running(process: int) -> bool:
 
 
 def check_finished(jobs: list[Job]) -> int:
-    """How many simulations are there already. Raises DataFileError where one was made with other options."""
-    done = 0
-    for job in jobs:
-        path = simulation_path(job.out, job.number)
-        if not path.exists():
-            continue
-        header = simulation_info(path).header
-        for name, expected in (("seed", job.origin), ("options", job.settings)):
+    """Number of simulations that exist already. Raises DataFileError where one was made with other options."""
+    finished = [job for job in jobs if job.path.exists()]
+    for job in finished:
+        header = simulation_info(job.path).header
+        for name, expected in job.header.items():
             if header[name] != expected:
                 raise DataFileError(
-                    f"{path}: {name}: expected {expected}, got {header[name]}: made with other options; "
+                    f"{job.path}: {name}: expected {expected}, got {header[name]}: made with other options; "
                     "give another folder (--out) or remove it"
                 )
-        done += 1
-    return done
+    return len(finished)
 
 
 def run(jobs: list[Job], workers: int | Executor) -> None:
-    """Make the simulations that are missing, with a progress bar; every file is written here, as soon as it comes."""
-    missing = [job for job in jobs if not simulation_path(job.out, job.number).exists()]
+    """Make the simulations that are missing, with a progress bar; this process writes each file as it arrives."""
+    missing = [job for job in jobs if not job.path.exists()]
     with closing(parallel.finished(make_simulation, missing, jobs=workers)) as made:
         for i, data in figures.progress_bar(made, total=len(missing), text="simulations"):
-            with replacing(simulation_path(missing[i].out, missing[i].number)) as temporary:
+            with replacing(missing[i].path) as temporary:
                 temporary.write_bytes(data)
 
 
@@ -234,9 +228,8 @@ def parse(arguments=None) -> argparse.Namespace:
 
 def main(arguments=None) -> int:
     args = parse(arguments)
-    shared = asdict(Job(number=0, seed=args.seed, steps=args.steps, bodies=tuple(args.bodies), out=str(args.out)))
-    shared |= {"xml": args.xml, "gzip": args.gzip}
-    jobs = [Job(**{**shared, "number": i}) for i in range(args.simulations)]
+    first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.xml, args.gzip)
+    jobs = [replace(first, number=i) for i in range(args.simulations)]
     if args.sample:
         make_sample(args.out)
         return 0
@@ -249,7 +242,7 @@ def main(arguments=None) -> int:
             print(f"{done} of {len(jobs)} simulations are there already")
         with parallel.opened(args.jobs, args.scheduler) as workers:
             run(jobs, workers)
-        export([job for job in jobs if job.xml and not xml_folder(job).exists()], args.jobs)
+        export([job for job in jobs if job.xml and not job.xml_folder.exists()], args.jobs)
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
@@ -257,9 +250,8 @@ def main(arguments=None) -> int:
         # A full disk is an OSError or, from within HDF5, a RuntimeError.
         print(f"{args.out}: {error}", file=sys.stderr)
         return 1
-    paths = [simulation_path(job.out, job.number) for job in jobs]
-    states = sum(simulation_info(path).count for path in paths)
-    size = sum(path.stat().st_size for path in paths)
+    states = sum(simulation_info(job.path).count for job in jobs)
+    size = sum(job.path.stat().st_size for job in jobs)
     seconds = time.perf_counter() - begin
     print(f"{args.out}: {len(jobs)} simulations, {states} states, {size / 1e6:.1f} MB, {seconds:.1f} s")
     return 0

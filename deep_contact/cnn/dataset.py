@@ -106,11 +106,11 @@ class Store:
         """
         integer("stride", stride, 1)
         phases = (phases,) if isinstance(phases, str) else phases
-        wanted = None if phases is None else [PHASES.index(one_of("phases", name, PHASES)) for name in phases]
+        wanted = sorted({PHASES.index(one_of("phases", name, PHASES)) for name in phases or PHASES})
         found = []
         for sim in self.simulations if sims is None else sims:
             index = np.arange(self.info(sim).count)
-            if wanted is not None:
+            if len(wanted) < len(PHASES):
                 index = index[np.isin(self.simulation(sim).phases(), wanted)]
             found.append(np.stack([np.full_like(index, sim), index], axis=1)[::stride])
         return np.concatenate(found) if found else np.empty((0, 2), np.int64)

@@ -25,12 +25,13 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from deep_contact.cnn.images import check_fields
 from deep_contact.cnn.rows import bilinear_nodes, contact_problem, row_velocity
 from deep_contact.physics.contact_solver import apply_impulses
 from deep_contact.physics.engine import world_arguments
@@ -66,19 +67,9 @@ INPUTS = {
 }
 """Name -> channels. "bodies" are those of the thesis: where circles are, and how they move."""
 
-COEFFICIENTS = (
-    "stress_trace",
-    "stress_xx",
-    "stress_xy",
-    "stress_turn",
-    "builtin_normal_1",
-    "builtin_normal_xx",
-    "builtin_normal_xy",
-    "builtin_tangent",
-    "normal_residual_1",
-    "normal_residual_xx",
-    "normal_residual_xy",
-    "tangent_residual",
+COEFFICIENTS = tuple(
+    "stress_trace stress_xx stress_xy stress_turn builtin_normal_1 builtin_normal_xx builtin_normal_xy builtin_tangent "
+    "normal_residual_1 normal_residual_xx normal_residual_xy tangent_residual".split()
 )
 """What the network predicts at a node."""
 
@@ -133,16 +124,15 @@ class FarFieldSpec:
         return Grid(origin=(low[0] - spacing, low[1] - spacing), spacing=spacing, shape=shape)
 
     def to_dict(self) -> dict:
-        """All fields, and what they are for."""
-        return {"kind": "far field", **{field.name: getattr(self, field.name) for field in fields(self)}}
+        """All fields, and the kind of the spec."""
+        return {"kind": "far field", **asdict(self)}
 
     @classmethod
     def from_dict(cls, values: dict) -> FarFieldSpec:
         """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields."""
-        names = {"kind"} | {field.name for field in fields(cls)}
-        if not isinstance(values, dict) or set(values) != names or values["kind"] != "far field":
-            raise ValueError(f"far-field spec: expected the fields {', '.join(sorted(names))}, got {values!r}")
-        return cls(**{name: value for name, value in values.items() if name != "kind"})
+        values = dict(check_fields("far-field spec", values, {"kind"} | {field.name for field in fields(cls)}))
+        one_of("kind", values.pop("kind"), ("far field",))
+        return cls(**values)
 
 
 def window_side(cells: float) -> int:

@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -119,15 +119,8 @@ TARGETS: dict[str, Channel] = {
 THESIS_CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
 """The five inputs of the thesis's network, in its order."""
 
-SOLVER_CHANNELS = (
-    "contact_density",
-    "normal_xx",
-    "normal_xy",
-    "approach",
-    "slip",
-    "effective_mass",
-    "builtin_normal",
-    "builtin_tangent",
+SOLVER_CHANNELS = tuple(
+    "contact_density normal_xx normal_xy approach slip effective_mass builtin_normal builtin_tangent".split()
 )
 """What the solver knows of its contacts, free of the arbitrary sign of n."""
 
@@ -197,17 +190,20 @@ class ImageSpec:
 
     def to_dict(self) -> dict:
         """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in values.items()}
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
 
     @classmethod
     def from_dict(cls, values: dict) -> ImageSpec:
         """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields."""
-        names = {field.name for field in fields(cls)}
-        if not isinstance(values, dict) or set(values) != names:
-            got = sorted(values) if isinstance(values, dict) else values
-            raise ValueError(f"image spec: expected the fields {', '.join(sorted(names))}, got {got!r}")
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in values.items()})
+        return cls(**check_fields("image spec", values, {field.name for field in fields(cls)}))
+
+
+def check_fields(what: str, values, names: set[str]) -> dict:
+    """`values`, which has to be a dict with these names. Raises ValueError otherwise."""
+    if not isinstance(values, dict) or set(values) != names:
+        got = sorted(values) if isinstance(values, dict) else values
+        raise ValueError(f"{what}: expected the fields {', '.join(sorted(names))}, got {got!r}")
+    return values
 
 
 def _names(name: str, given, table) -> tuple[str, ...]:

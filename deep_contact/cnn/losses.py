@@ -98,14 +98,6 @@ class ContactBatch(NamedTuple):
     unit: np.ndarray
 
 
-INTEGER_FIELDS = ("node", "body", "state", "body_state")
-"""Fields of a `ContactBatch` that are int32."""
-
-FIELD_WIDTHS = {name: 2 for name in ContactBatch._fields} | {"node": 4, "node_weight": 4}
-FIELD_WIDTHS |= {"friction": None, "state": None, "body_weight": None, "body_state": None, "share": None}
-"""Second dimension of each field of a `ContactBatch`, None where there is none."""
-
-
 def read_at_contacts(images, batch: ContactBatch):
     """Impulses (K, 2) at the contacts from images (B, n_y, n_x, 2): `images.read_back`, differentiable."""
     nodes = ops.reshape(images, (-1, images.shape[-1]))
@@ -253,5 +245,5 @@ def contact_batch(parts: Sequence[dict], nodes: int, spec: ImageSpec, symmetries
         "unit": np.repeat([[1.0, -1.0 if mirrored else 1.0] for mirrored in sign], contacts, axis=0)
         * np.asarray(spec.target_scales),
     }
-    types = {name: np.int32 if name in INTEGER_FIELDS else np.float32 for name in ContactBatch._fields}
-    return ContactBatch(**{name: joined[name].astype(kind) for name, kind in types.items()})
+    types = {"i": np.int32, "f": np.float32}
+    return ContactBatch(**{name: array.astype(types[array.dtype.kind]) for name, array in joined.items()})

@@ -7,7 +7,7 @@ import numpy as np
 
 from deep_contact.cnn.far_field import corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
-from deep_contact.cnn.training.network import NetworkRun
+from deep_contact.cnn.training.network import NetworkRun, evenly
 
 _LEARN_FROM, _JUDGE_BY = 0.02, 0.05
 """Least relative error of Builtin's start in the states of the training and of the validation side."""
@@ -23,7 +23,7 @@ class FarFieldRun(NetworkRun):
         self.states = self._states_with_error(split.train, _LEARN_FROM)
         self.training_states = len(self.states)
         self.per_epoch = self.batches_per_epoch() * config.batch_size
-        self.validation = self.validation_states(self._states_with_error(split.validation, _JUDGE_BY))
+        self.validation = evenly(self._states_with_error(split.validation, _JUDGE_BY), config.validation_states)
         self.build(initial, **config.options)
         # Equal weight for each number of sweeps, although the errors get smaller.
         errors = self.errors(self.validation, learned=False)[:, 1:]

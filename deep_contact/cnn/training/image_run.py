@@ -9,12 +9,12 @@ import numpy as np
 from keras import ops
 
 from deep_contact.cnn import losses
-from deep_contact.cnn.dataset import PHASES, Batch, ImageBatches
+from deep_contact.cnn.dataset import Batch, ImageBatches
 from deep_contact.cnn.images import ImageSpec, augment
 from deep_contact.cnn.inference import padded_shape
 from deep_contact.cnn.losses import CONTACT_LOSSES, ContactBatch
 from deep_contact.cnn.training.config import TrainingConfig
-from deep_contact.cnn.training.network import NetworkRun
+from deep_contact.cnn.training.network import NetworkRun, evenly
 from deep_contact.physics.contact_solver import projected
 from deep_contact.validation import integer
 
@@ -122,17 +122,9 @@ class ImageRun(NetworkRun):
         super().__init__(config, store, split, spec)
         self.strategy = strategy or strategy_for(config, 1)
         self.devices = self.strategy.num_replicas_in_sync if self.strategy else 1
-        wanted = None if set(config.phases) == set(PHASES) else config.phases
-        batches = ImageBatches(
-            store,
-            split.train,
-            spec,
-            batch_size=config.batch_size,
-            seed=config.seed,
-            augment=config.augment,
-            drop_last=True,
-            states=store.states(split.train, phases=wanted),
-        )
+        options = {"batch_size": config.batch_size, "seed": config.seed, "augment": config.augment, "drop_last": True}
+        chosen = store.states(split.train, phases=config.phases)
+        batches = ImageBatches(store, split.train, spec, states=chosen, **options)
         self.training_states, self.shape = len(batches.states), batches.shape
         self.steps = self.batches_per_epoch()
         options = dict(config.options)
@@ -145,9 +137,9 @@ class ImageRun(NetworkRun):
             self.build(initial, **options)
         self.contact_loss = CONTACT_LOSSES.get(config.loss)
         self.images = ImageDataset(batches, coarsening=self.coarsening, contacts=self.contact_loss is not None)
-        chosen = self.validation_states(store.states(split.validation))
-        options = {"batch_size": config.batch_size, "shuffle": False, "states": chosen}
-        validation = ImageBatches(store, split.validation, spec, **options)
+        chosen = evenly(store.states(split.validation), config.validation_states)
+        options = {"batch_size": config.batch_size, "shuffle": False}
+        validation = ImageBatches(store, split.validation, spec, states=chosen, **options)
         self.validation = ImageDataset(validation, coarsening=self.coarsening, contacts=True)
         self.step, self.predict = _compiled_steps(self)
 
@@ -228,13 +220,8 @@ def _tensorflow_steps(run: ImageRun, penalized, predict):
     import tensorflow as tf
 
     model, optimizer, strategy, devices = run.model, run.optimizer, run.strategy, run.devices
-    nodes = (None, *padded_shape(run.shape, run.coarsening))
-    signature = [tf.TensorSpec((*nodes, len(names)), tf.float32) for names in (run.spec.channels, run.spec.targets)]
-    if run.contact_loss:
-        # One signature for all batches, whatever their number of contacts, so that they are traced once.
-        types = {name: tf.int32 if name in losses.INTEGER_FIELDS else tf.float32 for name in ContactBatch._fields}
-        shapes = {name: (None,) if width is None else (None, width) for name, width in losses.FIELD_WIDTHS.items()}
-        signature.append(ContactBatch(*(tf.TensorSpec(shapes[name], types[name]) for name in ContactBatch._fields)))
+    # One signature for all batches, whatever their number of contacts, so that they are traced once.
+    signature = keras.tree.map_structure(lambda x: tf.TensorSpec((None, *x.shape[1:]), x.dtype), list(run.images[0]))
     width = len(signature)
     normalizations = [layer for layer in model.layers if isinstance(layer, keras.layers.BatchNormalization)]
     if optimizer.global_clipnorm:

@@ -65,10 +65,6 @@ class NetworkRun:
             raise ValueError(f"batch_size: expected at most the {states} states to train on, got {size}")
         return max(1, min(states, self.config.states_per_epoch or states) // size)
 
-    def validation_states(self, states: np.ndarray) -> np.ndarray:
-        """About `config.validation_states` of the states (k, 2), evenly taken."""
-        return evenly(states, self.config.validation_states)
-
     def save(self, path, card: dict) -> None:
         """Write a model file; see `model_file.save_model`."""
         save_model(path, self.model, self.spec, card, coarsening=self.coarsening, box=self.box)
