@@ -282,7 +282,7 @@ def test_training_pads_as_inference_does(data, spacing):
     run.model.set_weights([rng.normal(0, 0.2, w.shape) for w in run.model.get_weights()])
     batch = run.images.batches.batch([store.states(split.train)[10]])
     images, _ = run.predict(*run.images.arrays(batch))
-    model = LearnedModel(keras=run.model, spec=run.spec, coarsening=run.coarsening)
+    model = LearnedModel(source=run.model, spec=run.spec, coarsening=run.coarsening)
     np.testing.assert_allclose(np.asarray(images)[0], model.run(batch.inputs[0]), rtol=1e-4, atol=1e-6)
 
 

@@ -50,7 +50,7 @@ class NetworkRun:
             self.model = architectures.build(config.architecture, **sizes, **options)
             self.coarsening = architectures.coarsening(config.architecture)
         else:
-            self.model, self.coarsening = initial.keras, initial.coarsening
+            self.model, self.coarsening = initial.network, initial.coarsening
         if config.optimizer == "sgd":
             self.optimizer = keras.optimizers.SGD(config.rate, momentum=config.momentum, global_clipnorm=config.clip)
         else:

@@ -151,7 +151,7 @@ def train(
     tested = evenly(store.states(split.test), held_out)
     errors = held_out_errors((store.state(*state) for state in tested.tolist()), BASELINES | {"cnn": Cnn(model)})
     more = {"best_epoch": best_epoch, "held_out": errors}
-    path = save_model(out / "model.h5", model.keras, run.spec, card(**more), coarsening=model.coarsening, box=run.box)
+    path = save_model(out / "model.h5", model.network, run.spec, card(**more), coarsening=model.coarsening, box=run.box)
     return Training(history, best_epoch, path, load_model(path))
 
 
