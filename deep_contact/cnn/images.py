@@ -38,7 +38,7 @@ from deep_contact.cnn.rows import contact_problem, row_velocities
 from deep_contact.physics.engine import world_arguments
 from deep_contact.sph import KERNELS, Grid, gather, splat
 from deep_contact.sph.grid import ROUNDING
-from deep_contact.state import Contacts, State, World, check_contacts
+from deep_contact.state import State, World, check_contacts
 from deep_contact.validation import flag, integer, number, one_of
 
 # Every particle is mapped. Where h < d / √2 some particles have no node within h: they go to the nearest node, since
@@ -48,7 +48,7 @@ _REACH = {"unreached": "nearest", "outside": "clamp"}
 
 
 class _View:
-    """A state, with what several channels need of it computed once."""
+    """A state; quantities that several channels need are computed once."""
 
     def __init__(self, state: State):
         if state.contacts is None:
@@ -68,7 +68,7 @@ class _View:
         c, (rhs, mass) = self.contacts, np.split(self.rows, [2], axis=1)
         carried = np.stack([c.normal_start, c.tangent_start], axis=1) / mass
         s = math.sqrt(np.mean(rhs * rhs) + np.mean(carried * carried)) if rhs.size else 0.0
-        # A subnormal scale would turn zeros into infinities.
+        # Division by a subnormal scale would overflow.
         return s if s > 1e-150 else 1.0
 
 
@@ -122,7 +122,7 @@ THESIS_CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
 SOLVER_CHANNELS = tuple(
     "contact_density normal_xx normal_xy approach slip effective_mass builtin_normal builtin_tangent".split()
 )
-"""What the solver knows of its contacts, free of the arbitrary sign of n."""
+"""Contacts before the first sweep, independent of the arbitrary sign of n."""
 
 CHANNEL_SETS = {
     "thesis": THESIS_CHANNELS,
@@ -297,18 +297,10 @@ def _image(view: _View, spec: ImageSpec, names, table, scales, normalization) ->
         values = np.empty((particles.position.shape[0], len(chosen)))
         for column, i in enumerate(chosen):
             channel = table[names[i]]
-            divisor = scales[i] * (view.scale if spec.scale_free and channel.degree else 1.0)
-            values[:, column] = channel.value(view)
-            values[:, column] /= divisor
-        layers = splat(
-            grid,
-            particles.position,
-            values,
-            h=spec.support,
-            kernel=spec.kernel,
-            normalization=normalization,
-            **_REACH,
-        )
+            scale = view.scale if spec.scale_free and channel.degree else 1.0
+            values[:, column] = channel.value(view) / (scales[i] * scale)
+        options = {"h": spec.support, "kernel": spec.kernel, "normalization": normalization, **_REACH}
+        layers = splat(grid, particles.position, values, **options)
         if len(chosen) == len(names):
             return layers.astype(np.float32)
         image[:, :, chosen] = layers
@@ -321,11 +313,11 @@ SYMMETRIES = tuple(range(8))
 
 
 def symmetries(spec: ImageSpec, world: World) -> tuple[int, ...]:
-    """Which of the eight symmetries `augment` can apply to this spec's images exactly.
+    """The symmetries, of all eight, that `augment` can apply to this spec's images exactly.
 
-    A quarter turn needs a square box and both parts of every vector among the channels: the thesis's normal_x alone
-    leaves the two mirrors and the half turn. None but 0 where the spacing does not divide the box, as the nodes then
-    do not lie symmetrically.
+    A quarter turn needs a square box and both parts of every vector among the channels: with the thesis's normal_x
+    alone, two mirrors and the half turn are left. Where the spacing does not divide the box, the nodes do not lie
+    symmetrically, and only 0 is left.
     """
     x_min, y_min, x_max, y_max = world.box
     cells = np.array([x_max - x_min, y_max - y_min]) / spec.spacing
@@ -338,10 +330,10 @@ def symmetries(spec: ImageSpec, world: World) -> tuple[int, ...]:
 
 
 def augment(inputs, labels, spec: ImageSpec, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Input and label image, (…, n_y, n_x, channels), of the state that symmetry k makes of theirs.
+    """Input and label image, (…, n_y, n_x, channels), turned by symmetry k, one of `symmetries(spec, world)`.
 
-    Equal to the images of `transform_state(state, k)` up to rounding, for k among `symmetries(spec, world)`.
-    Raises ValueError on another k where the channels show it.
+    They equal the images of `transform_state(state, k)` up to rounding. Raises ValueError where the channels or the
+    shape exclude k.
     """
     turned = _turn(inputs, spec.channels, CHANNELS, spec.scales, k)
     return turned, _turn(labels, spec.targets, TARGETS, spec.target_scales, k)
@@ -358,7 +350,7 @@ def transform_state(state: State, k: int) -> State:
     m = _matrix(k)
 
     def moved(points):
-        # As distances from the walls, which stay exact where x_max - x is.
+        # As distances from the walls: x_max - x is exact near the wall.
         x, y = points[:, 0] - x_min, points[:, 1] - y_min
         x = width - x if mirrored else x
         for turn in range(turns):
@@ -380,15 +372,11 @@ def transform_state(state: State, k: int) -> State:
     contacts, n = state.contacts, state.bodies.count
     # Walls are numbered counter-clockwise from the bottom; the mirror swaps right and left.
     wall = ((-1 if mirrored else 1) * (contacts.body_b - n) + turns) % 4
-    found = Contacts(
-        body_a=contacts.body_a,
+    found = contacts._replace(
         body_b=np.where(contacts.body_b < n, contacts.body_b, n + wall),
         position=moved(contacts.position),
         normal=contacts.normal @ m.T,
-        separation=contacts.separation,
-        normal_impulse=contacts.normal_impulse,
         tangent_impulse=sign * contacts.tangent_impulse,
-        normal_start=contacts.normal_start,
         tangent_start=sign * contacts.tangent_start,
     )
     return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies))

@@ -1,4 +1,4 @@
-"""What runs of all kinds have in common: the network, its optimizer, and what a model file and a checkpoint hold."""
+"""The common part of all runs: the network, its optimizer, model files and checkpoints."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ class Checkpoint(NamedTuple):
 
 
 class NetworkRun:
-    """A network in training. Subclasses set `box`, `training_states` and `steps`, and have `epoch` and `validate`.
+    """A network in training. Subclasses have `epoch` and `validate`, and set the attributes below.
 
-    box: the world's box that a network of one size is made for, or None. training_states: how many there are.
-    steps: batches of an epoch, or None where their number is not known before.
+    box: the world's box of a network of one size, or None. training_states: their number. steps: number of batches of
+    an epoch, or None if it is unknown.
     """
 
     def __init__(self, config: TrainingConfig, store: Store, split: Split, spec: ImageSpec | FarFieldSpec):
@@ -70,7 +70,7 @@ class NetworkRun:
         save_model(path, self.model, self.spec, card, coarsening=self.coarsening, box=self.box)
 
     def card(self) -> dict:
-        """What a model file says of the network and its training."""
+        """Fields of the model card about the network and its training."""
         return {
             "architecture": self.config.architecture,
             "options": dict(self.config.options),
