@@ -163,9 +163,11 @@ def asked(start: WarmStart, state: State, solver, problem: StepProblem | None = 
     """The impulses of a start, (m,) each, N·s.
 
     problem: the state's contact problem, if it has been built. A start with a method `from_problem(state, solver,
-    problem)` is handed it, so that rows are built once a step. Starts work in float64, so others are not handed on.
+    problem)` is handed it, so that rows are built once a step. Starts work in float64 with tangents, so other problems
+    are not handed on.
     """
-    if problem is None or not hasattr(start, "from_problem") or problem.solver_bodies.dtype != np.float64:
+    fits = problem is not None and problem.friction is not None and problem.solver_bodies.dtype == np.float64
+    if not (fits and hasattr(start, "from_problem")):
         return start(state, solver)
     return start.from_problem(state, solver, problem)
 

@@ -32,9 +32,21 @@ import numpy as np
 from numba import njit
 
 from deep_contact.cnn.images import check_fields
-from deep_contact.cnn.rows import bilinear_nodes, contact_problem, row_velocity
-from deep_contact.physics.contact_solver import apply_impulses
-from deep_contact.physics.engine import world_arguments
+from deep_contact.cnn.rows import bilinear_nodes, row_velocity
+from deep_contact.physics.contact_solver import (
+    BODY_B,
+    N_X,
+    N_Y,
+    NORMAL,
+    NORMAL_MASS,
+    TANGENT,
+    TANGENT_MASS,
+    V_S,
+    V_X,
+    V_Y,
+    apply_impulses,
+)
+from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
 from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
 from deep_contact.sph.kernels import kernel_number
@@ -164,8 +176,10 @@ class Description(NamedTuple):
     unsolved: float
 
 
-def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description:
+def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None) -> Description:
     """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
+
+    problem: the state's contact problem in float64 with tangents, if it has been built (`engine.step_problem`).
 
     Raises ValueError if there is no contact, or contacts have not been searched.
     """
@@ -173,7 +187,9 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description
         raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
-    found = _measure(state.bodies, state.contacts, world_arguments(state), state.dt, symmetry >= 4, symmetry % 4)
+    rows, free, _ = step_problem(state) if problem is None else problem
+    world = state.world
+    found = _measure(state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4)
     # In NumPy, whose arsinh is vectorised.
     np.arcsinh(found.contact_sizes, out=found.contact_sizes)
     np.arcsinh(found.body_sizes, out=found.body_sizes)
@@ -243,11 +259,9 @@ class _Measured(NamedTuple):
 
 
 @njit(cache=True, error_model="numpy")
-def _measure(bodies, contacts, world, dt, mirrored, turns):
-    """`_Measured` of a state with contacts."""
-    box, friction = world[0], world[2]
+def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
+    """`_Measured` of a state with contacts, its rows and its solver bodies before impulses."""
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
-    rows, free = contact_problem(bodies, contacts, world, dt)
     after = free.copy()
     apply_impulses(rows, after)
 
@@ -255,8 +269,8 @@ def _measure(bodies, contacts, world, dt, mirrored, turns):
     residual = np.empty((m, 2))
     unsolved, carried = 0.0, 0.0
     for i in range(m):
-        k_n, k_t = rows.data[i, 2], rows.data[i, 3]
-        p_n, p_t = rows.impulse[i, 0], rows.impulse[i, 1]
+        k_n, k_t = rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
+        p_n, p_t = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
         v_n, v_t = row_velocity(rows, after, i)
         largest = friction * p_n
         residual[i, 0] = max(-v_n, -p_n / k_n)
@@ -278,21 +292,21 @@ def _measure(bodies, contacts, world, dt, mirrored, turns):
     features = np.zeros((m, 12, 2))
     x_low, x_high, y_low, y_high = np.inf, -np.inf, np.inf, -np.inf
     for i in range(m):
-        n_x, n_y = sign * rows.data[i, 0], rows.data[i, 1]
+        n_x, n_y = sign * rows.data[i, N_X], rows.data[i, N_Y]
         n_x, n_y = c * n_x - s * n_y, s * n_x + c * n_y
         x, y = sign * (contacts.position[i, 0] - x_m), contacts.position[i, 1] - y_m
         x, y = x_m + c * x - s * y, y_m + s * x + c * y
         x_low, x_high, y_low, y_high = min(x_low, x), max(x_high, x), min(y_low, y), max(y_high, y)
         point[i, 0], point[i, 1] = x, y
         normal[i, 0], normal[i, 1] = n_x, n_y
-        k_n, k_t = rows.data[i, 2], rows.data[i, 3]
+        k_n, k_t = rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
         v_n, v_t = row_velocity(rows, free, i)
-        p_n, p_t = rows.impulse[i, 0], sign * rows.impulse[i, 1]
+        p_n, p_t = rows.impulse[i, NORMAL], sign * rows.impulse[i, TANGENT]
         sizes[i, 0], sizes[i, 1] = v_n / scale, sign * v_t / scale
         sizes[i, 2], sizes[i, 3] = p_n / (k_n * scale), p_t / (k_n * scale)
         r_n, r_t = residual[i, 0] / scale, sign * residual[i, 1] / scale
         residual[i, 0], residual[i, 1] = r_n, r_t
-        wall[i] = 1.0 if rows.body[i, 1] >= n else 0.0
+        wall[i] = 1.0 if rows.body[i, BODY_B] >= n else 0.0
         xx, xy = n_x * n_x - n_y * n_y, 2.0 * n_x * n_y
         unit = k_n * scale
         F = features[i]
@@ -316,10 +330,10 @@ def _measure(bodies, contacts, world, dt, mirrored, turns):
         centre[i, 0], centre[i, 1] = x_m + c * x - s * y, y_m + s * x + c * y
         for j in range(2):
             velocity = free if j == 0 else after
-            v_x, v_y = sign * velocity[i, 0], velocity[i, 1]
+            v_x, v_y = sign * velocity[i, V_X], velocity[i, V_Y]
             moving[i, 3 * j] = (c * v_x - s * v_y) / scale
             moving[i, 1 + 3 * j] = (s * v_x + c * v_y) / scale
-            moving[i, 2 + 3 * j] = sign * velocity[i, 2] / scale
+            moving[i, 2 + 3 * j] = sign * velocity[i, V_S] / scale
     low, high = (x_low, y_low), (x_high, y_high)
     start, unsolved = rows.impulse.copy(), unsolved / max(carried, 1e-300)
     return _Measured(

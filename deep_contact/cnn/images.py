@@ -34,8 +34,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.cnn.rows import contact_problem, row_velocities
-from deep_contact.physics.engine import world_arguments
+from deep_contact.cnn.rows import row_velocities
+from deep_contact.physics.contact_solver import NORMAL_MASS, V_X, V_Y
+from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import KERNELS, Grid, gather, splat
 from deep_contact.sph.grid import ROUNDING
 from deep_contact.state import State, World, check_contacts
@@ -47,7 +48,7 @@ from deep_contact.validation import flag, integer, number, one_of
 _REACH = {"unreached": "nearest", "outside": "clamp"}
 
 
-class _View:
+class View:
     """A state; quantities that several channels need are computed once."""
 
     def __init__(self, state: State):
@@ -58,10 +59,14 @@ class _View:
         self.contacts = state.contacts
 
     @cached_property
+    def problem(self) -> StepProblem:
+        return step_problem(self.state)
+
+    @cached_property
     def rows(self) -> np.ndarray:
         """(m, 3): right-hand sides of the normal row (v_n − target) and the friction row, m/s; normal mass, kg."""
-        rows, free = contact_problem(self.bodies, self.contacts, world_arguments(self.state), self.state.dt)
-        return np.column_stack([row_velocities(rows, free), rows.data[:, 2]])
+        rows, free, _ = self.problem
+        return np.column_stack([row_velocities(rows, free), rows.data[:, NORMAL_MASS]])
 
     @cached_property
     def scale(self) -> float:
@@ -94,8 +99,8 @@ class Channel(NamedTuple):
 
 CHANNELS: dict[str, Channel] = {
     "mass": Channel("bodies", lambda v: v.bodies.mass, 0, "scalar"),
-    "velocity_x": Channel("bodies", lambda v: v.bodies.velocity[:, 0], 1, "x", "velocity_y"),
-    "velocity_y": Channel("bodies", lambda v: v.bodies.velocity[:, 1], 1, "y", "velocity_x"),
+    "velocity_x": Channel("bodies", lambda v: v.bodies.velocity[:, V_X], 1, "x", "velocity_y"),
+    "velocity_y": Channel("bodies", lambda v: v.bodies.velocity[:, V_Y], 1, "y", "velocity_x"),
     "spin": Channel("bodies", lambda v: v.bodies.spin, 1, "pseudo"),
     "normal_x": Channel("contacts", lambda v: v.contacts.normal[:, 0], 0, "x", "normal_y"),
     "normal_y": Channel("contacts", lambda v: v.contacts.normal[:, 1], 0, "y", "normal_x"),
@@ -235,7 +240,7 @@ def state_scale(state: State) -> float:
     simulations of the data set, the logarithm of ‖λ‖ / s has a standard deviation of 1.25 without the carried impulses
     and of 0.62 with them.
     """
-    return _View(state).scale
+    return View(state).scale
 
 
 def input_image(state: State, spec: ImageSpec) -> np.ndarray:
@@ -243,7 +248,7 @@ def input_image(state: State, spec: ImageSpec) -> np.ndarray:
 
     Raises ValueError where the state has no contacts yet, or holds what is not finite.
     """
-    return _image(_View(state), spec, spec.channels, CHANNELS, spec.scales, spec.normalization)
+    return _image(View(state), spec, spec.channels, CHANNELS, spec.scales, spec.normalization)
 
 
 def label_image(state: State, spec: ImageSpec) -> np.ndarray:
@@ -251,12 +256,12 @@ def label_image(state: State, spec: ImageSpec) -> np.ndarray:
 
     Raises ValueError where the state has not been solved.
     """
-    return _label(_View(state), spec)
+    return _label(View(state), spec)
 
 
 def image_pair(state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndarray, float]:
     """`input_image`, `label_image` and the scale s that both were divided by (1 if the spec is not scale-free)."""
-    view = _View(state)
+    view = View(state)
     image = _image(view, spec, spec.channels, CHANNELS, spec.scales, spec.normalization)
     return image, _label(view, spec), view.scale if spec.scale_free else 1.0
 
@@ -267,7 +272,7 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
     image: (n_y, n_x, targets), in the network's units. Nothing is projected on the friction cone here.
     Raises ValueError where the image does not fit the spec, or is not finite around a contact.
     """
-    view = _View(state)
+    view = View(state)
     given = np.asarray(image, dtype=np.float64)
     expected = (*spec.shape(state.world), len(spec.targets))
     if given.shape != expected:
@@ -280,14 +285,14 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
     return tuple(np.ascontiguousarray(column) for column in values.T)
 
 
-def _label(view: _View, spec: ImageSpec) -> np.ndarray:
+def _label(view: View, spec: ImageSpec) -> np.ndarray:
     if not view.state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
     # "consistent" differs in the gather alone: its image is that of "particle".
     return _image(view, spec, spec.targets, TARGETS, spec.target_scales, "particle")
 
 
-def _image(view: _View, spec: ImageSpec, names, table, scales, normalization) -> np.ndarray:
+def _image(view: View, spec: ImageSpec, names, table, scales, normalization) -> np.ndarray:
     grid = spec.grid(view.state.world)
     image = np.empty((*grid.shape, len(names)), np.float32)
     for of, particles in (("bodies", view.bodies), ("contacts", view.contacts)):

@@ -21,7 +21,7 @@ from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, descr
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model
 from deep_contact.physics.contact_solver import projected
-from deep_contact.physics.engine import solve
+from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 
@@ -287,18 +287,22 @@ class Guarded:
         object.__setattr__(self, "model", model)
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        return self.from_problem(state, solver, step_problem(state))
+
+    def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
+        """The start from rows that have been built: for the description, and for the trial sweeps."""
         contacts = state.contacts
         builtin = contacts.normal_start.copy(), contacts.tangent_start.copy()
         if contacts.count == 0:
             return builtin
-        description = describe(state, self.model.spec)
+        description = describe(state, self.model.spec, problem=problem)
         if description.unsolved < self.least:
             return builtin
         learned = projected(*self.model.correct(state, description), state.world.friction)
         if self.trial == 0:
             return learned
         tried = PGS(sweeps=self.trial, tolerance=None)
-        theta = [solve(state, tried, *start).record.theta[-1] for start in (builtin, learned)]
+        theta = [solve(state, tried, *start, problem).record.theta[-1] for start in (builtin, learned)]
         return learned if theta[1] <= self.margin * theta[0] else builtin
 
 

@@ -18,10 +18,17 @@ import numpy as np
 
 from deep_contact import sph
 from deep_contact.cnn.backend import keras
-from deep_contact.cnn.images import ImageSpec, state_scale
-from deep_contact.cnn.rows import bilinear_nodes, contact_problem, row_velocities
-from deep_contact.physics.contact_solver import Rows, apply_impulses
-from deep_contact.physics.engine import world_arguments
+from deep_contact.cnn.images import ImageSpec, View
+from deep_contact.cnn.rows import bilinear_nodes, row_velocities
+from deep_contact.physics.contact_solver import (
+    ARM_A,
+    ARM_B,
+    INVERSE_MASS,
+    NORMAL_MASS,
+    TANGENT_MASS,
+    Rows,
+    apply_impulses,
+)
 from deep_contact.state import State
 
 ops = keras.ops
@@ -171,18 +178,18 @@ def state_contacts(state: State, spec: ImageSpec) -> dict[str, np.ndarray]:
     """
     if state.contacts is None or not state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
-    contacts, mass = state.contacts, state.bodies.mass
-    rows, free = contact_problem(state.bodies, contacts, world_arguments(state), state.dt)
-    effective_mass, inverse_mass = rows.data[:, 2:4], free[:, 3][rows.body]
+    contacts, mass, view = state.contacts, state.bodies.mass, View(state)
+    rows, free, _ = view.problem
+    effective_mass, inverse_mass = rows.data[:, NORMAL_MASS : TANGENT_MASS + 1], free[:, INVERSE_MASS][rows.body]
     impulse = np.stack([contacts.normal_impulse, contacts.tangent_impulse], axis=1)
     change = np.zeros_like(free)
-    change[:, 3] = free[:, 3]
+    change[:, INVERSE_MASS] = free[:, INVERSE_MASS]
     apply_impulses(Rows(rows.body, rows.data, impulse), change)
     # Twice the energies, J, of v* − v⁻, and of the impulses row by row; s = ω r has half the inertia of the mass.
     body_energy = mass @ (change[: len(mass), :3] ** 2 @ [1.0, 1.0, 0.5])
     row_energy = np.sum(impulse**2 / effective_mass)
     floor = _FLOOR * np.sum(effective_mass * row_velocities(rows, free) ** 2)
-    scale = state_scale(state) if spec.scale_free else 1.0
+    scale = view.scale if spec.scale_free else 1.0
     node, node_weight = gather_weights(state, spec)
     return {
         "node": node,
@@ -192,7 +199,7 @@ def state_contacts(state: State, spec: ImageSpec) -> dict[str, np.ndarray]:
         "impulse_weight": scale**2 / max(row_energy + floor, 1e-300) / effective_mass,
         "body": rows.body.astype(np.int64),
         "inverse_mass": inverse_mass,
-        "arm": rows.data[:, 4:6],
+        "arm": rows.data[:, ARM_A : ARM_B + 1],
         "normal": contacts.normal,
         "friction": np.full(contacts.count, state.world.friction),
         "body_weight": mass * (scale**2 / max(body_energy + floor, 1e-300)),

@@ -19,9 +19,25 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.cnn.rows import contact_problem, row_velocity
-from deep_contact.physics.contact_solver import Rows, apply_impulses, projected
-from deep_contact.physics.engine import world_arguments
+from deep_contact.cnn.rows import row_velocity
+from deep_contact.physics.contact_solver import (
+    ARM_A,
+    ARM_B,
+    BODY_A,
+    BODY_B,
+    INVERSE_MASS,
+    N_X,
+    N_Y,
+    NORMAL_MASS,
+    TANGENT_MASS,
+    V_S,
+    V_X,
+    V_Y,
+    Rows,
+    apply_impulses,
+    projected,
+)
+from deep_contact.physics.engine import step_problem
 from deep_contact.state import State
 from deep_contact.validation import one_of
 
@@ -50,9 +66,9 @@ def solved_problem(state: State) -> SolvedProblem:
     """The contact problem of a solved state. Raises ValueError on a state that is not solved."""
     if state.contacts is None or not state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
-    rows, free = contact_problem(state.bodies, state.contacts, world_arguments(state), state.dt)
+    rows, free, friction = step_problem(state)
     solution = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
-    return SolvedProblem(rows, free, solution, state.world.friction)
+    return SolvedProblem(rows, free, solution, friction)
 
 
 MEASURES = ("velocity", "residual")
@@ -90,7 +106,7 @@ def loss_and_gradient(
 
 def impulse_loss(problem: SolvedProblem, start: np.ndarray) -> tuple[float, np.ndarray]:
     """(loss, gradient (m, 2)): ‖λ − λ*‖ / ‖λ*‖ in the norm Σ λ² / k with the effective masses k; 0 where λ* = 0."""
-    weight = 1.0 / problem.rows.data[:, 2:4]
+    weight = 1.0 / problem.rows.data[:, NORMAL_MASS : TANGENT_MASS + 1]
     size = math.sqrt(np.sum(weight * problem.solution**2))
     if size == 0.0:
         return 0.0, np.zeros(problem.solution.shape)
@@ -115,7 +131,7 @@ def _errors_and_gradient(problem, start, sweeps, weights, residual):
     by_velocities, by_impulses = np.zeros((kept.size, n + 4, 3)), np.zeros_like(impulses)
     errors, goal = np.zeros(sweeps.size), free
     if residual:
-        metric = 1.0 / rows.data[:, 2:4]
+        metric = 1.0 / rows.data[:, NORMAL_MASS : TANGENT_MASS + 1]
         size = _norm(metric, _sweeps(rows, free, friction, np.zeros_like(start), np.ones(1, np.int64))[0][0])
     else:
         # s = ω r has half the inertia of the mass.
@@ -211,8 +227,8 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
     and the engine's own sweep does not keep them.
     """
     for i in range(rows.body.shape[0]):
-        a, b = rows.body[i, 0], rows.body[i, 1]
-        n_x, n_y, k_n, k_t = rows.data[i, 0], rows.data[i, 1], rows.data[i, 2], rows.data[i, 3]
+        a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+        n_x, n_y, k_n, k_t = rows.data[i, N_X], rows.data[i, N_Y], rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
         v_n, v_t = row_velocity(rows, velocity, i)
         old_n, old_t = impulse[i, 0], impulse[i, 1]
         largest = friction * old_n
@@ -227,13 +243,13 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
         impulse[i, 0], impulse[i, 1] = new_n, new_t
         p_n, p_t = new_n - old_n, new_t - old_t
         p_x, p_y = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x
-        w_a, w_b = velocity[a, 3], velocity[b, 3]
-        velocity[a, 0] -= w_a * p_x
-        velocity[a, 1] -= w_a * p_y
-        velocity[a, 2] += 2.0 * w_a * rows.data[i, 4] * p_t
-        velocity[b, 0] += w_b * p_x
-        velocity[b, 1] += w_b * p_y
-        velocity[b, 2] += 2.0 * w_b * rows.data[i, 5] * p_t
+        w_a, w_b = velocity[a, INVERSE_MASS], velocity[b, INVERSE_MASS]
+        velocity[a, V_X] -= w_a * p_x
+        velocity[a, V_Y] -= w_a * p_y
+        velocity[a, V_S] += 2.0 * w_a * rows.data[i, ARM_A] * p_t
+        velocity[b, V_X] += w_b * p_x
+        velocity[b, V_Y] += w_b * p_y
+        velocity[b, V_S] += 2.0 * w_b * rows.data[i, ARM_B] * p_t
 
 
 @njit(cache=True)
@@ -243,9 +259,9 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
     velocity: any packed velocities, for their inverse masses. by_velocity: (n + 4, 3). by_impulse: (m, 2).
     """
     for i in range(rows.body.shape[0] - 1, -1, -1):
-        a, b = rows.body[i, 0], rows.body[i, 1]
-        n_x, n_y, k_n, k_t = rows.data[i, 0], rows.data[i, 1], rows.data[i, 2], rows.data[i, 3]
-        arm_a, arm_b = rows.data[i, 4], rows.data[i, 5]
+        a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+        n_x, n_y, k_n, k_t = rows.data[i, N_X], rows.data[i, N_Y], rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
+        arm_a, arm_b = rows.data[i, ARM_A], rows.data[i, ARM_B]
         d_n, d_t = _by_change(rows, velocity, by_velocity, i)
         # Derivatives by the changes p_n and p_t of this contact's impulses.
         d_n += by_impulse[i, 0]
@@ -274,9 +290,9 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
 @njit(cache=True)
 def _by_change(rows, velocity, by_velocity, i):
     """Derivative by a normal and by a tangent impulse of contact i through the velocities that they change."""
-    a, b = rows.body[i, 0], rows.body[i, 1]
-    n_x, n_y, arm_a, arm_b = rows.data[i, 0], rows.data[i, 1], rows.data[i, 4], rows.data[i, 5]
-    w_a, w_b = velocity[a, 3], velocity[b, 3]
+    a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+    n_x, n_y, arm_a, arm_b = rows.data[i, N_X], rows.data[i, N_Y], rows.data[i, ARM_A], rows.data[i, ARM_B]
+    w_a, w_b = velocity[a, INVERSE_MASS], velocity[b, INVERSE_MASS]
     g_x = w_b * by_velocity[b, 0] - w_a * by_velocity[a, 0]
     g_y = w_b * by_velocity[b, 1] - w_a * by_velocity[a, 1]
     turn = 2.0 * (w_a * arm_a * by_velocity[a, 2] + w_b * arm_b * by_velocity[b, 2])

@@ -173,7 +173,7 @@ def corner_weights(s, t):
 
 
 @njit(cache=True, error_model="numpy")
-def _bilinear_weights(geometry, n_y, n_x, x, y, weights):
+def bilinear_weights(geometry, n_y, n_x, x, y, weights):
     """Fill `weights` for the corners of the cell around (x, y); returns as `_kernel_weights`."""
     i, s = cell_of(x, geometry[0], geometry[2], n_x)
     j, t = cell_of(y, geometry[1], geometry[3], n_y)
@@ -296,7 +296,7 @@ def _gather_core(geometry, image, density, position, h, kernel, method, unreache
         if method == _SPH:
             i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights)
         else:
-            i0, i1, j0, j1, total = _bilinear_weights(geometry, n_y, n_x, x, y, weights)
+            i0, i1, j0, j1, total = bilinear_weights(geometry, n_y, n_x, x, y, weights)
         if density.shape[0] > 0:
             total = _density_at(weights, density, i0, i1, j0, j1)
         if not total > 0.0 and unreached == _NEAREST:

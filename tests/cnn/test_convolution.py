@@ -6,7 +6,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import sph
 from deep_contact.cnn import far_field
-from deep_contact.physics.engine import world_arguments
+from deep_contact.physics.engine import step_problem
 
 CHANNELS, OUTPUTS = 29, 12
 
@@ -81,7 +81,9 @@ def test_the_image_is_the_splat_of_the_contacts_and_of_the_circles(support):
     spec = far_field.FarFieldSpec(support=support)
     state = dc.simulate(dc.circles_in_box(60, seed=2), steps=180, solver=dc.PGS(sweeps=30)).state
     found = far_field.describe(state, spec)
-    measured = far_field._measure(state.bodies, state.contacts, world_arguments(state), state.dt, False, 0)
+    measured = far_field._measure(
+        state.bodies, state.contacts, *step_problem(state)[:2], state.world.box, state.world.friction, False, 0
+    )
     options = {"h": support * found.grid.spacing[0], "normalization": "particle", "unreached": "nearest"}
     first = len(far_field.CONTACT_CHANNELS)
     walls = state.contacts.body_b >= state.bodies.count

@@ -138,9 +138,9 @@ def test_approach_and_slip_are_the_velocities_of_the_surfaces(states):
 
 
 def _rows(state):
-    from deep_contact.cnn.images import _View
+    from deep_contact.cnn.images import View
 
-    return _View(state).rows
+    return View(state).rows
 
 
 def test_approach_holds_what_restitution_asks_for():
