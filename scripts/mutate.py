@@ -51,7 +51,7 @@ def draw(count: int, seed: int) -> dict[str, dict]:
         for name, operator in OPERATORS.items():
             found = ((node, start) for node in nodes for start, _ in operator.mutation_positions(node))
             for occurrence, (node, start) in enumerate(found):
-                around = node.search_ancestor("funcdef", "raise_stmt", "param", "annassign")
+                around = node.search_ancestor("funcdef", "raise_stmt", "parameters", "annassign")
                 if around is not None and around.type == "funcdef":
                     places[path][start].append((name, occurrence, around.name.value))
     total, drawn = sum(map(len, places.values())), []
@@ -122,6 +122,9 @@ def main() -> None:
                 shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
             shutil.copy(ROOT / "setup.cfg", folder)
             folders.put(folder)
+        outcome, output = run_pytest(folder, f"-x {TESTS}", 4 * COMPILED_S, compiled=True)
+        if outcome == "killed":
+            raise SystemExit(f"expected tests that pass without a mutant, got {FAILED.findall(output) or output}")
         tests = tests_of_lines(folder)
 
         def in_free_folder(name: str) -> tuple[str, dict]:
