@@ -219,6 +219,7 @@ def test_training_survives_a_full_disk_and_two_processes_in_one_folder(tmp_path)
         "0.01",
     ]
     tiny += ["--options", "stem=2", "width=4", "decoder=2", "dilations=1,1", "--data", tmp_path / "data"]
+    tiny += ["--schedule", "constant"]  # of which a run may be prolonged
 
     def train(out, epochs, **options):
         command = [sys.executable, SCRIPTS / "train.py", "--out", tmp_path / out, "--epochs", epochs, *tiny]
