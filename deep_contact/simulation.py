@@ -32,6 +32,7 @@ from deep_contact.state import (
     check_limits,
     check_state,
 )
+from deep_contact.trajectory import Trajectory
 from deep_contact.validation import integer, number
 from deep_contact.warm_start import Builtin, NoStart, asked, fitting_impulses, warm_start_of
 
@@ -53,6 +54,7 @@ class Simulation(NamedTuple):
     | sweeps      | number of velocity sweeps in each step, (steps,); of its slowest island, with islands     |
     | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
     | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over them              |
+    | trajectory  | the recorded states as a `Trajectory`, the last being `state`; None where none were asked  |
     """
 
     state: State
@@ -60,6 +62,7 @@ class Simulation(NamedTuple):
     sweeps: np.ndarray
     theta: np.ndarray
     relaxations: np.ndarray
+    trajectory: Trajectory | None = None
 
     @property
     def status(self) -> np.ndarray:
@@ -101,6 +104,7 @@ def simulate(
     warm_start="builtin",
     accuracy: str | None = None,
     sleep: bool = False,
+    record: int | None = None,
     on_step: Callable[[State, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
     """Run a scene, or go on from a state, for so many steps.
@@ -112,12 +116,14 @@ def simulate(
     measured to be the fastest that keep the velocity error of a step within 1e-1, 1e-2 or 1e-3.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
+    record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
     on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
     it solved and those it started from) and the `ConvergenceRecord` of its sweeps.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
     integer("steps", steps)
+    every = steps + 1 if record is None else integer("record", record, least=1)
     if dt is not None:
         state = with_time_step(state, dt)
     state = ready(state)
@@ -133,10 +139,11 @@ def simulate(
     options = options._replace(carry=not isinstance(start, NoStart))
     log, theta = make_log(steps), np.empty(solver.sweeps)
     still = np.zeros(state.bodies.count if sleep else 0)
+    frames = [state]
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
-        count = 1 if by_step else min(steps - done, max(1, int(_CHUNK / work)))
+        count = 1 if by_step else min(steps - done, every - done % every, max(1, int(_CHUNK / work)))
         before, state = state, state.replace(bodies=Bodies(*(field.copy() for field in state.bodies)))
         problem = step_problem(state, solver)
         normal, tangent = _impulses(start, state, solver, problem)
@@ -157,14 +164,16 @@ def simulate(
         if not np.isfinite(state.bodies.position.sum()):
             _raise_diverged(state.bodies, state.step + count)
         if on_step is not None:
-            record = convergence_record(theta[: chunk.sweeps[0]], solver, int(chunk.contacts[0]))
-            on_step(before.replace(contacts=solved, solved=True), record)
+            convergence = convergence_record(theta[: chunk.sweeps[0]], solver, int(chunk.contacts[0]))
+            on_step(before.replace(contacts=solved, solved=True), convergence)
         done += count
         number = state.step + count
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
         time = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
         state = state.replace(contacts=found, time=time, step=number, solved=False)
-    return Simulation(state, *log)
+        if record is not None and (done % every == 0 or done == steps):
+            frames.append(state)
+    return Simulation(state, *log, trajectory=None if record is None else Trajectory.from_states(frames))
 
 
 def with_time_step(state: State, dt: float) -> State:

@@ -134,7 +134,7 @@ def figures() -> list[list]:
 TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, figures)} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
-    "errata": lambda: [errata.HEAD, *errata.ERRATA],
+    "errata": lambda: [list(errata.ERRATA[0]), *(list(erratum.values()) for erratum in errata.ERRATA)],
 }
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact import simulation
 from deep_contact.simulation import with_time_step
 
 
@@ -53,3 +54,58 @@ def test_what_does_not_fit_gets_a_sentence(call, message):
 
 def test_the_suggested_size_has_room():
     assert dc.circles_in_box(400, size=71).bodies.count == 400
+
+
+def test_a_recorded_run_keeps_one_state_in_so_many_steps_and_the_last():
+    scene = dc.circles_in_box(20, size=12.0, seed=1)
+    plain = dc.simulate(scene, steps=105)
+    run = dc.simulate(scene, steps=105, record=10)
+    np.testing.assert_allclose(run.trajectory.times, [*np.arange(0.0, 1.04, 0.1), 1.05], atol=1e-12)
+    np.testing.assert_array_equal(run.trajectory.positions[-1], run.state.bodies.position)
+    np.testing.assert_array_equal(run.state.bodies.position, plain.state.bodies.position)
+    assert plain.trajectory is None
+    halfway = dc.simulate(scene, steps=50).state
+    np.testing.assert_array_equal(run.trajectory.velocities[5], halfway.bodies.velocity)
+    assert run.trajectory[5].contacts.count == halfway.contacts.count
+
+
+@pytest.mark.parametrize("options", [{"warm_start": "sph"}, {"sleep": True}])
+def test_recording_changes_no_bit(options):
+    scene = dc.circles_in_box(12, size=10.0, seed=2)
+    recorded, plain = dc.simulate(scene, steps=60, record=7, **options), dc.simulate(scene, steps=60, **options)
+    np.testing.assert_array_equal(recorded.state.bodies.position, plain.state.bodies.position)
+    assert len(recorded.trajectory) == 10
+    assert dc.simulate(scene, steps=2, on_step=lambda *_: None).trajectory is None
+
+
+def test_a_recorded_run_is_saved_and_read(tmp_path):
+    trajectory = dc.simulate(dc.column(3), steps=6, record=2).trajectory
+    trajectory.save(tmp_path / "run.h5")
+    np.testing.assert_array_equal(dc.load_trajectory(tmp_path / "run.h5").positions, trajectory.positions)
+
+
+def test_a_bad_record_is_refused():
+    with pytest.raises(ValueError, match="record: expected an integer >= 1, got 0"):
+        dc.simulate(dc.column(2), steps=2, record=0)
+
+
+def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):
+    # Compiled code is not interrupted, so no call of it may do more than `_CHUNK` relaxations: 0.1 to 0.5 s.
+    scene, calls = dc.simulate(dc.lattice_in_box(400, seed=1), steps=30).state, []
+    solver = dc.PGS(sweeps=100, tolerance=None)
+    real = simulation.advance_of
+
+    def watched(*arguments):
+        advance, options = real(*arguments)
+
+        def counted(given, options, workspace, log):
+            calls.append(log.contacts.shape[0])
+            return advance(given, options, workspace, log)
+
+        return counted, options
+
+    monkeypatch.setattr(simulation, "advance_of", watched)
+    dc.simulate(scene, steps=1200, solver=solver)
+    contacts = scene.contacts.count
+    assert sum(calls) == 1200
+    assert max(calls) * contacts * solver.sweeps <= simulation._CHUNK

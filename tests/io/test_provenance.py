@@ -33,7 +33,7 @@ def test_the_commit_is_the_checkout_s():
 
 def test_a_package_outside_a_checkout_has_no_commit(tmp_path, monkeypatch):
     subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)  # a checkout, but not one that tracks the package
-    monkeypatch.setattr(deep_contact, "__file__", str(tmp_path / "__init__.py"))
+    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "deep_contact" / "io" / "provenance.py"))
     assert provenance.commit() == "unknown"
 
 

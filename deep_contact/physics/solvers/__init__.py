@@ -3,15 +3,18 @@
 How many sweeps each needs, and what a sweep costs, is measured by `scripts/tradeoff.py`.
 """
 
-from deep_contact.physics.solvers.apgd import APGD
-from deep_contact.physics.solvers.batched import BatchedPGS
-from deep_contact.physics.solvers.nesterov import NesterovPGS
-from deep_contact.physics.solvers.nncg import NNCG
-from deep_contact.physics.solvers.pgs import PGS, PRECISIONS
-from deep_contact.physics.solvers.psor import PSOR
+# The order of the imports is the order of `METHODS`.
+# isort: off
 from deep_contact.physics.solvers.registry import METHODS, Loop, describe, register
-from deep_contact.physics.solvers.soft_steps import SoftSteps
+from deep_contact.physics.solvers.pgs import PGS, PRECISIONS
+from deep_contact.physics.solvers.batched import BatchedPGS
+from deep_contact.physics.solvers.psor import PSOR
 from deep_contact.physics.solvers.symmetric import SymmetricPGS
+from deep_contact.physics.solvers.nncg import NNCG
+from deep_contact.physics.solvers.nesterov import NesterovPGS
+from deep_contact.physics.solvers.apgd import APGD
+from deep_contact.physics.solvers.soft_steps import SoftSteps
+# isort: on
 
 __all__ = [
     "APGD",
