@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from deep_contact.version import VERSION as __version__
+from deep_contact.constants import VERSION as __version__
 
 # ruff: noqa: F401
 if TYPE_CHECKING:

@@ -1,5 +1,8 @@
 """Constants of the contact model, as Box2D 2.3 has them, and of the thesis's scene. SI units."""
 
+VERSION = "0.1.0"
+"""Of the package."""
+
 LINEAR_SLOP = 0.005
 """Penetration that position correction leaves alone, m. Contacts stay alive in a resting pile because of it."""
 

@@ -29,8 +29,8 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
 
+from deep_contact.constants import VERSION
 from deep_contact.io import provenance
-from deep_contact.version import VERSION
 
 TIMEOUT = 10.0
 """Seconds within which a scheduler has to answer."""

@@ -9,7 +9,7 @@ import subprocess
 from importlib import metadata
 from pathlib import Path
 
-from deep_contact.version import VERSION
+from deep_contact.constants import VERSION
 
 PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
 """Packages whose versions are recorded, where they are installed."""
@@ -38,7 +38,7 @@ def commit() -> str:
     """
     try:
         # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
-        _git("ls-files", "--error-unmatch", "version.py")
+        _git("ls-files", "--error-unmatch", "constants.py")
         digits = _git("rev-parse", "HEAD")
         changed = _git("status", "--porcelain", "--untracked-files=no")
     except (OSError, subprocess.SubprocessError):
