@@ -275,10 +275,11 @@ def solve(
 
 
 def set_impulses(rows: Rows, normal: np.ndarray, tangent: np.ndarray) -> None:
-    """Let the rows start from these impulses, (m,) each, N·s, in place."""
-    rows.impulse[:, NORMAL] = normal
-    if rows.impulse.shape[1] > 1:
-        rows.impulse[:, TANGENT] = tangent
+    """Let the rows start from these impulses, (m,) each, N·s, in place. In float32 the largest become infinite."""
+    with np.errstate(over="ignore"):
+        rows.impulse[:, NORMAL] = normal
+        if rows.impulse.shape[1] > 1:
+            rows.impulse[:, TANGENT] = tangent
 
 
 def copy_rows(rows: Rows) -> Rows:

@@ -129,7 +129,8 @@ def advance_softly(given, options, workspace, log):
             find_gaps(contacts, bodies.position, origin, gap)
             harden(rows, gap, mass, h)
             theta[2 * j + 1] = sweep(rows, friction, solver_bodies)
-            np.maximum(pressed, rows.impulse[:, NORMAL], pressed)
+            for i in range(pressed.shape[0]):
+                pressed[i] = max(pressed[i], rows.impulse[i, NORMAL])
         if given.restitution > 0.0:
             bounce_back(rows, bounce, pressed, solver_bodies)
         store_velocities(bodies, solver_bodies, given.dt)
