@@ -181,11 +181,12 @@ def with_time_step(state: State, dt: float) -> State:
 
     Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
     """
-    contacts = state.contacts
+    contacts = _checked_type(state).contacts
     if contacts is not None and number("dt", dt, above=0) != state.dt:
-        ratio = dt / state.dt
-        starts = {name: ratio * getattr(contacts, name) for name in ("normal_start", "tangent_start")}
-        contacts = contacts._replace(**starts)
+        ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
+        if not state.solved:  # whose impulses are the starts
+            names += ["normal_impulse", "tangent_impulse"]
+        contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
     return state.replace(dt=dt, contacts=contacts)
 
 
@@ -202,8 +203,7 @@ def ready(state: State) -> State:
 
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
     """
-    if not isinstance(state, State):
-        raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+    _checked_type(state)
     if not (_has_engine_arrays(state) and np.isfinite(state.time) and is_valid(state.bodies, state.contacts)):
         state = check_limits(check_state(state))
     if not 0 < state.dt < np.inf:
@@ -211,6 +211,12 @@ def ready(state: State) -> State:
     if not _has_settings_within_limits(state):
         check_limits(state)
     return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
+
+
+def _checked_type(state) -> State:
+    if not isinstance(state, State):
+        raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+    return state
 
 
 def _has_settings_within_limits(state: State) -> bool:

@@ -40,6 +40,7 @@ def test_the_same_time_step_changes_no_bit(pile):
     ("call", "message"),
     [
         (lambda: dc.simulate("x.xml"), "state: expected a State, of dc.circles_in_box or dc.read_state"),
+        (lambda: dc.simulate("x.xml", dt=0.1), "state: expected a State, of dc.circles_in_box or dc.read_state"),
         (lambda: dc.World(gravity=-9.81), r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
         (lambda: dc.circles_in_box(5, radius=1.0), r"radius: expected finite 0 < smallest <= largest, .* got 1.0"),
         (lambda: dc.circles_in_box(5, radius=(1, 1, 2)), r"radius: .* got \(1, 1, 2\)"),
