@@ -59,7 +59,7 @@ def advance(given, options, workspace, log):
     rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
-    buffer, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
+    front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype, friction)
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
     solved = contacts
@@ -74,8 +74,8 @@ def advance(given, options, workspace, log):
         correct_positions(bodies, contacts, given.box, options.position_sweeps)
 
         solved = contacts
-        contacts, spare = next_contacts(bodies, given.box, cells, solved, options.carry, spare)
-        buffer, spare = spare, buffer
+        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        front_buffer, back_buffer = back_buffer, front_buffer
         log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations)
     return own_contacts(solved), own_contacts(contacts)
 

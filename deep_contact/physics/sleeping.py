@@ -52,7 +52,11 @@ def advance_sleeping(given, options, workspace, log):
     solver_bodies, theta = workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
-    buffer, spare, active_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64), make_contacts(4 * n + 64)
+    front_buffer, back_buffer, active_buffer = (
+        make_contacts(4 * n + 64),
+        make_contacts(4 * n + 64),
+        make_contacts(4 * n + 64),
+    )
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype, friction)
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
     parent, shortest = np.empty(n, np.int64), np.empty(n)
@@ -75,8 +79,8 @@ def advance_sleeping(given, options, workspace, log):
         correct_positions(bodies, active, given.box, options.position_sweeps)
 
         solved = contacts
-        contacts, spare = next_contacts(bodies, given.box, cells, solved, options.carry, spare)
-        buffer, spare = spare, buffer
+        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        front_buffer, back_buffer = back_buffer, front_buffer
         awake = wake_and_put_to_sleep(bodies, contacts, given.dt, parent, shortest, still)
         log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
     return own_contacts(solved), own_contacts(contacts)
@@ -122,7 +126,7 @@ def hold_sleeping(still, solver_bodies):
 def wake_and_put_to_sleep(bodies, contacts, dt, parent, shortest, still):
     """Let Δt pass, in place, for the stillness of circles and islands. Returns how many circles are awake.
 
-    contacts: those at the bodies' positions. parent, shortest: buffer, (n,) each.
+    contacts: those at the bodies' positions. parent, shortest: buffers, (n,) each.
     """
     n = still.shape[0]
     for i in range(n):

@@ -306,7 +306,7 @@ def advance_in_batches(given, options, workspace, log):
     rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
-    buffer, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
+    front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype)
     plan, tiles = make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, solver_bodies.dtype)
     solved = contacts
@@ -324,8 +324,8 @@ def advance_in_batches(given, options, workspace, log):
         correct_positions_in_batches(settings, plan, tiles, bodies, given.box, options.position_sweeps)
 
         solved = contacts
-        contacts, spare = next_contacts(bodies, given.box, cells, solved, options.carry, spare)
-        buffer, spare = spare, buffer
+        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        front_buffer, back_buffer = back_buffer, front_buffer
         log_step(log, k, solved.body_a.shape[0], sweeps, theta, sweeps * solved.body_a.shape[0])
     return own_contacts(solved), own_contacts(contacts)
 

@@ -108,7 +108,7 @@ def advance_softly(given, options, workspace, log):
     n, substeps = bodies.mass.shape[0], settings.substeps
     h = given.dt / substeps
     cells = make_cells(n)
-    buffer, spare = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
+    front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype)
     origin = np.empty_like(bodies.position)
     solved = contacts
@@ -137,8 +137,8 @@ def advance_softly(given, options, workspace, log):
         store_whole_impulses(rows, contacts, substeps)
 
         solved = contacts
-        contacts, spare = next_contacts(bodies, given.box, cells, solved, options.carry, spare)
-        buffer, spare = spare, buffer
+        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        front_buffer, back_buffer = back_buffer, front_buffer
         count = solved.body_a.shape[0]
         log_step(log, k, count, 2 * substeps, theta, 2 * substeps * count)
     return own_contacts(solved), own_contacts(contacts)
