@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -55,6 +56,8 @@ class Simulation(NamedTuple):
     | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
     | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over them              |
     | trajectory  | the recorded states as a `Trajectory`, the last being `state`; None where none were asked  |
+
+    With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
     """
 
     state: State
@@ -118,7 +121,8 @@ def simulate(
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
     on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
-    it solved and those it started from) and the `ConvergenceRecord` of its sweeps.
+    it solved and those it started from) and the `ConvergenceRecord` of its sweeps. With substeps, after each of these,
+    in units of their own: the state's Δt and step are those of the substep.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
@@ -131,10 +135,26 @@ def simulate(
         solver, warm_start = _preset(state, accuracy, solver)
     solver = checked_solver(solver, state)
     start = warm_start_of(warm_start)
-    # Builtin and NoStart need nothing from Python between two steps.
-    by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
+    substeps = solver.substeps if isinstance(solver, PGS) else 1
+    if substeps == 1:
+        state, log, frames = _advance(state, steps, start, sleep, None if record is None else every, on_step)
+    else:
+        state, log, frames = _advance(
+            _in_substeps(state, substeps), steps * substeps, start, sleep, record and every * substeps, on_step
+        )
+        state, frames = _in_steps(state, solver), [_in_steps(frame, solver) for frame in frames]
+        log = _log_of_steps(log, substeps)
+    return Simulation(state, *log, trajectory=None if record is None else Trajectory.from_states(frames))
+
+
+def _advance(state: State, steps: int, start, sleep: bool, record: int | None, on_step) -> tuple[State, StepLog, list]:
+    """So many steps of a state with its solver: the state after them, their log, the recorded states."""
+    solver = state.solver
+    # Builtin and NoStart need nothing from Python between two steps.
+    by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
+    every = record or steps + 1
     advance, options = advance_of(solver, sleep)
     options = options._replace(carry=not isinstance(start, NoStart))
     log, theta = make_log(steps), np.empty(solver.sweeps)
@@ -173,7 +193,27 @@ def simulate(
         state = state.replace(contacts=found, time=time, step=number, solved=False)
         if record is not None and (done % every == 0 or done == steps):
             frames.append(state)
-    return Simulation(state, *log, trajectory=None if record is None else Trajectory.from_states(frames))
+    return state, log, frames
+
+
+def _in_substeps(state: State, substeps: int) -> State:
+    """The state as the substeps see it: their Δt, their number, the impulses that one of them carries."""
+    return with_time_step(state, state.dt / substeps).replace(
+        step=state.step * substeps, solver=replace(state.solver, substeps=1)
+    )
+
+
+def _in_steps(state: State, solver: PGS) -> State:
+    """The inverse of `_in_substeps`, after whole steps."""
+    step, dt = state.step // solver.substeps, state.dt * solver.substeps
+    time = step * dt if state.time == state.step * state.dt else state.time
+    return with_time_step(state, dt).replace(step=step, time=time, solver=solver)
+
+
+def _log_of_steps(log: StepLog, substeps: int) -> StepLog:
+    """The log of substeps, step by step: see `Simulation`."""
+    contacts, sweeps, theta, relaxations = (column.reshape(-1, substeps) for column in log)
+    return StepLog(contacts[:, -1], sweeps.sum(axis=1), theta[:, -1], relaxations.sum(axis=1))
 
 
 def with_time_step(state: State, dt: float) -> State:

@@ -28,6 +28,9 @@ class PGS:
     sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
     sweep, N·s) is no larger; None sweeps to the end. position_sweeps: at most so many sweeps of position correction.
     precision: of the rows and velocities in the sweeps, "double" or "single". islands: sweep each island on its own.
+    substeps: divide every step of a run into so many (Macklin et al., Small Steps in Physics Simulation, 2019), each with
+    sweeps and position sweeps of its own. Contacts carry the impulses of the last one times their number, so that a
+    start fits any division of Δt; where that is a power of two, a run that is read back goes on bit for bit.
 
     Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
     a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
@@ -42,10 +45,12 @@ class PGS:
     position_sweeps: int = 10
     precision: str = "double"
     islands: bool = False
+    substeps: int = 1
 
     def __post_init__(self):
         validation.integer("sweeps", self.sweeps, most=MOST_SWEEPS)
         validation.integer("position_sweeps", self.position_sweeps, most=MOST_SWEEPS)
+        validation.integer("substeps", self.substeps, least=1, most=MOST_SWEEPS)
         validation.one_of("precision", self.precision, PRECISIONS)
         if validation.flag("islands", self.islands) and type(self) is not PGS:
             raise ValueError(f"islands: expected False, since {type(self).__name__} sweeps them together, got True")
