@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -113,10 +112,11 @@ def simulate(
     """Run a scene, or go on from a state, for so many steps.
 
     dt: time step, s; if it is not the state's, carried impulses are scaled by the ratio.
-    solver: options such as `PGS(sweeps=…)`; by default the state's own, or `PGS()`.
+    solver: options such as `PGS(sweeps=…)`; by default the state's own, or what accuracy="fast" takes.
     warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
-    accuracy: "fast", "balanced" or "accurate", in place of solver and start: those that `recommendation.preset` has
-    measured to be the fastest that keep the velocity error of a step within 1e-1, 1e-2 or 1e-3.
+    accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
+    were measured to keep the tolerances of that preset (`recommendation.PRESETS`) on the errors of a run. Where the
+    scene's circles are too small or too fast for its Δt, the step is divided into substeps.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
@@ -131,8 +131,13 @@ def simulate(
     if dt is not None:
         state = with_time_step(state, dt)
     state = ready(state)
-    if accuracy is not None:
-        solver, warm_start = _preset(state, accuracy, solver)
+    if accuracy is not None and solver is not None:
+        raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
+    if accuracy is not None or (solver is None and state.solver is None):
+        from deep_contact.recommendation.runs import solver_and_start
+
+        solver, recommended = solver_and_start(state, accuracy or "fast")
+        warm_start = warm_start if accuracy is None else recommended
     solver = checked_solver(solver, state)
     start = warm_start_of(warm_start)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
@@ -302,18 +307,3 @@ def checked_solver(solver, state: State):
     if solver.precision == "single":
         check_limits(state, SINGLE_LIMITS)
     return solver
-
-
-def _preset(state: State, accuracy: str, solver) -> tuple:
-    from deep_contact.recommendation import preset
-
-    if solver is not None:
-        raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
-    advice = preset(state, accuracy)
-    if not advice.reached:
-        warnings.warn(
-            f"accuracy={accuracy!r}: no setting of the study reached a velocity error of {advice.velocity_error:g}; "
-            f"the most accurate one is taken, {advice.measured:.2g} (print(dc.recommend(scene)) says more)",
-            stacklevel=3,
-        )
-    return advice.solver, advice.warm_start

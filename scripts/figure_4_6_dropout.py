@@ -16,7 +16,7 @@ def compute(options, seed, jobs, progress):
     rate = options["rate"]
     rng = np.random.default_rng(seed)
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    state = dc.simulate(scene, steps=options["steps"]).state
+    state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
     image = input_image(state, model.spec)
     off = [read_back(model.run(image), state, model.spec)[0] for _ in range(2)]
     dropping, source, name = worked.with_dropout(model.network, rate, seed)

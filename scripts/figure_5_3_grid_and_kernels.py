@@ -14,7 +14,7 @@ SMALLEST = 0.5**0.5
 def compute(options, seed, jobs, progress):
     """The pile after some steps, and how many nodes each contact reaches for several h / d and several d."""
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    state = dc.simulate(scene, steps=options["steps"]).state
+    state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
     if not state.contacts.count:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
     box, d = state.world.box, options["d"]

@@ -23,7 +23,7 @@ from contextlib import closing
 from pathlib import Path
 
 from deep_contact import parallel
-from deep_contact.recommendation import TABLE
+from deep_contact.recommendation.steps import TABLE
 from deep_contact.reporting import figures, results
 from deep_contact.studies import peers, tradeoff
 

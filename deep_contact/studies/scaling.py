@@ -19,7 +19,7 @@ from deep_contact.compiled.simd import WIDTH, lane, spread
 from deep_contact.constants import WALL_SKIN
 from deep_contact.physics import batches, collision, contact_solver, engine, metrics
 from deep_contact.physics.solvers import PGS, BatchedPGS, batched
-from deep_contact.recommendation import weight_impulse
+from deep_contact.recommendation.steps import weight_impulse
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import Bodies, State, World, make_bodies
 from deep_contact.studies import engines, timing, tradeoff

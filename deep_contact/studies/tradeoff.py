@@ -1,4 +1,4 @@
-"""The trade of speed for accuracy: errors and times of all settings. Run by `scripts/tradeoff.py`, read by `recommend`.
+"""The trade of speed for accuracy: errors and times of all settings. Run by `scripts/tradeoff.py`, read by `recommend_step`.
 
 Piles are falling, settling or resting. Every setting (method, precision, start) solves the same states of a pile with
 every budget: a number of sweeps, or a tolerance in units of m g Δt of the mean circle, so that it means the same in
@@ -23,7 +23,7 @@ from deep_contact.physics.engine import ContactSolution
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import NNCG, PGS, SoftSteps, describe
-from deep_contact.recommendation import recommend, solver_of, weight_impulse
+from deep_contact.recommendation.steps import recommend_step, solver_of, weight_impulse
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State
 from deep_contact.studies import peers, timing
@@ -366,7 +366,7 @@ def recommended_errors(
     start = pile(kind, n_bodies, seed)
     rows = []
     for error, margin in product(asked, margins):
-        found = recommend(start, velocity_error=error, table=with_margin(table, margin))
+        found = recommend_step(start, velocity_error=error, table=with_margin(table, margin))
         common = {"kind": kind, "n_bodies": n_bodies, "asked": float(error), "margin": float(margin)}
         rows.append((common | {"reached": found.reached, "us": found.us, "velocity": []}, found))
     for state in states_of(start, count=states):
@@ -382,7 +382,7 @@ def recommended_errors(
 
 
 def with_margin(table: dict, margin: float) -> dict:
-    """The same study with a margin that its recommendations keep: see `recommend`."""
+    """The same study with a margin that its recommendations keep: see `recommend_step`."""
     return {**table, "data": {**table["data"], "margin": float(margin)}}
 
 
@@ -412,7 +412,7 @@ def least_margin(rows: Sequence[dict], share: float = 0.95) -> float | None:
 
 
 def condensed(piles: Sequence[dict], measured: Sequence[dict]) -> list[dict]:
-    """What `recommend` reads: for every number of circles, kind, setting and budget, the errors over all states.
+    """What `recommend_step` reads: for every number of circles, kind, setting and budget, the errors over all states.
 
     piles: of `solution_errors`. measured: of `costs`. Returns [{"n_bodies", "kind", "states", "left_out", "setting",
     "start", "budget": {"sweeps", "tolerance"}, "velocity": {"p50", "p95"}, "sweeps": mean done, "us": mean of a step}].
@@ -461,7 +461,7 @@ def pareto(points: Sequence[tuple[float, float]]) -> list[int]:
 
 
 def installed(rows: Sequence[dict]) -> list[dict]:
-    """The rows that `recommend` needs: budgets on the Pareto front of time and error of some kind of pile.
+    """The rows that `recommend_step` needs: budgets on the Pareto front of time and error of some kind of pile.
 
     A budget stays for all kinds of piles of its size if it is on the front of one kind.
     """

@@ -1,6 +1,6 @@
-"""How accurate, and the fastest way there: `recommend`, and the presets of `simulate(accuracy=…)`.
+"""How accurate a single step is, and the fastest way there: a diagnostic, for those who study solvers.
 
-Nothing is typed in here. The settings are read from what `scripts/tradeoff.py --install` measured: velocity errors of
+What a user sees of a run is another matter: see `recommendation.runs`. The settings are read from what `scripts/tradeoff.py --install` measured: velocity errors of
 single steps (`physics.metrics.nearest_velocity_error`) on falling, settling and resting piles of equal circles.
 """
 
@@ -17,18 +17,15 @@ from deep_contact.physics.solvers import METHODS, describe
 from deep_contact.reporting import results
 from deep_contact.state import State
 
-TABLE = Path(__file__).parent / "reference" / "tradeoff.json"
+TABLE = Path(__file__).parents[1] / "reference" / "tradeoff.json"
 """The study's results file, shipped with the package."""
-
-ACCURACIES = {"fast": 1e-1, "balanced": 1e-2, "accurate": 1e-3}
-"""Preset -> largest velocity error of a step, relative, in 95 % of the states of every kind of pile."""
 
 NEAR = 1.5
 """An error is near to the least one of the study where it is at most so many times as large."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Recommendation:
+class StepRecommendation:
     """A solver and a start for a scene, what they cost, and what that was measured on. `print` tells all of it.
 
     solver: options of `physics.solvers`. warm_start: name of the start. velocity_error: asked for, relative.
@@ -68,7 +65,7 @@ class Recommendation:
         return "\n".join(lines)
 
 
-def recommend(scene: State, *, velocity_error: float = 1e-2, table: Mapping | None = None) -> Recommendation:
+def recommend_step(scene: State, *, velocity_error: float, table: Mapping | None = None) -> StepRecommendation:
     """The fastest setting that was measured to keep the velocity error of a step within the one asked for.
 
     scene: a `State`; its number of circles picks the piles of the study nearest in size (by ratio), and its mean mass,
@@ -91,13 +88,6 @@ def recommend(scene: State, *, velocity_error: float = 1e-2, table: Mapping | No
     within = [found for found in candidates if found["worst"] * margin <= velocity_error]
     chosen = min(within or _nearly(candidates, velocity_error), key=lambda found: found["us"])
     return _recommendation(chosen, scene, float(velocity_error), nearest, study, bool(within))
-
-
-def preset(scene: State, accuracy: str) -> Recommendation:
-    """What `simulate(accuracy=…)` takes: `recommend` at the error of the preset. Raises ValueError on another name."""
-    if accuracy not in ACCURACIES:
-        raise ValueError(f"accuracy: expected one of {', '.join(ACCURACIES)}, got {accuracy!r}")
-    return recommend(scene, velocity_error=ACCURACIES[accuracy])
 
 
 def solver_of(setting: dict, **budget):
@@ -152,14 +142,16 @@ def _candidates(rows: list[dict]) -> list[dict]:
     ]
 
 
-def _recommendation(chosen, scene: State, asked: float, nearest: int, study: Mapping, reached: bool) -> Recommendation:
+def _recommendation(
+    chosen, scene: State, asked: float, nearest: int, study: Mapping, reached: bool
+) -> StepRecommendation:
     first = next(iter(chosen["rows"].values()))
     setting = study["data"]["settings"][first["setting"]]
     if setting["method"] not in METHODS:
         raise ValueError(f"table: expected a method of {', '.join(METHODS)}, got {setting['method']!r}")
     tolerance = first["budget"]["tolerance"]
     absolute = None if tolerance is None else tolerance * weight_impulse(scene)
-    return Recommendation(
+    return StepRecommendation(
         solver=solver_of(setting, sweeps=first["budget"]["sweeps"], tolerance=absolute),
         warm_start=setting.get("start", "builtin"),
         velocity_error=asked,

@@ -1,0 +1,259 @@
+"""What a run is worth and what it costs: the presets of `simulate(accuracy=…)`, and `recommend`.
+
+A preset is a table of tolerances on the errors of a run (`studies.run_errors.ERRORS`). Which setting keeps them at the
+least cost is read from what `scripts/run_tradeoff.py --install` measured: errors and times of settings (method, sweeps,
+time step) on falling piles of equal and of mixed circles, with and without friction.
+
+A setting's time step is that of circles of r = 1 m under g = 9.81 m/s²; for others it is scaled by √(r / g), and the
+step that a user gives is divided into substeps where it is longer.
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from deep_contact.constants import GRAVITY, TIME_STEP
+from deep_contact.physics.solvers import METHODS, PGS, describe
+from deep_contact.recommendation.steps import StepRecommendation, recommend_step
+from deep_contact.state import State
+from deep_contact.validation import number, one_of
+
+TABLE = Path(__file__).parents[1] / "reference" / "runs.json"
+"""What the study installed, shipped with the package."""
+
+PRESETS = {
+    "preview": {"energy": 25, "height": 6, "creep": 3, "penetration": 2, "penetration_95": 4, "penetration_max": 30,
+                "restlessness": 10, "contacts": 0.5, "forces": 15, "impact": 40},
+    "fast": {"energy": 12, "height": 3, "creep": 2, "penetration": 1, "penetration_95": 2, "penetration_max": 15,
+             "restlessness": 5, "contacts": 0.3, "forces": 10, "impact": 25},
+    "balanced": {"energy": 8, "height": 2, "creep": 2, "penetration": 0.5, "penetration_95": 1, "penetration_max": 5,
+                 "restlessness": 3, "contacts": 0.2, "forces": 7, "impact": 20},
+    "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.2, "penetration_95": 0.5, "penetration_max": 2,
+                 "restlessness": 3, "contacts": 0.15, "forces": 5, "impact": 20},
+    "reference": {"energy": 5, "height": 2, "creep": 2, "penetration": 0.1, "penetration_95": 0.3,
+                  "penetration_max": 1, "restlessness": 3, "contacts": 0.1, "forces": 4, "impact": 20},
+}  # fmt: skip
+"""Preset -> tolerance of each error: in %, contacts in contacts per circle."""
+
+FASTEST = 10.0
+"""Speed of circles, in √(g r), up to which the study's time steps hold; faster ones get shorter steps."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recommendation:
+    """A solver and a start for the runs of a scene, what they cost, and what comes out. `print` tells all of it.
+
+    accuracy: the preset that it keeps. solver: options of `physics.solvers`, substeps included. warm_start: name of
+    the start. us: wall time of a step of the scene's Δt, μs, once the circles lie on one another, on the processor
+    `cpu`. errors: name -> the largest over the kinds of piles of the study, of the sizes next to the scene's.
+    tolerances: name -> that of the preset. reached: whether all errors are within them; if not, this is the setting
+    nearest to it. outside: sentences on what of the scene the study did not measure; empty where it lies within.
+    cheaper, better: what the presets next to it would be, and their cost; empty where there is none.
+    """
+
+    accuracy: str
+    solver: object
+    warm_start: str
+    us: float
+    dt: float
+    n_bodies: int
+    cpu: str
+    errors: dict
+    tolerances: dict
+    reached: bool
+    outside: tuple[str, ...] = ()
+    cheaper: str = ""
+    better: str = ""
+
+    def __str__(self) -> str:
+        lines = [f"{self.accuracy}: {describe(self.solver)} from {self.warm_start}"]
+        lines.append(f"  cost: {self.us:,.0f} μs a step of {self.dt:g} s, {self.n_bodies:,} circles; {self.cpu}")
+        if not self.reached:
+            lines.append("  no setting of the study keeps all tolerances; this one comes nearest")
+        shown = [f"{name} {self.errors[name]:.2g} ({most:g})" for name, most in self.tolerances.items()
+                 if name in self.errors]  # fmt: skip
+        lines.append("  errors of a run (tolerances): " + ", ".join(shown))
+        lines += [f"  outside of the study: {sentence}" for sentence in self.outside]
+        lines += [f"  {word}: {text}" for word, text in (("cheaper", self.cheaper), ("better", self.better)) if text]
+        return "\n".join(lines)
+
+
+def recommend(
+    scene: State,
+    *,
+    accuracy: str | None = None,
+    budget_ms: float | None = None,
+    velocity_error: float | None = None,
+    table: Mapping | None = None,
+) -> Recommendation | StepRecommendation:
+    """The cheapest setting that keeps the tolerances of a preset, or the most accurate within a time.
+
+    accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms.
+    velocity_error: of single steps, relative, in place of both: see `recommendation.steps`, a diagnostic of solvers.
+    table: what a study installs; by default the one in the package.
+    Times are those of the processor of the study. Raises ValueError on a bad wish or on two at once.
+    """
+    wishes = {"accuracy": accuracy, "budget_ms": budget_ms, "velocity_error": velocity_error}
+    given = [name for name, value in wishes.items() if value is not None]
+    if len(given) > 1:
+        raise ValueError(f"recommend: expected one of {', '.join(wishes)}, got {', '.join(given)}")
+    if velocity_error is not None:
+        return recommend_step(scene, velocity_error=velocity_error, table=table)
+    study = installed() if table is None else table
+    candidates = _candidates(scene, study)
+    if budget_ms is None:
+        return _preset(scene, one_of("accuracy", accuracy or "fast", PRESETS), candidates, study)
+    limit = 1e3 * number("budget_ms", budget_ms, above=0)
+    affordable = [found for found in candidates if found["us"] <= limit]
+    if not affordable:
+        least = min(candidates, key=lambda found: found["us"])
+        raise ValueError(f"budget_ms: expected at least {least['us'] / 1e3:.3g}, the cheapest setting, got {budget_ms}")
+    best = min(affordable, key=lambda found: (_excess(found, "reference"), found["us"]))
+    kept = [name for name in PRESETS if _excess(best, name) <= 1]
+    return _recommendation(scene, kept[-1] if kept else "preview", best, candidates, study)
+
+
+def solver_and_start(scene: State, accuracy: str) -> tuple[object, str]:
+    """What `simulate(accuracy=…)` takes: (solver, name of the start). Raises ValueError on another name."""
+    one_of("accuracy", accuracy, PRESETS)
+    best = _cheapest(_candidates(scene, installed()), accuracy)
+    return best["solver"], best["start"]
+
+
+@functools.cache
+def installed() -> dict:
+    """The study in the package. Raises FileNotFoundError saying how it is made."""
+    if not TABLE.exists():
+        raise FileNotFoundError(
+            f"{TABLE.parent.name}/{TABLE.name}: expected the study's results in the package, got no file; "
+            "run scripts/run_tradeoff.py --install"
+        )
+    return json.loads(TABLE.read_text(encoding="utf-8"))
+
+
+def longest_step(scene: State, dt: float) -> float:
+    """The time step, s, that is to a scene what `dt` is to circles of r = 1 m under 9.81 m/s²."""
+    bodies = scene.bodies
+    radius, gravity = float(bodies.radius.mean()), float(np.hypot(*scene.world.gravity))
+    fastest = float(np.sqrt((bodies.velocity**2).sum(axis=1).max(initial=0.0)))
+    speed = max(math.sqrt(gravity * radius), fastest / FASTEST)
+    return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * radius / speed
+
+
+def substeps_of(scene: State, dt: float) -> int:
+    """Into how many the scene's Δt is divided so that none is longer: a power of two, which scales impulses exactly."""
+    return 2 ** max(0, math.ceil(math.log2(scene.dt / longest_step(scene, dt)) - 1e-9))
+
+
+def _preset(scene: State, accuracy: str, candidates: list[dict], study: Mapping) -> Recommendation:
+    return _recommendation(scene, accuracy, _cheapest(candidates, accuracy), candidates, study)
+
+
+def _cheapest(candidates: list[dict], accuracy: str) -> dict:
+    """The cheapest that keeps the preset; otherwise the one that comes nearest."""
+    keeping = [found for found in candidates if _excess(found, accuracy) <= 1]
+    if keeping:
+        return min(keeping, key=lambda found: found["us"])
+    return min(candidates, key=lambda found: (_excess(found, accuracy), found["us"]))
+
+
+def _excess(found: Mapping, accuracy: str) -> float:
+    """The largest error in units of its tolerance."""
+    tolerances = PRESETS[accuracy]
+    return max(value / tolerances[name] for name, value in found["errors"].items())
+
+
+def _recommendation(scene: State, accuracy: str, best: dict, candidates: list[dict], study: Mapping) -> Recommendation:
+    names = list(PRESETS)
+    at = names.index(accuracy)
+    return Recommendation(
+        accuracy=accuracy,
+        solver=best["solver"],
+        warm_start=best["start"],
+        us=best["us"],
+        dt=scene.dt,
+        n_bodies=scene.bodies.count,
+        cpu=study["cpu"],
+        errors=best["errors"],
+        tolerances=PRESETS[accuracy],
+        reached=_excess(best, accuracy) <= 1,
+        outside=tuple(outside(scene, study)),
+        cheaper=_neighbour(names[at - 1], best, candidates) if at > 0 else "",
+        better=_neighbour(names[at + 1], best, candidates) if at + 1 < len(names) else "",
+    )
+
+
+def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
+    other = _cheapest(candidates, accuracy)
+    if other["solver"] == best["solver"]:
+        return f"{accuracy} is the same here"
+    return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
+
+
+def _candidates(scene: State, study: Mapping) -> list[dict]:
+    """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for the scene's size.
+
+    Errors are the larger ones of the two sizes around the scene's; times are interpolated between them by powers.
+    """
+    n = scene.bodies.count
+    found = []
+    for setting in study["settings"]:
+        sizes = sorted(int(size) for size in setting["us"])
+        low = max((size for size in sizes if size <= n), default=sizes[0])
+        high = min((size for size in sizes if size >= n), default=sizes[-1])
+        # A scene beyond the largest size for which the setting was measured is left to those that were measured there.
+        if n > 3 * sizes[-1] and sizes[-1] < max(study["sizes"]):
+            continue
+        both = [setting["errors"][str(size)] for size in (low, high)]
+        errors = {name: max(one[name] for one in both if name in one) for name in both[0]}
+        k = substeps_of(scene, setting["dt"])
+        us = k * _us_at(n, {int(size): us for size, us in setting["us"].items()}) * setting["dt"] / TIME_STEP
+        options = dict(setting["options"])
+        start = options.pop("start", "builtin")
+        solver = METHODS[options.pop("method")](**options)
+        if k == 1 or isinstance(solver, PGS):  # SoftSteps finds contacts once a step and divides it in its own way
+            solver = solver if k == 1 else replace(solver, substeps=k)
+            found.append({"solver": solver, "start": start, "us": us, "errors": errors})
+    return found
+
+
+def _us_at(n: int, times: Mapping[int, float]) -> float:
+    """Time at n circles, between the measured sizes and beyond them by the power of the last two."""
+    sizes = sorted(times)
+    if len(sizes) == 1:
+        return times[sizes[0]] * n / sizes[0]
+    at = min(max(1, int(np.searchsorted(sizes, n))), len(sizes) - 1)
+    low, high = sizes[at - 1], sizes[at]
+    power = math.log(times[high] / times[low]) / math.log(high / low)
+    return times[low] * (max(n, sizes[0]) / low) ** power
+
+
+def outside(scene: State, study: Mapping) -> list[str]:
+    """Sentences on what of a scene lies outside the study; none where nothing does."""
+    bodies, world, sizes = scene.bodies, scene.world, study["sizes"]
+    radius, mass = bodies.radius, bodies.mass / bodies.radius**2
+    gravity = float(np.hypot(*world.gravity))
+    speed = float(np.sqrt((bodies.velocity**2).sum(axis=1).max(initial=0.0)))
+    found = []
+    if not min(sizes) / 3 <= bodies.count <= 3 * max(sizes):
+        found.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")
+    if radius.max() > 3.001 * radius.min():
+        found.append(f"radii that differ {radius.max() / radius.min():.3g} times; it has up to 3")
+    if mass.max() > 1.001 * mass.min():
+        found.append(f"densities that differ {mass.max() / mass.min():.3g} times; it has equal ones")
+    if world.friction > 0.5:
+        found.append(f"friction {world.friction:g}; it has 0 and 0.5")
+    if world.restitution > 0:
+        found.append(f"restitution {world.restitution:g}; it has 0")
+    if gravity == 0:
+        found.append("no gravity")
+    elif speed > FASTEST * math.sqrt(gravity * radius.mean()):
+        found.append(f"a speed of {speed:.3g} m/s; it has up to {FASTEST * math.sqrt(gravity * radius.mean()):.3g}")
+    return found

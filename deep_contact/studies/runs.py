@@ -1,0 +1,191 @@
+"""The trade of speed for accuracy in whole runs: errors and times of settings and of other engines.
+
+Run by `scripts/run_tradeoff.py`, read by `recommend`. A setting is a method with a fixed number of sweeps and a time
+step; an engine's is its iterations and a time step. Every setting runs the same falling piles; `run_errors` holds each
+ensemble against the limit of small steps. Errors need no quiet machine; times are measured one after the other on one.
+
+Time steps are given for circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from deep_contact.constants import TIME_STEP
+from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.scenes import circles_in_box, lattice_in_box
+from deep_contact.physics.solvers import METHODS
+from deep_contact.reporting import results
+from deep_contact.simulation import simulate
+from deep_contact.state import State
+from deep_contact.studies import peers, timing
+from deep_contact.studies.run_errors import Observation, errors, intervals, observe
+
+INTERVAL = 5 * TIME_STEP
+"""Between two observations, s."""
+
+KINDS = {
+    "plain": {},
+    "mixed radii": {"radius": (0.5, 1.5)},
+    "no friction": {"friction": 0.0},
+}
+"""Kind of pile -> options of its scene."""
+
+SETTLING = 2.0
+"""Time at which the piles are timed, s: after the impact, before rest."""
+
+REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
+"""Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
+
+LIMIT = [{"method": "PGS", "sweeps": 20, "dt": TIME_STEP / k} for k in (0.5, 1, 2, 4, 8, 16)]
+"""The settings whose errors show the convergence to the limit."""
+
+
+def scene(kind: str, n_bodies: int, seed: int) -> State:
+    """A falling pile: the thesis's scene for 100 circles and fewer, otherwise a loose lattice."""
+    if n_bodies <= 100:
+        return circles_in_box(n_bodies, seed=seed, **KINDS[kind])
+    return lattice_in_box(n_bodies, seed=seed, **KINDS[kind])
+
+
+def solver_of(setting: Mapping):
+    """The options of a setting's method, without substeps."""
+    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
+    fixed = {} if setting["method"] == "SoftSteps" else {"tolerance": None}
+    return METHODS[setting["method"]](**options, **fixed)
+
+
+def name_of(setting: Mapping) -> str:
+    """ "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; Δt is 0.01 s."""
+    words = [setting.get("engine") or setting["method"]]
+    budget = "iterations" if "engine" in setting else "sweeps" if "sweeps" in setting else "substeps"
+    number = setting.get("sweeps", setting.get("substeps"))
+    words.append(f"{number} {budget if number != 1 else budget[:-1]}")
+    words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "substeps", "dt")]
+    ratio = TIME_STEP / setting["dt"]
+    words.append("Δt" if ratio == 1 else f"Δt / {ratio:g}" if ratio > 1 else f"{1 / ratio:g} Δt")
+    return ", ".join(words)
+
+
+# ---- observations ----
+
+
+def observed(kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float) -> dict:
+    """The `Observation` of one run as lists, five digits: of our engine, or of another where the setting names one."""
+    start, frames = scene(kind, n_bodies, seed), round(seconds / INTERVAL)
+    states = (_states_of_peer if "engine" in setting else _states)(start, setting, frames)
+    return results.plain(observe(states)._asdict(), digits=5)
+
+
+def observation(stored: Mapping) -> Observation:
+    """The inverse of `observed`."""
+    arrays = {name: np.array(value) if isinstance(value, list) else value for name, value in stored.items()}
+    return Observation(**arrays)
+
+
+def _states(state: State, setting: Mapping, frames: int) -> Iterator[State]:
+    state, each = state.replace(dt=setting["dt"]), round(INTERVAL / setting["dt"])
+    solver = solver_of(setting)
+    for _ in range(frames):
+        state = simulate(state, steps=each, solver=solver, warm_start=setting.get("start", "builtin")).state
+        yield state
+
+
+def _states_of_peer(start: State, setting: Mapping, frames: int) -> Iterator[State]:
+    world = peers.ENGINES[setting["engine"]](start.replace(dt=setting["dt"]))
+    each = round(INTERVAL / setting["dt"])
+    for k in range(frames):
+        for _ in range(each):
+            world.step(setting["dt"], setting["sweeps"], 10)
+        state = start.replace(bodies=world.bodies(), time=(k + 1) * INTERVAL)
+        yield state.replace(contacts=contacts_of(state))
+
+
+# ---- times ----
+
+
+def times(n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int) -> dict[str, float]:
+    """Wall time of TIME_STEP of a settling pile with each setting, μs, by name; they take turns, the least counts.
+
+    steps: of TIME_STEP in each run. Other engines start from the same bodies; what their Python wrapper costs a step is
+    part of what their users pay.
+    """
+    start = simulate(scene("plain", n_bodies, seed), steps=round(SETTLING / TIME_STEP), solver=METHODS["PGS"](
+        sweeps=20, tolerance=None)).state  # fmt: skip
+    worlds: dict = {}
+    runs, setup = {}, {}
+    for setting in settings:
+        name, count = name_of(setting), round(steps * TIME_STEP / setting["dt"])
+        if "engine" in setting:
+            setup[name] = lambda name=name, setting=setting: worlds.update(
+                {name: peers.ENGINES[setting["engine"]](start.replace(dt=setting["dt"], contacts=None))}
+            )
+            runs[name] = lambda name=name, setting=setting, count=count: _step_peer(worlds.pop(name), setting, count)
+        else:
+            state, solver = start.replace(dt=setting["dt"]), solver_of(setting)
+            runs[name] = lambda state=state, solver=solver, count=count: simulate(state, steps=count, solver=solver)
+    took = timing.interleaved(runs, repeats=repeats, setup=setup)
+    return {name: 1e6 * seconds / steps for name, seconds in took.items()}
+
+
+def _step_peer(world, setting: Mapping, count: int) -> None:
+    for _ in range(count):
+        world.step(setting["dt"], setting["sweeps"], 10)
+
+
+# ---- what the study says ----
+
+
+def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
+    """A row for each kind, size and setting: its errors with their intervals, and its time, μs, where it was measured.
+
+    ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}. took: n_bodies -> {name: μs}. The reference
+    is held against the reference at twice its step, which tells how much of every error is chance.
+    """
+    found = []
+    for (kind, n_bodies), ensemble in ensembles.items():
+        true = ensemble[name_of(REFERENCE)][1]
+        for name, (setting, seen) in ensemble.items():
+            found.append(
+                {
+                    "kind": kind,
+                    "n_bodies": n_bodies,
+                    "name": name,
+                    "setting": dict(setting),
+                    "seeds": len(seen),
+                    "errors": intervals(seen, true[: len(seen)]) if seen is not true else None,
+                    "us": took.get(n_bodies, {}).get(name),
+                }
+            )
+    return found
+
+
+def worst_errors(found: Iterable[Mapping]) -> dict[str, float]:
+    """Of rows of one setting and size: the largest of each error over the kinds of piles, unknown ones left out."""
+    worst: dict[str, float] = {}
+    for row in found:
+        for name, value in (row["errors"] or {}).items():
+            if value is not None:
+                worst[name] = max(worst.get(name, 0.0), value[0])
+    return worst
+
+
+def meets(worst: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
+    """Whether every error that is known is within its tolerance."""
+    return all(worst[name] <= most for name, most in tolerances.items() if name in worst)
+
+
+__all__ = [
+    "errors",
+    "meets",
+    "name_of",
+    "observation",
+    "observed",
+    "rows",
+    "scene",
+    "solver_of",
+    "times",
+    "worst_errors",
+]

@@ -1,0 +1,281 @@
+"""The study of speed against accuracy in runs: errors and times of settings and of other engines.
+
+    python scripts/run_tradeoff.py [--quick] [--jobs J] [--scheduler ADDRESS] [--seed S] [--out FILE] [--work FOLDER]
+    python scripts/run_tradeoff.py --errors     only the parts that need no quiet machine
+    python scripts/run_tradeoff.py --verify     errors and times of the presets on scenes outside the study
+
+Every finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes,
+or a Dask cluster (--scheduler), compute errors; then one process of this machine measures times. `--install` makes
+these the numbers that `dc.simulate` and `dc.recommend` read. `scripts/figure_6_1_methods.py`, `figure_6_2_time_step.py`
+and `figure_6_11_next_microsecond.py` draw the results file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from concurrent.futures import Executor
+from pathlib import Path
+
+from deep_contact import parallel
+from deep_contact.constants import TIME_STEP
+from deep_contact.recommendation.runs import PRESETS, TABLE, recommend
+from deep_contact.reporting import figures, results
+from deep_contact.studies import peers, runs
+from deep_contact.studies.parts import done
+from deep_contact.studies.run_errors import ERRORS
+
+
+def ladder(method: str, budgets: dict, **options) -> list[dict]:
+    """Settings of a method. budgets: Δt / 0.01 s as a divisor -> numbers of sweeps."""
+    return [
+        {"method": method, "sweeps": sweeps, "dt": TIME_STEP / divisor, **options}
+        for divisor, found in budgets.items()
+        for sweeps in found
+    ]
+
+
+PGS = {0.5: (5, 10, 20), 1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}
+PGS |= {8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}
+SOFT = [
+    {"method": "SoftSteps", "substeps": k, "dt": TIME_STEP / divisor}
+    for divisor, found in {1: (2, 4, 8), 2: (2, 4)}.items()
+    for k in found
+]
+OURS = [
+    *ladder("PGS", PGS),
+    *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (3, 5, 10, 20), 4: (5, 10, 20), 8: (10,)}),
+    *ladder("PSOR", {1: (3, 6, 10, 20), 2: (2, 4, 8), 4: (2, 4)}, omega=1.3),
+    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8)}, omega=1.5),
+    *ladder("NNCG", {1: (5, 10, 20)}),
+    *ladder("NesterovPGS", {1: (10, 20)}),
+    *ladder("PGS", {1: (10, 50)}, start="none"),
+    *ladder("PGS", {1: (10,)}, precision="single"),
+    *SOFT,
+]
+LARGE = [
+    *ladder("PGS", {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 16: (20,)}),
+    *ladder("BatchedPGS", {1: (10, 20, 50), 2: (5, 10), 4: (5, 10)}),
+    *ladder("PSOR", {1: (10, 20), 2: (4, 8)}, omega=1.3),
+]
+PEERS = {
+    "Box2D 2.3": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
+    "pymunk": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
+    "Box2D v3": {1: (2, 4, 8), 2: (1, 2, 4), 4: (1, 2), 8: (1,)},
+}
+PEER_SETTINGS = [
+    {"engine": engine, "sweeps": sweeps, "dt": TIME_STEP / divisor}
+    for engine, budgets in PEERS.items()
+    for divisor, found in budgets.items()
+    for sweeps in found
+]
+FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] <= 10 and s["dt"] > TIME_STEP / 8]
+
+FULL = {
+    "sizes": [100, 1000, 10_000],
+    "kinds": {"100": list(runs.KINDS), "1000": list(runs.KINDS), "10000": ["plain", "mixed radii"]},
+    "seeds": {"100": 12, "1000": 6, "10000": 2},
+    "seconds": 6.0,
+    "settings": {"100": OURS, "1000": OURS, "10000": LARGE},
+    "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "10000": FEW_PEERS},
+    "steps": {"100": 200, "1000": 50, "10000": 10},
+    "repeats": 5,
+}
+QUICK = {
+    "sizes": [100, 300],
+    "kinds": {"100": ["plain"], "300": ["plain"]},
+    "seeds": {"100": 4, "300": 3},
+    "seconds": 4.0,
+    "settings": {"100": OURS, "300": LARGE},
+    "peers": {"100": PEER_SETTINGS[::3], "300": []},
+    "steps": {"100": 50, "300": 20},
+    "repeats": 3,
+}
+FUNCTIONS = {"observed": runs.observed, "times": runs.times}
+
+
+def plan(options: dict, seed: int) -> tuple[list, list]:
+    """The parts as (name, arguments): observations, those that take longest first, and times."""
+    seen, timed = [], []
+    for n in options["sizes"]:
+        settings = options["settings"][str(n)] + options["peers"][str(n)]
+        for kind in options["kinds"][str(n)]:
+            for setting in settings:
+                if "engine" in setting and kind != "plain":
+                    continue
+                common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
+                seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, options["seeds"][str(n)])]
+        times = {"n_bodies": n, "seed": seed, "settings": settings}
+        timed.append(("times", times | {"steps": options["steps"][str(n)], "repeats": options["repeats"]}))
+    seen.sort(key=lambda part: -part[1]["n_bodies"] / part[1]["setting"]["dt"])
+    return seen, timed
+
+
+def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict:
+    """The data of the results file."""
+    seen, timed = plan(options, seed)
+    found = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
+    took = done(timed, FUNCTIONS, work=work, jobs=1, text="times")
+    ensembles: dict = {}
+    for (_, part), stored in zip(seen, found):
+        ensemble = ensembles.setdefault((part["kind"], part["n_bodies"]), {})
+        _, runs_seen = ensemble.setdefault(runs.name_of(part["setting"]), (part["setting"], {}))
+        runs_seen[part["seed"]] = runs.observation(stored)
+    for ensemble in ensembles.values():  # by seed, so that each run meets the reference of its own scene
+        for name, (setting, by_seed) in ensemble.items():
+            ensemble[name] = setting, [by_seed[s] for s in sorted(by_seed)]
+    by_size = {part["n_bodies"]: us for (_, part), us in zip(timed, took)}
+    rows = runs.rows(ensembles, by_size)
+    curves = {
+        f"{kind}, {n}": {
+            name: {
+                "kinetic": mean_curve(ensemble[name][1], "kinetic"),
+                "height": mean_curve(ensemble[name][1], "height"),
+            }
+            for name in map(runs.name_of, runs.LIMIT)
+            if name in ensemble
+        }
+        for (kind, n), ensemble in ensembles.items()
+    }
+    return {"errors": ERRORS, "rows": rows, "curves": curves, "presets": presets(rows)}
+
+
+def mean_curve(seen: list, name: str) -> list[float]:
+    """The ensemble's mean of one field, four digits."""
+    mean = sum(getattr(one, name) for one in seen) / len(seen)
+    return [float(f"{value:.4g}") for value in mean]
+
+
+def presets(rows: list[dict]) -> list[dict]:
+    """For each preset and size: our cheapest setting that keeps it, and the cheapest of other engines, on plain piles."""
+    found = []
+    for n in sorted({row["n_bodies"] for row in rows}):
+        settings: dict = {}
+        for row in rows:
+            if row["n_bodies"] == n and row["us"] is not None and row["errors"]:
+                settings.setdefault(row["name"], []).append(row)
+        for preset, tolerances in PRESETS.items():
+            best: dict = {}
+            for name, mine in settings.items():
+                whose = mine[0]["setting"].get("engine", "ours")
+                on_plain = [row for row in mine if row["kind"] == "plain"]
+                for scope, judged in (("plain", on_plain), ("all", mine)):
+                    if scope == "all" and whose != "ours":
+                        continue
+                    if runs.meets(runs.worst_errors(judged), tolerances):
+                        key = whose, scope
+                        if key not in best or mine[0]["us"] < best[key]["us"]:
+                            best[key] = {"name": name, "us": mine[0]["us"]}
+            found.append(
+                {
+                    "n_bodies": n,
+                    "preset": preset,
+                    "ours": best.get(("ours", "all")),
+                    "ours_plain": best.get(("ours", "plain")),
+                    "peers": {engine: best.get((engine, "plain")) for engine in peers.ENGINES},
+                }
+            )
+    return found
+
+
+def table(data: dict, cpu: str) -> dict:
+    """What `dc.simulate` and `dc.recommend` read: settings with worst errors and times by size."""
+    settings: dict = {}
+    for row in data["rows"]:
+        if "engine" in row["setting"] or row["us"] is None or not row["errors"]:
+            continue
+        entry = settings.setdefault(row["name"], {"setting": row["setting"], "us": {}, "rows": {}})
+        entry["us"][str(row["n_bodies"])] = round(row["us"], 2)
+        entry["rows"].setdefault(str(row["n_bodies"]), []).append(row)
+    found = []
+    for name, entry in settings.items():
+        errors = {
+            n: {key: float(f"{value:.3g}") for key, value in runs.worst_errors(mine).items()}
+            for n, mine in entry["rows"].items()
+        }
+        solver = runs.solver_of(entry["setting"])
+        options = {key: value for key, value in entry["setting"].items() if key != "dt"}
+        options |= {} if not hasattr(solver, "islands") else {"tolerance": None}
+        found.append(
+            {"name": name, "options": options, "dt": entry["setting"]["dt"], "us": entry["us"], "errors": errors}
+        )
+    return {"cpu": cpu, "sizes": sorted({row["n_bodies"] for row in data["rows"]}), "settings": found}
+
+
+def claims(data: dict) -> list[results.Claim]:
+    """Whether presets are kept, and what the fastest rival pays for the same."""
+    found = []
+    for n in sorted({row["n_bodies"] for row in data["presets"]}):
+        mine = {row["preset"]: row for row in data["presets"] if row["n_bodies"] == n}
+        kept = {preset: row["ours"] is not None for preset, row in mine.items()}
+        found.append(results.Claim(f"some setting keeps every preset, {n:,} circles", None, all(kept.values()), kept))
+        ratios = {}
+        for preset, row in mine.items():
+            rivals = [peer["us"] for peer in row["peers"].values() if peer]
+            if row["ours_plain"] and rivals:
+                ratios[preset] = min(rivals) / row["ours_plain"]["us"]
+        if ratios:
+            ahead = sum(ratio >= 5 for ratio in ratios.values()) >= 2 and all(ratio >= 1 for ratio in ratios.values())
+            text = f"5 times cheaper than the fastest rival for two presets, dearer for none, {n:,} circles"
+            found.append(results.Claim(text, None, ahead, ratios))
+    return found
+
+
+# ---- scenes outside the study ----
+
+VERIFY = {
+    "sizes": [100, 300, 1000, 3000],
+    "kinds": {"plain": {}, "wide": {"radius": (0.7, 1.3)}, "slippery": {"friction": 0.2}, "loose": {"gap": 0.3}},
+    "seeds": {"100": 20, "300": 12, "1000": 20, "3000": 4},
+    "seconds": 6.0,
+    "steps": {"100": 200, "300": 100, "1000": 50, "3000": 20},
+}
+VERIFY_QUICK = VERIFY | {"sizes": [100], "kinds": {"plain": {}}, "seeds": {"100": 3}, "seconds": 4.0}
+
+
+def main(arguments=None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    add = parser.add_argument
+    add("--quick", action="store_true", help="a smaller study that ends within five minutes")
+    add("--seed", type=int, default=0)
+    add("--jobs", type=int, default=2, help="processes for the errors (2)")
+    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
+    add("--out", type=Path, help="results file (data/reference/run_tradeoff.json; quick: runs/)")
+    add("--work", type=Path, default=Path("runs/run_tradeoff"), help="folder of the finished parts")
+    add("--install", action="store_true", help="make these the numbers that dc.simulate and dc.recommend read")
+    add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
+    given = parser.parse_args(arguments)
+    start = time.perf_counter()
+    options = QUICK if given.quick else FULL
+    try:
+        with parallel.opened(given.jobs, given.scheduler) as jobs:
+            if given.errors:
+                done(plan(options, given.seed)[0], FUNCTIONS, work=given.work, jobs=jobs, text="errors")
+                return 0
+            data = study(options, seed=given.seed, jobs=jobs, work=given.work)
+    except parallel.ClusterError as error:
+        print(error, file=sys.stderr)
+        return 1
+    wall_s = time.perf_counter() - start
+    kept = {key: value for key, value in options.items() if key not in ("settings", "peers")} | {"quick": given.quick}
+    file = {
+        "id": "6.1",
+        "title": "Speed for accuracy in runs: errors and times of settings and engines",
+        "options": kept,
+        "provenance": results.provenance(seed=given.seed, wall_s=wall_s),
+        "claims": claims(data),
+        "data": data,
+    }
+    out = given.out or Path("runs/run_tradeoff_quick.json" if given.quick else "data/reference/run_tradeoff.json")
+    results.write_results(out, file, digits=4)
+    for claim in file["claims"]:
+        print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
+    if given.install:
+        results.write_json(TABLE, table(data, file["provenance"]["cpu"]))
+    print(f"{len(data['rows'])} rows in {out.name}, {wall_s:.0f} s")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
