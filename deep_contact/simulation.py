@@ -136,7 +136,7 @@ def simulate(
     if accuracy is not None or (solver is None and state.solver is None):
         from deep_contact.recommendation.runs import solver_and_start
 
-        solver, recommended = solver_and_start(state, accuracy or "fast")
+        solver, recommended = solver_and_start(state, accuracy)
         warm_start = warm_start if accuracy is None else recommended
     solver = checked_solver(solver, state)
     start = warm_start_of(warm_start)

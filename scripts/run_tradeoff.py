@@ -20,7 +20,7 @@ from pathlib import Path
 
 from deep_contact import parallel
 from deep_contact.constants import TIME_STEP
-from deep_contact.recommendation.runs import PRESETS, TABLE, recommend
+from deep_contact.recommendation.runs import PRESETS, TABLE
 from deep_contact.reporting import figures, results
 from deep_contact.studies import peers, runs
 from deep_contact.studies.parts import done
@@ -96,7 +96,7 @@ FUNCTIONS = {"observed": runs.observed, "times": runs.times}
 
 
 def plan(options: dict, seed: int) -> tuple[list, list]:
-    """The parts as (name, arguments): observations, those that take longest first, and times."""
+    """The parts as (name, arguments): observations, the quick ones first, and times."""
     seen, timed = [], []
     for n in options["sizes"]:
         settings = options["settings"][str(n)] + options["peers"][str(n)]
@@ -108,7 +108,7 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
                 seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, options["seeds"][str(n)])]
         times = {"n_bodies": n, "seed": seed, "settings": settings}
         timed.append(("times", times | {"steps": options["steps"][str(n)], "repeats": options["repeats"]}))
-    seen.sort(key=lambda part: -part[1]["n_bodies"] / part[1]["setting"]["dt"])
+    seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
     return seen, timed
 
 
@@ -148,7 +148,7 @@ def mean_curve(seen: list, name: str) -> list[float]:
 
 
 def presets(rows: list[dict]) -> list[dict]:
-    """For each preset and size: our cheapest setting that keeps it, and the cheapest of other engines, on plain piles."""
+    """For each preset and size: our cheapest setting that keeps it, and other engines' cheapest, on plain piles."""
     found = []
     for n in sorted({row["n_bodies"] for row in rows}):
         settings: dict = {}

@@ -13,6 +13,7 @@ from __future__ import annotations
 import functools
 import json
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -29,18 +30,21 @@ TABLE = Path(__file__).parents[1] / "reference" / "runs.json"
 """What the study installed, shipped with the package."""
 
 PRESETS = {
-    "preview": {"energy": 25, "height": 6, "creep": 3, "penetration": 2, "penetration_95": 4, "penetration_max": 30,
-                "restlessness": 10, "contacts": 0.5, "forces": 15, "impact": 40},
-    "fast": {"energy": 12, "height": 3, "creep": 2, "penetration": 1, "penetration_95": 2, "penetration_max": 15,
-             "restlessness": 5, "contacts": 0.3, "forces": 10, "impact": 25},
-    "balanced": {"energy": 8, "height": 2, "creep": 2, "penetration": 0.5, "penetration_95": 1, "penetration_max": 5,
-                 "restlessness": 3, "contacts": 0.2, "forces": 7, "impact": 20},
-    "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.2, "penetration_95": 0.5, "penetration_max": 2,
-                 "restlessness": 3, "contacts": 0.15, "forces": 5, "impact": 20},
-    "reference": {"energy": 5, "height": 2, "creep": 2, "penetration": 0.1, "penetration_95": 0.3,
-                  "penetration_max": 1, "restlessness": 3, "contacts": 0.1, "forces": 4, "impact": 20},
+    "preview": {"energy": 20, "height": 5, "creep": 3, "penetration": 1, "penetration_95": 2, "penetration_max": 25,
+                "restlessness": 6, "contacts": 0.4, "forces": 12, "impact": 30},
+    "fast": {"energy": 10, "height": 3, "creep": 2, "penetration": 0.5, "penetration_95": 1, "penetration_max": 12,
+             "restlessness": 4, "contacts": 0.3, "forces": 8, "impact": 20},
+    "balanced": {"energy": 7, "height": 2, "creep": 2, "penetration": 0.25, "penetration_95": 0.6,
+                 "penetration_max": 5, "restlessness": 3, "contacts": 0.2, "forces": 6, "impact": 15},
+    "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.15, "penetration_95": 0.5,
+                 "penetration_max": 2, "restlessness": 3, "contacts": 0.15, "forces": 5, "impact": 15},
+    "reference": {"energy": 5, "height": 2, "creep": 2, "penetration": 0.07, "penetration_95": 0.3,
+                  "penetration_max": 1, "restlessness": 3, "contacts": 0.1, "forces": 5, "impact": 15},
 }  # fmt: skip
 """Preset -> tolerance of each error: in %, contacts in contacts per circle."""
+
+MOST_SUBSTEPS = 64
+"""A preset divides a step into so many at most."""
 
 FASTEST = 10.0
 """Speed of circles, in √(g r), up to which the study's time steps hold; faster ones get shorter steps."""
@@ -120,10 +124,19 @@ def recommend(
     return _recommendation(scene, kept[-1] if kept else "preview", best, candidates, study)
 
 
-def solver_and_start(scene: State, accuracy: str) -> tuple[object, str]:
-    """What `simulate(accuracy=…)` takes: (solver, name of the start). Raises ValueError on another name."""
-    one_of("accuracy", accuracy, PRESETS)
-    best = _cheapest(_candidates(scene, installed()), accuracy)
+def solver_and_start(scene: State, accuracy: str | None) -> tuple[object, str]:
+    """What `simulate(accuracy=…)` takes: (solver, name of the start); without a name, those of "fast".
+
+    Raises ValueError on another name, and warns where no setting of the study keeps the preset that was asked for.
+    """
+    name = one_of("accuracy", accuracy or "fast", PRESETS)
+    best = _cheapest(_candidates(scene, installed()), name)
+    if accuracy is not None and _excess(best, name) > 1:
+        warnings.warn(
+            f"accuracy={name!r}: no setting of the study keeps its tolerances for {scene.bodies.count:,} circles; the "
+            f"nearest is taken (print(dc.recommend(scene, accuracy={name!r})) says more)",
+            stacklevel=4,
+        )
     return best["solver"], best["start"]
 
 
@@ -148,8 +161,12 @@ def longest_step(scene: State, dt: float) -> float:
 
 
 def substeps_of(scene: State, dt: float) -> int:
-    """Into how many the scene's Δt is divided so that none is longer: a power of two, which scales impulses exactly."""
-    return 2 ** max(0, math.ceil(math.log2(scene.dt / longest_step(scene, dt)) - 1e-9))
+    """Into how many the scene's Δt is divided so that none is longer: a power of two, which scales impulses exactly.
+
+    At most `MOST_SUBSTEPS`; beyond that the scene's Δt is too long to be mended unasked.
+    """
+    ratio = scene.dt / longest_step(scene, dt)
+    return 2 ** math.ceil(math.log2(min(ratio, MOST_SUBSTEPS)) - 1e-9) if ratio > 1 else 1
 
 
 def _preset(scene: State, accuracy: str, candidates: list[dict], study: Mapping) -> Recommendation:
@@ -252,6 +269,9 @@ def outside(scene: State, study: Mapping) -> list[str]:
         found.append(f"friction {world.friction:g}; it has 0 and 0.5")
     if world.restitution > 0:
         found.append(f"restitution {world.restitution:g}; it has 0")
+    needed = scene.dt / longest_step(scene, max(setting["dt"] for setting in study["settings"]))
+    if needed > MOST_SUBSTEPS:
+        found.append(f"Δt = {scene.dt:g} s, {needed:.3g} times too long; give at most {scene.dt / needed:.2g} s")
     if gravity == 0:
         found.append("no gravity")
     elif speed > FASTEST * math.sqrt(gravity * radius.mean()):

@@ -1,7 +1,8 @@
 """How accurate a single step is, and the fastest way there: a diagnostic, for those who study solvers.
 
-What a user sees of a run is another matter: see `recommendation.runs`. The settings are read from what `scripts/tradeoff.py --install` measured: velocity errors of
-single steps (`physics.metrics.nearest_velocity_error`) on falling, settling and resting piles of equal circles.
+What a user sees of a run is another matter: `recommendation.runs`. The settings are read from what
+`scripts/tradeoff.py --install` measured: velocity errors of single steps (`physics.metrics.nearest_velocity_error`) on
+falling, settling and resting piles of equal circles.
 """
 
 from __future__ import annotations

@@ -7,7 +7,6 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 
 from deep_contact import parallel

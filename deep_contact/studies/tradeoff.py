@@ -1,4 +1,4 @@
-"""The trade of speed for accuracy: errors and times of all settings. Run by `scripts/tradeoff.py`, read by `recommend_step`.
+"""Speed for accuracy of single steps: errors and times of all settings. Run by `scripts/tradeoff.py`.
 
 Piles are falling, settling or resting. Every setting (method, precision, start) solves the same states of a pile with
 every budget: a number of sweeps, or a tolerance in units of m g Δt of the mean circle, so that it means the same in

@@ -28,8 +28,8 @@ class PGS:
     sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
     sweep, N·s) is no larger; None sweeps to the end. position_sweeps: at most so many sweeps of position correction.
     precision: of the rows and velocities in the sweeps, "double" or "single". islands: sweep each island on its own.
-    substeps: divide every step of a run into so many (Macklin et al., Small Steps in Physics Simulation, 2019), each with
-    sweeps and position sweeps of its own. Contacts carry the impulses of the last one times their number, so that a
+    substeps: divide every step of a run into so many, each with sweeps and position sweeps of its own (Macklin et al.,
+    Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last one times their number, so that a
     start fits any division of Δt; where that is a power of two, a run that is read back goes on bit for bit.
 
     Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact

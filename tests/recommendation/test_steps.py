@@ -1,12 +1,10 @@
-"""Recommendations: what they choose from a study, what they say, and the presets of `simulate`."""
-
-import dataclasses
+"""Recommendations for single steps: what they choose from a study, and what they say."""
 
 import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact import recommendation as advice
+from deep_contact.recommendation import steps as advice
 from deep_contact.physics import metrics
 from deep_contact.physics.solvers import describe
 from deep_contact.studies import tradeoff
@@ -35,17 +33,17 @@ TABLE = table(
 
 def test_the_fastest_within_the_error_of_every_kind_is_chosen():
     scene = dc.circles_in_box(50)
-    found = advice.recommend(scene, velocity_error=0.01, table=TABLE)
+    found = advice.recommend_step(scene, velocity_error=0.01, table=TABLE)
     # Not the one of 1 μs, which was measured on one kind only; and the tolerance in weights of this scene.
     np.testing.assert_allclose(found.solver.tolerance, 1e-3 * np.pi * 9.81 * 0.01, rtol=1e-12)
     assert (type(found.solver), found.solver.omega, found.warm_start, found.us) == (dc.PSOR, 1.5, "none", 20.0)
     assert (found.measured, found.reached) == (0.009, True)
-    assert advice.recommend(scene, velocity_error=0.1, table=TABLE).solver == dc.PGS(sweeps=10, tolerance=None)
-    assert advice.recommend(scene, velocity_error=0.005, table=TABLE).solver == dc.PGS(sweeps=500, tolerance=None)
+    assert advice.recommend_step(scene, velocity_error=0.1, table=TABLE).solver == dc.PGS(sweeps=10, tolerance=None)
+    assert advice.recommend_step(scene, velocity_error=0.005, table=TABLE).solver == dc.PGS(sweeps=500, tolerance=None)
 
 
 def test_out_of_reach_is_said():
-    found = advice.recommend(dc.column(3), velocity_error=1e-6, table=TABLE)
+    found = advice.recommend_step(dc.column(3), velocity_error=1e-6, table=TABLE)
     assert not found.reached
     assert found.measured == 0.004
     assert "does not reach 1e-06" in str(found)
@@ -54,50 +52,23 @@ def test_out_of_reach_is_said():
 def test_the_nearest_size_counts_by_ratio():
     rows = [row("PGS", "falling", 0.01, us, n_bodies=n) for n, us in ((100, 1.0), (1000, 10.0))]
     for n, expected in ((30, 100), (300, 100), (330, 1000), (5000, 1000)):
-        assert advice.recommend(dc.lattice_in_box(n), velocity_error=0.1, table=table(*rows)).n_bodies == expected
+        assert advice.recommend_step(dc.lattice_in_box(n), velocity_error=0.1, table=table(*rows)).n_bodies == expected
 
 
 def test_a_recommendation_tells_its_cost_and_what_it_was_measured_on():
-    text = str(advice.recommend(dc.column(3), velocity_error=0.01, table=TABLE))
+    text = str(advice.recommend_step(dc.column(3), velocity_error=0.01, table=TABLE))
     for part in ("PSOR(tolerance=", "from none", "20 μs a step of 100 circles", "measured on 8 states", "a processor"):
         assert part in text.replace("sweeps=10, ", "")
-
-
-@pytest.mark.parametrize("name", advice.ACCURACIES)
-def test_presets_read_the_study_in_the_package(name):
-    scene = dc.circles_in_box(40, seed=1)
-    assert advice.preset(scene, name) == advice.recommend(scene, velocity_error=advice.ACCURACIES[name])
 
 
 def test_recommendations_are_read_from_the_study_in_the_package():
     assert "velocity error" in str(dc.recommend(dc.circles_in_box(30), velocity_error=0.1))
 
 
-def test_a_preset_is_the_run_with_its_solver_and_start(monkeypatch):
-    monkeypatch.setattr(advice, "installed_study", lambda: TABLE)
-    scene = dc.circles_in_box(40, seed=1)
-    run = dc.simulate(scene, steps=60, accuracy="fast")
-    by_hand = dc.simulate(scene, steps=60, solver=dc.PGS(sweeps=10, tolerance=None))
-    assert run.state.solver == by_hand.state.solver
-    np.testing.assert_array_equal(run.state.bodies.position, by_hand.state.bodies.position)
-
-
-def test_more_accuracy_costs_no_less_time():
-    us = [advice.preset(dc.circles_in_box(100), name).us for name in ("fast", "balanced", "accurate")]
-    assert us == sorted(us)
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda s: advice.recommend(s, velocity_error=0), r"velocity_error: expected a number above 0, up to 1, got 0"),
-        (lambda s: dc.simulate(s, accuracy="best"), "accuracy: expected one of fast, balanced, accurate, got 'best'"),
-        (lambda s: dc.simulate(s, accuracy="fast", solver=dc.PGS()), "accuracy: expected no solver beside it"),
-    ],
-)
-def test_bad_wishes_are_refused(call, message):
-    with pytest.raises(ValueError, match=message):
-        call(dc.column(2))
+@pytest.mark.parametrize("error", [0, 2, True])
+def test_bad_errors_are_refused(error):
+    with pytest.raises(ValueError, match=rf"velocity_error: expected a number above 0, up to 1, got {error}"):
+        dc.recommend(dc.column(2), velocity_error=error)
 
 
 def test_pareto_front_has_what_nothing_beats():
@@ -155,11 +126,11 @@ def test_a_tolerance_ends_where_its_theta_says(monkeypatch):
 
 def test_a_margin_asks_for_a_smaller_error():
     scene = dc.circles_in_box(50)
-    found = advice.recommend(scene, velocity_error=0.01, table=tradeoff.with_margin(TABLE, 2.0))
+    found = advice.recommend_step(scene, velocity_error=0.01, table=tradeoff.with_margin(TABLE, 2.0))
     assert (found.measured, found.reached, found.margin) == (0.004, True, 2.0)
-    assert not advice.recommend(scene, velocity_error=0.01, table=tradeoff.with_margin(TABLE, 3.0)).reached
+    assert not advice.recommend_step(scene, velocity_error=0.01, table=tradeoff.with_margin(TABLE, 3.0)).reached
     assert "margin of 2" in str(found)
-    assert "margin" not in str(advice.recommend(scene, velocity_error=0.01, table=TABLE))
+    assert "margin" not in str(advice.recommend_step(scene, velocity_error=0.01, table=TABLE))
 
 
 def test_the_least_margin_that_keeps_the_promise():
@@ -187,19 +158,9 @@ def test_recommendations_are_judged_on_other_scenes(monkeypatch):
     assert [(row["asked"], row["margin"], row["reached"]) for row in rows] == [
         (0.05, 1.0, True), (0.05, 2.0, True), (1e-6, 1.0, False), (1e-6, 2.0, False)
     ]  # fmt: skip
-    by_hand = advice.recommend(tradeoff.pile("resting", 40, 3), velocity_error=0.05, table=TABLE)
+    by_hand = advice.recommend_step(tradeoff.pile("resting", 40, 3), velocity_error=0.05, table=TABLE)
     assert rows[0]["solver"] == describe(by_hand.solver)
     assert all(len(row["velocity"]) == 1 for row in rows)
-
-
-def test_a_preset_that_the_study_does_not_reach_warns(monkeypatch):
-    from deep_contact import recommendation
-
-    scene = dc.circles_in_box(20, seed=1)
-    found = recommendation.preset(scene, "fast")
-    monkeypatch.setattr(recommendation, "preset", lambda *_: dataclasses.replace(found, reached=False))
-    with pytest.warns(UserWarning, match="accuracy='fast': no setting of the study reached a velocity error of"):
-        dc.simulate(scene, steps=1, accuracy="fast")
 
 
 def test_references_solve_the_problem_and_differ():

@@ -1,0 +1,80 @@
+"""Substeps: a step that is divided is as many short steps, and leaves the same state."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+
+SOLVERS = [
+    dc.PGS(sweeps=5, tolerance=None),
+    dc.PGS(sweeps=40, tolerance=1e-6, islands=True),
+    dc.PSOR(sweeps=5, omega=1.4, tolerance=None),
+    dc.NNCG(sweeps=5, tolerance=None),
+    dc.BatchedPGS(sweeps=5, tolerance=None),
+]
+
+
+def divided(solver, substeps):
+    from dataclasses import replace
+
+    return replace(solver, substeps=substeps)
+
+
+@pytest.mark.parametrize("solver", SOLVERS, ids=lambda solver: type(solver).__name__)
+@pytest.mark.parametrize("sleep", [False, True])
+def test_substeps_are_short_steps(solver, sleep):
+    if sleep and type(solver) is dc.BatchedPGS:
+        pytest.skip("BatchedPGS does not put circles to sleep")
+    scene = dc.circles_in_box(50, size=20, seed=1)
+    whole = dc.simulate(scene, steps=60, solver=divided(solver, 4), sleep=sleep)
+    short = dc.simulate(scene, steps=240, dt=0.0025, solver=solver, sleep=sleep)
+    for one, other in zip(whole.state.bodies, short.state.bodies):
+        np.testing.assert_array_equal(one, other)
+    # Impulses are those of a whole step.
+    np.testing.assert_array_equal(whole.state.contacts.normal_start, 4 * short.state.contacts.normal_start)
+    assert (whole.state.step, whole.state.dt, whole.state.time) == (60, 0.01, 0.6)
+    np.testing.assert_array_equal(whole.sweeps, short.sweeps.reshape(-1, 4).sum(axis=1))
+    np.testing.assert_array_equal(whole.relaxations, short.relaxations.reshape(-1, 4).sum(axis=1))
+    np.testing.assert_array_equal(whole.contacts, short.contacts[3::4])
+    np.testing.assert_array_equal(whole.theta, short.theta[3::4])
+
+
+@pytest.mark.parametrize("start", ["builtin", "none", "sph"])
+def test_a_divided_run_goes_on_from_a_file_bit_for_bit(tmp_path, start):
+    scene, solver = dc.circles_in_box(50, size=20, seed=2), dc.PGS(sweeps=4, tolerance=None, substeps=8)
+    through = dc.simulate(scene, steps=50, solver=solver, warm_start=start).state
+    dc.write_state(tmp_path / "half.xml", dc.simulate(scene, steps=30, solver=solver, warm_start=start).state)
+    half = dc.read_state(tmp_path / "half.xml")
+    assert half.solver == solver
+    later = dc.simulate(half, steps=20, warm_start=start).state
+    np.testing.assert_array_equal(later.bodies.position, through.bodies.position)
+    assert (later.time, later.step) == (through.time, through.step)
+
+
+def test_any_number_divides_and_records_are_whole_steps():
+    scene = dc.circles_in_box(20, size=15, seed=3)
+    run = dc.simulate(scene, steps=10, record=4, solver=dc.PGS(sweeps=3, tolerance=None, substeps=3))
+    np.testing.assert_allclose(run.trajectory.times, [0, 0.04, 0.08, 0.1], atol=1e-15)
+    assert run.trajectory[-1].step == 10
+    assert all(state.dt == 0.01 for state in run.trajectory)
+
+
+def test_on_step_sees_every_substep_in_its_own_units():
+    scene, seen = dc.circles_in_box(20, size=15, seed=3), []
+    dc.simulate(scene, steps=3, solver=dc.PGS(substeps=2), on_step=lambda state, _: seen.append((state.step, state.dt)))
+    assert seen == [(k, 0.005) for k in range(6)]
+
+
+def test_substeps_halve_the_penetration_of_an_impact():
+    scene = dc.circles_in_box(80, seed=5)
+    deepest = []
+    for k in (1, 4):
+        run = dc.simulate(scene, steps=150, record=5, solver=dc.PGS(sweeps=4, tolerance=None, substeps=k))
+        deepest.append(max(-state.contacts.separation.min(initial=0) for state in run.trajectory))
+    assert deepest[1] < 0.5 * deepest[0]
+
+
+@pytest.mark.parametrize("substeps", [0, 1.5, True])
+def test_bad_substeps_are_refused(substeps):
+    with pytest.raises(ValueError, match="substeps: expected an integer"):
+        dc.PGS(substeps=substeps)

@@ -1,0 +1,171 @@
+"""Presets and recommendations for runs: what they choose from a study, how they scale, what they say."""
+
+import math
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.recommendation import PRESETS, runs
+from deep_contact.studies.run_errors import ERRORS
+
+
+def entry(name, dt, us, share, **options):
+    """A setting whose errors are `share` of the tolerances of "fast", at 100 and 1,000 circles."""
+    errors = {error: share * most for error, most in PRESETS["fast"].items()}
+    times = {"100": us, "1000": 10 * us}
+    return {"name": name, "options": options, "dt": dt, "us": times, "errors": {"100": errors, "1000": errors}}
+
+
+TABLE = {
+    "cpu": "a processor",
+    "sizes": [100, 1000],
+    "settings": [
+        entry("few", 0.01, 10.0, 1.5, method="PGS", sweeps=2, tolerance=None),
+        entry("enough", 0.01, 20.0, 0.9, method="PGS", sweeps=9, tolerance=None),
+        entry("small", 0.0025, 50.0, 0.01, method="PSOR", omega=1.3, sweeps=2, tolerance=None, start="none"),
+        entry("soft", 0.01, 30.0, 0.4, method="SoftSteps", substeps=4),
+    ],
+}
+
+
+@pytest.fixture
+def study(monkeypatch):
+    monkeypatch.setattr(runs, "installed", lambda: TABLE)
+
+
+def test_the_cheapest_setting_that_keeps_the_preset_is_chosen(study):
+    scene = dc.circles_in_box(100)
+    assert dc.recommend(scene).solver == dc.PGS(sweeps=9, tolerance=None)
+    assert dc.recommend(scene, accuracy="preview").solver == dc.PGS(sweeps=2, tolerance=None)
+    found = dc.recommend(scene, accuracy="reference")
+    assert found.solver == dc.PSOR(omega=1.3, sweeps=2, tolerance=None, substeps=4)
+    assert (found.warm_start, found.reached, found.accuracy) == ("none", True, "reference")
+    np.testing.assert_allclose(found.us, 50.0)
+
+
+def test_every_preset_has_a_tolerance_for_every_error_and_none_is_looser_than_the_one_before():
+    for name, tolerances in PRESETS.items():
+        assert tolerances.keys() == ERRORS.keys(), name
+    for looser, tighter in zip(list(PRESETS.values()), list(PRESETS.values())[1:]):
+        assert all(tighter[error] <= looser[error] for error in ERRORS)
+
+
+def test_a_simulation_without_a_solver_takes_fast(study):
+    scene = dc.circles_in_box(40, seed=1)
+    run = dc.simulate(scene, steps=60)
+    by_hand = dc.simulate(scene, steps=60, solver=dc.PGS(sweeps=9, tolerance=None))
+    assert run.state.solver == by_hand.state.solver
+    np.testing.assert_array_equal(run.state.bodies.position, by_hand.state.bodies.position)
+    assert dc.simulate(scene, steps=1, accuracy="fast").state.solver == run.state.solver
+    assert dc.simulate(by_hand.state.replace(solver=dc.NNCG()), steps=1).state.solver == dc.NNCG()
+
+
+def test_a_preset_takes_its_start_and_the_default_keeps_the_one_that_was_given(study):
+    scene = dc.circles_in_box(40, seed=1)
+    started = []
+    dc.simulate(dc.simulate(scene, steps=100).state.replace(solver=None), steps=1, accuracy="reference",
+                on_step=lambda state, _: started.append(state.contacts.normal_start.sum()))  # fmt: skip
+    assert started[0] == 0
+    run = dc.simulate(scene, steps=80, warm_start=None)
+    by_hand = dc.simulate(scene, steps=80, warm_start=None, solver=dc.PGS(sweeps=9, tolerance=None))
+    np.testing.assert_array_equal(run.state.bodies.position, by_hand.state.bodies.position)
+
+
+@pytest.mark.parametrize(("radius", "dt", "expected"), [(1.0, 0.01, 1), (1.0, 0.04, 4), (1e-3, 0.01, 32), (4, 0.01, 1)])
+def test_steps_too_long_for_the_circles_are_divided(study, radius, dt, expected):
+    scene = dc.lattice_in_box(100, radius=(radius, radius)).replace(dt=dt)
+    solver = dc.recommend(scene).solver
+    assert solver.substeps == expected
+    # What counts is Δt √(g / r), which is to be at most that of the study.
+    assert dt / solver.substeps * math.sqrt(1 / radius) <= 0.01 * (1 + 1e-9)
+    assert expected == 1 or dt / solver.substeps * math.sqrt(1 / radius) > 0.005
+
+
+def test_fast_circles_get_short_steps_without_gravity(study):
+    slow, quick = (dc.drifting_circles(50, speed=speed, seed=1) for speed in (1.0, 300.0))
+    assert dc.recommend(slow).solver.substeps == 1
+    assert dc.recommend(quick).solver.substeps > 1
+    reckless = dc.recommend(dc.drifting_circles(50, speed=1e6, seed=1))
+    assert reckless.solver.substeps == runs.MOST_SUBSTEPS
+    assert "Δt = 0.01 s" in str(reckless)
+    still = dc.circles_in_box(20, gravity=(0, 0))
+    assert dc.recommend(still).solver.substeps == 1
+
+
+def test_a_budget_buys_the_most_accurate_setting(study):
+    scene = dc.circles_in_box(100)
+    assert dc.recommend(scene, budget_ms=0.025).solver == dc.PGS(sweeps=9, tolerance=None)
+    assert dc.recommend(scene, budget_ms=1).accuracy == "reference"
+    with pytest.raises(ValueError, match=r"budget_ms: expected at least 0\.01, the cheapest setting, got 0\.001"):
+        dc.recommend(scene, budget_ms=0.001)
+
+
+def test_times_follow_the_number_of_circles_by_powers():
+    assert runs._us_at(1000, {100: 10.0, 1000: 100.0}) == pytest.approx(100)
+    assert runs._us_at(316, {100: 10.0, 1000: 100.0}) == pytest.approx(31.6)
+    assert runs._us_at(10_000, {100: 10.0, 1000: 100.0}) == pytest.approx(1000)
+    assert runs._us_at(3, {100: 10.0, 1000: 100.0}) == pytest.approx(10)
+
+
+def test_a_preset_out_of_reach_is_said(study, monkeypatch):
+    monkeypatch.setitem(PRESETS, "reference", PRESETS["reference"] | {"energy": 1e-3})
+    scene = dc.circles_in_box(30)
+    found = dc.recommend(scene, accuracy="reference")
+    assert not found.reached
+    assert "no setting of the study keeps all tolerances" in str(found)
+    with pytest.warns(UserWarning, match="accuracy='reference': no setting of the study keeps its tolerances for 30"):
+        dc.simulate(scene, steps=1, accuracy="reference")
+
+
+@pytest.mark.parametrize(
+    ("scene", "said"),
+    [
+        (dc.circles_in_box(100), None),
+        (dc.circles_in_box(100, radius=(0.4, 1.0)), None),
+        (dc.lattice_in_box(200, radius=(0.1, 1.0)), r"radii that differ 9\.\d+ times; it has up to 3"),
+        (dc.circles_in_box(50, friction=0.9), r"friction 0\.9; it has 0 and 0\.5"),
+        (dc.circles_in_box(50, restitution=0.2), r"restitution 0\.2; it has 0"),
+        (dc.drifting_circles(50), "no gravity"),
+        (dc.column(4), "4 circles; it has 100 to 1,000"),
+    ],
+)
+def test_a_scene_outside_of_the_study_is_called_so(study, scene, said):
+    text = str(dc.recommend(scene))
+    if said is None:
+        assert "outside" not in text
+    else:
+        import re
+
+        assert re.search(f"outside of the study: {said}", text)
+
+
+def test_what_is_next_is_told(study):
+    text = str(dc.recommend(dc.circles_in_box(100)))
+    for part in ("fast: PGS(sweeps=9", "20 μs a step of 0.01 s, 100 circles; a processor", "energy 9 (10)",
+                 "cheaper: preview, PGS(sweeps=2, tolerance=None), 0.5 times", "better: balanced, "):  # fmt: skip
+        assert part in text, part
+
+
+@pytest.mark.parametrize(
+    ("wish", "message"),
+    [
+        ({"accuracy": "best"}, "accuracy: expected one of preview, fast, balanced, accurate, reference, got 'best'"),
+        ({"accuracy": "fast", "budget_ms": 1}, "expected one of accuracy, budget_ms, velocity_error, got accuracy, b"),
+        ({"budget_ms": 0}, "budget_ms: expected a"),
+    ],
+)
+def test_bad_wishes_are_refused(study, wish, message):
+    with pytest.raises(ValueError, match=message):
+        dc.recommend(dc.column(2), **wish)
+
+
+def test_a_solver_beside_a_preset_is_refused():
+    with pytest.raises(ValueError, match="accuracy: expected no solver beside it"):
+        dc.simulate(dc.column(2), accuracy="fast", solver=dc.PGS())
+
+
+def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():
+    found = dc.recommend(dc.circles_in_box(100, seed=3))
+    assert found.reached
+    assert all(found.errors[name] <= most for name, most in found.tolerances.items() if name in found.errors)
