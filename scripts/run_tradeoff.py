@@ -70,12 +70,13 @@ PEER_SETTINGS = [
     for divisor, found in budgets.items()
     for sweeps in found
 ]
-FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] <= 10 and s["dt"] > TIME_STEP / 8]
+FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] in (2, 4, 10) and s["dt"] > TIME_STEP / 8]
 
 FULL = {
     "sizes": [100, 1000, 10_000],
-    "kinds": {"100": list(runs.KINDS), "1000": list(runs.KINDS), "10000": ["plain", "mixed radii"]},
+    "kinds": {"100": list(runs.KINDS), "1000": list(runs.KINDS), "10000": ["plain"]},
     "seeds": {"100": 12, "1000": 6, "10000": 2},
+    "peer_seeds": {"100": 12, "1000": 3, "10000": 1},
     "seconds": 6.0,
     "settings": {"100": OURS, "1000": OURS, "10000": LARGE},
     "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "10000": FEW_PEERS},
@@ -86,6 +87,7 @@ QUICK = {
     "sizes": [100, 300],
     "kinds": {"100": ["plain"], "300": ["plain"]},
     "seeds": {"100": 4, "300": 3},
+    "peer_seeds": {"100": 4, "300": 3},
     "seconds": 4.0,
     "settings": {"100": OURS, "300": LARGE},
     "peers": {"100": PEER_SETTINGS[::3], "300": []},
@@ -95,6 +97,16 @@ QUICK = {
 FUNCTIONS = {"observed": runs.observed, "times": runs.times}
 
 
+def is_peer(setting: dict) -> bool:
+    """Whether a setting is that of another engine."""
+    return "engine" in setting
+
+
+def same_errors(setting: dict) -> dict:
+    """The setting whose runs are observed in place of this one's: BatchedPGS by levels is PGS, up to rounding."""
+    return setting | {"method": "PGS"} if setting.get("method") == "BatchedPGS" else setting
+
+
 def plan(options: dict, seed: int) -> tuple[list, list]:
     """The parts as (name, arguments): observations, the quick ones first, and times."""
     seen, timed = [], []
@@ -102,10 +114,11 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
         settings = options["settings"][str(n)] + options["peers"][str(n)]
         for kind in options["kinds"][str(n)]:
             for setting in settings:
-                if "engine" in setting and kind != "plain":
+                if (is_peer(setting) and kind != "plain") or same_errors(setting) != setting:
                     continue
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-                seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, options["seeds"][str(n)])]
+                count = options["peer_seeds" if is_peer(setting) else "seeds"][str(n)]
+                seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, count)]
         times = {"n_bodies": n, "seed": seed, "settings": settings}
         timed.append(("times", times | {"steps": options["steps"][str(n)], "repeats": options["repeats"]}))
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
@@ -125,6 +138,10 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict
     for ensemble in ensembles.values():  # by seed, so that each run meets the reference of its own scene
         for name, (setting, by_seed) in ensemble.items():
             ensemble[name] = setting, [by_seed[s] for s in sorted(by_seed)]
+    for (_, n), ensemble in ensembles.items():
+        for setting in options["settings"][str(n)]:
+            if same_errors(setting) != setting:
+                ensemble[runs.name_of(setting)] = setting, ensemble[runs.name_of(same_errors(setting))][1]
     by_size = {part["n_bodies"]: us for (_, part), us in zip(timed, took)}
     rows = runs.rows(ensembles, by_size)
     curves = {
@@ -183,7 +200,7 @@ def table(data: dict, cpu: str) -> dict:
     """What `dc.simulate` and `dc.recommend` read: settings with worst errors and times by size."""
     settings: dict = {}
     for row in data["rows"]:
-        if "engine" in row["setting"] or row["us"] is None or not row["errors"]:
+        if is_peer(row["setting"]) or row["us"] is None or not row["errors"]:
             continue
         entry = settings.setdefault(row["name"], {"setting": row["setting"], "us": {}, "rows": {}})
         entry["us"][str(row["n_bodies"])] = round(row["us"], 2)

@@ -1,0 +1,151 @@
+"""Errors of a run: closed forms, invariances, and ensembles whose errors are known."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.studies import run_errors
+from deep_contact.studies.run_errors import REST, Observation, errors, intervals, observe
+
+
+def states(scene, *, count=40, each=5, **options):
+    state, found = scene, []
+    for _ in range(count):
+        state = dc.simulate(state, steps=each, solver=dc.PGS(sweeps=50, tolerance=None), **options).state
+        found.append(state)
+    return found
+
+
+def observation(kinetic=1.0, height=10.0, speed=0.0, penetration=0.0, contacts=1.5, loads=None, count=30):
+    def curve(value):
+        return np.full(count, float(value)) if np.isscalar(value) else np.asarray(value, float)
+
+    depth = np.repeat(curve(penetration)[:, None], 3, axis=1)
+    force = np.ones(count - 1)
+    return Observation(curve(kinetic), curve(height), curve(speed), depth, curve(contacts), force, loads, 0.1)
+
+
+def test_a_falling_circle_by_closed_form():
+    seen = observe(states(dc.single_body(height=25.0), count=30, each=3))
+    t = 0.03 * np.arange(1, 31) * np.sqrt(9.81)
+    np.testing.assert_allclose(seen.kinetic, 0.5 * t**2, rtol=1e-9)
+    np.testing.assert_allclose(seen.speed, t, rtol=1e-9)
+    np.testing.assert_allclose(seen.force, 0, atol=1e-9)  # nothing holds it
+    # Symplectic Euler falls t Δt / 2 further than the parabola.
+    np.testing.assert_allclose(seen.height, 26.01 - 0.5 * t * (t + 0.01 * np.sqrt(9.81)), rtol=1e-9)
+    assert not seen.contacts.any()
+    assert seen.loads is None
+    np.testing.assert_allclose(seen.interval, 0.03 * np.sqrt(9.81))
+
+
+def test_a_column_at_rest_carries_its_weight():
+    seen = observe(states(dc.column(5), count=80))
+    np.testing.assert_allclose(seen.force[-10:], 1, atol=1e-3)
+    np.testing.assert_allclose(seen.contacts[-1], 1)  # four pairs and the floor, for five circles
+    assert seen.speed[-1] < 1e-3
+    # λ of contact k is k weights: 1, 2, 3, 4, 5 over their mean 3.
+    for load in (1, 2, 3, 4, 5):
+        at = load / 3
+        np.testing.assert_allclose(np.interp(at - 0.06, run_errors.LOADS, seen.loads), (load - 1) / 5, atol=0.02)
+        np.testing.assert_allclose(np.interp(at + 0.06, run_errors.LOADS, seen.loads), load / 5, atol=0.02)
+
+
+def test_penetration_is_that_of_the_contacts():
+    scene = dc.two_bodies(speed=0.0)
+    world = dc.World(gravity=(0, -1e-9))
+    pushed = scene.bodies._replace(position=scene.bodies.position + [[0.03, 0], [-0.03, 0]])
+    state = dc.simulate(scene.replace(world=world, bodies=pushed), steps=0).state
+    seen = observe([state.replace(time=float(k)) for k in range(REST)])
+    np.testing.assert_allclose(seen.penetration, 0.06)
+    np.testing.assert_allclose(seen.contacts, 0.5)
+
+
+@pytest.mark.parametrize("scale", [1e-2, 16.0])
+def test_numbers_are_the_same_at_every_scale(scale):
+    """Only what is observed is scaled here, not the engine: lengths by s, times by √s, masses by s²."""
+    run = states(dc.circles_in_box(30, seed=1), count=30)
+    seen = observe(run)
+
+    def scaled(state):
+        b, c, w = state.bodies, state.contacts, state.world
+        bodies = b._replace(position=scale * b.position, velocity=np.sqrt(scale) * b.velocity,
+                            spin=b.spin / np.sqrt(scale), mass=scale**2 * b.mass, radius=scale * b.radius)  # fmt: skip
+        contacts = c._replace(separation=scale * c.separation, normal_start=scale**2.5 * c.normal_start)
+        world = dc.World(box=np.multiply(scale, w.box), gravity=w.gravity)
+        return state.replace(bodies=bodies, contacts=contacts, world=world, time=np.sqrt(scale) * state.time)
+
+    for one, other in zip(seen, observe(map(scaled, run))):
+        np.testing.assert_allclose(one, other, rtol=1e-9, atol=1e-9)
+
+
+def test_an_ensemble_has_no_error_against_itself():
+    runs = [observe(states(dc.circles_in_box(30, seed=seed), count=30)) for seed in (1, 2)]
+    found = errors(runs, runs)
+    absolute = {"penetration", "penetration_95", "penetration_max"}
+    assert found.keys() == run_errors.ERRORS.keys()
+    assert all(found[name] == 0 for name in found.keys() - absolute)
+    assert 0 < found["penetration"] <= found["penetration_95"] <= found["penetration_max"]
+
+
+@pytest.mark.parametrize(
+    ("name", "changed", "expected"),
+    [
+        ("energy", {"kinetic": 1.1}, 10.0),
+        ("height", {"height": 9.5}, 5.0),
+        ("creep", {"height": 10 - 0.01 * np.arange(30)}, 10.0),
+        ("penetration", {"penetration": 0.02}, 2.0),
+        ("penetration_95", {"penetration": 0.02}, 2.0),
+        ("penetration_max", {"penetration": 0.02 + 0.1 * (np.arange(30) == 3)}, 12.0),
+        ("restlessness", {"speed": 0.07}, 7.0),
+        ("contacts", {"contacts": 1.7}, 0.2),
+        ("forces", {"loads": np.minimum(1, run_errors.LOADS + 0.03)}, 3.0),
+    ],
+)
+def test_each_error_by_hand(name, changed, expected):
+    loads = np.minimum(1, run_errors.LOADS)
+    reference = [observation(loads=loads)] * 3
+    found = errors([observation(**({"loads": loads} | changed))] * 3, reference)
+    np.testing.assert_allclose(found[name], expected, rtol=1e-9)
+
+
+def test_calm_is_no_error_and_unknown_forces_are_none():
+    reference = [observation(speed=0.1, loads=np.minimum(1, run_errors.LOADS))]
+    found = errors([observation(speed=0.05)], reference)
+    assert found["restlessness"] == 0
+    assert found["forces"] is None
+    assert intervals([observation()], reference)["forces"] is None
+
+
+def test_the_impact_is_that_of_the_ensemble():
+    def with_peak(peak):
+        seen = observation()
+        force = seen.force.copy()
+        force[4] = peak
+        return seen._replace(force=force)
+
+    found = errors([with_peak(4.0), with_peak(2.0)], [with_peak(2.0), with_peak(2.0)])
+    np.testing.assert_allclose(found["impact"], 50.0)
+
+
+def test_intervals_hold_the_value_and_shrink_with_seeds():
+    rng = np.random.default_rng(1)
+
+    def ensemble(count):
+        return [observation(kinetic=1 + 0.1 * rng.normal()) for _ in range(count)]
+
+    widths = []
+    for count in (4, 64):
+        value, low, high = intervals(ensemble(count), ensemble(count), resamples=300)["energy"]
+        assert low <= value <= high
+        widths.append(high - low)
+    assert widths[1] < 0.6 * widths[0]
+
+
+def test_what_cannot_be_observed_is_refused():
+    run = states(dc.circles_in_box(20, seed=1), count=5)
+    with pytest.raises(ValueError, match=f"states: expected at least {REST}, got 5"):
+        observe(run)
+    with pytest.raises(ValueError, match="states: expected gravity"):
+        observe([dc.simulate(dc.drifting_circles(3), steps=1).state])
+    with pytest.raises(ValueError, match="found: expected 2 runs, as the reference has, got 1"):
+        intervals([observation()], [observation()] * 2)

@@ -1,0 +1,126 @@
+"""The study of runs: its settings, observations that are stored and read, rows, and resumption."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import load_script
+
+import deep_contact as dc
+from deep_contact.constants import TIME_STEP
+from deep_contact.recommendation import PRESETS
+from deep_contact.reporting import results
+from deep_contact.studies import peers, runs
+from deep_contact.studies.parts import done
+
+COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
+
+
+@pytest.mark.parametrize(
+    ("setting", "name"),
+    [
+        (COARSE, "PGS, 3 sweeps, Δt"),
+        ({"method": "PSOR", "sweeps": 1, "dt": TIME_STEP / 4, "omega": 1.3}, "PSOR, 1 sweep, omega=1.3, Δt / 4"),
+        ({"method": "SoftSteps", "substeps": 4, "dt": 2 * TIME_STEP}, "SoftSteps, 4 substeps, 2 Δt"),
+        ({"engine": "pymunk", "sweeps": 10, "dt": TIME_STEP}, "pymunk, 10 iterations, Δt"),
+    ],
+)
+def test_settings_have_names(setting, name):
+    assert runs.name_of(setting) == name
+
+
+def test_an_observation_is_read_as_it_was_stored():
+    stored = runs.observed("mixed radii", 40, 3, COARSE, seconds=1.5)
+    seen = runs.observation(json.loads(json.dumps(stored)))
+    assert seen.kinetic.shape == (30,)
+    assert seen.penetration.shape == (30, 3)
+    assert seen.kinetic.max() > 1  # it has fallen some radii
+    assert seen.loads[-1] <= 1
+    again = runs.observed("mixed radii", 40, 3, COARSE, seconds=1.5)
+    assert again == stored
+
+
+@pytest.mark.peers
+@pytest.mark.parametrize("engine", list(peers.ENGINES))
+def test_other_engines_fall_as_ours(engine):
+    if engine not in peers.installed():
+        pytest.skip(f"{engine} is not installed")
+    ours = runs.observation(runs.observed("plain", 30, 2, COARSE, seconds=1.0))
+    theirs = runs.observation(
+        runs.observed("plain", 30, 2, {"engine": engine, "sweeps": 10, "dt": TIME_STEP}, seconds=1)
+    )
+    # Until the first contact with the floor the fall is the same in all of them, to float32 and half a step.
+    np.testing.assert_allclose(theirs.kinetic[:10], ours.kinetic[:10], rtol=0.05, atol=0.02)
+    assert theirs.loads is None
+
+
+def test_rows_hold_every_setting_against_the_reference():
+    settings = [runs.REFERENCE, COARSE]
+    seen = {
+        runs.name_of(s): (s, [runs.observation(runs.observed("plain", 30, k, s, seconds=1.5)) for k in (1, 2)])
+        for s in settings
+    }
+    rows = runs.rows({("plain", 30): seen}, {30: {runs.name_of(COARSE): 7.0}})
+    reference, coarse = rows
+    assert reference["errors"] is None
+    assert (coarse["us"], coarse["seeds"]) == (7.0, 2)
+    value, low, high = coarse["errors"]["penetration_max"]
+    assert 0 < low <= value <= high
+    worst = runs.worst_errors([coarse, {"errors": {"energy": (1e3, 0, 0), "forces": None}}])
+    assert worst["energy"] == 1e3
+    assert worst["penetration_max"] == value
+    assert not runs.meets(worst, PRESETS["preview"])
+    assert runs.meets({"energy": 1.0}, PRESETS["reference"])
+
+
+def test_times_name_every_setting():
+    fine = COARSE | {"dt": TIME_STEP / 8}
+    took = runs.times(30, 1, [COARSE, fine], steps=5, repeats=1)
+    assert took.keys() == {runs.name_of(COARSE), runs.name_of(fine)}
+
+
+def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
+    parts = [("observed", {"n_bodies": 1, "k": k}) for k in range(4)]
+    calls = []
+
+    def compute(n_bodies, k):
+        calls.append(k)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return {"k": k}
+
+    with pytest.raises(KeyboardInterrupt):
+        done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts")
+    assert done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts") == [{"k": k} for k in range(4)]
+    assert calls == [0, 1, 2, 2, 3]
+    assert not list(tmp_path.glob("*.tmp*"))
+
+
+def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys):
+    script = load_script("run_tradeoff")
+    tiny = script.QUICK | {
+        "sizes": [20],
+        "kinds": {"20": ["plain"]},
+        "seeds": {"20": 2},
+        "seconds": 1.0,
+        "settings": {"20": [runs.REFERENCE, COARSE, {"method": "SoftSteps", "substeps": 2, "dt": TIME_STEP}]},
+        "peers": {"20": []},
+        "steps": {"20": 5},
+        "repeats": 1,
+    }
+    monkeypatch.setattr(script, "QUICK", tiny)
+    monkeypatch.setattr(script, "TABLE", tmp_path / "runs.json")
+    out = tmp_path / "study.json"
+    arguments = ["--quick", "--install", "--jobs", "1", "--out", str(out), "--work", str(tmp_path / "work")]
+    assert script.main(arguments) == 0
+    assert "rows in study.json" in capsys.readouterr().out
+    rows = results.read_results(out)["data"]["rows"]
+    assert {row["name"] for row in rows} == {
+        "PGS, 20 sweeps, Δt / 16",
+        "PGS, 3 sweeps, Δt",
+        "SoftSteps, 2 substeps, Δt",
+    }
+    table = json.loads((tmp_path / "runs.json").read_text())
+    found = dc.recommend(dc.circles_in_box(20), accuracy="preview", table=table)
+    assert found.us > 0
+    assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "SoftSteps, 2 substeps, Δt"}
