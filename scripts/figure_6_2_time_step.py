@@ -1,71 +1,97 @@
-"""python scripts/figure_6_2_time_step.py: runs of a pile at rest, by method, budget and time step."""
+"""python scripts/figure_6_2_time_step.py: errors of a run as the time step goes to 0."""
 
+import numpy as np
+
+from deep_contact.constants import TIME_STEP
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import tradeoff
+from deep_contact.studies import runs
 
-COLOURS = {"PGS": plotting.VERMILION, "NNCG": plotting.BLUE, "SoftSteps": plotting.GREEN}
-LINES = ("-", "--", ":")
-SHOWN = {"speed": "m/s", "mean_penetration": "m", "height_drift": "m"}
+COLOURS = (plotting.VERMILION, plotting.BLUE, plotting.GREEN)
+SHOWN = {
+    "energy": "kinetic-energy curve, %",
+    "forces": "distribution of forces, %",
+    "penetration": "mean penetration, % of r",
+    "penetration_max": "deepest penetration, % of r",
+}
 
 
 def compute(options, seed, jobs, progress):
-    """The runs of the study on a pile of one size: from its results file, or from short runs made here."""
+    """The rows of the well solved settings, by time step: from the study's results file, or from a small study here."""
     if options["results"]:
-        rows = results.read_results(options["results"])["data"]["runs"]
+        rows = results.read_results(options["results"])["data"]["rows"]
     else:
-        rows = tradeoff.resting_runs(options["n_bodies"], seed, seconds=options["seconds"], steps=options["steps"])
-        rows = [{"n_bodies": options["n_bodies"], **row} for row in rows]
-    return {"rows": [row for row in rows if row["n_bodies"] == options["n_bodies"]]}
+        seeds = figures.seeds(seed, options["seeds"])
+        rows = runs.small_study(options["n_bodies"], seeds, runs.LIMIT[1:-1], seconds=options["seconds"])
+    names = {runs.name_of(setting): setting["dt"] for setting in runs.LIMIT}
+    return {
+        "rows": [
+            {"n_bodies": row["n_bodies"], "dt": names[row["name"]], "errors": row["errors"]}
+            for row in rows
+            if row["kind"] == "plain" and row["name"] in names and row["errors"]
+        ]
+    }
+
+
+def of_size(data, n):
+    """Rows of one size, the shortest step first."""
+    return sorted((row for row in data["rows"] if row["n_bodies"] == n), key=lambda row: row["dt"])
+
+
+def order(rows, name):
+    """The power of Δt with which an error falls, fitted over all steps."""
+    x, y = np.log([row["dt"] for row in rows]), np.log([row["errors"][name][0] for row in rows])
+    return float(np.polyfit(x, y, 1)[0])
 
 
 def claims(data):
-    """Whether small steps with few sweeps beat large steps with many, at the same cost."""
+    """Penetration falls with the step; energy and forces stop changing within their intervals."""
     found = []
-    steps = sorted({row["dt"] for row in data["rows"]})
-    for name, error in (("speed", "restlessness"), ("mean_penetration", "penetration")):
-        least = {}
-        for engine in COLOURS:
-            best = min(tradeoff.rows_of(data, engine=engine), key=lambda row: abs(row[name]))
-            least[f"{engine}, {'m/s' if name == 'speed' else 'm'}"] = abs(best[name])
-            least[f"{engine}, Δt, s"] = best["dt"]
-        holds = all(least[f"{engine}, Δt, s"] == steps[0] for engine in COLOURS)
-        found.append(Claim(f"the smallest time step leaves every method the least {error}", None, holds, least))
+    for n in sorted({row["n_bodies"] for row in data["rows"]}):
+        rows = of_size(data, n)
+        powers = {name: order(rows, name) for name in ("penetration", "penetration_max")}
+        text = f"penetration falls with the time step, {n:,} circles"
+        found.append(Claim(text, None, min(powers.values()) > 0.5, powers))
+        # The last two steps differ from the limit by chance alone if their intervals meet.
+        last, before = (row["errors"]["energy"] for row in rows[:2])
+        measured = {"Δt / 8": last, "Δt / 4": before}
+        text = f"the energy curve stops changing within its intervals, {n:,} circles"
+        found.append(Claim(text, None, before[1] <= last[2], measured))
     return found
 
 
 def table(data):
-    """Rows: every run."""
-    head = ["method", "sweeps or substeps", "Δt, s", "μs a second", "rms speed, m/s", "mean penetration, m", "drift, m"]
-    names = ("engine", "budget", "dt", "us_per_second", "speed", "mean_penetration", "height_drift")
-    return [head, *([row[name] for name in names] for row in data["rows"])]
+    """Rows: each size and step, with the interval of each error."""
+    rows = [["circles", "Δt, s", *SHOWN.values()]]
+    for n in sorted({row["n_bodies"] for row in data["rows"]}):
+        for row in of_size(data, n):
+            cells = [row["errors"][name] for name in SHOWN]
+            rows.append([n, f"{row['dt']:g}", *(c and f"{c[0]:.2g} ({c[1]:.2g} to {c[2]:.2g})" for c in cells)])
+    return rows
 
 
 def draw(data, options):
-    """Three errors of a run by what a second of it costs; a line for each method and time step."""
-    figure, panels = plotting.subplots(1, len(SHOWN), size=(12.0, 3.8))
-    steps = sorted({row["dt"] for row in data["rows"]})
-    for ax, (name, unit) in zip(panels, SHOWN.items()):
-        for engine, colour in COLOURS.items():
-            for dt, line in zip(steps, LINES):
-                mine = sorted(tradeoff.rows_of(data, engine=engine, dt=dt), key=lambda row: row["budget"])
-                errors = [max(abs(row[name]), 1e-7) for row in mine]
-                times = [row["us_per_second"] for row in mine]
-                ax.plot(times, errors, line, color=colour, marker="o", markersize=3, label=f"{engine}, Δt = {dt:g} s")
-        points = [(row["us_per_second"], max(abs(row[name]), 1e-7)) for row in data["rows"]]
-        front = [points[i] for i in tradeoff.pareto(points)]
-        ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=2.2, label="Pareto front")
-        plotting.label_axes(ax, "time of a simulated second", name.replace("_", " "), x_unit="μs", y_unit=unit)
+    """An error in each panel against Δt, a line for each size."""
+    figure, panels = plotting.subplots(1, len(SHOWN), size=(13.0, 3.4))
+    for ax, (name, text) in zip(panels, SHOWN.items()):
+        for n, colour in zip(sorted({row["n_bodies"] for row in data["rows"]}), COLOURS):
+            rows = [row for row in of_size(data, n) if row["errors"][name]]
+            values = np.array([row["errors"][name] for row in rows])
+            ax.errorbar([row["dt"] for row in rows], values[:, 0],
+                        np.abs(values[:, 1:].T - values[:, 0]), color=colour, marker="o", markersize=4,
+                        label=f"{n:,} circles")  # fmt: skip
+        ax.axvline(TIME_STEP, color=plotting.GREY, linewidth=0.6, linestyle=":")
+        plotting.label_axes(ax, "time step Δt", text, x_unit="s")
         ax.set(xscale="log", yscale="log")
-    panels[-1].legend(fontsize=6, loc="upper right")
+    panels[0].legend(fontsize=7)
     return figure
 
 
 FIGURE = Figure(
     id="6.2",
-    title="Time step, sweeps and substeps in a pile at rest",
-    options={"results": "data/reference/tradeoff.json", "n_bodies": 1000, "seconds": 2.0, "steps": [0.02, 0.01, 0.005]},
-    quick={"results": "", "n_bodies": 60, "seconds": 0.3, "steps": [0.02, 0.01]},
+    title="The limit of small steps",
+    options={"results": "data/reference/run_tradeoff.json", "n_bodies": 100, "seeds": 4, "seconds": 4.0},
+    quick={"results": "", "n_bodies": 40, "seeds": 2, "seconds": 2.0},
     compute=compute,
     claims=claims,
     table=table,

@@ -1,4 +1,4 @@
-"""The study of speed against accuracy: errors and times of every method, start, budget, precision and time step.
+"""The study of single steps, for those who study solvers: errors and times of every method, start and budget.
 
     python scripts/tradeoff.py [--quick] [--jobs J] [--scheduler ADDRESS] [--seed S] [--out FILE] [--work FOLDER]
     python scripts/tradeoff.py --errors     only the parts that need no quiet machine
@@ -6,26 +6,24 @@
 
 Every finished part of the study is stored in the work folder, so an interrupted run continues where it stopped; parts
 with other settings are not touched. Several processes, or a Dask cluster (--scheduler, see `deep_contact.parallel`),
-compute errors; then one process of this machine measures times. `scripts/figure_6_1_methods.py` and
-`figure_6_2_time_step.py` draw the results file. `--install` copies what `dc.recommend` reads into the package; with
---verify it sets the margin there. Quick form: 100 and 1,000 circles.
+compute errors; then one process of this machine measures times. `--install` copies what
+`dc.recommend(velocity_error=…)` reads into the package; with --verify it sets the margin there. Quick form: 100 and
+1,000 circles.
 """
 
 from __future__ import annotations
 
 import argparse
-import hashlib
-import json
 import sys
 import time
 from concurrent.futures import Executor
-from contextlib import closing
 from pathlib import Path
 
 from deep_contact import parallel
 from deep_contact.recommendation.steps import TABLE
 from deep_contact.reporting import figures, results
 from deep_contact.studies import peers, tradeoff
+from deep_contact.studies.parts import done
 
 FULL = {
     "sizes": [100, 1000, 10000],
@@ -36,9 +34,6 @@ FULL = {
     "most_sweeps": {"100": 100_000, "1000": 100_000, "10000": 2000},
     "past_need": {"100": 100_000, "1000": 100_000, "10000": 60_000},
     "exact": [100, 1000],
-    "run_sizes": [100, 1000, 10000],
-    "seconds": {"100": 2.0, "1000": 2.0, "10000": 0.5},
-    "steps": [0.02, 0.01, 0.005],
     "peer_sizes": [100, 1000],
     "peer_budgets": [4, 10, 30, 100, 300, 1000, 10_000],
     "peer_samples": 6,
@@ -53,9 +48,6 @@ QUICK = {
     "most_sweeps": {"100": 1000, "1000": 1000},
     "past_need": {"100": 20_000, "1000": 20_000},
     "exact": [100, 1000],
-    "run_sizes": [100],
-    "seconds": {"100": 0.5},
-    "steps": [0.02, 0.01],
     "peer_sizes": [100],
     "peer_budgets": [4, 10, 100],
     "peer_samples": 3,
@@ -89,7 +81,6 @@ PEERS_PAST_NEED = 10_000
 PARTS = {
     "errors": tradeoff.solution_errors,
     "peer_errors": tradeoff.peer_errors,
-    "runs": tradeoff.resting_runs,
     "peer_times": tradeoff.peer_times,
     "costs": tradeoff.costs,
     "exact": tradeoff.exact_solutions,
@@ -115,9 +106,6 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
                 if exact:
                     timed.append(("exact", arguments))
         timed.append(("costs", {"n_bodies": n, "seed": seed, "repeats": options["repeats"]}))
-    for n in options["run_sizes"]:
-        arguments = {"seconds": options["seconds"][str(n)], "steps": options["steps"]}
-        timed.append(("runs", {"n_bodies": n, "seed": seed} | arguments))
     for n in options["peer_sizes"]:
         for name in peers.ENGINES:
             common = {"name": name, "n_bodies": n, "seed": seed, "budgets": options["peer_budgets"]}
@@ -132,34 +120,14 @@ def largest_first(parts: list) -> list:
     return sorted(parts, key=lambda part: -part[1]["n_bodies"])
 
 
-def compute(part: tuple[str, dict]):
-    """The result of one part, as it is stored."""
-    name, arguments = part
-    return results.plain(PARTS[name](**arguments))
-
-
-def done(parts: list, *, work: Path, jobs: int | Executor, text: str) -> list:
-    """The results of the parts, in their order: read where they are stored, otherwise computed and stored here."""
-    paths = []
-    for part in parts:
-        digest = hashlib.sha256(json.dumps(part, sort_keys=True).encode()).hexdigest()[:16]
-        paths.append(work / f"{part[0]}_{part[1]['n_bodies']}_{digest}.json")
-    missing = [i for i, path in enumerate(paths) if not path.exists()]
-    work.mkdir(parents=True, exist_ok=True)
-    with closing(parallel.finished(compute, [parts[i] for i in missing], jobs=jobs)) as found:
-        for k, result in figures.progress_bar(found, total=len(missing), text=text):
-            with results.replacing(paths[missing[k]]) as temporary:
-                temporary.write_text(json.dumps(result, allow_nan=False), encoding="utf-8")
-    return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
-
-
 def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict:
     """The data of the results file."""
     measured, timed = plan(options, seed)
-    found = done(measured, work=work, jobs=jobs, text="errors") + done(timed, work=work, jobs=1, text="times")
+    found = done(measured, PARTS, work=work, jobs=jobs, text="errors")
+    found += done(timed, PARTS, work=work, jobs=1, text="times")
     parts: dict = {name: [] for name in PARTS}
-    for (name, arguments), part in zip(measured + timed, found):
-        parts[name].append([{"n_bodies": arguments["n_bodies"]} | row for row in part] if name == "runs" else part)
+    for (name, _), part in zip(measured + timed, found):
+        parts[name].append(part)
 
     def peer_key(row):
         return row["engine"], row["n_bodies"], row["budget"]
@@ -171,7 +139,6 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict
         "rows": tradeoff.condensed(parts["errors"], parts["costs"]),
         "costs": parts["costs"],
         "exact": parts["exact"],
-        "runs": [row for part in parts["runs"] for row in part],
         "peers": [row | {"us": peer_us[peer_key(row)]} for part in parts["peer_errors"] for row in part],
     }
 
@@ -203,7 +170,7 @@ def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dic
             common |= {"past_need": options["past_need"][str(n)], "exact": n in options["exact"]}
             # Seeds that no study starts from.
             parts += [("verify", common | {"seed": s}) for s in figures.seeds(seed + 5000, options["seeds"][str(n)])]
-    rows = [row for part in done(largest_first(parts), work=work, jobs=jobs, text="scenes") for row in part]
+    rows = [row for part in done(largest_first(parts), PARTS, work=work, jobs=jobs, text="scenes") for row in part]
     margin = tradeoff.least_margin(rows)
     kept = [row for row in rows if row["margin"] == (margin or max(options["margins"]))]
     by_kind = {kind: shares([row for row in kept if row["kind"] == kind]) for kind in tradeoff.KINDS}
@@ -268,10 +235,10 @@ def _run(given, jobs: int | Executor) -> dict | None:
         options, id = VERIFY_QUICK if given.quick else VERIFY, "V.1"
         title = "Velocity errors of what is recommended, on scenes outside the study"
     else:
-        options, id = QUICK if given.quick else FULL, "6.1"
+        options, id = QUICK if given.quick else FULL, "S.1"
         title = "Speed for accuracy: errors and times of every method and budget"
     if given.errors:
-        done(plan(options, given.seed)[0], work=given.work, jobs=jobs, text="errors")
+        done(plan(options, given.seed)[0], PARTS, work=given.work, jobs=jobs, text="errors")
         return None
     data = (verify if given.verify else study)(options, **settings)
     found = (verify_claims if given.verify else claims)(data)

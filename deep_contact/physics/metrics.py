@@ -1,4 +1,4 @@
-"""How wrong a solution is, and how wrong a run: every error defined once, with its unit and source.
+"""How wrong the solution of a step is: every error defined once, with its unit and source.
 
 θ is a stopping rule, not an error: it is the size of the last step, and a method that creeps takes small steps far
 from the solution. Below, a solution is held against the contact problem itself (`residual`, `approach`: what is left
@@ -31,25 +31,6 @@ class SolutionErrors(NamedTuple):
     velocity: float
     residual: float
     approach: float
-
-
-class RunErrors(NamedTuple):
-    """Errors of a run of a pile at rest, from its first state to its last.
-
-    | field             | meaning                                                                          | unit |
-    |-------------------|----------------------------------------------------------------------------------|------|
-    | penetration       | deepest penetration of any contact in any state                                  | m    |
-    | mean_penetration  | mean over the states of the deepest penetration                                  | m    |
-    | speed             | root mean square speed over circles and states: it should be 0                   | m/s  |
-    | energy_drift      | change of kinetic and potential energy per mass                                  | J/kg |
-    | height_drift      | change of the height of the centre of mass: sinking is negative                  | m    |
-    """
-
-    penetration: float
-    mean_penetration: float
-    speed: float
-    energy_drift: float
-    height_drift: float
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -166,32 +147,6 @@ def solution_errors(state: State, solution: ContactSolution, reference: ContactS
     return SolutionErrors(
         velocity_error(state, solution, reference), residual(state, solution), approach(state, solution)
     )
-
-
-def run_errors(states: Sequence[State]) -> RunErrors:
-    """Errors of a run of a pile at rest, from its states in the order of time (two at least).
-
-    Energies include the potential one in the world's gravity. Raises ValueError if there are less than two states.
-    """
-    if len(states) < 2:
-        raise ValueError(f"states: expected at least two, got {len(states)}")
-    deepest = [penetration(state) for state in states]
-    speeds = [np.mean((state.bodies.velocity**2).sum(axis=1)) for state in states]
-    energy = [_energy(state) / state.bodies.mass.sum() for state in (states[0], states[-1])]
-    height = [state.bodies.mass @ state.bodies.position[:, 1] / state.bodies.mass.sum() for state in states]
-    return RunErrors(
-        max(deepest),
-        float(np.mean(deepest)),
-        float(np.sqrt(np.mean(speeds))),
-        float(energy[1] - energy[0]),
-        float(height[-1] - height[0]),
-    )
-
-
-def _energy(state: State) -> float:
-    bodies = state.bodies
-    moving = 0.5 * energy_norm(bodies, bodies.velocity, bodies.spin) ** 2
-    return moving - float(bodies.mass @ (bodies.position @ np.array(state.world.gravity)))
 
 
 def distances(states: Sequence[State], reference: Sequence[State]) -> np.ndarray:

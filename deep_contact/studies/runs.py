@@ -21,7 +21,7 @@ from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.studies import peers, timing
-from deep_contact.studies.run_errors import Observation, errors, intervals, observe
+from deep_contact.studies.run_errors import Observation, intervals, observe
 
 INTERVAL = 5 * TIME_STEP
 """Between two observations, s."""
@@ -177,15 +177,14 @@ def meets(worst: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
     return all(worst[name] <= most for name, most in tolerances.items() if name in worst)
 
 
-__all__ = [
-    "errors",
-    "meets",
-    "name_of",
-    "observation",
-    "observed",
-    "rows",
-    "scene",
-    "solver_of",
-    "times",
-    "worst_errors",
-]
+def small_study(n_bodies: int, seeds: Sequence[int], settings: Sequence[Mapping], *, seconds: float) -> list[dict]:
+    """The rows of a study of one size on plain piles, made in this process: for quick forms of the figures."""
+    ensemble = {
+        name_of(setting): (
+            setting,
+            [observation(observed("plain", n_bodies, seed, setting, seconds=seconds)) for seed in seeds],
+        )
+        for setting in [REFERENCE, *settings]
+    }
+    took = times(n_bodies, seeds[0], settings, steps=10, repeats=1)
+    return rows({("plain", n_bodies): ensemble}, {n_bodies: took})

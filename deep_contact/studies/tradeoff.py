@@ -22,7 +22,7 @@ from deep_contact.physics import metrics
 from deep_contact.physics.engine import ContactSolution
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
-from deep_contact.physics.solvers import NNCG, PGS, SoftSteps, describe
+from deep_contact.physics.solvers import NNCG, PGS, describe
 from deep_contact.recommendation.steps import recommend_step, solver_of, weight_impulse
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State
@@ -236,41 +236,6 @@ def exact_solutions(kind: str, n_bodies: int, seed: int, *, states: int) -> dict
     ]
     columns = {name: [getattr(found, name) for _, found in rows] for name in ("residual", "pivots", "factorizations")}
     return {"kind": kind, "n_bodies": n_bodies, "seed": seed, "seconds": [seconds for seconds, _ in rows], **columns}
-
-
-RUNS = {
-    "PGS": [PGS(sweeps=k, tolerance=None) for k in (4, 10, 30, 100)],
-    "NNCG": [NNCG(sweeps=k, tolerance=None) for k in (4, 10, 30, 100)],
-    "SoftSteps": [SoftSteps(substeps=k) for k in (2, 4, 8, 16)],
-}
-"""Method -> solvers of the runs of a pile at rest."""
-
-
-def resting_runs(n_bodies: int, seed: int, *, seconds: float, steps: Sequence[float]) -> list[dict]:
-    """Errors and time of runs of a resting pile, for every method and its budgets, and every time step (s).
-
-    Returns [{"engine", "budget", "dt", "us_per_second", **`metrics.RunErrors`}]. The time is that of a second of the
-    simulation, by the fastest tenth of the run. A warm-up run of as many seconds comes first: a pile made by one method
-    yields a little under another.
-    """
-    start = pile("resting", n_bodies, seed)
-    rows = []
-    for name, solvers in RUNS.items():
-        for solver, dt in product(solvers, steps):
-            budget = solver.substeps if name == "SoftSteps" else solver.sweeps
-            rows.append({"engine": name, "budget": budget, "dt": dt, **_run(start, solver, dt, seconds)})
-    return rows
-
-
-def _run(start: State, solver, dt: float, seconds: float) -> dict:
-    each = max(1, round(seconds / dt / 10))
-    states = [simulate(start.replace(contacts=None), steps=10 * each, dt=dt, solver=solver).state]
-
-    def tenth():
-        states.append(simulate(states[-1], steps=each, solver=solver).state)
-
-    least = timing.fastest(tenth, repeats=9)
-    return {"us_per_second": least / (each * dt) * 1e6, **metrics.run_errors(states)._asdict()}
 
 
 # ---- other engines ----

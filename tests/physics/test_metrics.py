@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.constants import LINEAR_SLOP
 from deep_contact.physics import metrics
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
@@ -119,25 +118,6 @@ def test_penetration_is_measured_where_the_bodies_are():
     assert metrics.penetration(single_body(height=1.0)) == 0.0
 
 
-def test_errors_of_a_run_at_rest():
-    states = []
-    start = dc.simulate(dc.column(4), steps=100).state
-    dc.simulate(start, steps=30, on_step=lambda state, record: states.append(state))
-    found = metrics.run_errors(states)
-    assert 0 < found.mean_penetration <= found.penetration < 3 * LINEAR_SLOP
-    assert found.speed < 1e-3
-    assert abs(found.height_drift) < LINEAR_SLOP
-    # What it loses in height it loses in energy, at g per kg.
-    np.testing.assert_allclose(found.energy_drift, 9.81 * found.height_drift, atol=1e-6)
-
-
-def test_drifts_of_a_run_are_those_from_its_first_state_to_its_last():
-    # Heights by hand, at rest in each, so that no two states are alike: 3 m lost, and g of energy per metre and kg.
-    found = metrics.run_errors([single_body(height=height) for height in (5.0, 4.0, 2.0)])
-    np.testing.assert_allclose(found.height_drift, -3.0, rtol=1e-12)
-    np.testing.assert_allclose(found.energy_drift, -3.0 * 9.81, rtol=1e-12)
-
-
 def test_runs_are_together_until_they_are_not():
     scene = dc.circles_in_box(60, seed=3)
     position = scene.bodies.position.copy()
@@ -157,7 +137,6 @@ def test_runs_are_together_until_they_are_not():
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: metrics.run_errors([]), "states: expected at least two, got 0"),
         (lambda: metrics.distances([single_body()], []), "states: expected 0, as the reference has, got 1"),
         (lambda: metrics.distances([dc.column(2)], [dc.column(3)]), r"states\[0\]: expected 3 circles at 0.0 s"),
     ],

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.recommendation import steps as advice
 from deep_contact.physics import metrics
 from deep_contact.physics.solvers import describe
+from deep_contact.recommendation import steps as advice
 from deep_contact.studies import tradeoff
 
 

@@ -16,6 +16,7 @@ from conftest import load_script
 import deep_contact as dc
 from deep_contact import parallel
 from deep_contact.reporting import figures
+from deep_contact.studies.parts import done
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 SMALL = ["--simulations", "8", "--steps", "300", "--bodies", "50", "60", "--seed", "5"]
@@ -117,18 +118,12 @@ def test_a_figure_computes_the_same(cluster, tmp_path):
     assert far["data"] == near["data"]
 
 
-def test_the_study_stores_what_workers_return(workers, tmp_path, monkeypatch):
+def test_a_study_stores_what_workers_return(workers, tmp_path):
     """And does not ask for it again."""
-    import cloudpickle
-
-    study = load_script("tradeoff")
-    cloudpickle.register_pickle_by_value(study)  # as the functions of a script that is run as a program are
-    monkeypatch.setitem(study.PARTS, "errors", sweeps_of)
     parts = [("errors", {"n_bodies": n, "seed": 1}) for n in (20, 10, 15)]
-    far = study.done(parts, work=tmp_path, jobs=workers, text="")
-    assert far == [study.compute(part) for part in parts]
-    monkeypatch.delitem(study.PARTS, "errors")
-    assert study.done(parts, work=tmp_path, jobs=1, text="") == far
+    far = done(parts, {"errors": sweeps_of}, work=tmp_path, jobs=workers, text="")
+    assert far == [dc.results.plain(sweeps_of(**arguments)) for _, arguments in parts]
+    assert done(parts, {"errors": None}, work=tmp_path, jobs=1, text="") == far
 
 
 # ---- errors and interrupts ----

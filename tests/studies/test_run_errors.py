@@ -53,7 +53,7 @@ def test_a_column_at_rest_carries_its_weight():
 def test_penetration_is_that_of_the_contacts():
     scene = dc.two_bodies(speed=0.0)
     world = dc.World(gravity=(0, -1e-9))
-    pushed = scene.bodies._replace(position=scene.bodies.position + [[0.03, 0], [-0.03, 0]])
+    pushed = scene.bodies._replace(position=scene.bodies.position + np.array([[0.03, 0], [-0.03, 0]]))
     state = dc.simulate(scene.replace(world=world, bodies=pushed), steps=0).state
     seen = observe([state.replace(time=float(k)) for k in range(REST)])
     np.testing.assert_allclose(seen.penetration, 0.06)

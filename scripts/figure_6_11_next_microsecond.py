@@ -1,0 +1,116 @@
+"""python scripts/figure_6_11_next_microsecond.py: which part of an error is the solver's and which the step's."""
+
+from deep_contact.constants import TIME_STEP
+from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import runs
+
+DIVISORS = (1, 2, 4, 8)
+COLOURS = (plotting.VERMILION, plotting.ORANGE, plotting.GREEN, plotting.BLUE)
+SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "forces": "forces"}
+SOLVED = 20
+"""Sweeps that count as solved: more of them change no error beyond its interval."""
+
+
+def compute(options, seed, jobs, progress):
+    """The rows of PGS by step and sweeps: from the study's results file, or from a small study made here."""
+    if options["results"]:
+        rows = results.read_results(options["results"])["data"]["rows"]
+    else:
+        settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in DIVISORS[:3] for k in (2, 5, SOLVED)]
+        seeds = figures.seeds(seed, options["seeds"])
+        rows = runs.small_study(options["n_bodies"], seeds, settings, seconds=options["seconds"])
+    found = []
+    for row in rows:
+        setting = row["setting"]
+        plain = setting.keys() == {"method", "sweeps", "dt"} and setting["method"] == "PGS"
+        if plain and row["kind"] == "plain" and row["errors"] and row["us"] is not None:
+            values = {name: row["errors"][name] and row["errors"][name][0] for name in SHOWN}
+            divisor = TIME_STEP / setting["dt"]
+            found.append({"n_bodies": row["n_bodies"], "divisor": divisor, "sweeps": setting["sweeps"],
+                          "us": row["us"], "errors": values})  # fmt: skip
+    return {"rows": found}
+
+
+def line(data, n, divisor):
+    """Rows of a size and a step, by sweeps."""
+    rows = [row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] == divisor]
+    return sorted(rows, key=lambda row: row["sweeps"])
+
+
+def parts(data, n, divisor, name):
+    """(Of the step, of the solver with the fewest sweeps) of an error: what is left when solved, and what that adds."""
+    rows = line(data, n, divisor)
+    solved = next(row["errors"][name] for row in rows if row["sweeps"] == SOLVED)
+    return solved, max(0.0, rows[0]["errors"][name] - solved)
+
+
+def sizes_of(data):
+    """Numbers of circles with all of the steps that are drawn, ascending."""
+    return sorted({row["n_bodies"] for row in data["rows"]})
+
+
+def claims(data):
+    """At the price of twenty sweeps with Δt, is a smaller step with few sweeps better?"""
+    found = []
+    for n in sizes_of(data):
+        solved = next(row for row in line(data, n, 1) if row["sweeps"] == SOLVED)
+        cheaper = [
+            row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] > 1 and row["us"] <= solved["us"]
+        ]
+        measured = {"Δt, 20 sweeps, %": solved["errors"]["penetration_max"], "μs": solved["us"]}
+        if cheaper:
+            best = min(cheaper, key=lambda row: row["errors"]["penetration_max"])
+            measured |= {"Δt /": best["divisor"], "sweeps": best["sweeps"], "%": best["errors"]["penetration_max"]}
+            measured["its energy, %"] = best["errors"]["energy"]
+        holds = bool(cheaper) and best["errors"]["penetration_max"] < 0.5 * solved["errors"]["penetration_max"]
+        text = f"for the price of 20 sweeps a smaller step halves the deepest penetration, {n:,} circles"
+        found.append(Claim(text, None, holds, measured))
+    return found
+
+
+def table(data):
+    """Rows: each size, step and number of sweeps."""
+    rows = [["circles", "Δt /", "sweeps", "µs per 10 ms", *(f"{text}, %" for text in SHOWN.values())]]
+    for n in sizes_of(data):
+        for divisor in DIVISORS:
+            for row in line(data, n, divisor):
+                rows.append([n, divisor, row["sweeps"], row["us"], *(row["errors"][name] for name in SHOWN)])
+    return rows
+
+
+def draw(data, options):
+    """A row of panels for each size: a line for each step, along which sweeps grow; error by time."""
+    sizes = sizes_of(data)
+    figure, panels = plotting.subplots(len(sizes), len(SHOWN), size=(11.0, 3.2 * len(sizes)), squeeze=False)
+    for row_of_panels, n in zip(panels, sizes):
+        for ax, (name, text) in zip(row_of_panels, SHOWN.items()):
+            for divisor, colour in zip(DIVISORS, COLOURS):
+                rows = [row for row in line(data, n, divisor) if row["errors"][name]]
+                if not rows:
+                    continue
+                label = "Δt = 10 ms" if divisor == 1 else f"Δt / {divisor}"
+                ax.plot([row["us"] for row in rows], [row["errors"][name] for row in rows], color=colour, marker="o",
+                        markersize=3.5, label=label)  # fmt: skip
+                for row in (rows[0], rows[-1]):
+                    ax.annotate(str(row["sweeps"]), (row["us"], row["errors"][name]), fontsize=6, xytext=(2, 3),
+                                textcoords="offset points", color=colour)  # fmt: skip
+            plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
+            ax.set(xscale="log", yscale="log")
+    panels[0, 0].legend(fontsize=7, title="numbers: sweeps", title_fontsize=6)
+    return figure
+
+
+FIGURE = Figure(
+    id="6.11",
+    title="Where the next microsecond goes: more sweeps, or a smaller step",
+    options={"results": "data/reference/run_tradeoff.json", "n_bodies": 100, "seeds": 4, "seconds": 4.0},
+    quick={"results": "", "n_bodies": 40, "seeds": 2, "seconds": 2.0},
+    compute=compute,
+    claims=claims,
+    table=table,
+    draw=draw,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))

@@ -1,0 +1,121 @@
+"""python scripts/figure_6_1_trade.py: errors of a run against its wall time, ours and other engines'."""
+
+from deep_contact.constants import TIME_STEP
+from deep_contact.recommendation import PRESETS
+from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import peers, runs
+from deep_contact.studies.tradeoff import pareto
+
+SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "penetration": "mean penetration"}
+OURS = {"PGS": plotting.VERMILION, "PSOR": plotting.ORANGE, "BatchedPGS": plotting.BLUE, "SoftSteps": plotting.GREEN}
+OTHERS = plotting.SKY
+MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
+
+
+def compute(options, seed, jobs, progress):
+    """Rows and presets of the study: from its results file, or from a small study made here."""
+    if options["results"]:
+        data = results.read_results(options["results"])["data"]
+        rows, presets = data["rows"], data["presets"]
+    else:
+        settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in (1, 4) for k in (2, 5, 10)]
+        settings += [{"engine": name, "sweeps": 4, "dt": TIME_STEP} for name in peers.installed()]
+        seeds = figures.seeds(seed, options["seeds"])
+        rows, presets = runs.small_study(options["n_bodies"], seeds, settings, seconds=options["seconds"]), []
+    kept = [row for row in rows if row["kind"] == "plain" and row["errors"] and row["us"] is not None]
+    return {
+        "rows": [
+            {
+                "n_bodies": row["n_bodies"],
+                "name": row["name"],
+                "group": row["setting"].get("engine") or row["setting"]["method"],
+                "us": row["us"],
+                "errors": row["errors"],
+            }
+            for row in kept
+        ],
+        "presets": presets,
+    }
+
+
+def sizes_of(data):
+    """Numbers of circles, ascending."""
+    return sorted({row["n_bodies"] for row in data["rows"]})
+
+
+def claims(data):
+    """For each size: what the cheapest setting within each preset costs, and the cheapest rival."""
+    found = []
+    for n in sizes_of(data):
+        ratios = {}
+        for row in data["presets"]:
+            rivals = [peer["us"] for peer in row["peers"].values() if peer]
+            if row["n_bodies"] == n and row["ours_plain"] and rivals:
+                ratios[row["preset"]] = min(rivals) / row["ours_plain"]["us"]
+        if ratios:
+            text = f"no preset is dearer than with the fastest rival, {n:,} circles"
+            found.append(Claim(text, None, min(ratios.values()) >= 1, ratios))
+    return found
+
+
+def table(data):
+    """Rows: each preset at each size, ours on all kinds of piles and on plain ones, and the other engines on these."""
+    head = ["circles", "preset", "ours", "µs per 10 ms", "µs, plain piles"]
+    rows = [head + [f"{engine}, µs" for engine in peers.ENGINES]]
+    for row in data["presets"]:
+        ours, plain = row["ours"], row["ours_plain"]
+        cells = [row["n_bodies"], row["preset"], ours and ours["name"], ours and ours["us"], plain and plain["us"]]
+        rows.append(cells + [peer and peer["us"] for peer in row["peers"].values()])
+    if len(rows) == 1:
+        rows = [["setting", "µs per 10 ms", *SHOWN]]
+        rows += [[row["name"], row["us"], *(row["errors"][name][0] for name in SHOWN)] for row in data["rows"]]
+    return rows
+
+
+def draw(data, options):
+    """A row of panels for each size, a column for each error: every setting, the front of ours, the tolerances."""
+    sizes = sizes_of(data)
+    figure, panels = plotting.subplots(len(sizes), len(SHOWN), size=(11.0, 3.2 * len(sizes)), squeeze=False)
+    for line, n in zip(panels, sizes):
+        rows = [row for row in data["rows"] if row["n_bodies"] == n]
+        for ax, (name, text) in zip(line, SHOWN.items()):
+            for row in rows:
+                group, (value, low, high) = row["group"], row["errors"][name]
+                look = {"color": OURS.get(group, OTHERS), "marker": "o"}
+                if group in MARKERS:
+                    look = {"color": plotting.GREY, "marker": MARKERS[group]}
+                ax.errorbar(row["us"], value, [[value - low], [high - value]], linewidth=0.6, markersize=3.5, **look)
+            ours = [(row["us"], row["errors"][name][0]) for row in rows if row["group"] not in MARKERS]
+            front = [ours[i] for i in pareto(ours)]
+            ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)
+            for preset in ("fast", "balanced", "accurate"):
+                ax.axhline(PRESETS[preset][name], color=plotting.GREY, linewidth=0.6, linestyle=":")
+                ax.annotate(preset, (1, PRESETS[preset][name]), xycoords=("axes fraction", "data"), fontsize=6,
+                            ha="right", va="bottom", color=plotting.GREY)  # fmt: skip
+            plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
+            ax.set(xscale="log", yscale="log")
+    groups = dict.fromkeys(row["group"] for row in data["rows"])
+    for group in groups:
+        look = {"color": OURS.get(group, OTHERS), "marker": "o"}
+        if group in MARKERS:
+            look = {"color": plotting.GREY, "marker": MARKERS[group]}
+        panels[0, 0].plot([], [], linestyle="", markersize=4, label=group, **look)
+    panels[0, 0].plot([], [], color=plotting.BLACK, label="front of ours")
+    panels[0, 0].legend(fontsize=6, ncols=2)
+    return figure
+
+
+FIGURE = Figure(
+    id="6.1",
+    title="What a run costs and what it is worth",
+    options={"results": "data/reference/run_tradeoff.json", "n_bodies": 100, "seeds": 4, "seconds": 4.0},
+    quick={"results": "", "n_bodies": 40, "seeds": 2, "seconds": 2.0},
+    compute=compute,
+    claims=claims,
+    table=table,
+    draw=draw,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))
