@@ -14,9 +14,11 @@ import re
 import sys
 from pathlib import Path
 
+from deep_contact.recommendation import PRESETS
 from deep_contact.reporting import errata
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing
+from deep_contact.studies.run_errors import ERRORS
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"
@@ -106,6 +108,12 @@ def tried() -> list[list]:
     return [*rows, ["damaged state files: crashes or hangs", f"{fuzz['inputs']:,}", len(fuzz["faults"]), None]]
 
 
+def presets() -> list[list]:
+    """The errors of a run, and what each preset tolerates."""
+    rows = [["error of a run", *PRESETS]]
+    return rows + [[text, *(f"{PRESETS[preset][name]:g}" for preset in PRESETS)] for name, text in ERRORS.items()]
+
+
 def claims(*, of_thesis: bool) -> list[list]:
     """Every claim of the thesis that a reference run has tested; or every goal of ours, with what was measured."""
     head = ["figure", "thesis", "claim", "holds"] if of_thesis else ["results", "goal", "met", "measured"]
@@ -129,7 +137,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, figures)} | {
+TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, presets, figures)} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
     "errata": lambda: [list(errata.ERRATA[0]), *(list(erratum.values()) for erratum in errata.ERRATA)],

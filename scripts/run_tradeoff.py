@@ -6,8 +6,7 @@
 
 Every finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes,
 or a Dask cluster (--scheduler), compute errors; then one process of this machine measures times. `--install` makes
-these the numbers that `dc.simulate` and `dc.recommend` read. `scripts/figure_6_1_methods.py`, `figure_6_2_time_step.py`
-and `figure_6_11_next_microsecond.py` draw the results file.
+these the numbers that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw the results file.
 """
 
 from __future__ import annotations
@@ -20,9 +19,9 @@ from pathlib import Path
 
 from deep_contact import parallel
 from deep_contact.constants import TIME_STEP
-from deep_contact.recommendation.runs import PRESETS, TABLE
+from deep_contact.recommendation.runs import PRESETS, TABLE, recommend
 from deep_contact.reporting import figures, results
-from deep_contact.studies import peers, runs
+from deep_contact.studies import peers, run_errors, runs
 from deep_contact.studies.parts import done
 from deep_contact.studies.run_errors import ERRORS
 
@@ -243,12 +242,90 @@ def claims(data: dict) -> list[results.Claim]:
 
 VERIFY = {
     "sizes": [100, 300, 1000, 3000],
-    "kinds": {"plain": {}, "wide": {"radius": (0.7, 1.3)}, "slippery": {"friction": 0.2}, "loose": {"gap": 0.3}},
-    "seeds": {"100": 20, "300": 12, "1000": 20, "3000": 4},
+    "kinds": {"plain": TIME_STEP, "narrow radii": TIME_STEP, "slippery": 2.5 * TIME_STEP, "loose": TIME_STEP / 2},
+    "seeds": {"100": 20, "300": 12, "1000": 20, "3000": 3},
     "seconds": 6.0,
-    "steps": {"100": 200, "300": 100, "1000": 50, "3000": 20},
+    "timed": [100, 300, 1000, 3000, 10_000],
+    "steps": {"100": 200, "300": 100, "1000": 50, "3000": 20, "10000": 10},
+    "repeats": 5,
 }
-VERIFY_QUICK = VERIFY | {"sizes": [100], "kinds": {"plain": {}}, "seeds": {"100": 3}, "seconds": 4.0}
+"""Scenes outside the study: other seeds, sizes, radii, friction, heights to fall from, and time steps of the user."""
+
+VERIFY_QUICK = VERIFY | {
+    "sizes": [100],
+    "kinds": {"plain": TIME_STEP},
+    "seeds": {"100": 3},
+    "seconds": 4.0,
+    "timed": [100],
+    "repeats": 2,
+}
+
+
+def recommended(kind: str, n_bodies: int, seed: int, dt: float, preset: str) -> tuple[dict, float]:
+    """(The setting that a preset takes for a scene, its predicted cost of TIME_STEP, μs)."""
+    found = recommend(runs.scene(kind, n_bodies, seed).replace(dt=dt), accuracy=preset)
+    options = {key: value for key, value in vars(found.solver).items() if key not in ("tolerance", "position_sweeps")}
+    start = {"start": found.warm_start} if found.warm_start != "builtin" else {}
+    return {"method": type(found.solver).__name__, "dt": dt, **options, **start}, found.us * TIME_STEP / dt
+
+
+def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool) -> dict | None:
+    """Errors of the presets on scenes outside the study, and their times beside the predicted ones."""
+    cases, parts = [], []
+    for n in options["sizes"]:
+        seeds = figures.seeds(seed + 5000, options["seeds"][str(n)])  # that no study starts from
+        for kind, dt in options["kinds"].items():
+            for preset in [None, *PRESETS]:
+                setting = runs.REFERENCE if preset is None else recommended(kind, n, seeds[0], dt, preset)[0]
+                common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
+                mine = [("observed", common | {"seed": s}) for s in seeds]
+                cases.append((n, kind, preset, setting, len(parts), len(parts) + len(mine)))
+                parts += mine
+    found = done(parts, FUNCTIONS, work=work, jobs=jobs, text="scenes")
+    if errors_only:
+        return None
+    rows, reference = [], None
+    for n, kind, preset, setting, first, end in cases:
+        seen = [runs.observation(stored) for stored in found[first:end]]
+        if preset is None:
+            reference = seen
+            continue
+        intervals = run_errors.intervals(seen, reference)
+        met = {name: intervals[name][0] <= most for name, most in PRESETS[preset].items() if intervals[name]}
+        # Within the interval: the tolerance is not exceeded beyond what the seeds can tell.
+        within = {name: intervals[name][1] <= most for name, most in PRESETS[preset].items() if intervals[name]}
+        row = {"n_bodies": n, "kind": kind, "preset": preset, "setting": setting, "errors": intervals}
+        rows.append(row | {"met": met, "within": within})
+    timed = []
+    for n in options["timed"]:
+        wanted = {preset: recommended("plain", n, seed + 5000, TIME_STEP, preset) for preset in PRESETS}
+        settings = list({runs.name_of(setting): setting for setting, _ in wanted.values()}.values())
+        arguments = {"n_bodies": n, "seed": seed + 5000, "settings": settings, "steps": options["steps"][str(n)]}
+        (took,) = done(
+            [("times", arguments | {"repeats": options["repeats"]})], FUNCTIONS, work=work, jobs=1, text="times"
+        )
+        for preset, (setting, predicted) in wanted.items():
+            timed.append(
+                {"n_bodies": n, "preset": preset, "predicted_us": predicted, "us": took[runs.name_of(setting)]}
+            )
+    return {"rows": rows, "times": timed}
+
+
+def verify_claims(data: dict) -> list[results.Claim]:
+    """Whether presets keep their promise, and whether their costs are as predicted."""
+    found = []
+    for preset in PRESETS:
+        mine = [row for row in data["rows"] if row["preset"] == preset]
+        shares = {
+            name: sum(row[key][name] for row in mine if name in row[key]) / sum(name in row[key] for row in mine)
+            for key in ("within",)
+            for name in PRESETS[preset]
+        }
+        text = f"{preset} meets each of its tolerances, within the interval, in 95 % of kinds and sizes of other scenes"
+        found.append(results.Claim(text, None, min(shares.values()) >= 0.95, shares))
+    ratios = {f"{row['n_bodies']}, {row['preset']}": row["us"] / row["predicted_us"] for row in data["times"]}
+    near = all(0.75 <= ratio <= 1.25 for ratio in ratios.values())
+    return [*found, results.Claim("the cost is within 25 % of the predicted one", None, near, ratios)]
 
 
 def main(arguments=None) -> int:
@@ -258,37 +335,46 @@ def main(arguments=None) -> int:
     add("--seed", type=int, default=0)
     add("--jobs", type=int, default=2, help="processes for the errors (2)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
-    add("--out", type=Path, help="results file (data/reference/run_tradeoff.json; quick: runs/)")
+    add("--out", type=Path, help="results file (in data/reference; quick: in runs)")
     add("--work", type=Path, default=Path("runs/run_tradeoff"), help="folder of the finished parts")
     add("--install", action="store_true", help="make these the numbers that dc.simulate and dc.recommend read")
     add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
+    add("--verify", action="store_true", help="errors and times of the presets on scenes outside the study")
     given = parser.parse_args(arguments)
     start = time.perf_counter()
-    options = QUICK if given.quick else FULL
+    options = (VERIFY_QUICK if given.quick else VERIFY) if given.verify else QUICK if given.quick else FULL
+    settings = {"seed": given.seed, "work": given.work}
     try:
         with parallel.opened(given.jobs, given.scheduler) as jobs:
-            if given.errors:
-                done(plan(options, given.seed)[0], FUNCTIONS, work=given.work, jobs=jobs, text="errors")
-                return 0
-            data = study(options, seed=given.seed, jobs=jobs, work=given.work)
+            if given.verify:
+                data = verify(options, jobs=jobs, errors_only=given.errors, **settings)
+            elif given.errors:
+                data = done(plan(options, given.seed)[0], FUNCTIONS, work=given.work, jobs=jobs, text="errors")
+            else:
+                data = study(options, jobs=jobs, **settings)
     except parallel.ClusterError as error:
         print(error, file=sys.stderr)
         return 1
+    if given.errors:
+        return 0
     wall_s = time.perf_counter() - start
     kept = {key: value for key, value in options.items() if key not in ("settings", "peers")} | {"quick": given.quick}
     file = {
-        "id": "6.1",
-        "title": "Speed for accuracy in runs: errors and times of settings and engines",
+        "id": "V.2" if given.verify else "6.1",
+        "title": "The presets on scenes outside the study"
+        if given.verify
+        else "Speed for accuracy in runs: errors and times of settings and engines",
         "options": kept,
         "provenance": results.provenance(seed=given.seed, wall_s=wall_s),
-        "claims": claims(data),
+        "claims": (verify_claims if given.verify else claims)(data),
         "data": data,
     }
-    out = given.out or Path("runs/run_tradeoff_quick.json" if given.quick else "data/reference/run_tradeoff.json")
+    name = "run_tradeoff_verify" if given.verify else "run_tradeoff"
+    out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
     results.write_results(out, file, digits=4)
     for claim in file["claims"]:
         print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
-    if given.install:
+    if given.install and not given.verify:
         results.write_json(TABLE, table(data, file["provenance"]["cpu"]))
     print(f"{len(data['rows'])} rows in {out.name}, {wall_s:.0f} s")
     return 0

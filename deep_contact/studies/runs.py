@@ -33,6 +33,14 @@ KINDS = {
 }
 """Kind of pile -> options of its scene."""
 
+HELD_OUT_KINDS = {
+    "plain": {},
+    "narrow radii": {"radius": (0.7, 1.3)},
+    "slippery": {"friction": 0.2},
+    "loose": {"gap": 0.3},
+}
+"""Kinds of the scenes outside the study."""
+
 SETTLING = 2.0
 """Time at which the piles are timed, s: after the impact, before rest."""
 
@@ -45,9 +53,10 @@ LIMIT = [{"method": "PGS", "sweeps": 20, "dt": TIME_STEP / k} for k in (0.5, 1, 
 
 def scene(kind: str, n_bodies: int, seed: int) -> State:
     """A falling pile: the thesis's scene for 100 circles and fewer, otherwise a loose lattice."""
+    options = (KINDS | HELD_OUT_KINDS)[kind]
     if n_bodies <= 100:
-        return circles_in_box(n_bodies, seed=seed, **KINDS[kind])
-    return lattice_in_box(n_bodies, seed=seed, **KINDS[kind])
+        return circles_in_box(n_bodies, seed=seed, **{key: options[key] for key in options if key != "gap"})
+    return lattice_in_box(n_bodies, seed=seed, **options)
 
 
 def solver_of(setting: Mapping):

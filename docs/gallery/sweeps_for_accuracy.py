@@ -10,7 +10,7 @@ import deep_contact as dc
 from deep_contact.physics.metrics import velocity_error
 
 scene = dc.circles_in_box(n_bodies=60, size=24.0, seed=3)
-state = dc.simulate(scene, steps=150).state
+state = dc.simulate(scene, steps=150, solver=dc.PGS()).state
 exact = dc.solve_exactly(state)
 print(f"exact solution: residual {exact.residual:.1e} m/s after {exact.pivots} pivots")
 
