@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from deep_contact.io import shipped
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import tradeoff
@@ -27,7 +28,7 @@ MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 def compute(options, seed, jobs, progress):
     """The rows of the study for piles of one size: from its results file, or from a small study made here."""
     if options["results"]:
-        found = results.read_results(options["results"])["data"]
+        found = results.read_results(shipped.find(options["results"]))["data"]
     else:
         settings = {name: options[name] for name in ("n_bodies", "states", "sweeps", "tolerances", "past_need")}
         kinds = progress(options["kinds"], text="piles")

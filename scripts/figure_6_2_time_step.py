@@ -1,5 +1,6 @@
 """python scripts/figure_6_2_time_step.py: runs of a pile at rest, by method, budget and time step."""
 
+from deep_contact.io import shipped
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import tradeoff
@@ -12,7 +13,7 @@ SHOWN = {"speed": "m/s", "mean_penetration": "m", "height_drift": "m"}
 def compute(options, seed, jobs, progress):
     """The runs of the study on a pile of one size: from its results file, or from short runs made here."""
     if options["results"]:
-        rows = results.read_results(options["results"])["data"]["runs"]
+        rows = results.read_results(shipped.find(options["results"]))["data"]["runs"]
     else:
         rows = tradeoff.resting_runs(options["n_bodies"], seed, seconds=options["seconds"], steps=options["steps"])
         rows = [{"n_bodies": options["n_bodies"], **row} for row in rows]
