@@ -17,6 +17,7 @@ from deep_contact.constants import VERSION as __version__
 if TYPE_CHECKING:
     from deep_contact import cnn, physics, sph, warm_start
     from deep_contact.cnn.inference import load_model
+    from deep_contact.io.shipped import sample_file
     from deep_contact.io.state_xml import read_state, write_state
     from deep_contact.physics.exact import solve_exactly
     from deep_contact.physics.scenes import (

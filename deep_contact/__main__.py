@@ -1,37 +1,172 @@
-"""python -m deep_contact view [STATE.xml] [options]: a simulation in a window, or a film where there is no display."""
+"""The command line, `deep-contact` or `python -m deep_contact`: simulate, view, predict, figures and tables."""
 
 from __future__ import annotations
 
 import argparse
+import os
 import sys
+import types
 from collections.abc import Sequence
+from pathlib import Path
+
+from deep_contact.constants import VERSION
+from deep_contact.io import shipped
+from deep_contact.reporting import scripts
+
+# Whatever takes time to import is imported by the command that needs it: --help and --version are immediate.
+
+SUFFIXES = (".xml", ".xml.gz", ".h5")
+"""Of what `simulate` writes: the last state, or the run."""
+
+SCRIPTS = {
+    "figure": "draw a figure by its number in the thesis; without a number, list them",
+    "table": "make a table by its number in the thesis; without a number, list them",
+    "predict": "predict the impulses of state files",
+}
+"""Command -> help of those that a script carries out, which reads the arguments that follow."""
+
+INTERRUPTED = 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; its exit status: 0, 2 for bad arguments, 130 after Ctrl-C."""
-    parser = argparse.ArgumentParser(prog="python -m deep_contact", description="Rigid contact of circles.")
-    commands = parser.add_subparsers(dest="command", required=True)
-    view = commands.add_parser(
-        "view", help="play a simulation", description="Play a simulation: contacts, impulses and θ as it runs."
-    )
-    add = view.add_argument
+    """Run the command line; its exit status.
+
+    0: done. 1: the solver diverged. 2: bad arguments. 130: Ctrl-C. Or that of the script which a command runs.
+    """
+    arguments = list(sys.argv[1:] if arguments is None else arguments)
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
+    parser, commands = _parsers()
+    name, following = (arguments or [""])[0], arguments[1:]
+    script = None
+    try:
+        if name in SCRIPTS and (name == "predict" or (following and not following[0].startswith("-"))):
+            script, following = _script(name, following)
+        else:
+            given = parser.parse_args(arguments)
+            return given.run(given)
+    except FloatingPointError as error:
+        print(f"{parser.prog} {name}: {error}", file=sys.stderr)
+        return 1
+    except BrokenPipeError:  # of `deep-contact figure | head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
+        return 0
+    except (ValueError, OSError) as error:
+        commands[name].error(str(error))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    words = arguments[: len(arguments) - len(following)]
+    return _run(script, [" ".join([parser.prog, *words]), *following])
+
+
+def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
+    is_module = Path(sys.argv[0]).parts[-2:] == ("deep_contact", "__main__.py")
+    prog = "python -m deep_contact" if is_module else "deep-contact"
+    parser = argparse.ArgumentParser(prog=prog, description="Rigid contact of circles.")
+    parser.add_argument("--version", action="version", version=f"deep-contact {VERSION}")
+    add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
+    commands = {
+        "simulate": add("simulate", help="run a scene", description="Run a scene, or go on from a state."),
+        "view": add(
+            "view", help="play a simulation", description="Play a simulation: contacts, impulses and θ as it runs."
+        ),
+        "sample": add(
+            "sample", help="print the path of a state", description="Print the path of a state of the thesis's scene."
+        ),
+    }
+    _add_simulate(commands["simulate"])
+    _add_view(commands["view"])
+    commands["sample"].add_argument("name", nargs="?", help="impact_154, settling_349, … (default: all)")
+    commands["sample"].set_defaults(run=_sample)
+    for name, text in SCRIPTS.items():
+        commands[name] = add(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+        if name != "predict":
+            commands[name].add_argument(
+                "number", nargs="?", help="3.7, say, or all; the options after it are in `… 3.7 --help`"
+            )
+        commands[name].set_defaults(run=_list)
+    return parser, commands
+
+
+def _add_scene(parser: argparse.ArgumentParser, *, steps: int) -> None:
+    add = parser.add_argument
     add("state", nargs="?", metavar="STATE.xml", help="continue from this state (default: a scene of falling circles)")
     add("--bodies", type=int, help="circles of the scene (default: 100)")
     add("--size", type=float, help="side of its box, m (default: 30)")
     add("--seed", type=int, help="of the scene (default: 0)")
     add("--no-gravity", action="store_true", help="circles that drift and collide")
-    add("--steps", type=int, default=400, help="default: %(default)s")
-    add("--every", type=int, default=4, help="steps a frame (default: %(default)s)")
+    add("--steps", type=int, default=steps, help="default: %(default)s")
     add("--sweeps", type=int, help="most sweeps a step (default: the state's own solver)")
+
+
+def _add_simulate(parser: argparse.ArgumentParser) -> None:
+    _add_scene(parser, steps=600)
+    add = parser.add_argument
+    add("--dt", type=float, help="time step, s (default: the state's)")
+    add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or PGS)")
+    add("--tolerance", type=float, help="θ at which the sweeps of a step end, N·s")
+    add("--warm-start", metavar="NAME", help="none, builtin, cnn, guarded, … (default: builtin)")
+    add("--accuracy", metavar="NAME", help="fast, balanced or accurate, in place of solver and start")
+    add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
+    add("--every", type=int, default=10, help="steps between two states of the run in an .h5 (default: %(default)s)")
+    parser.set_defaults(run=_simulate)
+
+
+def _add_view(parser: argparse.ArgumentParser) -> None:
+    _add_scene(parser, steps=400)
+    add = parser.add_argument
+    add("--every", type=int, default=4, help="steps a frame (default: %(default)s)")
     add("--warm-start", default="builtin", help="where the solver starts, or 'cnn' (default: %(default)s)")
     add("--out", metavar="FILE.gif", help="write a film instead of opening a window")
-    given = parser.parse_args(arguments)
-    try:
-        return _view(given)
-    except (ValueError, OSError) as error:
-        view.error(str(error))
-    except KeyboardInterrupt:
-        return 130
+    parser.set_defaults(run=_view)
+
+
+# ---- commands of their own ----
+
+
+def _simulate(given) -> int:
+    import deep_contact as dc
+    from deep_contact.physics.solvers import describe
+
+    out = None if given.out is None else Path(given.out)
+    if out is not None and not out.name.endswith(SUFFIXES):
+        raise ValueError(f"--out: expected a file that ends in {', '.join(SUFFIXES)}, got {given.out!r}")
+    if out is not None and not out.parent.is_dir():  # found before the run, not after it
+        raise ValueError(f"--out: expected a folder that exists, got {str(out.parent)!r}")
+    scene = _scene(given)
+    record = given.every if out is not None and out.suffix == ".h5" else None
+    run = dc.simulate(scene, steps=given.steps, dt=given.dt, record=record, **_method(given, scene))
+    state = run.state
+    what = f"{state.bodies.count} circles, {given.steps} steps of {state.dt:g} s, {describe(state.solver)}"
+    print(f"{state.name}: {what}")
+    if given.steps:
+        ended = f"last θ: {run.theta[-1]:.3g} N·s ({run.status[-1].replace('_', ' ')})"
+        print(f"contacts: {state.contacts.count}; sweeps a step: {run.sweeps.mean():.1f}; {ended}")
+    if record is not None:
+        run.trajectory.save(out)
+    elif out is not None:
+        dc.write_state(out, state)
+    if out is not None:
+        print(out)
+    return 0
+
+
+def _method(given, scene) -> dict:
+    """Solver and start, or the accuracy in place of both, as arguments of `simulate`."""
+    from dataclasses import replace
+
+    import deep_contact as dc
+    from deep_contact.physics.solvers import METHODS
+
+    options = {name: getattr(given, name) for name in ("sweeps", "tolerance") if getattr(given, name) is not None}
+    if given.accuracy is not None:
+        if options or given.solver is not None or given.warm_start is not None:
+            raise ValueError("--accuracy: expected no --solver, --sweeps, --tolerance or --warm-start beside it")
+        return {"accuracy": given.accuracy}
+    if given.solver is not None and given.solver not in METHODS:
+        raise ValueError(f"--solver: expected one of {', '.join(METHODS)}, got {given.solver!r}")
+    solver = scene.solver or dc.PGS() if given.solver is None else METHODS[given.solver]()
+    return {"solver": replace(solver, **options), "warm_start": given.warm_start or "builtin"}
 
 
 def _view(given) -> int:
@@ -64,6 +199,63 @@ def _scene(given):
     if options or given.no_gravity:
         raise ValueError("options of a scene: expected none beside STATE.xml, which is a scene already")
     return dc.read_state(given.state)
+
+
+def _sample(given) -> int:
+    for name in [given.name] if given.name else shipped.sample_names():
+        print(shipped.sample_file(name))
+    return 0
+
+
+# ---- commands by a script ----
+
+
+def _list(given) -> int:
+    for number, path in _known(given.command).items():
+        print(f"{number:6s}{scripts.summary(path)}")
+    sys.stdout.flush()
+    return 0
+
+
+def _known(command: str) -> dict[str, Path]:
+    """All figures and tables, or the tables alone."""
+    found = scripts.find(shipped.ROOT / "scripts")
+    return {number: path for number, path in found.items() if command == "figure" or number.startswith("T")}
+
+
+def _script(command: str, following: list[str]) -> tuple[Path, list[str]]:
+    """The script of a command, and the arguments that it reads. Raises ValueError naming the figures that there are."""
+    folder = shipped.ROOT / "scripts"
+    if command == "predict":
+        return folder / "predict.py", following
+    number, *following = following
+    if number == "all":
+        return folder / "all_figures.py", following
+    number = scripts.normalized(number)
+    if command == "table" and not number.startswith("T"):
+        number = f"T{number}"
+    (path,) = scripts.choose(_known(command), [number]).values()
+    return path, following
+
+
+def _run(script: Path, argv: list[str]) -> int:
+    """Run a script as the main program, which is what processes that it starts take it for.
+
+    `runpy.run_path` does the same, but puts the script's name in place of the command's into its help.
+    """
+    module = types.ModuleType("__main__")
+    module.__file__ = str(script)
+    before = sys.argv, sys.modules["__main__"]
+    sys.argv, sys.modules["__main__"] = argv, module
+    try:
+        exec(compile(script.read_bytes(), script, "exec", dont_inherit=True), module.__dict__)
+    except SystemExit as end:
+        return end.code or 0
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        sys.argv, sys.modules["__main__"] = before
+    return 0
 
 
 if __name__ == "__main__":

@@ -167,7 +167,8 @@ def on_worker(task: bytes, expected: dict[str, str]):
 def code() -> dict[str, str]:
     """Versions, and a digest of the sources, by name: results depend on them beside the task."""
     digest, folder = hashlib.sha256(), Path(__file__).parent
-    for path in sorted(folder.rglob("*.py")):
+    # A wheel has the scripts below the package; a checkout beside it runs the same code.
+    for path in sorted(set(folder.rglob("*.py")) - set(folder.glob("scripts/*"))):
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
     versions = provenance.package_versions()
     ours = {"deep_contact": VERSION, "sources of deep_contact": digest.hexdigest()[:16]}

@@ -7,7 +7,6 @@ status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl
 """
 
 import argparse
-import re
 import subprocess
 import sys
 import time
@@ -16,9 +15,9 @@ from pathlib import Path
 from deep_contact import parallel
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import INTERRUPTED
+from deep_contact.reporting.scripts import choose, find, stem
 
 HERE = Path(__file__).resolve().parent
-SCRIPT = re.compile(r"(figure|table)_([0-9]+)_([0-9]+)(_\w+)?\.py")
 
 
 def main(arguments=None, folder=HERE):
@@ -26,7 +25,7 @@ def main(arguments=None, folder=HERE):
     given, passed_on = parse(arguments)
     try:
         scripts = find(folder)
-        chosen = choose(scripts, given.only)
+        chosen = scripts if given.only is None else choose(scripts, given.only.split(","))
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
@@ -69,42 +68,6 @@ def parse(arguments):
         if value is not None and value is not False:
             passed_on += [f"--{name}"] if value is True else [f"--{name}", str(value)]
     return given, passed_on
-
-
-def find(folder):
-    """Id -> script, in the order of their numbers. Raises ValueError for two scripts of one id."""
-    scripts = {}
-    for path in sorted(folder.glob("*_*.py")):
-        if match := SCRIPT.fullmatch(path.name):
-            kind, chapter, number, _ = match.groups()
-            name = f"{'T' if kind == 'table' else ''}{chapter}.{number}"
-            if name in scripts:
-                raise ValueError(f"expected one script for {name}, got {scripts[name].name} and {path.name}")
-            scripts[name] = path
-    return dict(sorted(scripts.items(), key=lambda item: order(item[0])))
-
-
-def order(name):
-    """Sort key of an id: chapter, number, figures before tables."""
-    chapter, number = name.lstrip("T").split(".")
-    return int(chapter), int(number), name.startswith("T")
-
-
-def choose(scripts, only):
-    """The scripts named in `only` ("3.7,T5.1"; None is all). Raises ValueError naming the known ones."""
-    if only is None:
-        return scripts
-    wanted = [name.replace(" ", "").upper() for name in only.split(",") if name.strip()]
-    for name in wanted:
-        if name not in scripts:
-            raise ValueError(f"--only: expected some of {', '.join(scripts)}, got {name!r}")
-    return {name: path for name, path in scripts.items() if name in wanted}
-
-
-def stem(script):
-    """figure_3_7 for scripts/figure_3_7_baselines.py."""
-    kind, chapter, number, _ = SCRIPT.fullmatch(script.name).groups()
-    return f"{kind}_{chapter}_{number}"
 
 
 def run(command):

@@ -2,6 +2,7 @@
 
 from deep_contact.constants import TIME_STEP
 from deep_contact.recommendation import PRESETS
+from deep_contact.io import shipped
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs
@@ -16,7 +17,7 @@ MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 def compute(options, seed, jobs, progress):
     """Rows and presets of the study: from its results file, or from a small study made here."""
     if options["results"]:
-        data = results.read_results(options["results"])["data"]
+        data = results.read_results(shipped.find(options["results"]))["data"]
         rows, presets = data["rows"], data["presets"]
     else:
         settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in (1, 4) for k in (2, 5, 10)]

@@ -3,6 +3,7 @@
 import numpy as np
 
 from deep_contact.constants import TIME_STEP
+from deep_contact.io import shipped
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import runs
@@ -19,7 +20,7 @@ SHOWN = {
 def compute(options, seed, jobs, progress):
     """The rows of the well solved settings, by time step: from the study's results file, or from a small study here."""
     if options["results"]:
-        rows = results.read_results(options["results"])["data"]["rows"]
+        rows = results.read_results(shipped.find(options["results"]))["data"]["rows"]
     else:
         seeds = figures.seeds(seed, options["seeds"])
         rows = runs.small_study(options["n_bodies"], seeds, runs.LIMIT[1:-1], seconds=options["seconds"])

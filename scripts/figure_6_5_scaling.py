@@ -10,7 +10,7 @@ from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import scaling
 from deep_contact.studies.peers import installed
 
-PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
+PILES = Path("runs/piles")
 LOOKS = {
     name: {"color": colour, "linestyle": line, "marker": marker, "markersize": 4}
     for name, colour, line, marker in (

@@ -119,7 +119,8 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
 
 def main(argv=None) -> int:
     """Predict every file. A bad one is reported, and the others are still predicted."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    about = __doc__.partition(": ")[2]
+    parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("states", nargs="+", type=Path, metavar="STATE.xml")
     parser.add_argument("--model", default=None, help="model file, or a name in models/registry.json; default: model")
     parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder for the results")
@@ -132,7 +133,7 @@ def main(argv=None) -> int:
         limit_threads(given.threads)
         model = load_model(given.model)
     except (OSError, ValueError) as error:
-        parser.exit(2, f"predict.py: {error}\n")
+        parser.exit(2, f"{parser.prog}: {error}\n")
     given.out.mkdir(parents=True, exist_ok=True)
     bad = 0
     for path in given.states:
@@ -140,7 +141,7 @@ def main(argv=None) -> int:
             print("\n".join(predict_file(path, model, given.out, not given.no_pictures)))
         except (OSError, ValueError) as error:
             bad += 1
-            print(f"predict.py: {error}")
+            print(f"{parser.prog}: {error}")
     return 1 if bad else 0
 
 

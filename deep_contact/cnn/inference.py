@@ -307,7 +307,7 @@ class Guarded:
 
 
 def network_file(model=None) -> Path:
-    """A model file by its name in the registry, or by its path from the current folder or the root of the checkout.
+    """A model file by its name in the registry, or by its path from the current folder or from `io.shipped.ROOT`.
 
     Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none.
     """
@@ -315,7 +315,7 @@ def network_file(model=None) -> Path:
     known = registry.registered()
     if model is None or str(model) in known:
         return registry.path_of(name)
-    for place in (Path(model), registry.CHECKOUT / model):
+    for place in (Path(model), registry.ROOT / model):
         if place.exists() and not place.is_dir():
             return place
     if name in known:

@@ -9,10 +9,10 @@ from functools import lru_cache
 from pathlib import Path
 
 from deep_contact.cnn.model_file import ModelFileError
+from deep_contact.io.shipped import ROOT
 
-CHECKOUT = Path(__file__).resolve().parents[2]
 FOLDER = "DEEP_CONTACT_MODELS"
-"""Environment variable: a folder that is searched before the checkout's `models/`."""
+"""Environment variable: a folder that is searched before the shipped `models/`."""
 
 
 def path_of(name: str) -> Path:
@@ -23,7 +23,7 @@ def path_of(name: str) -> Path:
     """
     entries = registered()
     if name not in entries:
-        known = ", ".join(entries) or "a registry.json, which is part of the repository"
+        known = ", ".join(entries) or "a registry.json, which is part of the source repository"
         raise FileNotFoundError(f"model: expected one of {known}, or the path of a file, got {name!r}")
     entry = entries[name]
     for folder in _folders():
@@ -36,13 +36,14 @@ def path_of(name: str) -> Path:
             return path
     raise FileNotFoundError(
         f"model {name}: expected {entry['file']} in {' or '.join(map(str, _folders()))}, which does not exist; it is "
-        f"part of the repository, {FOLDER} names another folder, and `{entry['command']}` trains such a network"
+        f"part of the source repository, not of every wheel; {FOLDER} names another folder, and `{entry['command']}` "
+        "trains such a network"
     )
 
 
 def registered() -> dict[str, dict]:
     """Name -> {"file": path below the folder, "sha256", "command": how it was trained, "data": their hash}."""
-    for folder in sorted(_folders(), key=lambda folder: folder != CHECKOUT / "models"):
+    for folder in sorted(_folders(), key=lambda folder: folder != ROOT / "models"):
         try:
             return json.loads((folder / "registry.json").read_text(encoding="utf-8"))
         except FileNotFoundError:
@@ -52,7 +53,7 @@ def registered() -> dict[str, dict]:
 
 def _folders() -> list[Path]:
     given = os.environ.get(FOLDER)
-    folders = [CHECKOUT / "models", Path.cwd() / "models"]
+    folders = [ROOT / "models", Path.cwd() / "models"]
     return list(dict.fromkeys(folders if not given else [Path(given), *folders]))
 
 

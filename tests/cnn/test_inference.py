@@ -297,7 +297,7 @@ def test_links_and_bombs_are_refused(file, tmp_path, poison):
 
 
 def test_every_shipped_file_is_registered_under_its_hash():
-    files = sorted((registry.CHECKOUT / "models").rglob("*.h5"))
+    files = sorted((registry.ROOT / "models").rglob("*.h5"))
     assert sorted(registry.path_of(name) for name in registry.registered()) == files
     assert load_model("comparison/width_8").path.samefile(load_model("models/comparison/width_8.h5").path)
 
@@ -307,7 +307,7 @@ def test_models_are_found_in_the_folder_that_is_named(tmp_path, monkeypatch):
     copy = shutil.copy(registry.path_of("comparison/width_4"), tmp_path / "comparison")
     monkeypatch.setenv("DEEP_CONTACT_MODELS", str(tmp_path))
     assert str(registry.path_of("comparison/width_4")) == copy
-    assert registry.path_of("model") == registry.CHECKOUT / "models" / "model.h5"
+    assert registry.path_of("model") == registry.ROOT / "models" / "model.h5"
     shutil.copy(registry.path_of("comparison/width_8"), copy)
     with pytest.raises(ModelFileError, match=r"width_4\.h5: sha256: expected"):
         load_model("comparison/width_4")
@@ -315,7 +315,7 @@ def test_models_are_found_in_the_folder_that_is_named(tmp_path, monkeypatch):
 
 def test_a_model_that_is_missing_is_named(tmp_path, monkeypatch):
     known = registry.registered()
-    monkeypatch.setattr(registry, "CHECKOUT", tmp_path)
+    monkeypatch.setattr(registry, "ROOT", tmp_path)
     monkeypatch.setattr(registry, "registered", lambda: known)
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FileNotFoundError, match=r"comparison/width_8: expected comparison/width_8\.h5 in .*train\.py"):
@@ -466,9 +466,9 @@ def test_a_model_says_what_it_is_takes_and_gives():
 def test_the_shipped_model_is_found_from_anywhere(tmp_path, monkeypatch):
     (tmp_path / "models").mkdir()
     for name in ("model.h5", "registry.json"):
-        shutil.copy(registry.CHECKOUT / "models" / name, tmp_path / "models")
+        shutil.copy(registry.ROOT / "models" / name, tmp_path / "models")
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(registry, "CHECKOUT", tmp_path / "elsewhere")
+    monkeypatch.setattr(registry, "ROOT", tmp_path / "elsewhere")
     assert load_model().path == tmp_path / "models" / "model.h5"
 
 

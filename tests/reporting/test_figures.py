@@ -357,7 +357,7 @@ def test_all_figures_runs_only_those_that_are_asked_for(toys, tmp_path, capfd):
     assert stored(tmp_path / "out", "table_9_2")["provenance"]["seed"] == 4
     assert not (tmp_path / "out" / "figure_9_2.json").exists()
     assert main(["--only", "3.99"], toys) == 2
-    assert "expected some of 9.2, T9.2, 9.10, got '3.99'" in capfd.readouterr().err
+    assert "expected one of 9.2, T9.2, 9.10, got '3.99'" in capfd.readouterr().err
 
 
 def test_two_scripts_of_one_figure_are_refused(toys, capfd):

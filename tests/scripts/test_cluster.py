@@ -207,3 +207,17 @@ def test_processes_end_with_a_parent_that_is_killed(tmp_path):
     time.sleep(1.5)  # so that the processes are there
     process.kill()
     process.communicate(timeout=30)
+
+
+def test_the_digest_of_the_sources_leaves_out_the_scripts_of_a_wheel(tmp_path, monkeypatch):
+    """A client in a checkout and a worker with the wheel run the same code."""
+    (tmp_path / "io").mkdir()
+    for name in ("parallel.py", "io/files.py"):
+        (tmp_path / name).write_text(name)
+    monkeypatch.setattr(parallel, "__file__", str(tmp_path / "parallel.py"))
+    checkout = parallel.code.__wrapped__()
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "scripts" / "figure_3_7.py").write_text("")
+    assert parallel.code.__wrapped__() == checkout
+    (tmp_path / "io" / "files.py").write_text("changed")
+    assert parallel.code.__wrapped__() != checkout

@@ -1,0 +1,93 @@
+#!/usr/bin/env bash
+# The package without its repository: build the source distribution, from that the wheel; install the wheel beside the
+# packages of .venv and use it in an empty folder; pass the tests of files in the unpacked source distribution.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+. scripts/venv.sh
+ensure_venv "[test,peers,cluster,mutation]"
+PYTHON="$(cd "$(dirname "$PYTHON")" && pwd)/$(basename "$PYTHON")"
+export TF_CPP_MIN_LOG_LEVEL=3 CUDA_VISIBLE_DEVICES=""
+unset PYTHONPATH DEEP_CONTACT_MODELS
+
+work="$(mktemp -d)"
+tests=""
+trap '[ -z "$tests" ] || kill "$tests" 2> /dev/null || true; rm -rf "$work"' EXIT
+mkdir "$work/repository" "$work/empty"
+
+# From the files that git knows, or would add: caches and old builds must not be what makes it work.
+comm -23 <(git ls-files --cached --others --exclude-standard | sort) <(git ls-files --deleted | sort) > "$work/expected"
+tar cf - -T "$work/expected" | tar xf - -C "$work/repository"
+"$PYTHON" -m build --no-isolation --outdir "$work" "$work/repository" > "$work/log" 2>&1 || { cat "$work/log"; exit 1; }
+tar xzf "$work"/deep_contact-*.tar.gz -C "$work"
+rm "$work"/deep_contact-*.tar.gz
+source="$(echo "$work"/deep_contact-*/)"
+# Building adds its records.
+if ! (cd "$source" && find * .ci .gitignore -type f | grep -vE '^PKG-INFO$|\.egg-info/' | sort) |
+    diff "$work/expected" -; then
+    echo "the source distribution (>) is not the repository (<): see MANIFEST.in"
+    exit 1
+fi
+
+# Meanwhile, the tests of files that compile nothing.
+(
+    cd "$source"
+    PYTHONPATH="$source" "$PYTHON" -m pytest -p no:cacheprovider tests/io/test_files.py tests/io/test_provenance.py \
+        tests/io/test_shipped.py tests/cnn/test_inference.py::test_every_shipped_file_is_registered_under_its_hash \
+        tests/cnn/test_inference.py::test_models_are_found_in_the_folder_that_is_named \
+        tests/test_command_line.py::test_every_figure_and_table_is_listed_and_reached_by_its_name \
+        tests/test_command_line.py::test_a_table_is_made \
+        tests/reporting/test_readme.py::test_tables_are_those_of_the_results_files > "$work/log" 2>&1
+) &
+tests=$!
+
+# The folders of packages are added to an environment with the wheel alone. Their .pth files, which name the checkout,
+# are not read there.
+"$PYTHON" -m venv --without-pip "$work/env"
+packages="$("$work/env/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
+"$PYTHON" -m pip --python "$work/env/bin/python" install --quiet --disable-pip-version-check --no-deps --no-index \
+    "$work"/deep_contact-*.whl
+"$PYTHON" -c 'import sys; print(*(path for path in sys.path if path.endswith("-packages")), sep="\n")' \
+    > "$packages/outside.pth"
+export PATH="$work/env/bin:$PATH"
+
+cd "$work/empty"
+python - "$packages" << 'CHECKS'
+import sys
+from importlib.metadata import version
+from pathlib import Path
+
+import deep_contact as dc
+
+assert Path(dc.__file__).parent == Path(sys.argv[1]).resolve() / "deep_contact", dc.__file__
+assert version("deep-contact") == dc.__version__
+run = dc.simulate(dc.circles_in_box(n_bodies=20, size=12.0), steps=100)
+assert run.state.contacts.count > 0
+dc.write_state("later.xml", run.state)
+assert dc.recommend(run.state).solver.sweeps > 0
+dc.plan(run.state)
+state = dc.read_state(dc.sample_file())
+normal, tangent = dc.load_model().predict(state)
+assert normal.shape == tangent.shape == (state.contacts.count,)
+for start in ("builtin", "cnn", "guarded", (normal, tangent)):
+    assert dc.solve_contacts(state, solver=dc.PGS(sweeps=30), start=start).record.sweeps > 0
+for name in ("coarse", "compact"):
+    dc.load_model(name)
+try:
+    dc.load_model("thesis_factored")
+except FileNotFoundError as error:
+    assert "source repository" in str(error), error
+else:
+    raise AssertionError("thesis_factored: expected it outside of the wheel")
+CHECKS
+deep-contact --version
+deep-contact simulate later.xml --steps 20 --warm-start guarded --out run.h5
+deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
+deep-contact view --bodies 10 --steps 8 --every 4 --out view.gif
+deep-contact figure 5.3 --quick > figure.txt
+deep-contact table 5.1 --quick > table.txt
+for file in later.xml run.h5 predictions/rest_362.csv view.gif figures/figure_5_3.png figures/table_5_1.md; do
+    [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
+done
+
+wait "$tests" || { cat "$work/log"; exit 1; }
+echo "The wheel works without the repository, and the source distribution passes its tests of files."

@@ -1,0 +1,44 @@
+"""What a wheel has beside the modules: files of `models/`, `scripts/` and `data/`, which lie below the package there.
+
+`deep_contact.io.shipped` finds them in a wheel and in a checkout. All else is in `setup.cfg`.
+"""
+
+from pathlib import Path
+
+from setuptools import setup
+from setuptools.command.build_py import build_py
+
+SHIPPED = (
+    "models/registry.json",
+    "models/model.h5",
+    "models/coarse.h5",
+    "models/compact.h5",
+    "scripts/figure_*.py",
+    "scripts/table_*.py",
+    "scripts/all_figures.py",
+    "scripts/predict.py",
+    "data/sample/*",
+    "data/reference/run_tradeoff.json",  # Figures 6.1, 6.2 and 6.11 draw it
+)
+"""4 MB. The thesis's network (25 MB) and those that were trained for comparison (15 MB) stay in the repository."""
+
+
+class BuildWithShippedFiles(build_py):
+    """Copies them, except for an editable installation, which uses the checkout."""
+
+    def run(self):
+        super().run()
+        if self.editable_mode:
+            return
+        root = Path(__file__).resolve().parent
+        for pattern in SHIPPED:
+            found = sorted(root.glob(pattern))
+            if not found:
+                raise FileNotFoundError(f"{pattern}: expected files of the wheel in {root}, got none")
+            for path in found:
+                target = Path(self.build_lib, "deep_contact", path.relative_to(root))
+                self.mkpath(str(target.parent))
+                self.copy_file(str(path), str(target))
+
+
+setup(cmdclass={"build_py": BuildWithShippedFiles})

@@ -1,0 +1,262 @@
+"""`deep-contact` and `python -m deep_contact`; `view` is in `test_viewer.py`."""
+
+import configparser
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact import __main__ as command_line
+from deep_contact.__main__ import main
+from deep_contact.reporting import scripts
+
+ROOT = Path(__file__).resolve().parents[1]
+
+PROBE = '''"""python scripts/figure_9_1_probe.py: what a script sees."""
+import json, sys
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+
+def double(x):
+    return 2 * x
+
+if __name__ == "__main__":
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        print(json.dumps([sys.argv, list(pool.map(double, [1, 2]))]))
+    raise SystemExit(7)
+'''
+
+
+@pytest.fixture
+def probe(tmp_path, monkeypatch):
+    """A root whose only figure prints what it sees."""
+    (tmp_path / "scripts").mkdir()
+    (tmp_path / "scripts" / "figure_9_1_probe.py").write_text(PROBE, encoding="utf-8")
+    monkeypatch.setattr(command_line.shipped, "ROOT", tmp_path)
+    monkeypatch.chdir(tmp_path)
+
+
+# ---- what is there ----
+
+
+def test_the_installed_program_is_this_one():
+    config = configparser.ConfigParser()
+    config.read(ROOT / "setup.cfg", encoding="utf-8")
+    assert config["options.entry_points"]["console_scripts"].strip() == "deep-contact = deep_contact.__main__:main"
+
+
+@pytest.mark.parametrize(
+    ("program", "named"), [("/usr/bin/deep-contact", "deep-contact"), ("/x/deep_contact/__main__.py", "python -m")]
+)
+def test_help_names_the_program_as_it_was_called(program, named, monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", [program])
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    assert capsys.readouterr().out.startswith(f"usage: {named}")
+    assert main(["figure", "3.7", "--help"]) == 0
+    assert capsys.readouterr().out.startswith(f"usage: {named}")
+    assert sys.argv == [program]
+
+
+def test_the_version_is_the_package_s(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--version"])
+    assert capsys.readouterr().out == f"deep-contact {dc.__version__}\n"
+
+
+@pytest.mark.parametrize("argument", ["--version", "--help", "figure"])
+def test_what_computes_nothing_imports_nothing_heavy(argument):
+    code = f"import sys, atexit; atexit.register(lambda: print(*sys.modules)); sys.argv[1:] = ['{argument}']\n"
+    code += "from deep_contact.__main__ import main; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"numpy", "numba", "scipy", "matplotlib", "tensorflow", "keras", "h5py"}
+
+
+# ---- figures and tables ----
+
+
+def test_every_figure_and_table_is_listed_and_reached_by_its_name(capsys):
+    assert main(["figure"]) == 0
+    listed = dict(line.split(maxsplit=1) for line in capsys.readouterr().out.splitlines())
+    files = [*(ROOT / "scripts").glob("figure_*.py"), *(ROOT / "scripts").glob("table_*.py")]
+    assert len(listed) == len(files) > 35
+    for path in files:
+        kind, chapter, number, _ = path.stem.split("_", 3)
+        name = f"{chapter}.{number}"
+        assert len(listed[name if kind == "figure" else f"T{name}"]) > 20
+        for command, spelt in [(kind, name), ("figure", f"{kind} {name}"), ("figure", f"{kind.title()} {name}")]:
+            assert command_line._script(command, [spelt, "--quick"]) == (path, ["--quick"])
+        if kind == "table":
+            assert command_line._script("table", [f"T {name}"]) == (path, [])
+    assert command_line._script("figure", ["all"])[0].name == "all_figures.py"
+
+
+def test_tables_are_listed_by_themselves(capsys):
+    assert main(["table"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == len(list((ROOT / "scripts").glob("table_*.py")))
+    assert all(line.startswith("T") for line in lines)
+
+
+@pytest.mark.parametrize("arguments", [["figure", "9.9"], ["figure", "3_7"], ["table", "3.7"], ["figure", ""]])
+def test_an_unknown_number_is_refused_with_those_that_there_are(arguments, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(arguments)
+    error = capsys.readouterr().err
+    assert "expected one of " in error
+    assert "T5.1" in error
+
+
+def test_a_script_runs_as_the_main_program_with_its_arguments_and_status(probe, monkeypatch, capsys):
+    """Its processes unpickle its functions by name, which is how the figures compute in parallel."""
+    monkeypatch.setattr(sys, "argv", ["deep-contact"])
+    before = sys.modules["__main__"]
+    assert main(["figure", "9.1", "--set", "a=1"]) == 7
+    argv, doubled = json.loads(capsys.readouterr().out)
+    assert argv == ["deep-contact figure 9.1", "--set", "a=1"]
+    assert doubled == [2, 4]
+    assert (sys.argv, sys.modules["__main__"]) == (["deep-contact"], before)
+
+
+def test_the_error_of_a_script_is_not_taken_for_an_argument(probe, tmp_path):
+    (tmp_path / "scripts" / "figure_9_1_probe.py").write_text("raise ValueError('inside')", encoding="utf-8")
+    with pytest.raises(ValueError, match="inside"):
+        main(["figure", "9.1"])
+
+
+def test_a_table_is_made(tmp_path, capsys):
+    assert main(["table", "5.2", "--quick", "--out", str(tmp_path)]) == 0
+    assert capsys.readouterr().out.startswith("Table 5.2: ")
+    assert {path.name for path in tmp_path.iterdir()} == {f"table_5_2.{suffix}" for suffix in ("json", "md", "png")}
+
+
+def test_a_figure_of_a_stored_study_is_drawn_in_any_folder(tmp_path, monkeypatch):
+    """Figures 6.1 and 6.2 draw data/reference/tradeoff.json, which they find beside or in the package."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["figure", "6.2", "--jobs", "1"]) == 0
+    options = json.loads((tmp_path / "figures" / "figure_6_2.json").read_text(encoding="utf-8"))["options"]
+    assert options["results"] == "data/reference/tradeoff.json"
+
+
+def test_a_list_that_is_cut_short_is_no_error():
+    code = "import os, sys; from deep_contact.__main__ import main; os.close(0); r, w = os.pipe(); os.dup2(w, 1); "
+    code += "os.close(w); os.close(r); sys.exit(main(['figure']))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_summary_is_the_end_of_the_first_line(tmp_path):
+    script = tmp_path / "figure_9_1_probe.py"
+    script.write_text(PROBE, encoding="utf-8")
+    assert scripts.summary(script) == "what a script sees."
+
+
+# ---- simulate, predict, sample ----
+
+
+@pytest.fixture
+def scene(tmp_path):
+    path = tmp_path / "scene.xml"
+    dc.write_state(path, dc.simulate(dc.column(3), steps=4).state)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".xml.gz"])
+def test_a_state_is_run_on_as_simulate_does(scene, suffix, tmp_path, capsys):
+    out = tmp_path / f"later{suffix}"
+    arguments = ["--steps", "6", "--solver", "NNCG", "--sweeps", "9", "--tolerance", "1e-3", "--warm-start", "none"]
+    assert main(["simulate", str(scene), *arguments, "--dt", "0.005", "--out", str(out)]) == 0
+    solver = dc.NNCG(sweeps=9, tolerance=1e-3)
+    run = dc.simulate(dc.read_state(scene), steps=6, dt=0.005, solver=solver, warm_start="none")
+    written = dc.read_state(out)
+    np.testing.assert_array_equal(written.bodies.position, run.state.bodies.position)
+    np.testing.assert_array_equal(written.contacts.normal_impulse, run.state.contacts.normal_impulse)
+    assert written.solver == solver
+    first, second, third = capsys.readouterr().out.splitlines()
+    assert first.endswith(": 3 circles, 6 steps of 0.005 s, NNCG(sweeps=9, tolerance=0.001)")
+    assert second.startswith(f"contacts: {run.state.contacts.count}; sweeps a step: {run.sweeps.mean():.1f}; last θ: ")
+    assert third == str(out)
+
+
+def test_options_left_out_are_those_of_the_state(tmp_path):
+    scene, out = tmp_path / "scene.xml", tmp_path / "later.xml"
+    dc.write_state(scene, dc.simulate(dc.column(2), steps=1, solver=dc.PSOR(omega=1.3)).state)
+    assert main(["simulate", str(scene), "--steps", "1", "--sweeps", "7", "--out", str(out)]) == 0
+    assert dc.read_state(out).solver == dc.PSOR(omega=1.3, sweeps=7)
+
+
+def test_a_run_of_a_scene_is_stored_with_one_state_in_so_many_steps(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = ["--bodies", "5", "--size", "12", "--seed", "3", "--steps", "9", "--every", "4", "--out", "run.h5"]
+    assert main(["simulate", *arguments]) == 0
+    run = dc.load_trajectory("run.h5")
+    assert [state.step for state in run] == [0, 4, 8, 9]
+    expected = dc.simulate(dc.circles_in_box(5, size=12.0, seed=3), steps=9).state
+    np.testing.assert_array_equal(run[3].bodies.position, expected.bodies.position)
+
+
+def test_an_accuracy_picks_the_solver(capsys):
+    assert main(["simulate", "--bodies", "3", "--no-gravity", "--steps", "0", "--accuracy", "fast"]) == 0
+    scene = dc.drifting_circles(3)
+    assert type(dc.recommend(scene, velocity_error=0.1).solver).__name__ in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["none.xml"], "none.xml"),
+        (["--out", "run.txt"], "--out: expected a file that ends in .xml, .xml.gz, .h5, got 'run.txt'"),
+        (["--out", "no/run.h5"], "--out: expected a folder that exists, got 'no'"),
+        (["--solver", "pgs"], "--solver: expected one of PGS, "),
+        (["--accuracy", "fast", "--sweeps", "3"], "--accuracy: expected no --solver"),
+        (["--accuracy", "best"], "accuracy: expected one of fast, balanced, accurate, got 'best'"),
+        (["--warm-start", "magic"], "expected one of none, builtin"),
+        (["--steps", "-1"], "steps: expected an integer >= 0, got -1"),
+        (["--every", "0", "--out", "run.h5"], "record: expected an integer >= 1, got 0"),
+        (["scene.xml", "--bodies", "3"], "expected none beside STATE.xml"),
+    ],
+)
+def test_bad_arguments_exit_with_2_and_name_the_fault(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit, match="2"):
+        main(["simulate", *arguments])
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_solver_that_diverges_ends_with_1(monkeypatch, capsys):
+    def diverge(state, **options):
+        raise FloatingPointError("up to step 3: circle 0")
+
+    monkeypatch.setattr("deep_contact.simulation.simulate", diverge)
+    assert main(["simulate"]) == 1
+    assert "simulate: up to step 3: circle 0" in capsys.readouterr().err
+
+
+def test_ctrl_c_ends_with_130(monkeypatch):
+    def interrupt(state, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("deep_contact.simulation.simulate", interrupt)
+    assert main(["simulate"]) == 130
+
+
+def test_the_samples_are_named_by_their_paths(capsys):
+    assert main(["sample", "rest_530"]) == 0
+    assert capsys.readouterr().out == f"{dc.sample_file('rest_530')}\n"
+    assert main(["sample"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 6
+
+
+def test_a_sample_is_predicted(tmp_path, capsys):
+    out = tmp_path / "out"
+    sample = str(dc.sample_file())
+    assert main(["predict", sample, "--no-pictures", "--out", str(out)]) == 0
+    assert {path.name for path in out.iterdir()} == {"impact_154.csv", "impact_154.npy"}
+    assert "relative velocity error" in capsys.readouterr().out
+    assert main(["predict", str(tmp_path / "none.xml"), "--out", str(out)]) == 1
+    assert "predict: " in capsys.readouterr().out
