@@ -103,10 +103,10 @@ def _add_simulate(parser: argparse.ArgumentParser) -> None:
     _add_scene(parser, steps=600)
     add = parser.add_argument
     add("--dt", type=float, help="time step, s (default: the state's)")
-    add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or PGS)")
+    add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, help="θ at which the sweeps of a step end, N·s")
     add("--warm-start", metavar="NAME", help="none, builtin, cnn, guarded, … (default: builtin)")
-    add("--accuracy", metavar="NAME", help="fast, balanced or accurate, in place of solver and start")
+    add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of solver and start")
     add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
     add("--every", type=int, default=10, help="steps between two states of the run in an .h5 (default: %(default)s)")
     parser.set_defaults(run=_simulate)
@@ -165,8 +165,11 @@ def _method(given, scene) -> dict:
         return {"accuracy": given.accuracy}
     if given.solver is not None and given.solver not in METHODS:
         raise ValueError(f"--solver: expected one of {', '.join(METHODS)}, got {given.solver!r}")
+    start = {"warm_start": given.warm_start or "builtin"}
+    if given.solver is None and not options:
+        return start
     solver = scene.solver or dc.PGS() if given.solver is None else METHODS[given.solver]()
-    return {"solver": replace(solver, **options), "warm_start": given.warm_start or "builtin"}
+    return {"solver": replace(solver, **options), **start}
 
 
 def _view(given) -> int:

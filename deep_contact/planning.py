@@ -17,7 +17,7 @@ from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import SoftSteps, describe
 from deep_contact.reporting import results
-from deep_contact.simulation import checked_solver, ready
+from deep_contact.simulation import checked_solver, ready, solver_and_start
 from deep_contact.state import State
 from deep_contact.warm_start import Builtin, NoStart, warm_start_of
 
@@ -75,7 +75,7 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     Raises ValueError on arguments that do not hold together, FileNotFoundError where no results are installed.
     """
     scene = ready(scene)
-    solver = checked_solver(solver, scene)
+    solver = checked_solver(solver or scene.solver or solver_and_start(scene)[0], scene)
     start = warm_start_of(warm_start)
     _, options = advance_of(solver, sleep)
     found = table if table is not None else installed_results()

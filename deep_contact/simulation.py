@@ -133,12 +133,9 @@ def simulate(
     state = ready(state)
     if accuracy is not None and solver is not None:
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
-    if accuracy is not None or (solver is None and state.solver is None):
-        from deep_contact.recommendation.runs import solver_and_start
-
-        solver, recommended = solver_and_start(state, accuracy)
-        warm_start = warm_start if accuracy is None else recommended
-    solver = checked_solver(solver, state)
+    if accuracy is not None:
+        solver, warm_start = solver_and_start(state, accuracy)
+    solver = checked_solver(solver or state.solver or solver_and_start(state)[0], state)
     start = warm_start_of(warm_start)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
@@ -301,7 +298,15 @@ def _impulses(start, state: State, solver, problem=None) -> tuple[np.ndarray, np
     return impulses
 
 
+def solver_and_start(state: State, accuracy: str | None = None) -> tuple:
+    """(Solver, name of the start) of a preset; of "fast" without one. See `recommendation.runs.solver_and_start`."""
+    from deep_contact.recommendation import runs  # which reads the study
+
+    return runs.solver_and_start(state, accuracy)
+
+
 def checked_solver(solver, state: State):
+    """The solver, or the state's, or PGS. Raises ValueError where it does not fit the state."""
     solver = solver if solver is not None else state.solver if state.solver is not None else PGS()
     entry_of(solver)
     if solver.precision == "single":

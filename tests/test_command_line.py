@@ -135,11 +135,11 @@ def test_a_table_is_made(tmp_path, capsys):
 
 
 def test_a_figure_of_a_stored_study_is_drawn_in_any_folder(tmp_path, monkeypatch):
-    """Figures 6.1 and 6.2 draw data/reference/tradeoff.json, which they find beside or in the package."""
+    """Figures 6.1 and 6.2 draw data/reference/run_tradeoff.json, which they find beside or in the package."""
     monkeypatch.chdir(tmp_path)
     assert main(["figure", "6.2", "--jobs", "1"]) == 0
     options = json.loads((tmp_path / "figures" / "figure_6_2.json").read_text(encoding="utf-8"))["options"]
-    assert options["results"] == "data/reference/tradeoff.json"
+    assert options["results"] == "data/reference/run_tradeoff.json"
 
 
 def test_a_list_that_is_cut_short_is_no_error():

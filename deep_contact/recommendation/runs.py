@@ -135,7 +135,7 @@ def solver_and_start(scene: State, accuracy: str | None) -> tuple[object, str]:
         warnings.warn(
             f"accuracy={name!r}: no setting of the study keeps its tolerances for {scene.bodies.count:,} circles; the "
             f"nearest is taken (print(dc.recommend(scene, accuracy={name!r})) says more)",
-            stacklevel=4,
+            stacklevel=5,
         )
     return best["solver"], best["start"]
 
