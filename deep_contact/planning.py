@@ -75,7 +75,9 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     Raises ValueError on arguments that do not hold together, FileNotFoundError where no results are installed.
     """
     scene = ready(scene)
-    solver = checked_solver(solver or scene.solver or solver_and_start(scene)[0], scene)
+    if solver is None and scene.solver is None:
+        solver, _ = solver_and_start(scene)
+    solver = checked_solver(solver, scene)
     start = warm_start_of(warm_start)
     _, options = advance_of(solver, sleep)
     found = table if table is not None else installed_results()

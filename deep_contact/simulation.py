@@ -135,7 +135,9 @@ def simulate(
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
     if accuracy is not None:
         solver, warm_start = solver_and_start(state, accuracy)
-    solver = checked_solver(solver or state.solver or solver_and_start(state)[0], state)
+    elif solver is None and state.solver is None:
+        solver, _ = solver_and_start(state)
+    solver = checked_solver(solver, state)
     start = warm_start_of(warm_start)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
