@@ -1,4 +1,8 @@
-"""Constants of the contact model, as Box2D 2.3 has them, and of the thesis's scene. SI units."""
+"""Constants of the contact model, as Box2D 2.3 has them, and of the thesis's scene. SI units.
+
+Lengths, speeds and times hold for circles with a mean radius of 1 m under 9.81 m/s²; `scales` makes them follow the
+scene. `scales.BOX2D` has them as they are here.
+"""
 
 VERSION = "0.1.0"
 """Of the package."""
@@ -15,14 +19,23 @@ BAUMGARTE = 0.2
 MAX_CORRECTION = 0.2
 """Largest displacement of one row in one sweep of position correction, m."""
 
-POSITION_TOLERANCE = 3 * LINEAR_SLOP
-"""Position correction stops once no contact penetrates deeper, m."""
+POSITION_TOLERANCE = 3.0
+"""Position correction stops once no contact penetrates deeper, in slops."""
 
 RESTITUTION_THRESHOLD = 1.0
 """Approach speed above which a contact bounces, m/s."""
 
 MAX_TRANSLATION = 2.0
 """Largest displacement of a body in one step, m."""
+
+SLEEP_SPEED = 0.01
+"""A circle is still up to this speed, m/s (`b2_linearSleepTolerance`)."""
+
+SLEEP_SPIN = 2.0 / 180.0 * 3.141592653589793
+"""And up to this angular velocity, rad/s (`b2_angularSleepTolerance`)."""
+
+SLEEP_TIME = 0.5
+"""An island falls asleep once it has been still for so long, s (`b2_timeToSleep`)."""
 
 MAX_ROTATION = 0.5 * 3.141592653589793
 """Largest rotation of a body in one step, rad."""
@@ -36,4 +49,4 @@ TIME_STEP = 0.01
 """s"""
 
 THETA_TOLERANCE = 6e-5
-"""Convergence rate at which the thesis's data generator stopped the velocity sweeps, N·s."""
+"""Convergence rate at which the thesis's data generator stopped the velocity sweeps, N·s; for π kg and Δt = 0.01 s."""

@@ -20,7 +20,7 @@ from deep_contact.physics.engine import (
     step_problem,
 )
 from deep_contact.physics.solvers import PGS
-from deep_contact.physics.solvers.registry import entry_of, tolerance_argument
+from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, StepWorkspace, make_log
 from deep_contact.state import (
     LARGEST_SINGLE_START,
@@ -163,17 +163,18 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     options = options._replace(carry=not isinstance(start, NoStart))
     log, theta = make_log(steps), np.empty(solver.sweeps)
     still = np.zeros(state.bodies.count if sleep else 0)
+    scales = state.scales  # of radii that do not change in a run
     frames = [state]
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
         count = 1 if by_step else min(steps - done, every - done % every, max(1, int(_CHUNK / work)))
         before, state = state, state.replace(bodies=Bodies(*(field.copy() for field in state.bodies)))
-        problem = step_problem(state, solver)
+        problem = step_problem(state, solver, scales)
         normal, tangent = _impulses(start, state, solver, problem)
         if tangent.any() and problem.friction is None:
             state = state.replace(contacts=state.contacts._replace(normal_start=normal, tangent_start=tangent))
-            problem = step_problem(state, solver)
+            problem = step_problem(state, solver, scales)
         set_impulses(problem.rows, normal, tangent)
         contacts = state.contacts._replace(
             normal_start=normal,
@@ -181,7 +182,7 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
             normal_impulse=state.contacts.normal_impulse.copy(),
             tangent_impulse=state.contacts.tangent_impulse.copy(),
         )
-        given = step_input(state, options.settings)._replace(contacts=contacts, friction=problem.friction)
+        given = step_input(state, options.settings, scales)._replace(contacts=contacts, friction=problem.friction)
         workspace = StepWorkspace(problem.rows, problem.solver_bodies, theta, still)
         chunk = StepLog(*(column[done : done + count] for column in log))
         solved, found = advance(given, options, workspace, chunk)
@@ -268,6 +269,8 @@ def _has_settings_within_limits(state: State) -> bool:
     world = state.world
     found = {"dt": (state.dt,), "world.box": world.box, "world.gravity": world.gravity}
     found["world.friction"] = (world.friction,)
+    if world.scales is not None:
+        found |= {f"scales.{name}": (getattr(world.scales, name),) for name in ("slop", "wall_skin", "max_correction")}
     return all(LIMITS[name][0] <= min(values) and max(values) <= LIMITS[name][1] for name, values in found.items())
 
 
@@ -313,4 +316,4 @@ def checked_solver(solver, state: State):
     entry_of(solver)
     if solver.precision == "single":
         check_limits(state, SINGLE_LIMITS)
-    return solver
+    return for_state(solver, state)

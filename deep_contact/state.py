@@ -20,6 +20,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact import constants
+from deep_contact.scales import ContactScales, contact_scales
+from deep_contact.validation import number
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
 WALLS = ("bottom", "right", "top", "left")
@@ -41,15 +43,19 @@ LIMITS = {
     "world.gravity": (-1e6, 1e6, "m/s²"),
     "world.friction": (0.0, 1e9, ""),
     "dt": (1e-9, 1.0, "s"),
+    "scales.slop": (0.0, 1e9, "m"),
+    "scales.wall_skin": (0.0, 1e9, "m"),
+    "scales.max_correction": (0.0, 1e9, "m"),
 }
 """Name -> smallest and largest value that the engine computes with, and their unit.
 
 A state may hold any finite number, and files keep it; the engine refuses what is outside (`check_limits`). Within,
-nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A position is exact to
-2e-6 m, far below the slop of 5e-3 m (at 1e13 m it is not, and circles sink in). And what a step makes of an accepted
-state is accepted: a body leaves a step with at most 2 m / Δt and π / (2 Δt), and the walls stop it far within the
-limits of positions. (Impulses alone may grow from step to step, where a start of 1e50 N·s is led on.) That accepted
-scenes also do what they should, and how well, is what Figure 6.6 shows.
+nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A position of 1e10 m is exact
+to 2e-6 m, far below the slop of circles of 1 m, 5e-3 m; circles whose radius is below 1e-13 of their distance from the
+origin sink in. And what a step makes of an accepted state is accepted: a body leaves a step with at most
+`scales.FASTEST` and π / (2 Δt), and the walls stop it far within the limits of positions. (Impulses alone may grow from
+step to step, where a start of 1e50 N·s is led on.) That accepted scenes also do what they should, and how well, is what
+Figure 6.6 shows.
 """
 
 SINGLE_LIMITS = LIMITS | {
@@ -139,13 +145,15 @@ class World:
     """What never moves: the box, and the constants that hold for every contact.
 
     box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e,
-    felt above `constants.RESTITUTION_THRESHOLD`.
+    felt above the scales' threshold. scales: `ContactScales` that hold whatever the scene; by default None, they follow
+    it (`State.scales`), and a circle more or less changes them by what it changes the mean radius.
     """
 
     box: tuple[float, float, float, float] = (0.0, 0.0, 30.0, 30.0)
     gravity: tuple[float, float] = constants.GRAVITY
     friction: float = constants.FRICTION
     restitution: float = constants.RESTITUTION
+    scales: ContactScales | None = None
 
     def __post_init__(self):
         box = tuple(float(v) for v in np.ravel(self.box))
@@ -158,6 +166,8 @@ class World:
             raise ValueError(f"friction: expected a finite number >= 0, got {self.friction}")
         if not 0 <= self.restitution <= 1:
             raise ValueError(f"restitution: expected a number from 0 to 1, got {self.restitution}")
+        if self.scales is not None:
+            object.__setattr__(self, "scales", _checked_scales(self.scales))
         object.__setattr__(self, "box", box)
         object.__setattr__(self, "gravity", gravity)
         object.__setattr__(self, "friction", float(self.friction))
@@ -184,6 +194,11 @@ class State:
     dt: float = constants.TIME_STEP
     solver: object = None
     solved: bool = False
+
+    @property
+    def scales(self) -> ContactScales:
+        """Lengths, speeds and times of the contact model in the steps of this state (`scales.contact_scales`)."""
+        return contact_scales(self)
 
     def replace(self, **changes) -> State:
         """A copy with some fields changed."""
@@ -297,6 +312,18 @@ def check_limits(state: State, limits: dict = LIMITS) -> State:
 def no_contacts() -> Contacts:
     """Contacts of a state that has none."""
     return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)
+
+
+def _checked_scales(scales) -> ContactScales:
+    if not isinstance(scales, ContactScales):
+        raise ValueError(f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
+    # Floats, whatever was given: compiled code is compiled for those.
+    return ContactScales(
+        **{
+            name: number(f"scales.{name}", value, **({"above": 0} if name == "max_translation" else {"low": 0}))
+            for name, value in scales._asdict().items()
+        }
+    )
 
 
 def _checked_array(owner: str, name: str, value, shape: tuple[int, ...]) -> np.ndarray:

@@ -54,6 +54,11 @@ def flag(name: str, value) -> bool:
     raise ValueError(f"{name}: expected True or False, got {value!r}")
 
 
+def is_text(value, text: str) -> bool:
+    """Whether `value` is this very text; arrays are not."""
+    return isinstance(value, str) and value == text
+
+
 def one_of(name: str, value, known: Collection):
     """`value`, which has to be among `known`: a table by its names, or a sequence."""
     try:

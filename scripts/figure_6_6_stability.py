@@ -126,7 +126,8 @@ def table(data):
     for name, engines in by_quantity(data).items():
         mine = engines["ours"]
         good = [cell for cell in mine if cell["verdict"] == SAFE]
-        worst = max((cell["worst"] / LINEAR_SLOP for cell in good), default=None)
+        # Results from before the slop followed the scene do not have it.
+        worst = max((cell["worst"] / cell.get("slop", LINEAR_SLOP) for cell in good), default=None)
         recovered = max((cell["recovered"] for cell in good if cell["recovered"] is not None), default=None)
         rows.append([
             name, data["units"][name], *(ranges(mine, v) for v in (SAFE, DEGRADED, FAILED, REFUSED)), worst, recovered,

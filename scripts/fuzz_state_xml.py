@@ -24,6 +24,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 
 import atheris
@@ -32,6 +33,7 @@ with atheris.instrument_imports(include=["deep_contact.io.state_xml"]):
     from deep_contact.io.state_xml import StateFileError, format_state, parse_state, read_state
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import results
+from deep_contact.scales import BOX2D
 from deep_contact.state import State
 
 OLD_FILES = Path(__file__).resolve().parent.parent / "tests" / "io" / "data"
@@ -59,7 +61,8 @@ def seed_files() -> list[bytes]:
     """Valid files: the canonical form with and without contacts, and both old dialects."""
     old = [path.read_bytes() for path in sorted(OLD_FILES.glob("*.xml"))]
     state = parse_state(old[0], "7.xml").replace(name="fuzz <&>", solver=PGS(tolerance=None), solved=True)
-    return [format_state(state), format_state(state.replace(contacts=None, solver=None)), *old]
+    absolute = replace(state.world, scales=BOX2D)
+    return [format_state(state.replace(world=absolute)), format_state(state.replace(contacts=None, solver=None)), *old]
 
 
 def damage(data: bytes, size: int, seed: int) -> bytes:

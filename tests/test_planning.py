@@ -82,7 +82,7 @@ def test_only_starts_that_predict_load_the_network():
 def test_a_plan_prints_every_choice_its_reason_and_its_saving():
     found = plan(dc.circles_in_box(20, seed=1, friction=0.0), solver=dc.PGS(sweeps=10))
     text = str(found)
-    assert text.startswith("circles_20: 20 circles, PGS(sweeps=10) from builtin\n")
+    assert text.startswith("circles_20: 20 circles, PGS(sweeps=10, tolerance=6e-05) from builtin\n")
     for choice in found.choices:
         assert f"{choice.part:21s}  {'used' if choice.used else 'left out'}" in text
         assert choice.why in text

@@ -4,7 +4,7 @@ One file a simulation, `<folder>/sim_0000.h5`, holds every solved state exactly 
 of it later, for any grid, kernel and set of channels. With T states, n circles and M contacts in all:
 
 * attributes: format, version, name, dt, box, gravity, friction, restitution, solver, seed, options (the last three as
-  JSON), digest;
+  JSON), digest; and scales (8,), the fields of `ContactScales`, where the world sets them;
 * of states: step, time, solved, sweeps, theta, each (T,); contact_offset (T + 1,): the contacts of state i are
   contact_offset[i] to contact_offset[i + 1];
 * of bodies: mass, radius (n,); position, velocity (T, n, 2); angle, spin (T, n);
@@ -33,6 +33,7 @@ import numpy as np
 
 from deep_contact.io.files import replacing
 from deep_contact.physics.solvers import METHODS
+from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.validation import integer, number, one_of
 
@@ -75,6 +76,7 @@ _ARRAYS = {
 _BODIES, _CONTACTS = ("position", "velocity", "angle", "spin"), tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _NUMBERS = {"version": 0, "dt": 0, "box": 4, "gravity": 2, "friction": 0, "restitution": 0}
+_OPTIONAL_NUMBERS = {"scales": len(ContactScales._fields)}
 
 
 class DataFileError(ValueError):
@@ -379,6 +381,8 @@ def _attributes(header: dict) -> dict:
         "gravity": world.gravity,
         "friction": world.friction,
         "restitution": world.restitution,
+        # Only where they are set, so that the digests of files without them stay.
+        **({} if world.scales is None else {"scales": tuple(world.scales)}),
         "solver": json.dumps(settings, sort_keys=True, default=lambda value: value.item()),
         "seed": json.dumps(header["seed"], sort_keys=True),
         "options": json.dumps(header["options"], sort_keys=True),
@@ -395,8 +399,8 @@ def _digest(attributes: dict, arrays: dict) -> str:
 
 
 def _read_attributes(file: h5py.File) -> dict:
-    found = {}
-    for name in (*_TEXTS, *_NUMBERS):
+    found, sizes = {}, _NUMBERS | {name: size for name, size in _OPTIONAL_NUMBERS.items() if name in file.attrs}
+    for name in (*_TEXTS, *sizes):
         _expect(name in file.attrs, f"{name}: expected this attribute, got none: not a file of ours")
         attribute = file.attrs.get_id(name)  # tells type and size, before anything is read
         got = f"got {attribute.dtype}, shape {attribute.shape}"
@@ -405,7 +409,7 @@ def _read_attributes(file: h5py.File) -> dict:
             _expect(fits, f"{name}: expected a text of fixed length, {got}")
             found[name] = bytes(file.attrs[name]).decode()
         else:
-            dtype, shape = "<i8" if name == "version" else "<f8", (_NUMBERS[name],) if _NUMBERS[name] else ()
+            dtype, shape = "<i8" if name == "version" else "<f8", (sizes[name],) if sizes[name] else ()
             fits = attribute.dtype.str == dtype and attribute.shape == shape
             _expect(fits, f"{name}: expected {dtype}, shape {shape}, {got}")
             found[name] = tuple(file.attrs[name].tolist()) if shape else file.attrs[name].item()
@@ -417,7 +421,10 @@ def _header(attributes: dict) -> dict:
     for name, expected in (("format", FORMAT), ("version", VERSION)):
         _expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
-    header["world"] = World(**{name: attributes[name] for name in ("box", "gravity", "friction", "restitution")})
+    world = {name: attributes[name] for name in ("box", "gravity", "friction", "restitution")}
+    if "scales" in attributes:
+        world["scales"] = ContactScales(*attributes["scales"])
+    header["world"] = World(**world)
     for name in ("solver", "seed", "options"):
         try:
             header[name] = json.loads(attributes[name])

@@ -4,6 +4,7 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
 
     <configuration name time step dt gravity_x gravity_y friction restitution solved>
       <solver method …options/>
+      <scales slop wall_skin …/>
       <bodies>
         <body index type="free">
           <mass value/> <position x y/> <velocity x y/> <orientation theta/> <inertia value/> <spin omega/>
@@ -20,7 +21,8 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
 
 * `master` and `slave` are `body_a` and `body_b` of `deep_contact.state`. The box is one fixed body, numbered after the
   circles. A contact's normal tells which wall is meant: the one whose normal is nearest in direction.
-* `<solver>` is left out where `State.solver` is None, `<contacts>` where no contacts have been searched for yet.
+* `<solver>` is left out where `State.solver` is None, `<scales>` where `World.scales` is (they follow the scene), and
+  `<contacts>` where no contacts have been searched for yet.
 * The inertia is written for other readers, and checked on reading: only solid discs, m r²/2, are modelled.
 
 Two older dialects are read as well:
@@ -52,7 +54,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import constants
+from deep_contact.constants import WALL_SKIN
 from deep_contact.io.files import replacing
 from deep_contact.io.xml_tree import (
     INTEGER,
@@ -71,6 +73,7 @@ from deep_contact.io.xml_tree import (
     to_float,
 )
 from deep_contact.physics.solvers import METHODS
+from deep_contact.scales import ContactScales, mean
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.validation import integer
 
@@ -174,6 +177,7 @@ def format_state(state: State) -> bytes:
             f' friction="{world.friction!r}" restitution="{world.restitution!r}"',
             f' solved="{"true" if state.solved else "false"}">\n',
             _format_solver(state.solver),
+            _format_scales(world.scales),
             "  <bodies>\n",
             _format_bodies(bodies, world.box),
             "  </bodies>\n",
@@ -205,6 +209,9 @@ def _read_tree(root, source: str) -> State:
     containers, bodies, contacts = _sort_elements(root)
     if "solver" in containers:
         settings["solver"] = _read_solver(containers["solver"])
+    if "scales" in containers:
+        expect(canonical, containers["scales"], "expected no scales in an old file")
+        world["scales"] = _read_scales(containers["scales"])
     circles, box_body, rank = _number_bodies(bodies)
     printed = {} if canonical else _printed_shapes(contacts)
     bodies = _read_bodies(Rows(circles, _BODY_TAGS), printed)
@@ -222,7 +229,7 @@ def _read_tree(root, source: str) -> State:
 def _sort_elements(root):
     """Containers by tag, and all bodies and contacts, whether in containers or directly under the root."""
     others = (child for child in root if child.tag not in ("body", "contact"))
-    containers, sorted_elements = children(others, {"solver", "bodies", "contacts"}), []
+    containers, sorted_elements = children(others, {"solver", "scales", "bodies", "contacts"}), []
     for container, tag in (("bodies", "body"), ("contacts", "contact")):
         elements = root.findall(tag)
         if container in containers:
@@ -266,6 +273,11 @@ def _read_solver(element):
         return METHODS[method](**options)
     except (TypeError, ValueError) as error:
         raise fault(element, f"expected options of {method}: {str(error)[:200]}", str(options)) from None
+
+
+def _read_scales(element) -> ContactScales:
+    refuse_attributes(element, set(ContactScales._fields))
+    return ContactScales(*(read_number(element, name) for name in ContactScales._fields))
 
 
 def _option_value(text: str):
@@ -519,13 +531,17 @@ def _refuse_twins(elements, a, b, n: int) -> None:
 
 
 def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
-    """Gap between the surfaces of the pairs, m. As in the engine, walls begin `WALL_SKIN` before the box."""
+    """Gap between the surfaces of the pairs, m. As in the engine, walls begin a skin before the box.
+
+    For old files, which set no scales; the canonical form has separations.
+    """
     position, radius, n = bodies.position, bodies.radius, bodies.count
     x, y = position[a].T
     other = np.minimum(b, n - 1)
     with np.errstate(all="ignore"):
+        skin = WALL_SKIN * mean(radius)
         to_walls = np.stack([y - box[1], box[2] - x, box[3] - y, x - box[0]])  # in the order BOTTOM … LEFT
-        to_wall = to_walls[np.maximum(b - n, 0), np.arange(a.size)] - radius[a] - constants.WALL_SKIN
+        to_wall = to_walls[np.maximum(b - n, 0), np.arange(a.size)] - radius[a] - skin
         to_circle = np.hypot(*(position[other] - position[a]).T) - radius[a] - radius[other]
     return np.where(b < n, to_circle, to_wall)
 
@@ -548,6 +564,13 @@ def _format_solver(solver) -> str:
     options = [(field.name, getattr(solver, field.name)) for field in dataclasses.fields(solver)]
     text = "".join(f' {name}="{_option_text(name, value)}"' for name, value in options)
     return f'  <solver method="{method}"{text}/>\n'
+
+
+def _format_scales(scales: ContactScales | None) -> str:
+    if scales is None:
+        return ""
+    text = "".join(f' {name}="{value!r}"' for name, value in scales._asdict().items())
+    return f"  <scales{text}/>\n"
 
 
 def _format_bodies(bodies: Bodies, box) -> str:

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.constants import WALL_SKIN
 from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
-SMALLEST_DISTANCE = 1e-12
-"""Centres closer than this have no direction between them; the normal is then +x, as in Box2D."""
+SMALLEST_DISTANCE = 5e-13
+"""Centres closer than this, in sums of their radii, have no direction between them; the normal is then +x, as in Box2D.
+"""
 
 
 NEAR = 0.2
@@ -140,11 +140,11 @@ def sort_into_cells(position, radius, cells, gap=0.0):
 
 
 @njit(cache=True, error_model="numpy")
-def write_pairs(position, radius, box, cells, body_a, body_b):
+def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
 
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. body_b is a circle, or n + wall.
-    cells: `Cells`; what it remembers of the search before saves work and changes no pair.
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. skin: of the walls, m. body_b is a
+    circle, or n + wall. cells: `Cells`; what it remembers of the search before saves work and changes no pair.
     Returns the number of pairs, or -1 if they do not fit.
     """
     n = position.shape[0]
@@ -160,12 +160,12 @@ def write_pairs(position, radius, box, cells, body_a, body_b):
         memory[SEARCHES] += 1
         lasts = moves_within(position, cells.anchor, 0.49 * gap)
         if lasts and memory[PAIRS] >= 0:
-            return write_near_pairs(position, radius, box, cells, body_a, body_b)
+            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
         # A list costs about a search: it is made where nothing went far in one step, or where the last one lasted.
         if (lasts and moves_within(position, cells.anchor, 0.1 * gap)) or memory[SEARCHES] > 4:
             find_near(position, radius, gap, cells)
             if memory[PAIRS] >= 0:
-                return write_near_pairs(position, radius, box, cells, body_a, body_b)
+                return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
     memory[SEARCHES], memory[PAIRS] = 0, -1
     cells.anchor[:] = position
     columns, rows = sort_into_cells(position, radius, cells)
@@ -190,7 +190,7 @@ def write_pairs(position, radius, box, cells, body_a, body_b):
                 body_b[m] = order[k]
                 m += (dx * dx + dy * dy <= reach * reach) & (order[k] > a)
         _sort_run(body_b, first, m)
-        m = write_walls(x, y, r, box, n, body_b, m)
+        m = write_walls(x, y, r + skin, box, n, body_b, m)
         body_a[first:m] = a
     return m
 
@@ -237,7 +237,7 @@ def find_near(position, radius, gap, cells):
 
 
 @njit(cache=True, error_model="numpy")
-def write_near_pairs(position, radius, box, cells, body_a, body_b):
+def write_near_pairs(position, radius, box, skin, cells, body_a, body_b):
     """`write_pairs` from the list of those that were near."""
     n = position.shape[0]
     first, near = cells.first, cells.near
@@ -254,15 +254,14 @@ def write_near_pairs(position, radius, box, cells, body_a, body_b):
             reach = radius[b] + r
             body_b[m] = b
             m += dx * dx + dy * dy <= reach * reach
-        m = write_walls(x, y, r, box, n, body_b, m)
+        m = write_walls(x, y, r + skin, box, n, body_b, m)
         body_a[before:m] = a
     return m
 
 
 @njit(cache=True)
-def write_walls(x, y, r, box, n, body_b, m):
-    """Write the walls that a circle touches from m on. Returns what m is then."""
-    reach = r + WALL_SKIN
+def write_walls(x, y, reach, box, n, body_b, m):
+    """Write the walls no farther from a centre than `reach`, m, from m on. Returns what m is then."""
     for wall, gap in enumerate((y - box[1], box[2] - x, box[3] - y, x - box[0])):
         if gap <= reach:
             body_b[m] = n + wall
@@ -283,24 +282,24 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, box, cells, buffer):
+def find_contacts(position, radius, box, skin, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple.
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. skin: of the walls, m.
     cells, buffer: memory to use. Returns (contacts, buffer): views of the buffer, grown if needed.
     """
-    m = write_pairs(position, radius, box, cells, buffer.body_a, buffer.body_b)
+    m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
     while m < 0:
         # Only a heap of overlapping circles has so many pairs.
         buffer = make_contacts(2 * buffer.body_a.shape[0] + 64)
-        m = write_pairs(position, radius, box, cells, buffer.body_a, buffer.body_b)
+        m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
     contacts = first_contacts(buffer, m)
-    write_geometry(position, radius, box, contacts)
+    write_geometry(position, radius, box, skin, contacts)
     return contacts, buffer
 
 
 @njit(cache=True, error_model="numpy")
-def write_geometry(position, radius, box, contacts):
+def write_geometry(position, radius, box, skin, contacts):
     """Narrow phase's geometry: normal, separation and point of every contact, in place.
 
     The point lies in the middle of the overlap. Coinciding centres have the normal (1, 0), as in Box2D.
@@ -313,12 +312,12 @@ def write_geometry(position, radius, box, contacts):
             n_x, n_y = position[b, 0] - x, position[b, 1] - y
             distance = math.sqrt(n_x * n_x + n_y * n_y)
             separation = distance - radius[a] - radius[b]
-            if distance < SMALLEST_DISTANCE:
+            if distance < SMALLEST_DISTANCE * (radius[a] + radius[b]):
                 n_x, n_y = 1.0, 0.0
             else:
                 n_x, n_y = n_x / distance, n_y / distance
         else:
-            separation = wall_gap(x, y, box, b - n) - radius[a] - WALL_SKIN
+            separation = wall_gap(x, y, box, b - n) - radius[a] - skin
             n_x, n_y = WALL_NORMALS[b - n, 0], WALL_NORMALS[b - n, 1]
         arm = radius[a] + 0.5 * separation
         contacts.normal[i, 0] = n_x
@@ -363,12 +362,12 @@ def carry_impulses(old, contacts):
 
 
 @njit(cache=True)
-def next_contacts(bodies, box, cells, solved, warm, buffer):
+def next_contacts(bodies, box, skin, cells, solved, warm, buffer):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
     warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
-    contacts, buffer = find_contacts(bodies.position, bodies.radius, box, cells, buffer)
+    contacts, buffer = find_contacts(bodies.position, bodies.radius, box, skin, cells, buffer)
     carry_impulses(solved, contacts)
     if not warm:
         contacts.normal_start[:] = 0.0

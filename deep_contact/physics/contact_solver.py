@@ -20,16 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.constants import (
-    BAUMGARTE,
-    LINEAR_SLOP,
-    MAX_CORRECTION,
-    MAX_ROTATION,
-    MAX_TRANSLATION,
-    POSITION_TOLERANCE,
-    RESTITUTION_THRESHOLD,
-    WALL_SKIN,
-)
+from deep_contact.constants import BAUMGARTE, MAX_ROTATION, POSITION_TOLERANCE
 from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
 from deep_contact.state import WALL_NORMALS
 
@@ -95,24 +86,24 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(bodies, contacts, solver_bodies, restitution, buffer, friction=0.0):
+def contact_rows(bodies, contacts, solver_bodies, restitution, threshold, buffer, friction=0.0):
     """Rows of all contacts with their starting impulses. Returns (rows, buffer): views of the buffer, grown if needed.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). Target of a contact that approaches faster than the threshold: -e v_n.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). Target of a contact that approaches faster than the threshold, m/s: -e v_n.
     """
     m = contacts.body_a.shape[0]
     if m > buffer.body.shape[0]:
         buffer = make_rows(m, buffer.data.dtype, friction)
     rows = Rows(buffer.body[:m], buffer.data[:m], buffer.impulse[:m])
     if friction is None:
-        write_normal_rows(contacts, solver_bodies, restitution, rows)
+        write_normal_rows(contacts, solver_bodies, restitution, threshold, rows)
     else:
-        write_rows(bodies, contacts, solver_bodies, restitution, rows)
+        write_rows(bodies, contacts, solver_bodies, restitution, threshold, rows)
     return rows, buffer
 
 
 @njit(cache=True, error_model="numpy")
-def write_rows(bodies, contacts, solver_bodies, restitution, rows):
+def write_rows(bodies, contacts, solver_bodies, restitution, threshold, rows):
     """Fill the rows of all contacts: see `contact_rows`."""
     v = solver_bodies
     n = bodies.mass.shape[0]
@@ -131,13 +122,13 @@ def write_rows(bodies, contacts, solver_bodies, restitution, rows):
         rows.data[i, TANGENT_MASS] = 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
         rows.data[i, ARM_A] = arm_a
         rows.data[i, ARM_B] = arm_b
-        rows.data[i, TARGET] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
+        rows.data[i, TARGET] = -restitution * v_n if v_n < -threshold else 0.0
         rows.impulse[i, NORMAL] = contacts.normal_start[i]
         rows.impulse[i, TANGENT] = contacts.tangent_start[i]
 
 
 @njit(cache=True, error_model="numpy")
-def write_normal_rows(contacts, solver_bodies, restitution, rows):
+def write_normal_rows(contacts, solver_bodies, restitution, threshold, rows):
     """Fill the rows of all contacts without friction: see `contact_rows`."""
     v = solver_bodies
     for i in range(contacts.body_a.shape[0]):
@@ -149,7 +140,7 @@ def write_normal_rows(contacts, solver_bodies, restitution, rows):
         rows.data[i, N_X] = n_x
         rows.data[i, N_Y] = n_y
         rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
-        rows.data[i, FRICTIONLESS_TARGET] = -restitution * v_n if v_n < -RESTITUTION_THRESHOLD else 0.0
+        rows.data[i, FRICTIONLESS_TARGET] = -restitution * v_n if v_n < -threshold else 0.0
         rows.impulse[i, NORMAL] = contacts.normal_start[i]
 
 
@@ -296,18 +287,19 @@ def store_impulses(rows, contacts):
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, solver_bodies, dt):
+def integrate_positions(bodies, solver_bodies, dt, max_translation):
     """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
 
-    A displacement is cut to `MAX_TRANSLATION`, a rotation to `MAX_ROTATION`, and the velocity with it, as in Box2D.
+    A displacement is cut to the largest translation, m, a rotation to `MAX_ROTATION`, and the velocity with it, as in
+    Box2D.
     """
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
         spin = solver_bodies[i, V_S] / bodies.radius[i]
         distance = dt * math.sqrt(v_x * v_x + v_y * v_y)
-        if distance > MAX_TRANSLATION:
-            v_x *= MAX_TRANSLATION / distance
-            v_y *= MAX_TRANSLATION / distance
+        if distance > max_translation:
+            v_x *= max_translation / distance
+            v_y *= max_translation / distance
         if abs(dt * spin) > MAX_ROTATION:
             spin *= MAX_ROTATION / abs(dt * spin)
         bodies.velocity[i, 0] = v_x
@@ -319,7 +311,7 @@ def integrate_positions(bodies, solver_bodies, dt):
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions(bodies, contacts, box, sweeps):
+def correct_positions(bodies, contacts, box, scales, sweeps):
     """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
 
     Nonlinear Gauss-Seidel as in Box2D 2.3: each contact, at the positions as they are by then, moves its bodies by
@@ -327,6 +319,7 @@ def correct_positions(bodies, contacts, box, sweeps):
     """
     n = bodies.mass.shape[0]
     position, radius, mass = bodies.position, bodies.radius, bodies.mass
+    slop, skin, longest = scales.slop, scales.wall_skin, scales.max_correction
     for _ in range(sweeps):
         deepest = 0.0
         for i in range(contacts.body_a.shape[0]):
@@ -335,13 +328,13 @@ def correct_positions(bodies, contacts, box, sweeps):
             if b < n:
                 d_x, d_y = position[b, 0] - x, position[b, 1] - y
                 reach = radius[a] + radius[b]
-                least = max(reach - LINEAR_SLOP, 0.0)  # circles smaller than the slop must not be drawn together
+                least = max(reach - slop, 0.0)  # circles smaller than the slop must not be drawn together
                 if d_x * d_x + d_y * d_y >= least * least:
                     continue  # Nothing to correct; found without a square root, and most contacts end here.
                 distance = math.sqrt(d_x * d_x + d_y * d_y)
                 separation = distance - reach
-                push = min(BAUMGARTE * (least - distance), MAX_CORRECTION) / (mass[a] + mass[b])
-                if distance < SMALLEST_DISTANCE:
+                push = min(BAUMGARTE * (least - distance), longest) / (mass[a] + mass[b])
+                if distance < SMALLEST_DISTANCE * reach:
                     d_x, d_y = 1.0, 0.0
                 else:
                     push /= distance
@@ -350,12 +343,12 @@ def correct_positions(bodies, contacts, box, sweeps):
                 position[a, 0] = x - push * mass[b] * d_x
                 position[a, 1] = y - push * mass[b] * d_y
             else:
-                separation = wall_gap(x, y, box, b - n) - radius[a] - WALL_SKIN
-                push = max(0.0, min(-BAUMGARTE * (separation + LINEAR_SLOP), MAX_CORRECTION))
+                separation = wall_gap(x, y, box, b - n) - radius[a] - skin
+                push = max(0.0, min(-BAUMGARTE * (separation + slop), longest))
                 position[a, 0] = x - push * WALL_NORMALS[b - n, 0]
                 position[a, 1] = y - push * WALL_NORMALS[b - n, 1]
             deepest = min(deepest, separation)
-        if deepest >= -POSITION_TOLERANCE:
+        if deepest >= -POSITION_TOLERANCE * slop:
             break
 
 

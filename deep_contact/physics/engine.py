@@ -33,12 +33,14 @@ from deep_contact.physics.sleeping import advance_sleeping
 from deep_contact.physics.solvers import PRECISIONS, SoftSteps
 from deep_contact.physics.solvers.registry import (
     entry_of,
+    for_state,
     is_frictionless,
     make_workspace,
     relax,
     settings_of,
 )
 from deep_contact.physics.step import StepInput, StepOptions, StepWorkspace, log_step, make_log
+from deep_contact.scales import ContactScales
 from deep_contact.state import LIMITS, Bodies, Contacts, State
 from deep_contact.validation import flag
 
@@ -55,7 +57,7 @@ def advance(given, options, workspace, log):
     given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`, whose rows are those of the first step.
     log: `StepLog`, filled.
     """
-    bodies, contacts, friction = given.bodies, given.contacts, given.friction
+    bodies, contacts, friction, scales = given.bodies, given.contacts, given.friction, given.scales
     rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
@@ -66,15 +68,19 @@ def advance(given, options, workspace, log):
     for k in range(log.contacts.shape[0]):
         if k > 0:
             integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-            rows, row_buffer = contact_rows(bodies, contacts, solver_bodies, given.restitution, row_buffer, friction)
+            rows, row_buffer = contact_rows(
+                bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
+            )
         apply_impulses(rows, solver_bodies, friction)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt)
-        correct_positions(bodies, contacts, given.box, options.position_sweeps)
+        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        correct_positions(bodies, contacts, given.box, scales, options.position_sweeps)
 
         solved = contacts
-        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        contacts, back_buffer = next_contacts(
+            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+        )
         front_buffer, back_buffer = back_buffer, front_buffer
         log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations)
     return own_contacts(solved), own_contacts(contacts)
@@ -93,7 +99,10 @@ def build_rows(given, solver_bodies):
     """Fill the solver bodies of a step, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
     buffer = make_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
-    rows, _ = contact_rows(given.bodies, given.contacts, solver_bodies, given.restitution, buffer, given.friction)
+    threshold = given.scales.restitution_threshold
+    rows, _ = contact_rows(
+        given.bodies, given.contacts, solver_bodies, given.restitution, threshold, buffer, given.friction
+    )
     return rows
 
 
@@ -190,20 +199,25 @@ def leaves_tangents_out(state: State, settings: NamedTuple) -> bool:
     return state.world.friction == 0 and is_frictionless(settings) and not state.contacts.tangent_start.any()
 
 
-def step_input(state: State, settings: NamedTuple) -> StepInput:
-    """What the next steps of a state read; it shares the state's arrays."""
+def step_input(state: State, settings: NamedTuple, scales: ContactScales | None = None) -> StepInput:
+    """What the next steps of a state read; it shares the state's arrays. scales: the state's, if they are at hand."""
     box, gravity, friction, restitution = world_arguments(state)
     friction = None if leaves_tangents_out(state, settings) else friction
-    return StepInput(state.bodies, state.contacts, box, gravity, friction, restitution, state.dt)
+    scales = state.scales if scales is None else scales
+    return StepInput(state.bodies, state.contacts, box, gravity, friction, restitution, state.dt, scales)
 
 
-def step_problem(state: State, solver=None) -> StepProblem:
-    """The contact problem of the state's next step, in the solver's precision; by default with tangents, in float64."""
+def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
+    """The contact problem of the state's next step, in the solver's precision; by default with tangents, in float64.
+
+    scales: the state's, if they are at hand.
+    """
     solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision if solver else "double"])
     if solver is None:
-        given = StepInput(state.bodies, state.contacts, *world_arguments(state), state.dt)
+        scales = state.scales if scales is None else scales
+        given = StepInput(state.bodies, state.contacts, *world_arguments(state), state.dt, scales)
     else:
-        given = step_input(state, settings_of(solver))
+        given = step_input(state, settings_of(for_state(solver, state)), scales)
     return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
 
 
@@ -240,7 +254,9 @@ def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
     bodies = state.bodies
     buffer = make_contacts(4 * bodies.count + 64)
-    contacts, _ = find_contacts(bodies.position, bodies.radius, state.world.box, make_cells(bodies.count), buffer)
+    contacts, _ = find_contacts(
+        bodies.position, bodies.radius, state.world.box, state.scales.wall_skin, make_cells(bodies.count), buffer
+    )
     return own_contacts(contacts)
 
 
@@ -252,6 +268,7 @@ def solve(
     problem: of `step_problem` for the same state and solver, if it is at hand; it stays as it is.
     `SoftSteps` has no contact problem: its solution is what one step of it does to copies of the bodies.
     """
+    solver = for_state(solver, state)
     if isinstance(solver, SoftSteps):
         return _solve_by_stepping(state, solver, normal_start, tangent_start)
     settings, n = settings_of(solver), state.bodies.count

@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from deep_contact.constants import RESTITUTION_THRESHOLD
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
@@ -75,7 +74,7 @@ def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
     jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=shape))
     b = jacobian @ free
     approach = b[:: len(directions)]
-    bouncing = approach < -RESTITUTION_THRESHOLD
+    bouncing = approach < -state.scales.restitution_threshold
     b[:: len(directions)] += np.where(bouncing, state.world.restitution * approach, 0.0)
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
     A.sort_indices()

@@ -13,7 +13,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.constants import RESTITUTION_THRESHOLD
 from deep_contact.physics.engine import ContactSolution, contacts_of
 from deep_contact.state import Bodies, State
 
@@ -97,7 +96,7 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
 def targets(state: State) -> np.ndarray:
     """Normal velocities that the contacts are to part with, (m,), m/s: −e v_n⁻ where they meet fast, otherwise 0."""
     meeting = row_velocities(state, *free_velocity(state))[0]
-    return np.where(meeting < -RESTITUTION_THRESHOLD, -state.world.restitution * meeting, 0.0)
+    return np.where(meeting < -state.scales.restitution_threshold, -state.world.restitution * meeting, 0.0)
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -138,7 +137,7 @@ def approach(state: State, solution: ContactSolution) -> float:
 
 
 def penetration(state: State) -> float:
-    """Deepest penetration at the state's positions, m, felt surfaces of the walls included (`WALL_SKIN`)."""
+    """Deepest penetration at the state's positions, m, felt surfaces of the walls included (`scales.wall_skin`)."""
     return float(max(0.0, -contacts_of(state).separation.min(initial=0.0)))
 
 

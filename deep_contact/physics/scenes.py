@@ -1,4 +1,7 @@
-"""Scenes: states at time 0. Every random one takes a seed or a `numpy.random.Generator`; same seed, same bits."""
+"""Scenes: states at time 0. Every random one takes a seed or a `numpy.random.Generator`; same seed, same bits.
+
+Circles are placed by multiples of their mean radius, so that lengths times s are the same scene, s times as large.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.constants import WALL_SKIN
+from deep_contact.scales import mean
 from deep_contact.state import State, World, make_bodies
 from deep_contact.validation import integer, number
 
@@ -30,7 +34,8 @@ def circles_in_box(
     """The thesis's scene (section 3.4.1): circles at rest, drawn normally around the middle of a box, none overlapping.
 
     size: side of the box, or (width, height), m. radius: smallest and largest, uniform between, m.
-    sigma_coef: the standard deviation of the centres is sigma_coef · √(size / 2) along each axis, m.
+    sigma_coef: the standard deviation of the centres is sigma_coef · √(size / 2) along each axis, m. Its unit is √m, so
+    the same scene s times as large has √s times as much.
     density: kg/m². Raises ValueError if the circles do not fit, saying how many did.
     """
     rng = np.random.default_rng(seed)
@@ -39,10 +44,11 @@ def circles_in_box(
     low, high = _checked_radius(radius)
     number("sigma_coef", sigma_coef, above=0)
     radii = np.full(n, low) if low == high else rng.uniform(low, high, n)
+    skin = WALL_SKIN * mean(radii)
     sigma = sigma_coef * np.sqrt(extent / 2)
     centres = np.empty((n, 2))
     for i in range(n):
-        margin = radii[i] + WALL_SKIN
+        margin = radii[i] + skin
         for _ in range(_TRIES):
             centre = rng.normal(extent / 2, sigma)
             if (centre < margin).any() or (centre > extent - margin).any():
@@ -88,8 +94,9 @@ def lattice_in_box(
     pitch = 2 * high * (1 + gap)
     cell = np.stack([np.arange(n) % columns, np.arange(n) // columns], axis=1)
     jitter = rng.uniform(-0.5, 0.5, (n, 2)) * (pitch - 2 * high)
-    centres = WALL_SKIN + (cell + 0.5) * pitch + jitter
-    box = (0, 0, 2 * WALL_SKIN + columns * pitch, 2 * WALL_SKIN + math.ceil(n / columns) * pitch)
+    skin = WALL_SKIN * mean(radii)
+    centres = skin + (cell + 0.5) * pitch + jitter
+    box = (0, 0, 2 * skin + columns * pitch, 2 * skin + math.ceil(n / columns) * pitch)
     world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
     return State(name=f"lattice_{n}", world=world, bodies=make_bodies(centres, radius=radii, density=density))
 
@@ -104,12 +111,12 @@ def column(
     restitution: float = constants.RESTITUTION,
     gravity: tuple[float, float] = constants.GRAVITY,
 ) -> State:
-    """Circles exactly above one another in the middle of the box, just touching. A silo has width 2 (radius + 0.01)."""
+    """Circles exactly above one another in the middle of the box, just touching. A silo is 2.02 radii wide."""
     n = integer("n_bodies", n_bodies, least=1)
     _checked_radius((radius, radius))
     if not (np.isfinite(width) and width >= 2 * radius):
         raise ValueError(f"width: expected a finite number >= the diameter {2 * radius}, got {width}")
-    centres = np.stack([np.full(n, width / 2), WALL_SKIN + radius * (1 + 2 * np.arange(n))], axis=1)
+    centres = np.stack([np.full(n, width / 2), WALL_SKIN * radius + radius * (1 + 2 * np.arange(n))], axis=1)
     box = (0, 0, width, 2 * radius * (n + 1))
     world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
     return State(name=f"column_{n}", world=world, bodies=make_bodies(centres, radius=radius, density=density))
@@ -140,7 +147,7 @@ def two_bodies(
 
 def single_body(*, height: float = 0.0, radius: float = 1.0, density: float = 1.0, **world) -> State:
     """One circle in the middle of the thesis's box, `height` m above the floor. `world`: fields of `World`."""
-    bodies = make_bodies([[15.0, WALL_SKIN + radius + height]], radius=radius, density=density)
+    bodies = make_bodies([[15.0, WALL_SKIN * radius + radius + height]], radius=radius, density=density)
     return State(name="single_body", world=World(**world), bodies=bodies)
 
 
@@ -174,4 +181,5 @@ def _checked_radius(radius) -> tuple[float, float]:
 
 def _roomy_size(radii: np.ndarray) -> float:
     """Side of a box, m, of which the circles cover at most a quarter, so that drawing centres finds room."""
-    return math.ceil(2.0 * math.sqrt(math.pi * (radii**2).sum()))
+    length = mean(radii)
+    return length * math.ceil(2.0 * math.sqrt(math.pi * ((radii / length) ** 2).sum()))

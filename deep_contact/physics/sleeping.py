@@ -1,8 +1,8 @@
 """Sleeping: islands at rest are left as they are, by the rule of Box2D 2.3, until something touches them.
 
-A circle is still while its speed and spin are below `LINEAR_TOLERANCE` and `ANGULAR_TOLERANCE`. An island falls asleep
-once all of its circles have been still for `TIME_TO_SLEEP` and none of its contacts is left to be corrected: their
-velocities become 0, and their impulses are kept to wake up with. It wakes as a whole when a circle that is awake
+A circle is still while its speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An island
+falls asleep once all of its circles have been still for `sleep_time` and none of its contacts is left to be corrected:
+their velocities become 0, and their impulses are kept to wake up with. It wakes as a whole when a circle that is awake
 touches it. Nothing else can wake it within a run, for what is asleep does not move and so neither finds nor loses a
 contact by itself; new velocities, an impulse, another world come with a new run, which starts awake.
 
@@ -32,15 +32,6 @@ from deep_contact.physics.islands import root_of, unite
 from deep_contact.physics.solvers.registry import make_workspace, relax
 from deep_contact.physics.step import log_step
 
-TIME_TO_SLEEP = 0.5
-"""s (`b2_timeToSleep`)"""
-
-LINEAR_TOLERANCE = 0.01
-"""m/s (`b2_linearSleepTolerance`)"""
-
-ANGULAR_TOLERANCE = math.radians(2.0)
-"""rad/s (`b2_angularSleepTolerance`)"""
-
 
 @njit(cache=True, error_model="numpy")
 def advance_sleeping(given, options, workspace, log):
@@ -49,7 +40,7 @@ def advance_sleeping(given, options, workspace, log):
     `workspace.still` goes on in place. The workspace's rows are built anew, from the contacts that are awake.
     """
     bodies, contacts, friction, still = given.bodies, given.contacts, given.friction, workspace.still
-    solver_bodies, theta = workspace.solver_bodies, workspace.theta
+    solver_bodies, theta, scales = workspace.solver_bodies, workspace.theta, given.scales
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     front_buffer, back_buffer, active_buffer = (
@@ -70,18 +61,22 @@ def advance_sleeping(given, options, workspace, log):
         active, active_buffer = awake_contacts(contacts, still, active_buffer)
         integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
         hold_sleeping(still, solver_bodies)
-        rows, row_buffer = contact_rows(bodies, active, solver_bodies, given.restitution, row_buffer, friction)
+        rows, row_buffer = contact_rows(
+            bodies, active, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
+        )
         apply_impulses(rows, solver_bodies, friction)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, active)
         store_awake_impulses(active, still, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt)
-        correct_positions(bodies, active, given.box, options.position_sweeps)
+        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        correct_positions(bodies, active, given.box, scales, options.position_sweeps)
 
         solved = contacts
-        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        contacts, back_buffer = next_contacts(
+            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+        )
         front_buffer, back_buffer = back_buffer, front_buffer
-        awake = wake_and_put_to_sleep(bodies, contacts, given.dt, parent, shortest, still)
+        awake = wake_and_put_to_sleep(bodies, contacts, given.dt, scales, parent, shortest, still)
         log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
     return own_contacts(solved), own_contacts(contacts)
 
@@ -123,16 +118,16 @@ def hold_sleeping(still, solver_bodies):
 
 
 @njit(cache=True)
-def wake_and_put_to_sleep(bodies, contacts, dt, parent, shortest, still):
+def wake_and_put_to_sleep(bodies, contacts, dt, scales, parent, shortest, still):
     """Let Δt pass, in place, for the stillness of circles and islands. Returns how many circles are awake.
 
-    contacts: those at the bodies' positions. parent, shortest: buffers, (n,) each.
+    contacts: those at the bodies' positions. scales: `ContactScales`. parent, shortest: buffers, (n,) each.
     """
     n = still.shape[0]
     for i in range(n):
         if still[i] < np.inf:
             speed = math.hypot(bodies.velocity[i, 0], bodies.velocity[i, 1])
-            is_still = speed <= LINEAR_TOLERANCE and abs(bodies.spin[i]) <= ANGULAR_TOLERANCE
+            is_still = speed <= scales.sleep_speed and abs(bodies.spin[i]) <= scales.sleep_spin
             still[i] = still[i] + dt if is_still else 0.0
     unite(contacts.body_a, contacts.body_b, parent)
     shortest[:] = np.inf
@@ -141,14 +136,14 @@ def wake_and_put_to_sleep(bodies, contacts, dt, parent, shortest, still):
         shortest[root] = min(shortest[root], still[i])
     for k in range(contacts.body_a.shape[0]):
         root = root_of(parent, contacts.body_a[k])
-        if contacts.separation[k] < -POSITION_TOLERANCE and shortest[root] < np.inf:
+        if contacts.separation[k] < -POSITION_TOLERANCE * scales.slop and shortest[root] < np.inf:
             shortest[root] = 0.0
     awake = 0
     for i in range(n):
         time = shortest[root_of(parent, i)]
         if time == np.inf:
             continue
-        if time >= TIME_TO_SLEEP:
+        if time >= scales.sleep_time:
             still[i] = np.inf
             bodies.velocity[i, 0] = bodies.velocity[i, 1] = bodies.spin[i] = 0.0
         else:

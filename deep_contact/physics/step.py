@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.contact_solver import Rows
+from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts
 
 
@@ -16,7 +17,7 @@ class StepInput(NamedTuple):
 
     bodies: `Bodies`; they move in place. contacts: `Contacts` at their positions, with the impulses to start from.
     box, gravity, friction, restitution: of the `World`; friction None, in place of 0, leaves the tangent rows out.
-    dt: s.
+    dt: s. scales: `ContactScales` of the state that the steps begin with.
     """
 
     bodies: Bodies
@@ -26,6 +27,7 @@ class StepInput(NamedTuple):
     friction: float | None
     restitution: float
     dt: float
+    scales: ContactScales
 
 
 class StepOptions(NamedTuple):

@@ -98,8 +98,8 @@ def solver_of(setting: dict, **budget):
 
 
 def weight_impulse(state: State) -> float:
-    """m g Δt of the mean circle, N·s; without gravity, of its mass falling for Δt at 1 m/s²."""
-    gravity = float(np.hypot(*state.world.gravity)) or 1.0
+    """m g Δt of the mean circle, N·s; without gravity, with the g that moves it by 1e-4 of its radius in Δt."""
+    gravity = float(np.hypot(*state.world.gravity)) or 1e-4 * float(state.bodies.radius.mean()) / state.dt**2
     return float(state.bodies.mass.mean()) * gravity * state.dt
 
 

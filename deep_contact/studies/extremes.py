@@ -20,11 +20,12 @@ from itertools import islice, product
 import numpy as np
 
 from deep_contact import constants
-from deep_contact.constants import LINEAR_SLOP, WALL_SKIN
+from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
+from deep_contact.scales import mean
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
 from deep_contact.studies import peers
@@ -32,9 +33,6 @@ from deep_contact.warm_start import STARTS
 
 SAFE, DEGRADED, FAILED, REFUSED, ABSENT = VERDICTS = ("safe", "degraded", "failed", "refused", "absent")
 ENGINES = ("ours", "Box2D 2.3", "pymunk")
-
-SETTLED_PENETRATION = 3 * LINEAR_SLOP
-"""Depth that Box2D's position correction leaves, m."""
 
 ENERGY_TOLERANCE = 0.01
 """Rise of the mechanical energy that a safe scene may show, as a share of its initial value."""
@@ -109,6 +107,7 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
     | energy        | largest rise of the mechanical energy over its initial value, as a share of the scale        |
     | sweep_gain    | sum of the rises by the velocity part of single steps, as a share of the scale; ours only    |
     | correction    | work of position correction against gravity where it lifts, likewise; ours only              |
+    | slop          | of the scene, m                                                                              |
     | worst         | deepest penetration, m                                                                       |
     | settled       | deepest penetration of the last tenth of the steps, m                                        |
     | recovered     | steps until the penetration stays within what position correction leaves, or None            |
@@ -139,7 +138,7 @@ class _Watch:
 
     def __init__(self, trial: Trial):
         self.trial, self.scene = trial, trial.scene
-        self.steps = 0
+        self.steps, self.slop = 0, self.scene.scales.slop
         self.penetration = np.zeros(trial.steps)
         with np.errstate(over="ignore"):
             self.first = mechanical_energy(self.scene, self.scene.bodies)
@@ -182,7 +181,7 @@ class _Watch:
 
     def outcome(self, verdict: str | None = None, message: str = "", *, finite: bool = True) -> dict:
         depth = self.penetration[: self.steps]
-        allowed = min(SETTLED_PENETRATION, 0.1 * float(self.scene.bodies.radius.min()))
+        allowed = min(POSITION_TOLERANCE * self.slop, 0.1 * float(self.scene.bodies.radius.min()))
         # Rounding at the circles' coordinates is not penetration.
         allowed *= 1 + 1e-9
         settled = float(depth[-max(1, depth.size // 10) :].max(initial=0.0))
@@ -202,6 +201,7 @@ class _Watch:
             "energy": _finite(self.energy),
             "sweep_gain": _finite(self.sweep_gain) if self.ours else None,
             "correction": _finite(self.correction) if self.ours else None,
+            "slop": self.slop,
             "worst": float(depth.max(initial=0.0)) if self.steps else None,
             "settled": settled if self.steps else None,
             "recovered": None if recovered == depth.size else recovered,
@@ -266,9 +266,9 @@ def mechanical_energy(scene: State, bodies: Bodies) -> float:
 
 def silo(n: int, *, radius: float = 1.0, **options) -> State:
     """`column` in a silo one circle wide, its lid two circles above it."""
-    scene = column(n, radius=radius, width=2 * (radius + WALL_SKIN), **options)
+    scene = column(n, radius=radius, width=2.0 * radius * (1 + WALL_SKIN), **options)
     x_min, y_min, x_max, _ = scene.world.box
-    return scene.replace(world=replace(scene.world, box=(x_min, y_min, x_max, 2 * (WALL_SKIN + radius * (n + 2)))))
+    return scene.replace(world=replace(scene.world, box=(x_min, y_min, x_max, 2.0 * radius * (WALL_SKIN + (n + 2)))))
 
 
 def with_bodies(scene: State, **fields) -> State:
@@ -292,7 +292,7 @@ def struck_silo(n: int, *, speed: float = 5.0, after: int = 20, **options) -> St
     dt = options.pop("dt", constants.TIME_STEP)
     scene = silo(n, **options).replace(dt=dt)
     position, velocity = scene.bodies.position.copy(), scene.bodies.velocity.copy()
-    position[-1, 1] += min(speed * dt, constants.MAX_TRANSLATION) * after
+    position[-1, 1] += min(speed * dt, scene.scales.max_translation) * after
     velocity[-1, 1] = -speed
     x_min, y_min, x_max, y_max = scene.world.box
     box = (x_min, y_min, x_max, max(y_max, position[-1, 1] + 2 * scene.bodies.radius[-1]))
@@ -302,22 +302,24 @@ def struck_silo(n: int, *, speed: float = 5.0, after: int = 20, **options) -> St
 def pyramid(rows: int, *, radius: float = 1.0) -> State:
     """Circles in hexagonal order on a floor as wide as the lowest row, each row one shorter."""
     centres = [
-        (WALL_SKIN + radius * (1 + row + 2 * i), WALL_SKIN + radius * (1 + np.sqrt(3) * row))
+        (radius * (WALL_SKIN + (1 + row + 2 * i)), radius * (WALL_SKIN + (1 + np.sqrt(3) * row)))
         for row in range(rows)
         for i in range(rows - row)
     ]
-    side = 2 * (radius * rows + WALL_SKIN)
+    side = 2 * radius * (rows + WALL_SKIN)
     world = World(box=(0, 0, side, side))
     return State(name=f"pyramid_{rows}", world=world, bodies=make_bodies(centres, radius=radius))
 
 
 def bed_under(ratio: float, *, n: int = 8) -> State:
     """A circle `ratio` times as large as the n of radius 1 in a row on the floor that carry it; all weigh the same."""
-    width = max(2.0 * n, 2 * ratio) + 2 * WALL_SKIN
-    row = np.column_stack([width / 2 + 2.0 * np.arange(n) - (n - 1), np.full(n, WALL_SKIN + 1.0)])
-    centres = [*row, (width / 2, WALL_SKIN + 2.0 + ratio)]
+    radius = np.array([1.0] * n + [ratio])
+    skin = WALL_SKIN * mean(radius)
+    width = max(2.0 * n, 2 * ratio) + 2 * skin
+    row = np.column_stack([width / 2 + 2.0 * np.arange(n) - (n - 1), np.full(n, skin + 1.0)])
+    centres = [*row, (width / 2, skin + 2.0 + ratio)]
     world = World(box=(0, 0, width, 2 * ratio + 6))
-    bodies = make_bodies(centres, radius=[1.0] * n + [ratio], mass=1.0)
+    bodies = make_bodies(centres, radius=radius, mass=1.0)
     return State(name=f"bed_{n}", world=world, bodies=bodies)
 
 

@@ -2,8 +2,11 @@
 
 Tests use them as oracles, benchmarks for comparison; nothing else in the package needs them. All three adapters have
 `step(dt, sweeps, position_sweeps)`, `bodies()` and `contact_count()`, and are built from a `deep_contact.state.State`:
-its circles with equal masses, its box, gravity, friction and restitution. Sleeping and continuous collision are off,
-warm starting is on. The contacts of the state are not passed on: a fresh world starts its first step from zero.
+its circles with equal masses, its box, gravity, friction and restitution. Slop, thresholds and largest speeds are the
+engines' own, which are absolute, so that circles far from 1 m fare there as they do for anybody; what an adapter sets,
+Chipmunk's slop and the walls' radius, follows the scene as ours does (`State.scales`). Sleeping and continuous
+collision are off, warm starting is on. The contacts of the state are not passed on: a fresh world starts its first
+step from zero.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from deep_contact import constants
 from deep_contact.state import Bodies, State, World, check_bodies, check_state
 
 SPECULATIVE_DISTANCE = 4 * constants.LINEAR_SLOP
-"""Gap below which Box2D v3 makes a contact (`B2_SPECULATIVE_DISTANCE`), m."""
+"""Gap below which Box2D v3 makes a contact (`B2_SPECULATIVE_DISTANCE`), m: absolute, as all of its lengths."""
 
 
 class _Peer:
@@ -116,12 +119,12 @@ class Pymunk(_Peer):
         pymunk, world = self._library, self._state.world
         self.space = pymunk.Space()
         self.space.gravity = world.gravity
-        self.space.collision_slop = constants.LINEAR_SLOP
+        self.space.collision_slop = self._state.scales.slop
         # Bias is the share of the penetration that is left after one second.
         self.space.collision_bias = (1 - constants.BAUMGARTE) ** (1 / self._state.dt)
         self._material = math.sqrt(world.friction), math.sqrt(world.restitution)
         for ends in _edges(world):
-            self._add(pymunk.Segment(self.space.static_body, *ends, constants.WALL_SKIN))
+            self._add(pymunk.Segment(self.space.static_body, *ends, self._state.scales.wall_skin))
         self._bodies = []
         for position, velocity, angle, spin, mass, radius in self._circles():
             body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, radius))
@@ -176,7 +179,7 @@ class Box2D3(_Peer):
         material = b3.surface_material(friction=world.friction, restitution=world.restitution)
         ground = self.world.create_static_body()
         for ends in _edges(world):
-            ground.create_shape(b3.shape_def(material=material), b3.capsule(*ends, constants.WALL_SKIN))
+            ground.create_shape(b3.shape_def(material=material), b3.capsule(*ends, self._state.scales.wall_skin))
         self._bodies, self._batch = [], b3.Bodies()
         for position, velocity, angle, spin, mass, radius in self._circles():
             body = self.world.create_dynamic_body(
@@ -209,7 +212,7 @@ class Box2D3(_Peer):
         pyb2d3 exposes neither manifolds nor counters; Box2D makes a contact where the gap is at most the
         speculative distance.
         """
-        return _pairs_within(self._batch.get_positions(), self._state.bodies.radius, self._state.world)
+        return _pairs_within(self._batch.get_positions(), self._state)
 
 
 ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
@@ -240,12 +243,12 @@ def _wall_distances(position: np.ndarray, world: World) -> np.ndarray:
     return np.stack([y - y_min, x_max - x, y_max - y, x - x_min], axis=1)
 
 
-def _pairs_within(position: np.ndarray, radius: np.ndarray, world: World) -> int:
+def _pairs_within(position: np.ndarray, state: State) -> int:
     """Number of pairs, of two circles or a circle and a wall, whose gap is at most `SPECULATIVE_DISTANCE`."""
     from scipy.spatial import cKDTree
 
-    position = position.astype(np.float64)
-    to_walls = _wall_distances(position, world) - radius[:, None] - constants.WALL_SKIN
+    position, radius = position.astype(np.float64), state.bodies.radius
+    to_walls = _wall_distances(position, state.world) - radius[:, None] - state.scales.wall_skin
     near = cKDTree(position).query_pairs(2 * radius.max() + SPECULATIVE_DISTANCE, output_type="ndarray")
     gap = np.hypot(*(position[near[:, 1]] - position[near[:, 0]]).T) - radius[near].sum(axis=1)
     return int((gap <= SPECULATIVE_DISTANCE).sum() + (to_walls <= SPECULATIVE_DISTANCE).sum())

@@ -99,6 +99,7 @@ def stages(state: State, name: str, *, repeats: int) -> dict[str, float]:
     """
     bodies, contacts, n = state.bodies, state.contacts, state.bodies.count
     box, gravity, friction, restitution = engine.world_arguments(state)
+    scales = state.scales
     solver = solver_of(name, FEW)
     settings, position_sweeps = engine.settings_of(solver), solver.position_sweeps
     rows, solver_bodies, _ = engine.step_problem(state, solver)
@@ -107,12 +108,13 @@ def stages(state: State, name: str, *, repeats: int) -> dict[str, float]:
 
     def prepare():
         contact_solver.integrate_velocities(bodies, gravity, state.dt, solver_bodies)
-        contact_solver.contact_rows(bodies, contacts, solver_bodies, restitution, rows)
+        threshold = scales.restitution_threshold
+        contact_solver.contact_rows(bodies, contacts, solver_bodies, restitution, threshold, rows)
         contact_solver.apply_impulses(rows, solver_bodies)
 
     def move():
         contact_solver.store_impulses(rows, contacts)
-        contact_solver.integrate_positions(moved, solver_bodies, 1e-9)
+        contact_solver.integrate_positions(moved, solver_bodies, 1e-9, scales.max_translation)
 
     prepare()
     calls = {"velocities and rows": prepare}
@@ -128,13 +130,15 @@ def stages(state: State, name: str, *, repeats: int) -> dict[str, float]:
         calls["batches"] = batch
         calls["sweeps"] = lambda: batched.sweep_all(settings, plan, tiles, friction)
         calls["position correction"] = lambda: batched.correct_positions_in_batches(
-            settings, plan, tiles, moved, box, position_sweeps
+            settings, plan, tiles, moved, box, scales, position_sweeps
         )
     else:
         calls["sweeps"] = lambda: contact_solver.sweep(rows, friction, solver_bodies)
-        calls["position correction"] = lambda: contact_solver.correct_positions(moved, contacts, box, position_sweeps)
+        calls["position correction"] = lambda: contact_solver.correct_positions(
+            moved, contacts, box, scales, position_sweeps
+        )
     calls["new positions"] = move
-    calls["contacts"] = lambda: collision.next_contacts(bodies, box, cells, contacts, True, buffer)
+    calls["contacts"] = lambda: collision.next_contacts(bodies, box, scales.wall_skin, cells, contacts, True, buffer)
     found = {"batches": 0.0} | {stage: 1e6 * timing.fastest(call, repeats) for stage, call in calls.items()}
     return found | {"sweeps": FEW * found["sweeps"]}
 

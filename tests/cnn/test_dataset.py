@@ -9,7 +9,7 @@ import subprocess
 import sys
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import h5py
@@ -116,7 +116,7 @@ def test_a_run_goes_on_from_a_stored_state_bit_for_bit(run, path):
         assert_equal(state, expected)
 
 
-def test_files_outlive_options_that_a_solver_gains(path, monkeypatch):
+def test_files_outlive_options_that_a_solver_gains(run, path, monkeypatch):
     """The digest is of what the file holds, not of what a later version makes of it."""
 
     @dataclass(frozen=True, kw_only=True)
@@ -124,7 +124,16 @@ def test_files_outlive_options_that_a_solver_gains(path, monkeypatch):
         omega: float = 1.0
 
     monkeypatch.setitem(simulation_h5.METHODS, "PGS", Later)
-    assert read_simulation(path).state(0).solver == Later(sweeps=200)
+    assert read_simulation(path).state(0).solver == Later(sweeps=200, tolerance=run[0][0].solver.tolerance)
+
+
+def test_scales_that_a_world_sets_are_stored_and_enter_the_digest(run, tmp_path):
+    states = [state.replace(world=replace(state.world, scales=dc.BOX2D)) for state in run[0]]
+    digests = {write_simulation(tmp_path / f"{len(some)}.h5", some) for some in (states, states[:3], run[0])}
+    assert len(digests) == 3
+    stored = read_simulation(tmp_path / f"{len(states[:3])}.h5")
+    assert stored.header["world"].scales == dc.BOX2D
+    assert_equal(stored.state(0), states[0])
 
 
 def test_a_state_of_a_simulation_is_the_callers_own(path):

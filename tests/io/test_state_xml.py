@@ -27,6 +27,8 @@ from deep_contact.io.state_xml import (
     write_state,
 )
 from deep_contact.physics.solvers import METHODS, PGS
+from deep_contact.scales import BOX2D, ContactScales
+from deep_contact.simulation import simulate
 from deep_contact.state import (
     BOTTOM,
     LEFT,
@@ -67,7 +69,8 @@ def example(**changes) -> State:
 def bits(state: State):
     """Everything in a state, so that two are equal only if all bits are."""
     arrays = [*state.bodies, *(state.contacts or ())]
-    world = np.array([*state.world.box, *state.world.gravity, state.world.friction, state.world.restitution])
+    scales = state.world.scales or ()
+    world = np.array([*state.world.box, *state.world.gravity, state.world.friction, state.world.restitution, *scales])
     scalars = np.array([state.time, state.dt]).tobytes(), state.name, state.step, state.solver, state.solved
     return [(a.dtype, a.shape, a.tobytes()) for a in (*arrays, world)], scalars, state.contacts is None
 
@@ -87,6 +90,7 @@ def worlds(draw):
         gravity=(draw(FINITE), draw(FINITE)),
         friction=draw(NOT_NEGATIVE),
         restitution=draw(st.floats(0, 1)),
+        scales=draw(st.none() | st.builds(ContactScales, *[NOT_NEGATIVE] * 3, POSITIVE, *[NOT_NEGATIVE] * 4)),
     )
 
 
@@ -215,6 +219,19 @@ def test_the_text_has_the_elements_of_the_listing():
     contact = root.findall("contacts/contact")[2]
     assert [child.tag for child in contact] == ["position", "normal", "impulse", "start"]
     assert (contact.get("master"), contact.get("slave"), contact.find("start").get("n")) == ("0", "2", "0.1")
+
+
+def test_scales_are_written_only_where_the_world_sets_them():
+    assert b"scales" not in format_state(example())
+    text = format_state(example(world=World(scales=BOX2D._replace(slop=0.1)))).decode()
+    assert '  <scales slop="0.1" wall_skin="0.01" max_correction="0.2"' in text
+    assert parse_state(text.encode(), "pile.xml").world.scales == BOX2D._replace(slop=0.1)
+
+
+def test_a_solver_that_follows_the_scene_is_kept_and_a_run_writes_numbers():
+    assert 'tolerance="scene"' in format_state(example(solver=PGS())).decode()
+    ran = simulate(example(solver=PGS(), solved=False), steps=1).state
+    assert 'tolerance="6e-05"' in format_state(ran).decode()
 
 
 # Old dialects
@@ -353,6 +370,9 @@ BAD = {
     "unknown solver": ('method="PGS"', 'method="os.system"', "<solver>", "'os.system'"),
     "unknown option": (' sweeps="', ' sweep="', "<solver>", "sweep: .*'3000'"),
     "bad option": (' sweeps="3000"', ' sweeps="-3"', "<solver>", "sweeps: .*-3"),
+    "missing scale": (' slop="0.005"', "", "<scales>", "slop: .*missing"),
+    "unknown scale": (' slop="', ' slip="', "<scales>", "slip"),
+    "bad scale": (' slop="0.005"', ' slop="-1.0"', "<configuration>", "scales.slop: .*-1.0"),
     "missing setting": (' friction="0.5"', "", "<configuration>", "friction: .*missing"),
     "bad restitution": ('restitution="0.0"', 'restitution="2.0"', "<configuration>", "restitution: .*2.0"),
     "bad type": ('type="free"', 'type="flying"', "<body> '0'", "type: .*'flying'"),
@@ -368,7 +388,7 @@ BAD = {
 @pytest.mark.parametrize("case", BAD)
 def test_bad_value_is_named_with_file_line_and_element(tmp_path, case):
     old, new, element, words = BAD[case]
-    text = format_state(example(solver=PGS())).decode()
+    text = format_state(example(solver=PGS(), world=World(scales=BOX2D))).decode()
     assert old in text, "the case does not change the file"
     line = text[: text.index(old)].count("\n") + 1
     path = tmp_path / "pile_3.xml"
@@ -378,7 +398,7 @@ def test_bad_value_is_named_with_file_line_and_element(tmp_path, case):
     message = str(error.value)
     assert str(path) in message
     assert element in message
-    missing_or_box = ("missing element", "start lost", "leaning box")  # the line of the element around it
+    missing_or_box = ("missing element", "start lost", "leaning box", "bad scale")  # the line of the element around it
     assert f"line {line}" in message or case in missing_or_box
 
 
@@ -386,6 +406,12 @@ def test_second_contact_of_a_pair_is_refused():
     text = format_state(example()).decode().replace('normal x="-1.0" y="0.0"', 'normal x="-0.0" y="-1.0"')
     with pytest.raises(StateFileError, match=r"line \d+, <contact> '2': .*bottom wall"):
         parse_state(text.encode(), "pile_3.xml")
+
+
+def test_scales_in_an_old_file_are_refused():
+    text = OLD_A.read_text().replace("<bodies>", '<scales slop="0.1"/><bodies>')
+    with pytest.raises(StateFileError, match="<scales>: expected no scales in an old file"):
+        parse_state(text.encode(), "old.xml")
 
 
 def test_some_contacts_without_impulse_are_refused():

@@ -1,5 +1,7 @@
 """The engine against the real Box2D 2.3: one solve at a time, and whole runs in the mean."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from box2d_recorder import RecordingBox2D
@@ -14,6 +16,8 @@ pytestmark = pytest.mark.peers
 def recorded_steps(seed, radius, sweeps):
     """Every 12th step of a Box2D run, from the first contacts to the settled pile."""
     scene = dc.circles_in_box(80, radius=radius, seed=seed)
+    # Box2D's lengths are absolute, whatever the mean radius.
+    scene = scene.replace(world=replace(scene.world, scales=dc.BOX2D))
     peer = RecordingBox2D(scene)
     for step in range(600):
         if step % 12 == 0:

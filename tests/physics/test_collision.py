@@ -25,7 +25,7 @@ def brute_force_pairs(state):
             if ((position[b] - position[a]) ** 2).sum() <= (radius[a] + radius[b]) ** 2:
                 pairs.append((a, b))
         gaps = (position[a, 1] - y_min, x_max - position[a, 0], y_max - position[a, 1], position[a, 0] - x_min)
-        pairs += [(a, n + wall) for wall, gap in enumerate(gaps) if gap <= radius[a] + WALL_SKIN]
+        pairs += [(a, n + wall) for wall, gap in enumerate(gaps) if gap <= radius[a] + state.scales.wall_skin]
     return pairs
 
 
@@ -131,9 +131,9 @@ def test_what_a_search_remembers_changes_no_pair():
         if step == 400:
             state.bodies.position[7] += 0.5
             state = state.replace(contacts=None)
-        bodies, box = state.bodies, state.world.box
-        found, _ = find_contacts(bodies.position, bodies.radius, box, cells, make_contacts(400))
-        fresh, _ = find_contacts(bodies.position, bodies.radius, box, make_cells(60), make_contacts(400))
+        bodies, box, skin = state.bodies, state.world.box, state.scales.wall_skin
+        found, _ = find_contacts(bodies.position, bodies.radius, box, skin, cells, make_contacts(400))
+        fresh, _ = find_contacts(bodies.position, bodies.radius, box, skin, make_cells(60), make_contacts(400))
         searched.append(cells.memory[1] >= 0)
         for one, other in zip(found, fresh):
             np.testing.assert_array_equal(one, other)

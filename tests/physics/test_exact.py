@@ -236,7 +236,7 @@ def test_a_singular_step_is_given_up():
 
 def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
     # Those at the start do, at this friction; those between the steps are made to, once.
-    scene = dc.lattice_in_box(20, friction=1e6, radius=(0.5, 1.0), seed=3)
+    scene = dc.lattice_in_box(20, friction=1e6, radius=(0.5, 1.0), seed=5)
     state = dc.simulate(scene, steps=150, solver=dc.PGS(sweeps=50)).state
     with np.errstate(all="ignore"):
         assert not np.isfinite(dc.solve_contacts(state, solver=exact.FIRST_SWEEPS).velocities).all()

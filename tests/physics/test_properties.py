@@ -10,7 +10,6 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
-from deep_contact import constants
 from deep_contact.simulation import ready
 from deep_contact.state import LIMITS, Bodies, State, World, check_state
 from deep_contact.studies.extremes import mechanical_energy
@@ -54,6 +53,7 @@ def accepted_states(draw):
         gravity=(draw(quantity("world.gravity")), draw(quantity("world.gravity"))),
         friction=draw(quantity("world.friction")),
         restitution=draw(st.sampled_from([0.0, 0.5, 1.0])),
+        scales=draw(st.sampled_from([None, dc.BOX2D])),
     )
     return check_state(State(name="any", world=world, bodies=bodies, dt=draw(quantity("dt"))))
 
@@ -191,11 +191,12 @@ def test_a_lattice_fills_its_box_and_nothing_overlaps(n, columns, low, ratio, ga
     assert (position + radius <= box[2:]).all()
     # Circle i in the cell of column i mod columns and row i // columns, and no more cells than that takes.
     pitch = 2 * low * ratio * (1 + gap)
-    cells = np.floor((position - constants.WALL_SKIN) / pitch)
+    skin = scene.scales.wall_skin
+    cells = np.floor((position - skin) / pitch)
     columns = columns or int(np.ceil(np.sqrt(n)))
     np.testing.assert_array_equal(cells, np.column_stack([np.arange(n) % columns, np.arange(n) // columns]))
-    np.testing.assert_allclose((box[2:] - 2 * constants.WALL_SKIN) / pitch, [columns, cells[-1, 1] + 1], rtol=1e-9)
-    assert ready(scene).contacts.separation.min(initial=0.0) >= -2 * constants.WALL_SKIN
+    np.testing.assert_allclose((box[2:] - 2 * skin) / pitch, [columns, cells[-1, 1] + 1], rtol=1e-9)
+    assert ready(scene).contacts.separation.min(initial=0.0) >= -2 * skin
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -73,7 +73,7 @@ def test_nothing_sleeps_while_it_penetrates():
     scene = floor_scene([5.0, 0.9], gravity=(0.0, 0.0))
     contacts = contacts_of(scene)
     rest, room = np.array([10.0]), np.empty(1)
-    assert wake_and_put_to_sleep(scene.bodies, contacts, 0.01, np.empty(1, np.int64), room, rest) == 1
+    assert wake_and_put_to_sleep(scene.bodies, contacts, 0.01, dc.BOX2D, np.empty(1, np.int64), room, rest) == 1
     assert rest[0] == 10.01
 
 
@@ -85,7 +85,7 @@ def test_the_tolerances_are_those_of_box2d(velocity, spin, awake):
     bodies = make_bodies([[5.0, 5.0]], velocity=[velocity, 0.0], spin=spin)
     rest = np.array([1.0])
     scene = dc.single_body().replace(bodies=bodies)
-    found = wake_and_put_to_sleep(bodies, contacts_of(scene), 0.01, np.empty(1, np.int64), np.empty(1), rest)
+    found = wake_and_put_to_sleep(bodies, contacts_of(scene), 0.01, dc.BOX2D, np.empty(1, np.int64), np.empty(1), rest)
     assert (found, np.isinf(rest[0])) == (awake, not awake)
 
 

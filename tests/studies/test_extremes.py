@@ -32,6 +32,8 @@ def with_value(name, value):
     if owner == "world":
         value = {"gravity": (0.0, value), "box": (0.0, 0.0, 2.02, value)}.get(field, value)
         return scene.replace(world=World(**{"box": scene.world.box, field: value}))
+    if owner == "scales":
+        return scene.replace(world=replace(scene.world, scales=dc.BOX2D._replace(**{field: value})))
     scene = ready(scene) if owner == "contacts" else scene
     array = getattr(getattr(scene, owner), field).copy()
     array[1] = value

@@ -25,7 +25,7 @@ from deep_contact.compiled.simd import (
     widened,
 )
 from deep_contact.compiled.threads import at_most_threads
-from deep_contact.constants import BAUMGARTE, LINEAR_SLOP, MAX_CORRECTION, POSITION_TOLERANCE, WALL_SKIN
+from deep_contact.constants import BAUMGARTE, POSITION_TOLERANCE
 from deep_contact.physics.batches import (
     BLOCKS,
     CIRCLES,
@@ -65,6 +65,9 @@ from deep_contact.state import RIGHT, TOP
 
 ORDERS = ("levels", "colours")
 """Orders of the batches: see `physics.batches`."""
+
+_IDLE_RADIUS = 1e-200
+"""Of the body of idle lanes, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,11 +147,11 @@ def sweep_tiles(tiles, first, last, friction):
 
 
 @njit(cache=True, fastmath=CONTRACT)
-def correct_tiles(tiles, first, last):
+def correct_tiles(tiles, first, last, scales):
     """A sweep of `contact_solver.correct_positions` over some tiles, in place. Returns the deepest separation, m."""
     body, data, centre = tiles.body, tiles.data, tiles.centre
     none, one, tiny = spread(0.0), spread(1.0), spread(SMALLEST_DISTANCE)
-    slop, share, longest = spread(LINEAR_SLOP), spread(BAUMGARTE), spread(MAX_CORRECTION)
+    slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
     deepest = none
     for t in range(first, last):
         a_x, a_y, r_a, w_a = load_rows(centre, body, 2 * t)
@@ -156,8 +159,8 @@ def correct_tiles(tiles, first, last):
         d_x, d_y, reach = b_x - a_x, b_y - a_y, r_a + r_b
         distance = root(d_x * d_x + d_y * d_y)
         # Coinciding centres are pushed apart along +x, as in the narrow phase.
-        n_x = where_less(distance, tiny, one, d_x / distance)
-        n_y = where_less(distance, tiny, none, d_y / distance)
+        n_x = where_less(distance, tiny * reach, one, d_x / distance)
+        n_y = where_less(distance, tiny * reach, none, d_y / distance)
         # An inverse mass of 0 is a wall: its normal is given, and the distance behind it is negative.
         wall_x, wall_y = widened(load(data, 7 * t + N_X)), widened(load(data, 7 * t + N_Y))
         n_x, n_y = where_less(none, w_b, n_x, wall_x), where_less(none, w_b, n_y, wall_y)
@@ -178,9 +181,9 @@ def sweep_batches(settings, plan, tiles, friction):
     return _sweeper(type(settings))(settings, plan, tiles, friction)
 
 
-def correct_batches(settings, plan, tiles):
+def correct_batches(settings, plan, tiles, scales):
     """One sweep of position correction, likewise. Returns the deepest separation, m."""
-    return _corrector(type(settings))(settings, plan, tiles)
+    return _corrector(type(settings))(settings, plan, tiles, scales)
 
 
 @overload(sweep_batches)
@@ -189,7 +192,7 @@ def _overload_sweep_batches(settings, plan, tiles, friction):
 
 
 @overload(correct_batches)
-def _overload_correct_batches(settings, plan, tiles):
+def _overload_correct_batches(settings, plan, tiles, scales):
     return _corrector(settings.instance_class)
 
 
@@ -208,10 +211,10 @@ def _sweep_in_turn(settings, plan, tiles, friction):
     return theta
 
 
-def _correct_in_turn(settings, plan, tiles):
+def _correct_in_turn(settings, plan, tiles, scales):
     deepest = 0.0
     for k in plan.order[: plan.count[BLOCKS]]:
-        deepest = min(deepest, correct_tiles(tiles, plan.first[k], plan.first[k + 1]))
+        deepest = min(deepest, correct_tiles(tiles, plan.first[k], plan.first[k + 1], scales))
     return deepest
 
 
@@ -224,9 +227,9 @@ def _sweep_side_by_side(settings, plan, tiles, friction):
     return theta
 
 
-def _correct_side_by_side(settings, plan, tiles):
+def _correct_side_by_side(settings, plan, tiles, scales):
     for p in range(plan.count[PHASES]):
-        correct_phase(plan.order[plan.start[p] : plan.start[p + 1]], plan.first, plan.worst, tiles)
+        correct_phase(plan.order[plan.start[p] : plan.start[p + 1]], plan.first, plan.worst, tiles, scales)
     deepest = 0.0
     for k in range(plan.count[BLOCKS]):
         deepest = min(deepest, plan.worst[k])
@@ -241,10 +244,10 @@ def sweep_phase(blocks, first, theta, tiles, friction):
 
 
 @njit(cache=True, parallel=True)
-def correct_phase(blocks, first, deepest, tiles):
+def correct_phase(blocks, first, deepest, tiles, scales):
     """Position correction over these blocks, likewise; fills their deepest separations."""
     for i in prange(blocks.shape[0]):
-        deepest[blocks[i]] = correct_tiles(tiles, first[blocks[i]], first[blocks[i] + 1])
+        deepest[blocks[i]] = correct_tiles(tiles, first[blocks[i]], first[blocks[i] + 1], scales)
 
 
 @njit(cache=True)
@@ -278,7 +281,7 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions_in_batches(settings, plan, tiles, bodies, box, sweeps):
+def correct_positions_in_batches(settings, plan, tiles, bodies, box, scales, sweeps):
     """`contact_solver.correct_positions` over the tiles of the plan: in place, with the same stop."""
     n = plan.count[CIRCLES]
     centre = tiles.centre
@@ -290,10 +293,10 @@ def correct_positions_in_batches(settings, plan, tiles, bodies, box, sweeps):
         for wall in range(4):
             ground[wall, 0] = box[2] if wall == RIGHT or wall == TOP else box[0]
             ground[wall, 1] = box[3] if wall == RIGHT or wall == TOP else box[1]
-            ground[wall, 2], ground[wall, 3] = WALL_SKIN, 0.0
-        ground[IDLE, :3], ground[IDLE, 3] = 0.0, 1.0
+            ground[wall, 2], ground[wall, 3] = scales.wall_skin, 0.0
+        ground[IDLE, :2], ground[IDLE, 2], ground[IDLE, 3] = 0.0, _IDLE_RADIUS, 1.0
     for _ in range(sweeps):
-        if correct_batches(settings, plan, tiles) >= -POSITION_TOLERANCE:
+        if correct_batches(settings, plan, tiles, scales) >= -POSITION_TOLERANCE * scales.slop:
             break
     for i in range(n):
         bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]
@@ -304,6 +307,7 @@ def advance_in_batches(given, options, workspace, log):
     """`engine.advance` for `BatchedPGS`: same arguments, same results; positions are corrected in batches as well."""
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
     rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
+    scales = given.scales
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
@@ -313,18 +317,22 @@ def advance_in_batches(given, options, workspace, log):
     for k in range(log.contacts.shape[0]):
         if k > 0:
             integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-            rows, row_buffer = contact_rows(bodies, contacts, solver_bodies, given.restitution, row_buffer)
+            rows, row_buffer = contact_rows(
+                bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
+            )
         apply_impulses(rows, solver_bodies)
         plan = plan_batches(rows.body, n, settings.colours, plan)
         tiles = fill_tiles(rows, solver_bodies, plan, tiles)
         sweeps = relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta)
         mark_divergence(solver_bodies, theta, sweeps)
         store_impulses(rows, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt)
-        correct_positions_in_batches(settings, plan, tiles, bodies, given.box, options.position_sweeps)
+        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        correct_positions_in_batches(settings, plan, tiles, bodies, given.box, scales, options.position_sweeps)
 
         solved = contacts
-        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        contacts, back_buffer = next_contacts(
+            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+        )
         front_buffer, back_buffer = back_buffer, front_buffer
         log_step(log, k, solved.body_a.shape[0], sweeps, theta, sweeps * solved.body_a.shape[0])
     return own_contacts(solved), own_contacts(contacts)

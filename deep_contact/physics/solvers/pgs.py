@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from deep_contact import constants, validation
+from deep_contact import validation
 from deep_contact.physics.contact_solver import Rows, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.islands import make_islands_workspace, sort_by_island
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
+from deep_contact.scales import FOLLOWS_SCENE, theta_tolerance
+from deep_contact.state import State
 
 PRECISIONS = {"double": np.float64, "single": np.float32}
 """Name -> type of the numbers that the sweeps work on. The state is float64 with either."""
@@ -26,7 +28,8 @@ class PGS:
     """Projected Gauss-Seidel, the thesis's Algorithm 1 with the friction row of Box2D beside every normal row.
 
     sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
-    sweep, N·s) is no larger; None sweeps to the end. position_sweeps: at most so many sweeps of position correction.
+    sweep, N·s) is no larger; None sweeps to the end, "scene" takes the thesis's 6e-5 N·s times the scene's m g Δt over
+    the thesis's (`scales.theta_tolerance`). position_sweeps: at most so many sweeps of position correction.
     precision: of the rows and velocities in the sweeps, "double" or "single". islands: sweep each island on its own.
     substeps: divide every step of a run into so many, each with sweeps and position sweeps of its own (Macklin et al.,
     Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last one times their number, so that a
@@ -41,7 +44,7 @@ class PGS:
     """
 
     sweeps: int = 3000
-    tolerance: float | None = constants.THETA_TOLERANCE
+    tolerance: float | str | None = FOLLOWS_SCENE
     position_sweeps: int = 10
     precision: str = "double"
     islands: bool = False
@@ -54,8 +57,14 @@ class PGS:
         validation.one_of("precision", self.precision, PRECISIONS)
         if validation.flag("islands", self.islands) and type(self) is not PGS:
             raise ValueError(f"islands: expected False, since {type(self).__name__} sweeps them together, got True")
-        if self.tolerance is not None:
+        if self.tolerance is not None and not validation.is_text(self.tolerance, FOLLOWS_SCENE):
             validation.number("tolerance", self.tolerance, low=0)
+
+    def for_state(self, state: State) -> PGS:
+        """The options with the tolerance of a substep in N·s, if it follows the scene."""
+        if self.tolerance != FOLLOWS_SCENE:
+            return self
+        return replace(self, tolerance=theta_tolerance(state) / self.substeps)
 
 
 class PGSSettings(NamedTuple):

@@ -15,6 +15,8 @@ from typing import NamedTuple
 from numba.extending import overload
 
 from deep_contact.physics.convergence import mark_divergence
+from deep_contact.scales import FOLLOWS_SCENE
+from deep_contact.state import State
 
 
 class Loop(NamedTuple):
@@ -75,6 +77,14 @@ def entry_of(solver) -> Entry:
     return entry
 
 
+def for_state(solver, state: State):
+    """The options with numbers in place of those that follow the scene: what the steps of this state solve with.
+
+    Options that do not follow a scene have no method `for_state`, and stay as they are.
+    """
+    return solver.for_state(state) if hasattr(solver, "for_state") else solver
+
+
 def settings_of(solver) -> NamedTuple:
     """The settings of a solver from its options."""
     return entry_of(solver).settings(solver)
@@ -87,7 +97,12 @@ def is_frictionless(settings: NamedTuple) -> bool:
 
 
 def tolerance_argument(solver) -> float:
-    """The tolerance as compiled functions take it: −1, which is never met, in place of None."""
+    """The tolerance as compiled functions take it: −1, which is never met, in place of None.
+
+    Raises ValueError where it follows the scene: `for_state` tells the number.
+    """
+    if solver.tolerance == FOLLOWS_SCENE:
+        raise ValueError(f"tolerance: expected a number or None, of for_state(solver, state), got {solver.tolerance!r}")
     return -1.0 if solver.tolerance is None else float(solver.tolerance)
 
 

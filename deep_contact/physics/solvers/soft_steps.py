@@ -9,14 +9,14 @@ spring is a row with less effective mass and some of its impulse taken back (E. 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from deep_contact import validation
-from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION
+from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.collision import make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (
     BODY_A,
@@ -40,6 +40,11 @@ from deep_contact.physics.contact_solver import (
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PRECISIONS
 from deep_contact.physics.solvers.registry import register
 from deep_contact.physics.step import log_step
+from deep_contact.scales import FOLLOWS_SCENE, scene_units
+from deep_contact.state import State
+
+HERTZ, PUSH_SPEED = 30.0, 3.0
+"""Box2D v3's `contactHertz`, Hz, and `contactPushMaxVelocity`, m/s, for circles of 1 m under 9.81 m/s²."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,6 +55,7 @@ class SoftSteps:
     penetration as a damped spring, moves the bodies, and sweeps once without the spring so that its push leaves no
     velocity behind. hertz: frequency of the spring, Hz, cut to a quarter of the substeps a second; walls are twice as
     stiff. damping_ratio: of the spring, 1 is critical. push_speed: penetration is worked off no faster than this, m/s.
+    Where hertz and push_speed are "scene", they are Box2D v3's 30 Hz and 3 m/s in the scene's units (`scales`).
     precision: as in `PGS`. There are no position sweeps and no tolerance: the work is always the same.
 
     Weakness: contacts are soft. It does not converge to a solution of the rigid contact problem, so it is judged by
@@ -60,16 +66,24 @@ class SoftSteps:
     """
 
     substeps: int = 4
-    hertz: float = 30.0
+    hertz: float | str = FOLLOWS_SCENE
     damping_ratio: float = 10.0
-    push_speed: float = 3.0
+    push_speed: float | str = FOLLOWS_SCENE
     precision: str = "double"
 
     def __post_init__(self):
         validation.integer("substeps", self.substeps, least=1, most=MOST_SWEEPS)
         for name in ("hertz", "damping_ratio", "push_speed"):
-            validation.number(name, getattr(self, name), above=0)
+            value = getattr(self, name)
+            if name == "damping_ratio" or not validation.is_text(value, FOLLOWS_SCENE):
+                validation.number(name, value, above=0)
         validation.one_of("precision", self.precision, PRECISIONS)
+
+    def for_state(self, state: State) -> SoftSteps:
+        """The options with a frequency and a speed in place of what follows the scene."""
+        length, speed, _ = scene_units(state)
+        found = {"hertz": HERTZ * speed / length, "push_speed": PUSH_SPEED * speed}
+        return replace(self, **{name: value for name, value in found.items() if getattr(self, name) == FOLLOWS_SCENE})
 
     @property
     def sweeps(self) -> int:
@@ -104,7 +118,7 @@ def advance_softly(given, options, workspace, log):
     Δt. The workspace's rows are built anew, before gravity.
     """
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
-    solver_bodies, theta = workspace.solver_bodies, workspace.theta
+    solver_bodies, theta, scales = workspace.solver_bodies, workspace.theta, given.scales
     n, substeps = bodies.mass.shape[0], settings.substeps
     h = given.dt / substeps
     cells = make_cells(n)
@@ -114,7 +128,9 @@ def advance_softly(given, options, workspace, log):
     solved = contacts
     for k in range(log.contacts.shape[0]):
         integrate_velocities(bodies, given.gravity, 0.0, solver_bodies)
-        rows, row_buffer = contact_rows(bodies, contacts, solver_bodies, given.restitution, row_buffer)
+        rows, row_buffer = contact_rows(
+            bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
+        )
         mass, bounce = rows.data[:, NORMAL_MASS].copy(), rows.data[:, TARGET].copy()
         pressed, gap = np.zeros_like(mass), np.empty(mass.shape[0])
         origin[:] = bodies.position
@@ -122,22 +138,24 @@ def advance_softly(given, options, workspace, log):
         for j in range(substeps):
             add_gravity(n, given.gravity, h, solver_bodies)
             apply_impulses(rows, solver_bodies)
-            find_gaps(contacts, bodies.position, origin, gap)
+            find_gaps(contacts, bodies.position, origin, scales.slop, gap)
             soften(rows, gap, mass, settings, h, n)
             theta[2 * j] = sweep(rows, friction, solver_bodies)
-            move(bodies, solver_bodies, h, substeps)
-            find_gaps(contacts, bodies.position, origin, gap)
+            move(bodies, solver_bodies, h, substeps, scales.max_translation)
+            find_gaps(contacts, bodies.position, origin, scales.slop, gap)
             harden(rows, gap, mass, h)
             theta[2 * j + 1] = sweep(rows, friction, solver_bodies)
             for i in range(pressed.shape[0]):
                 pressed[i] = max(pressed[i], rows.impulse[i, NORMAL])
         if given.restitution > 0.0:
             bounce_back(rows, bounce, pressed, solver_bodies)
-        store_velocities(bodies, solver_bodies, given.dt)
+        store_velocities(bodies, solver_bodies, given.dt, scales.max_translation)
         store_whole_impulses(rows, contacts, substeps)
 
         solved = contacts
-        contacts, back_buffer = next_contacts(bodies, given.box, cells, solved, options.carry, back_buffer)
+        contacts, back_buffer = next_contacts(
+            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+        )
         front_buffer, back_buffer = back_buffer, front_buffer
         count = solved.body_a.shape[0]
         log_step(log, k, count, 2 * substeps, theta, 2 * substeps * count)
@@ -153,10 +171,10 @@ def add_gravity(n, gravity, h, solver_bodies):
 
 
 @njit(cache=True)
-def find_gaps(contacts, position, origin, gap):
+def find_gaps(contacts, position, origin, slop, gap):
     """Separation of each contact now, beyond the slop, m: what it was, and how far its bodies have moved since.
 
-    origin: positions where the contacts were found, (n, 2). Fills gap, (m,).
+    origin: positions where the contacts were found, (n, 2). slop: m. Fills gap, (m,).
     """
     n = position.shape[0]
     body_a, body_b, normal, separation = contacts.body_a, contacts.body_b, contacts.normal, contacts.separation
@@ -166,7 +184,7 @@ def find_gaps(contacts, position, origin, gap):
         if b < n:
             x += position[b, 0] - origin[b, 0]
             y += position[b, 1] - origin[b, 1]
-        gap[i] = separation[i] + LINEAR_SLOP + x * normal[i, 0] + y * normal[i, 1]
+        gap[i] = separation[i] + slop + x * normal[i, 0] + y * normal[i, 1]
 
 
 @njit(cache=True, error_model="numpy")
@@ -208,9 +226,9 @@ def harden(rows, gap, mass, h):
 
 
 @njit(cache=True, error_model="numpy")
-def move(bodies, solver_bodies, h, substeps):
+def move(bodies, solver_bodies, h, substeps, max_translation):
     """Move the bodies by the velocities in the sweeps for h, in place; in a whole step no further than the engine's."""
-    cut_velocities(bodies, solver_bodies, h * substeps)
+    cut_velocities(bodies, solver_bodies, h * substeps, max_translation)
     position, angle, radius = bodies.position, bodies.angle, bodies.radius
     for i in range(radius.shape[0]):
         position[i, 0] += h * solver_bodies[i, V_X]
@@ -219,14 +237,14 @@ def move(bodies, solver_bodies, h, substeps):
 
 
 @njit(cache=True, error_model="numpy")
-def cut_velocities(bodies, solver_bodies, dt):
-    """Cut the velocities in the sweeps, in place, to `MAX_TRANSLATION` and `MAX_ROTATION` in Δt."""
+def cut_velocities(bodies, solver_bodies, dt, max_translation):
+    """Cut the velocities in the sweeps, in place, to the largest translation, m, and `MAX_ROTATION` in Δt."""
     v = solver_bodies
     for i in range(bodies.mass.shape[0]):
         distance = dt * math.sqrt(v[i, V_X] * v[i, V_X] + v[i, V_Y] * v[i, V_Y])
-        if distance > MAX_TRANSLATION:
-            v[i, V_X] *= MAX_TRANSLATION / distance
-            v[i, V_Y] *= MAX_TRANSLATION / distance
+        if distance > max_translation:
+            v[i, V_X] *= max_translation / distance
+            v[i, V_Y] *= max_translation / distance
         turn = abs(dt * v[i, V_S]) / bodies.radius[i]
         if turn > MAX_ROTATION:
             v[i, V_S] *= MAX_ROTATION / turn
@@ -251,9 +269,9 @@ def bounce_back(rows, bounce, pressed, solver_bodies):
 
 
 @njit(cache=True, error_model="numpy")
-def store_velocities(bodies, solver_bodies, dt):
+def store_velocities(bodies, solver_bodies, dt, max_translation):
     """Give the bodies, in place, the solved velocities, cut as `move` cuts them: what came after it may be faster."""
-    cut_velocities(bodies, solver_bodies, dt)
+    cut_velocities(bodies, solver_bodies, dt, max_translation)
     for i in range(bodies.mass.shape[0]):
         bodies.velocity[i, 0] = solver_bodies[i, V_X]
         bodies.velocity[i, 1] = solver_bodies[i, V_Y]

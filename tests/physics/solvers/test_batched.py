@@ -145,14 +145,16 @@ def test_positions_are_corrected_as_contact_by_contact(pile):
     deep = pile.bodies._replace(position=pile.bodies.position + rng.uniform(-0.15, 0.15, pile.bodies.position.shape))
     state = dc.simulate(pile.replace(bodies=deep, contacts=None), steps=0).state
     expected, found = (deep._replace(position=deep.position.copy()) for _ in range(2))
-    contact_solver.correct_positions(expected, state.contacts, state.world.box, 3)
+    contact_solver.correct_positions(expected, state.contacts, state.world.box, state.scales, 3)
     plan, n = plan_of(state, "levels"), state.bodies.count
     solver_bodies = np.zeros((n + 4, 4))
     rows, _ = contact_solver.contact_rows(
-        deep, state.contacts, solver_bodies, 0.0, contact_solver.make_rows(0, solver_bodies.dtype)
+        deep, state.contacts, solver_bodies, 0.0, 1.0, contact_solver.make_rows(0, solver_bodies.dtype)
     )
     tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1, solver_bodies.dtype))
-    batched.correct_positions_in_batches(batched.BatchSettings(0.0, False), plan, tiles, found, state.world.box, 3)
+    batched.correct_positions_in_batches(
+        batched.BatchSettings(0.0, False), plan, tiles, found, state.world.box, state.scales, 3
+    )
     assert np.abs(expected.position - deep.position).max() > 0.05
     np.testing.assert_allclose(found.position, expected.position, atol=1e-12)
 
@@ -167,7 +169,7 @@ def test_threads_change_no_bit(pile):
 
 
 def test_walls_stay_as_they_are(pile):
-    solver = dc.BatchedPGS(sweeps=5, order="colours")
+    solver = dc.BatchedPGS(sweeps=5, tolerance=6e-5, order="colours")
     rows, solver_bodies, friction = engine.step_problem(pile, solver)
     engine.solve_velocities(rows, friction, engine.settings_of(solver), solver_bodies, np.empty(5))
     np.testing.assert_array_equal(solver_bodies[-4:], 0.0)

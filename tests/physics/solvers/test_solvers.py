@@ -15,6 +15,7 @@ from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.scenes import single_body
 from deep_contact.physics.solvers import METHODS, apgd, describe, nesterov, soft_steps
 from deep_contact.physics.solvers.psor import LARGEST_OMEGA, better_omega
+from deep_contact.physics.solvers.registry import for_state
 from deep_contact.simulation import ready
 from deep_contact.state import State, World, make_bodies
 from deep_contact.warm_start import Builtin
@@ -328,9 +329,10 @@ def test_every_method_goes_on_from_a_file_as_if_never_stopped(method, tmp_path):
     solver = method() if method is dc.SoftSteps else method(sweeps=25)
     scene = dc.circles_in_box(40, radius=(0.5, 1.5), restitution=0.3, seed=10)
     through = dc.simulate(scene, steps=140, solver=solver).state
-    dc.write_state(tmp_path / "stop.xml", dc.simulate(scene, steps=70, solver=solver).state)
+    stopped = dc.simulate(scene, steps=70, solver=solver).state
+    dc.write_state(tmp_path / "stop.xml", stopped)
     state = dc.read_state(tmp_path / "stop.xml")
-    assert state.solver == solver
+    assert state.solver == stopped.solver == for_state(solver, scene)
     resumed = dc.simulate(state, steps=70).state
     np.testing.assert_array_equal(resumed.bodies.position, through.bodies.position)
     np.testing.assert_array_equal(resumed.bodies.velocity, through.bodies.velocity)
@@ -405,7 +407,7 @@ def soft_row(scene, *, gap, start=0.0, speed=0.0):
     bodies = state.bodies._replace(velocity=state.bodies.velocity + speed * np.array([0.0, 1.0]))
     solver_bodies = np.empty((bodies.count + 4, 4))
     integrate_velocities(bodies, (0.0, 0.0), 0.0, solver_bodies)
-    rows, _ = contact_rows(bodies, contacts, solver_bodies, 0.0, make_rows(1, solver_bodies.dtype))
+    rows, _ = contact_rows(bodies, contacts, solver_bodies, 0.0, 1.0, make_rows(1, solver_bodies.dtype))
     apply_impulses(rows, solver_bodies)
     return rows, solver_bodies, rows.data[:, 2].copy(), np.array([gap])
 
@@ -466,13 +468,13 @@ def test_gaps_follow_the_bodies_along_the_normal():
     origin = np.array([[1.0, 2.0], [3.0, 5.0]])
     moved = origin + np.array([[0.01, 0.02], [0.05, -0.04]])
     gap = np.empty(2)
-    soft_steps.find_gaps(contacts, moved, origin, gap)
+    soft_steps.find_gaps(contacts, moved, origin, LINEAR_SLOP, gap)
     expected = [-0.02 + LINEAR_SLOP + 0.6 * 0.04 + 0.8 * -0.06, 0.03 + LINEAR_SLOP - 0.04]
     np.testing.assert_allclose(gap, expected, rtol=1e-12)
 
 
 def test_soft_steps_move_and_turn_no_further_than_the_engine():
-    scene = single_body(height=10.0, radius=0.5)
+    scene = single_body(height=10.0)
     fast = scene.bodies._replace(velocity=np.array([[-3e4, 4e4]]), spin=np.array([-1e5]))
     bodies = dc.step(scene.replace(bodies=fast, world=World(gravity=(0, 0))), solver=dc.SoftSteps()).bodies
     moved = bodies.position - scene.bodies.position

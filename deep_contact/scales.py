@@ -1,0 +1,144 @@
+"""Lengths, speeds and times of the contact model, as multiples of what a scene has.
+
+Physics has no slop and no skin, so none of them has a length of its own: they follow the scene's mean radius r̄, its
+gravity g and Δt, and a scene of millimetres behaves as the same scene of metres. With lengths times s, times times √s
+and masses times s² a run is the same run but for its units, to the last bit where s is a power of four.
+At r̄ = 1 m, g = 9.81 m/s² and Δt = 0.01 s, the thesis's scene, they are the absolute values of Box2D 2.3 (`BOX2D`).
+
+Without gravity a scene has no speed of its own. No approach is then too slow to bounce, only what is exactly at rest
+falls asleep, and times are counted in steps.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from deep_contact import constants
+
+if TYPE_CHECKING:
+    from deep_contact.state import State
+
+_GRAVITY = -constants.GRAVITY[1]
+
+FASTEST = 2e9
+"""Largest speed with which a body leaves a step, m/s: below `state.LIMITS`, so that what a step makes is accepted."""
+
+FOLLOWS_SCENE = "scene"
+"""Value of a solver's option that follows the scene: `registry.for_state` puts a number in its place."""
+
+
+class ContactScales(NamedTuple):
+    """Lengths, speeds and times of the contact model; position correction stops at three slops.
+
+    | field                 | meaning                                                               | unit  |
+    |-----------------------|-----------------------------------------------------------------------|-------|
+    | slop                  | penetration that position correction leaves alone                     | m     |
+    | wall_skin             | walls are felt this far ahead of their surface                        | m     |
+    | max_correction        | largest displacement of one row in one sweep of position correction   | m     |
+    | max_translation       | largest displacement of a body in one step                            | m     |
+    | restitution_threshold | approach speed above which a contact bounces                          | m/s   |
+    | sleep_speed           | a circle is still up to this speed                                    | m/s   |
+    | sleep_spin            | and up to this angular velocity                                       | rad/s |
+    | sleep_time            | an island falls asleep once it has been still for so long             | s     |
+    """
+
+    slop: float
+    wall_skin: float
+    max_correction: float
+    max_translation: float
+    restitution_threshold: float
+    sleep_speed: float
+    sleep_spin: float
+    sleep_time: float
+
+
+BOX2D = ContactScales(
+    slop=constants.LINEAR_SLOP,
+    wall_skin=constants.WALL_SKIN,
+    max_correction=constants.MAX_CORRECTION,
+    max_translation=constants.MAX_TRANSLATION,
+    restitution_threshold=constants.RESTITUTION_THRESHOLD,
+    sleep_speed=constants.SLEEP_SPEED,
+    sleep_spin=constants.SLEEP_SPIN,
+    sleep_time=constants.SLEEP_TIME,
+)
+"""The absolute values of Box2D 2.3, whatever the size of the circles: `World(scales=BOX2D)`."""
+
+
+class SceneUnits(NamedTuple):
+    """Units that a scene has of its own; each is 1 for the thesis's scene.
+
+    | field   | meaning                                                                     | unit |
+    |---------|-----------------------------------------------------------------------------|------|
+    | length  | r̄, the mean radius                                                          | m    |
+    | speed   | √(g r̄ / 9.81 m/s²); without gravity r̄ per Δt, over 1 m per 0.01 s           | m/s  |
+    | impulse | m̄ g Δt, over π kg · 9.81 m/s² · 0.01 s; without gravity likewise m̄ r̄ / Δt   | N·s  |
+    """
+
+    length: float
+    speed: float
+    impulse: float
+
+
+def scene_units(state: State) -> SceneUnits:
+    """The units of a state's scene."""
+    length, speed, felt = _length_and_speeds(state)
+    mass, dt, thesis_dt = mean(state.bodies.mass), state.dt, constants.TIME_STEP
+    # In this order the thesis's scene is divided by itself: 1 exactly.
+    if felt > 0.0:
+        impulse = mass * math.hypot(*state.world.gravity) * dt / (math.pi * _GRAVITY * thesis_dt)
+    else:
+        impulse = mass * length / dt / (math.pi * 1.0 / thesis_dt)
+    return SceneUnits(length, speed, impulse)
+
+
+def _length_and_speeds(state: State) -> tuple[float, float, float]:
+    """Length and speed of `SceneUnits`, and the speed that gravity gives alone: 0 without it."""
+    length = mean(state.bodies.radius)
+    felt = math.sqrt(math.hypot(*state.world.gravity) * length / _GRAVITY)
+    return length, felt if felt > 0.0 else length * constants.TIME_STEP / state.dt, felt
+
+
+def contact_scales(state: State) -> ContactScales:
+    """The scales that the steps of a state use: those of its world if they are set, otherwise those of the scene.
+
+    The largest translation is cut to `FASTEST` times Δt in either case.
+    """
+    scales = state.world.scales
+    if scales is None:
+        scales = _scales_of_scene(state)
+    return scales._replace(max_translation=min(scales.max_translation, FASTEST * state.dt))
+
+
+def _scales_of_scene(state: State) -> ContactScales:
+    length, speed, felt = _length_and_speeds(state)
+    return ContactScales(
+        slop=BOX2D.slop * length,
+        wall_skin=BOX2D.wall_skin * length,
+        max_correction=BOX2D.max_correction * length,
+        max_translation=BOX2D.max_translation * length,
+        restitution_threshold=BOX2D.restitution_threshold * felt,
+        sleep_speed=BOX2D.sleep_speed * felt,
+        sleep_spin=BOX2D.sleep_spin * felt / length,
+        sleep_time=BOX2D.sleep_time * length / speed,
+    )
+
+
+def theta_tolerance(state: State) -> float:
+    """θ at which sweeps end by default, N·s: the thesis's 6e-5 N·s, in units of the scene's impulses."""
+    return constants.THETA_TOLERANCE * scene_units(state).impulse
+
+
+def mean(values: np.ndarray) -> float:
+    """Mean of positive numbers, (n,); of equal ones it is exactly the one, and of none 1.
+
+    Sums of equal numbers round: ten radii of 0.1 would have another mean than one.
+    """
+    if len(values) == 0:
+        return 1.0
+    least, most = float(np.min(values)), float(np.max(values))
+    # In shares of the largest, so that no sum overflows.
+    return most if least == most else most * float(np.mean(np.divide(values, most)))

@@ -1,0 +1,268 @@
+"""No hidden length: with lengths · s, times · √s and masses · s² at the same g, a run is the same run in other units.
+
+Then velocities are times √s, spins over √s, impulses times s^2.5. Where s is a power of four all of these are powers of
+two, so nothing rounds otherwise and every bit but the exponents is the same.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import deep_contact as dc
+from deep_contact import constants
+from deep_contact.physics import metrics
+from deep_contact.physics.lcp import contact_problem
+from deep_contact.physics.solvers import METHODS
+from deep_contact.physics.solvers.registry import for_state
+from deep_contact.scales import FASTEST, mean, scene_units, theta_tolerance
+from deep_contact.simulation import ready
+from deep_contact.state import LIMITS
+
+POWERS_OF_FOUR = [4.0**k for k in (-6, -3, 3, 6)]
+"""From a quarter of a millimetre to four kilometres."""
+
+MIXED, EQUAL = (0.5, 1.2), (1.0, 1.0)
+
+
+def times(state, s):
+    """The same scene, s times as large."""
+    world, bodies = state.world, state.bodies
+    bodies = bodies._replace(
+        position=s * bodies.position,
+        velocity=math.sqrt(s) * bodies.velocity,
+        spin=bodies.spin / math.sqrt(s),
+        mass=s**2 * bodies.mass,
+        radius=s * bodies.radius,
+    )
+    world = replace(world, box=tuple(s * x for x in world.box))
+    return state.replace(world=world, bodies=bodies, dt=math.sqrt(s) * state.dt)
+
+
+def in_units_of(run, s):
+    """What a run of `times(scene, s)` has computed, in the units of the scene's run."""
+    bodies, contacts = run.state.bodies, run.state.contacts
+    impulse = s**2 * math.sqrt(s)
+    return {
+        "position": bodies.position / s,
+        "velocity": bodies.velocity / math.sqrt(s),
+        "angle": bodies.angle,
+        "spin": bodies.spin * math.sqrt(s),
+        "pairs": np.column_stack([contacts.body_a, contacts.body_b]),
+        "separation": contacts.separation / s,
+        "normal_impulse": contacts.normal_impulse / impulse,
+        "tangent_impulse": contacts.tangent_impulse / impulse,
+        "contacts": run.contacts,
+        "sweeps": run.sweeps,
+        "theta": run.theta / impulse,
+    }
+
+
+def assert_same_run(scene, s, *, steps, rtol=0.0, **options):
+    one, other = in_units_of(dc.simulate(scene, steps=steps, **options), 1.0), None
+    assert one["contacts"].any()
+    other = in_units_of(dc.simulate(times(scene, s), steps=steps, **options), s)
+    for name, expected in one.items():
+        if rtol and name not in ("pairs", "contacts"):
+            if name in ("sweeps", "theta"):
+                continue  # a sweep more or less, where θ is at the tolerance
+            scale = np.abs(expected).max(initial=0.0)
+            np.testing.assert_allclose(other[name], expected, rtol=0, atol=rtol * scale, err_msg=name)
+        else:
+            # Subnormal numbers, at which soft contacts arrive at rest, have no bits left to keep.
+            np.testing.assert_allclose(other[name], expected, rtol=0, atol=1e-300, err_msg=name)
+
+
+def falling(radius=MIXED, **world):
+    """A pile that falls, meets the walls, and bounces."""
+    options = {"friction": 0.5, "restitution": 0.3, "seed": 4} | world
+    return dc.lattice_in_box(30, radius=radius, **options)
+
+
+@pytest.mark.parametrize("s", POWERS_OF_FOUR)
+@pytest.mark.parametrize("method", METHODS)
+def test_a_scene_times_a_power_of_four_is_the_same_run_to_the_last_bit(method, s):
+    sweeps = {} if method == "SoftSteps" else {"sweeps": 40}
+    assert_same_run(falling(), s, steps=150, solver=METHODS[method](**sweeps))
+
+
+@pytest.mark.parametrize("s", POWERS_OF_FOUR[::3])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"friction": 0.0},
+        {"restitution": 0.0},
+        {"radius": EQUAL},
+        {"gravity": (3.0, -5.0)},
+        {"solver": dc.PGS(islands=True)},
+        {"solver": dc.BatchedPGS(order="colours")},
+        {"warm_start": None},
+        {"warm_start": "copy"},
+    ],
+    ids=str,
+)
+def test_what_a_scene_has_and_how_it_is_solved_changes_nothing_of_that(options, s):
+    world = {name: value for name, value in options.items() if name in ("friction", "restitution", "radius", "gravity")}
+    run = {name: value for name, value in options.items() if name not in world}
+    assert_same_run(falling(**world), s, steps=100, **run)
+
+
+@pytest.mark.parametrize("s", [4.0**-3, 4.0**3])
+def test_single_precision_scales_as_double_does(s):
+    assert_same_run(falling(), s, steps=100, solver=dc.PGS(sweeps=20, precision="single"))
+
+
+@pytest.mark.parametrize("s", POWERS_OF_FOUR)
+def test_the_same_scene_sleeps_after_the_same_step(s):
+    scene = dc.simulate(dc.column(5, width=2.02), steps=100).state
+    scene = scene.replace(contacts=None, time=0.0, step=0, solver=None)
+    run = dc.simulate(scene, steps=120, sleep=True)
+    assert 0 < np.count_nonzero(run.contacts) < 120
+    assert_same_run(scene, s, steps=120, sleep=True)
+
+
+@pytest.mark.parametrize("s", POWERS_OF_FOUR)
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.SoftSteps()], ids=["PGS", "SoftSteps"])
+def test_without_gravity_too(solver, s):
+    # No gravity gives a time, so Δt does: the same number of steps.
+    scene = dc.drifting_circles(30, size=16.0, speed=4.0, seed=3, restitution=0.5)
+    assert_same_run(scene, s, steps=150, solver=solver)
+
+
+@settings(max_examples=15, deadline=None)
+@given(
+    exponent=st.floats(-4.0, 4.0),
+    radius=st.sampled_from([EQUAL, MIXED]),
+    friction=st.sampled_from([0.0, 0.5]),
+    method=st.sampled_from([dc.PGS(sweeps=30), dc.BatchedPGS(sweeps=30), dc.NesterovPGS(sweeps=30)]),
+)
+def test_any_other_factor_differs_by_rounding(exponent, radius, friction, method):
+    # Two dozen steps with impacts, before rounding grows to what decides a contact. Soft contacts are left out: they
+    # close a gap to exactly 0, where rounding decides at once whether it is a spring.
+    scene = falling(radius, friction=friction)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.full((30, 2), (1.0, -4.0))))
+    assert_same_run(scene, 10.0**exponent, steps=25, rtol=1e-7, solver=method)
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1e3])
+def test_fifty_circles_of_any_size_overlap_no_more_radii_than_fifty_of_a_metre(scale):
+    def overlap(r):
+        scene = dc.circles_in_box(50, size=30 * r, radius=(r, r), sigma_coef=1.2 * math.sqrt(r), seed=1)
+        run = dc.simulate(scene, steps=600, dt=0.01 * math.sqrt(r), solver=dc.PGS(sweeps=50), record=50)
+        return max(metrics.penetration(state) for state in run.trajectory) / r, metrics.penetration(run.state) / r
+
+    (worst, last), (worst_of_a_metre, last_of_a_metre) = overlap(scale), overlap(1.0)
+    # The piles part by rounding after some impacts; their overlaps are of one size.
+    assert worst <= 1.5 * worst_of_a_metre
+    assert last <= 1.5 * last_of_a_metre < 1.5 * 3 * constants.LINEAR_SLOP
+
+
+def test_a_default_box_of_millimetres_rests_within_three_slops():
+    # Without a fitting spread of the centres, which has the unit √m.
+    scene = dc.circles_in_box(50, size=0.03, radius=(1e-3, 1e-3))
+    state = dc.simulate(scene, steps=800, dt=0.01 * math.sqrt(1e-3)).state
+    assert metrics.penetration(state) < 3 * 0.005e-3 * 1.1
+    # Box2D's skin of a centimetre leaves no room for circles of a millimetre.
+    absolute = scene.replace(world=replace(scene.world, scales=dc.BOX2D))
+    assert metrics.penetration(absolute) > 1e-3
+
+
+@pytest.mark.parametrize("n", [1, 7, 40, 1000])
+def test_the_thesis_scene_has_the_values_of_box2d_exactly(n):
+    scene = dc.lattice_in_box(n)
+    assert scene.scales == dc.BOX2D
+    assert theta_tolerance(scene) == constants.THETA_TOLERANCE == for_state(dc.PGS(), scene).tolerance
+    soft = for_state(dc.SoftSteps(), scene)
+    assert (soft.hertz, soft.push_speed) == (30.0, 3.0)
+    assert scene_units(scene) == (1.0, 1.0, 1.0)
+    still = dc.drifting_circles(20)
+    assert scene_units(still) == (1.0, 1.0, 1.0)
+    assert theta_tolerance(still) == constants.THETA_TOLERANCE
+
+
+def test_scales_follow_mean_radius_gravity_mass_and_time_step():
+    scene = dc.column(3, radius=0.25, density=2.0, gravity=(0.0, -2 * 9.81)).replace(dt=0.02)
+    speed = math.sqrt(0.5)  # √(2 · 0.25)
+    expected = dc.ContactScales(
+        slop=0.00125, wall_skin=0.0025, max_correction=0.05, max_translation=0.5,
+        restitution_threshold=speed, sleep_speed=0.01 * speed,
+        sleep_spin=math.radians(2) * speed / 0.25, sleep_time=0.5 * 0.25 / speed,
+    )  # fmt: skip
+    np.testing.assert_allclose(scene.scales, expected, rtol=1e-15)
+    # m is 2/16 of π kg, g and Δt are twice those of the thesis.
+    np.testing.assert_allclose(theta_tolerance(scene), 6e-5 * 2 / 16 * 2 * 2, rtol=1e-15)
+
+
+def test_without_gravity_everything_bounces_and_only_exact_rest_sleeps():
+    scales = dc.drifting_circles(5, seed=1).replace(dt=0.02).scales
+    assert (scales.restitution_threshold, scales.sleep_speed, scales.sleep_spin) == (0.0, 0.0, 0.0)
+    assert scales.sleep_time == 1.0  # 50 steps
+    state = ready(dc.two_bodies(speed=0.1, restitution=0.5))
+    np.testing.assert_allclose(metrics.targets(state), 0.05, rtol=1e-12)
+    np.testing.assert_allclose(contact_problem(state).b[0], -0.1 * 1.5, rtol=1e-12)
+    after = dc.simulate(state, steps=60, sleep=True).state.bodies.velocity
+    np.testing.assert_allclose(after[1, 0] - after[0, 0], 0.05, rtol=1e-9)
+
+
+def test_scales_that_are_set_hold_whatever_the_scene():
+    scene = dc.column(3, radius=0.1)
+    scales = scene.scales._replace(slop=0.02, restitution_threshold=0)
+    held = scene.replace(world=replace(scene.world, scales=scales))
+    assert held.scales == scales
+    larger = held.replace(bodies=held.bodies._replace(radius=3 * held.bodies.radius))
+    assert larger.scales == scales
+    assert isinstance(held.world.scales.restitution_threshold, float)
+    # A circle pressed into the floor by less than the slop stays there; by the scene's own slop it is pushed out.
+    deep = scene.bodies._replace(position=scene.bodies.position - [0.0, 0.015])
+    stays, rises = (
+        dc.simulate(state.replace(bodies=deep), steps=50).state.bodies.position[0, 1] for state in (held, scene)
+    )
+    np.testing.assert_allclose(stays, deep.position[0, 1], atol=1e-4)
+    assert rises > stays + 0.01
+
+
+@pytest.mark.parametrize(
+    ("scales", "message"),
+    [
+        (0.005, r"scales: expected None or ContactScales, such as scales.BOX2D, got 0.005"),
+        (dc.BOX2D._replace(slop=-1.0), r"scales.slop: expected a finite number >= 0, got -1.0"),
+        (dc.BOX2D._replace(sleep_time=math.inf), r"scales.sleep_time: expected a finite number >= 0, got inf"),
+        (dc.BOX2D._replace(max_translation=0.0), r"scales.max_translation: expected a finite number > 0, got 0.0"),
+    ],
+)
+def test_other_scales_are_refused_by_name(scales, message):
+    with pytest.raises(ValueError, match=message):
+        dc.World(scales=scales)
+
+
+@pytest.mark.parametrize("scales", [None, dc.BOX2D._replace(max_translation=1e300)])
+@pytest.mark.parametrize("dt", LIMITS["dt"][:2])
+def test_no_body_leaves_a_step_faster_than_a_state_may_be(scales, dt):
+    scene = dc.single_body(radius=1e9, scales=scales, box=(-1e9, -1e9, 1e9, 1e9), gravity=(0, 0)).replace(dt=dt)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=np.array([[1e10, 0.0]])))
+    for solver in (dc.PGS(sweeps=0), dc.SoftSteps()):
+        state = dc.step(scene, solver=solver)
+        assert np.abs(state.bodies.velocity).max() <= FASTEST * (1 + 1e-12)
+        dc.step(state, solver=solver)
+
+
+def test_a_tolerance_of_the_user_is_absolute_and_a_run_holds_numbers():
+    scene = dc.column(3, radius=0.01)
+    assert dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=1e-3)).state.solver.tolerance == 1e-3
+    assert dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=None)).state.solver.tolerance is None
+    found = dc.simulate(scene, steps=1).state.solver
+    assert found == dc.PGS(tolerance=theta_tolerance(scene))
+    with pytest.raises(ValueError, match="tolerance: expected a finite number >= 0, got 'screen'"):
+        dc.PGS(tolerance="screen")
+    with pytest.raises(ValueError, match="push_speed: expected a finite number > 0, got 'slow'"):
+        dc.SoftSteps(push_speed="slow")
+
+
+def test_the_mean_of_equal_numbers_is_the_number():
+    for value in (0.1, 0.3, np.pi, 1e308, 5e-324):
+        assert mean(np.full(40, value)) == value
+    assert mean(np.array([1.0, 2.0, 6.0])) == 3.0
+    assert mean(np.array([1e308, 0.5e308])) == 0.75e308
