@@ -34,8 +34,8 @@ def circles_in_box(
     """The thesis's scene (section 3.4.1): circles at rest, drawn normally around the middle of a box, none overlapping.
 
     size: side of the box, or (width, height), m. radius: smallest and largest, uniform between, m.
-    sigma_coef: the standard deviation of the centres is sigma_coef · √(size / 2) along each axis, m. Its unit is √m, so
-    the same scene s times as large has √s times as much.
+    sigma_coef: the standard deviation of the centres is sigma_coef · √(r size / 2) along each axis, m; r is the middle
+    of the radii, the thesis's 1 m.
     density: kg/m². Raises ValueError if the circles do not fit, saying how many did.
     """
     rng = np.random.default_rng(seed)
@@ -45,7 +45,7 @@ def circles_in_box(
     number("sigma_coef", sigma_coef, above=0)
     radii = np.full(n, low) if low == high else rng.uniform(low, high, n)
     skin = WALL_SKIN * mean(radii)
-    sigma = sigma_coef * np.sqrt(extent / 2)
+    sigma = sigma_coef * np.sqrt(0.5 * (low + high) * extent / 2)
     centres = np.empty((n, 2))
     for i in range(n):
         margin = radii[i] + skin

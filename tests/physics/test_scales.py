@@ -150,7 +150,7 @@ def test_any_other_factor_differs_by_rounding(exponent, radius, friction, method
 @pytest.mark.parametrize("scale", [1e-3, 1e3])
 def test_fifty_circles_of_any_size_overlap_no_more_radii_than_fifty_of_a_metre(scale):
     def overlap(r):
-        scene = dc.circles_in_box(50, size=30 * r, radius=(r, r), sigma_coef=1.2 * math.sqrt(r), seed=1)
+        scene = dc.circles_in_box(50, size=30 * r, radius=(r, r), seed=1)
         run = dc.simulate(scene, steps=600, dt=0.01 * math.sqrt(r), solver=dc.PGS(sweeps=50), record=50)
         return max(metrics.penetration(state) for state in run.trajectory) / r, metrics.penetration(run.state) / r
 
@@ -160,8 +160,14 @@ def test_fifty_circles_of_any_size_overlap_no_more_radii_than_fifty_of_a_metre(s
     assert last <= 1.5 * last_of_a_metre < 1.5 * 3 * constants.LINEAR_SLOP
 
 
+@pytest.mark.parametrize("make", [dc.circles_in_box, dc.lattice_in_box])
+def test_a_scene_of_other_circles_is_a_copy(make):
+    size = {} if make is dc.lattice_in_box else {"size": 30 * 4.0**-5}
+    small, metres = make(50, radius=(4.0**-5,) * 2, seed=1, **size), make(50, radius=(1.0, 1.0), seed=1)
+    np.testing.assert_array_equal(4.0**5 * small.bodies.position, metres.bodies.position)
+
+
 def test_a_default_box_of_millimetres_rests_within_three_slops():
-    # Without a fitting spread of the centres, which has the unit √m.
     scene = dc.circles_in_box(50, size=0.03, radius=(1e-3, 1e-3))
     state = dc.simulate(scene, steps=800, dt=0.01 * math.sqrt(1e-3)).state
     assert metrics.penetration(state) < 3 * 0.005e-3 * 1.1

@@ -26,7 +26,8 @@ def test_thesis_scene_fits_its_box_without_overlap(radius):
 
 def test_centres_scatter_as_the_thesis_says():
     # Few circles that hardly exclude each other: standard deviation 1.2 √15 = 4.65 about the middle.
-    centres = np.concatenate([dc.circles_in_box(20, radius=(0.05, 0.05), seed=s).bodies.position for s in range(60)])
+    scenes = [dc.circles_in_box(4, seed=s) for s in range(300)]
+    centres = np.concatenate([scene.bodies.position for scene in scenes])
     np.testing.assert_allclose(centres.mean(axis=0), 15, atol=0.4)
     np.testing.assert_allclose(centres.std(axis=0), 1.2 * np.sqrt(15), rtol=0.06)
 
