@@ -32,12 +32,25 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact import parallel
+from deep_contact.compiled import announced
 from deep_contact.io import provenance
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
 
-__all__ = ["Claim", "Figure", "cell", "main", "override", "parallel_map", "produce", "progress_bar", "seeds"]
+__all__ = [
+    "Claim",
+    "Figure",
+    "aligned",
+    "cell",
+    "claim_line",
+    "main",
+    "override",
+    "parallel_map",
+    "produce",
+    "progress_bar",
+    "seeds",
+]
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
@@ -94,6 +107,16 @@ class Figure:
         """Figure 3.7: title."""
         return f"{'Table' if self.is_table else 'Figure'} {self.id.removeprefix('T ')}: {self.title}"
 
+    def beside(self, options: dict) -> dict | None:
+        """The reference results beside which a quick run with these options is judged (`results.verdict`).
+
+        None for any other run. Without claims for a quick one where there is no reference.
+        """
+        quick = self.options | self.quick
+        if not self.quick or any(options.get(name) != value for name, value in results.plain(quick).items()):
+            return None
+        return results.reference(self.stem) or {"claims": []}
+
     def rows(self, data: dict) -> list[list[str]]:
         """The table of the data as text, head first."""
         return [[cell(value) for value in row] for row in self.table(data)]
@@ -125,14 +148,14 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     try:
         with _exit_on_sigterm():
             if given.replot:
-                return _replot(figure, given.out, parser)
+                return _replot(figure, given.out, parser, verbose=given.verbose)
             seed = figure.seed if given.seed is None else given.seed
             path = _stored_at(figure, given.out)
             if given.resume and _is_up_to_date(figure, path, options, seed):
                 print(f"{figure.stem}: up to date")
                 return 0
-            with parallel.opened(given.jobs, given.scheduler) as jobs:
-                produce(figure, options=options, seed=seed, out=given.out, jobs=jobs)
+            with announced(_to_standard_error), parallel.opened(given.jobs, given.scheduler) as jobs:
+                produce(figure, options=options, seed=seed, out=given.out, jobs=jobs, verbose=given.verbose)
             return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
@@ -155,13 +178,14 @@ def produce(
     jobs: int | Executor = 1,
     progress: Callable | None = None,
     echo: Callable[[str], None] = print,
+    verbose: bool = False,
 ) -> dict:
     """Compute, store, draw and report a figure; the stored results.
 
     options: changes to the figure's own, by name. out: folder of the files. jobs: number of processes, or an executor
     (`parallel.finished`); the numbers do not depend on it. progress: see `progress_bar`, the default. echo: called with
-    each line of the report. The results are stored before they are drawn, so that an error in `draw` does not cost a
-    long computation. Raises ValueError for an unknown option.
+    each line of the report. verbose: report the numbers of a quick run, too. The results are stored before they are
+    drawn, so that an error in `draw` does not cost a long computation. Raises ValueError for an unknown option.
     """
     _refuse_unknown(options or {}, figure.options, "options")
     options = results.plain({**figure.options, **(options or {})}, where="options")
@@ -181,8 +205,12 @@ def produce(
     path = results.write_results(_stored_at(figure, out), found)
     found = results.read_results(path)
     _draw(figure, found, out)
-    _report(figure, found, echo)
+    _report(figure, found, out, echo, verbose)
     return found
+
+
+def _to_standard_error(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
@@ -202,7 +230,7 @@ def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
             temporary.write_text(_markdown(figure, found), encoding="utf-8")
 
 
-def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser) -> int:
+def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser, *, verbose: bool) -> int:
     path = _stored_at(figure, out)
     try:
         found = results.read_results(path)
@@ -211,7 +239,7 @@ def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser) -> int:
     if found["id"] != figure.id:
         parser.error(f"--replot: {path.name}: expected id {figure.id!r}, got {found['id']!r}")
     _draw(figure, found, out)
-    _report(figure, found, print)
+    _report(figure, found, out, print, verbose)
     return 0
 
 
@@ -234,28 +262,41 @@ def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool
     return clean and same and (found["id"], found["options"]) == (figure.id, results.plain(options))
 
 
-def _report(figure: Figure, found: dict, echo: Callable[[str], None]) -> None:
-    """Print the numbers as a table, and one line a claim."""
+def _report(figure: Figure, found: dict, out: str | os.PathLike, echo: Callable[[str], None], verbose: bool) -> None:
+    """Print the numbers as a table, one line a claim, and the picture's path.
+
+    A quick run's numbers are left out without `verbose`; its table too, unless it is a table.
+    """
+    beside = figure.beside(found["options"])
+    verbose = verbose or beside is None
     echo(figure.heading)
-    rows = figure.rows(found["data"])
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    for row in rows:
-        echo("  " + "  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip())
+    if verbose or figure.is_table:
+        for line in aligned(figure.rows(found["data"])):
+            echo(f"  {line}")
     for claim in found["claims"]:
-        echo(_claim_line(claim))
+        echo(claim_line(claim, beside, measured=verbose))
+    echo(f"picture: {_stored_at(figure, out).with_suffix('.png')}")
 
 
-def _claim_line(claim: dict) -> str:
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table of text as lines with columns."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return ["  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip() for row in rows]
+
+
+def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True) -> str:
+    """A stored claim as one line: its verdict (`results.verdict`), its text, and what was measured if asked for."""
     source = f" ({claim['thesis']})" if claim["thesis"] else ""
-    measured = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
-    return f"{'holds' if claim['holds'] else 'DOES NOT HOLD'}: {claim['text']}{source}: {measured}"
+    numbers = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
+    return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
 
 
 def _markdown(figure: Figure, found: dict) -> str:
     head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(found["data"])]
     lines = [f"**{figure.heading}**", ""]
     lines += ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
-    lines += [""] + [f"- {_claim_line(claim)}" for claim in found["claims"]]
+    beside = figure.beside(found["options"])
+    lines += [""] + [f"- {claim_line(claim, beside)}" for claim in found["claims"]]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -288,6 +329,7 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--jobs", type=_integer_from(1), default=_cores(), help="processes (default: one for each core)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     add("--replot", action="store_true", help="draw again from the stored results alone")
+    add("--verbose", action="store_true", help="print the numbers of a quick run, too")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting; can be repeated")
     return parser
