@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deep_contact import notebook
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
     ContactSolution,
@@ -29,6 +30,7 @@ from deep_contact.state import (
     SINGLE_LIMITS,
     Bodies,
     State,
+    StateWithContacts,
     check_limits,
     check_state,
 )
@@ -57,7 +59,7 @@ class Simulation(NamedTuple):
     | trajectory  | the recorded states as a `Trajectory`, the last being `state`; None where none were asked  |
     """
 
-    state: State
+    state: StateWithContacts
     contacts: np.ndarray
     sweeps: np.ndarray
     theta: np.ndarray
@@ -74,6 +76,22 @@ class Simulation(NamedTuple):
             "max_sweeps",
         )
 
+    def __repr__(self) -> str:
+        return f"Simulation({', '.join(self._summary().values())}, state={self.state!r})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: how the run went, and its last state."""
+        return notebook.shown("Simulation", self._summary()) + self.state._repr_html_()
+
+    def _summary(self) -> dict[str, str]:
+        found = {"steps": notebook.counted(self.sweeps.size, "step")}
+        if self.sweeps.size:
+            ends, times = np.unique(self.status, return_counts=True)
+            found["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
+            found["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
+            found["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
+        return found | ({} if self.trajectory is None else {"record": notebook.counted(len(self.trajectory), "state")})
+
 
 def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolution:
     """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
@@ -87,7 +105,7 @@ def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolu
     return solve(state, solver, *_impulses(start, state, solver))
 
 
-def step(state: State, *, solver=None, warm_start="builtin") -> State:
+def step(state: State, *, solver=None, warm_start="builtin") -> StateWithContacts:
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
     For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`.
@@ -105,7 +123,7 @@ def simulate(
     accuracy: str | None = None,
     sleep: bool = False,
     record: int | None = None,
-    on_step: Callable[[State, ConvergenceRecord], None] | None = None,
+    on_step: Callable[[StateWithContacts, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
     """Run a scene, or go on from a state, for so many steps.
 
@@ -198,7 +216,7 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     )
 
 
-def ready(state: State) -> State:
+def ready(state: State) -> StateWithContacts:
     """The state validated, with its contacts.
 
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.

@@ -14,12 +14,14 @@ Conventions, said once, here:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from deep_contact import constants
+from deep_contact import constants, notebook
+
+S = TypeVar("S", bound="State")
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
 WALLS = ("bottom", "right", "top", "left")
@@ -90,6 +92,14 @@ class Bodies(NamedTuple):
     mass: np.ndarray
     radius: np.ndarray
 
+    def __eq__(self, other) -> bool:
+        return all(map(np.array_equal, self, other)) if isinstance(other, Bodies) else NotImplemented
+
+    def __ne__(self, other) -> bool:
+        return not self == other
+
+    __hash__ = None  # type: ignore[assignment]
+
     @property
     def count(self) -> int:
         """Number of circles. (`len` of a NamedTuple is its number of fields.)"""
@@ -128,6 +138,14 @@ class Contacts(NamedTuple):
     normal_start: np.ndarray
     tangent_start: np.ndarray
 
+    def __eq__(self, other) -> bool:
+        return all(map(np.array_equal, self, other)) if isinstance(other, Contacts) else NotImplemented
+
+    def __ne__(self, other) -> bool:
+        return not self == other
+
+    __hash__ = None  # type: ignore[assignment]
+
     @property
     def count(self) -> int:
         """Number of contacts."""
@@ -164,7 +182,7 @@ class World:
         object.__setattr__(self, "restitution", float(self.restitution))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
@@ -173,6 +191,9 @@ class State:
     If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
     carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
     `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
+
+    States are equal if all numbers and settings are. The fields cannot be set; nothing in this package writes into the
+    arrays of a state that it is given, or hands out arrays that a later step writes into.
     """
 
     name: str
@@ -185,9 +206,48 @@ class State:
     solver: object = None
     solved: bool = False
 
-    def replace(self, **changes) -> State:
+    def replace(self: S, **changes) -> S:
         """A copy with some fields changed."""
         return replace(self, **changes)
+
+    def __eq__(self, other) -> bool:
+        if not isinstance(other, State):
+            return NotImplemented
+        return all(getattr(self, field.name) == getattr(other, field.name) for field in fields(self))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"State({self.name!r}, {', '.join(self._summary().values())})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: numbers, and a picture of circles and impulses."""
+        return notebook.shown(f"State {self.name!r}", self._summary(), self._picture())
+
+    def _summary(self) -> dict[str, str]:
+        contacts = "contacts unknown" if self.contacts is None else notebook.counted(self.contacts.count, "contact")
+        found = {"bodies": notebook.counted(self.bodies.count, "circle"), "contacts": contacts}
+        found |= {"time": f"t = {self.time:g} s", "step": f"step {self.step:,}"}
+        return found | ({"impulses": "solved"} if self.solved else {})
+
+    def _picture(self) -> str:
+        bodies, contacts = self.bodies, self.contacts or no_contacts()
+        ends = contacts.position.copy()
+        between = contacts.body_b < bodies.count
+        ends[between] = bodies.position[contacts.body_b[between]]
+        lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
+        return notebook.picture_of(self.world.box, bodies.position, bodies.radius, lines, contacts.normal_impulse)
+
+
+if TYPE_CHECKING:
+
+    class StateWithContacts(State):
+        """What a run hands out. For type checkers alone: there, `contacts` is never None."""
+
+        contacts: Contacts
+
+else:
+    StateWithContacts = State
 
 
 def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None) -> Bodies:

@@ -14,6 +14,7 @@ that a picture drawn again from its file is the same picture.
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 import math
 import os
@@ -27,6 +28,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from dataclasses import KW_ONLY, dataclass, field
+from html import escape
 from pathlib import Path
 
 import numpy as np
@@ -179,8 +181,8 @@ def produce(
     progress: Callable | None = None,
     echo: Callable[[str], None] = print,
     verbose: bool = False,
-) -> dict:
-    """Compute, store, draw and report a figure; the stored results.
+) -> Results:
+    """Compute, store, draw and report a figure; the stored results, a dict that a notebook shows as the picture.
 
     options: changes to the figure's own, by name. out: folder of the files. jobs: number of processes, or an executor
     (`parallel.finished`); the numbers do not depend on it. progress: see `progress_bar`, the default. echo: called with
@@ -206,7 +208,27 @@ def produce(
     found = results.read_results(path)
     _draw(figure, found, out)
     _report(figure, found, out, echo, verbose)
-    return found
+    return Results(found, figure=figure, picture=_stored_at(figure, out).with_suffix(".png"))
+
+
+class Results(dict):
+    """The stored results of a figure, which a notebook shows as its picture and its claims. picture: its path."""
+
+    def __init__(self, found: dict, *, figure: Figure, picture: Path):
+        super().__init__(found)
+        self._figure, self._picture = figure, picture
+
+    def __repr__(self) -> str:
+        return f"Results({self._figure.heading!r}, {len(self['claims'])} claims, {str(self._picture)!r})"
+
+    def _repr_html_(self) -> str:
+        beside = self._figure.beside(self["options"])
+        lines = [claim_line(claim, beside, measured=False) for claim in self["claims"]]
+        picture = base64.b64encode(self._picture.read_bytes()).decode("ascii")
+        return (
+            f"<b>{escape(self._figure.heading)}</b><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+            f'<img style="max-width:100%" src="data:image/png;base64,{picture}">'
+        )
 
 
 def _to_standard_error(line: str) -> None:
