@@ -29,8 +29,10 @@ from deep_contact.state import (
     LIMITS,
     SINGLE_LIMITS,
     Bodies,
+    Contacts,
     State,
     StateWithContacts,
+    World,
     check_limits,
     check_state,
 )
@@ -234,6 +236,10 @@ def ready(state: State) -> StateWithContacts:
 def _checked_type(state) -> State:
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+    for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
+        value = getattr(state, name)
+        if not (isinstance(value, kind) or (value is None and kind is Contacts)):
+            raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
     return state
 
 

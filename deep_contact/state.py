@@ -166,20 +166,21 @@ class World:
     restitution: float = constants.RESTITUTION
 
     def __post_init__(self):
-        box = tuple(float(v) for v in np.ravel(self.box))
-        gravity = tuple(float(v) for v in np.ravel(self.gravity))
+        box, gravity, friction, restitution = (
+            _numbers(getattr(self, name)) for name in ("box", "gravity", "friction", "restitution")
+        )
         if len(box) != 4 or not np.isfinite(box).all() or box[0] >= box[2] or box[1] >= box[3]:
             raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
         if len(gravity) != 2 or not np.isfinite(gravity).all():
             raise ValueError(f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
-        if not (np.isfinite(self.friction) and self.friction >= 0):
+        if len(friction) != 1 or not (np.isfinite(friction[0]) and friction[0] >= 0):
             raise ValueError(f"friction: expected a finite number >= 0, got {self.friction}")
-        if not 0 <= self.restitution <= 1:
+        if len(restitution) != 1 or not 0 <= restitution[0] <= 1:
             raise ValueError(f"restitution: expected a number from 0 to 1, got {self.restitution}")
         object.__setattr__(self, "box", box)
         object.__setattr__(self, "gravity", gravity)
-        object.__setattr__(self, "friction", float(self.friction))
-        object.__setattr__(self, "restitution", float(self.restitution))
+        object.__setattr__(self, "friction", friction[0])
+        object.__setattr__(self, "restitution", restitution[0])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -256,21 +257,43 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
     position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
     Raises ValueError naming the field, the body and the value.
     """
-    position = np.array(position, dtype=np.float64, ndmin=2)
+    try:
+        position = np.array(position, dtype=np.float64, ndmin=2)
+    except (ValueError, TypeError):
+        raise ValueError(
+            f"position: expected numbers of shape (n, 2), x and y of each circle, got {position!r}"
+        ) from None
     n = position.shape[0]
-    radius = np.broadcast_to(np.asarray(radius, dtype=np.float64), n)
+    radius = _for_each("radius", radius, (n,))
     if mass is None:
-        mass = np.asarray(density, dtype=np.float64) * np.pi * radius**2
+        mass = _for_each("density", density, (n,)) * np.pi * radius**2
     return check_bodies(
         Bodies(
             position=position,
-            velocity=np.broadcast_to(np.asarray(velocity, dtype=np.float64), (n, 2)),
-            angle=np.broadcast_to(np.asarray(angle, dtype=np.float64), n),
-            spin=np.broadcast_to(np.asarray(spin, dtype=np.float64), n),
-            mass=np.broadcast_to(np.asarray(mass, dtype=np.float64), n),
+            velocity=_for_each("velocity", velocity, (n, 2)),
+            angle=_for_each("angle", angle, (n,)),
+            spin=_for_each("spin", spin, (n,)),
+            mass=_for_each("mass", mass, (n,)),
             radius=radius,
         )
     )
+
+
+def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    """A value for all circles, or one for each, as an array of this shape."""
+    try:
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
+    except (ValueError, TypeError):
+        expected = f"one {'value' if len(shape) == 1 else 'pair'} for all circles, or for each of the {shape[0]}"
+        raise ValueError(f"{name}: expected {expected}, got {value!r}") from None
+
+
+def _numbers(value) -> tuple[float, ...]:
+    """What was given as floats; none where it is no numbers."""
+    try:
+        return tuple(float(v) for v in np.ravel(value))
+    except (ValueError, TypeError):
+        return ()
 
 
 def check_bodies(bodies: Bodies) -> Bodies:

@@ -39,6 +39,7 @@ from deep_contact.io import provenance
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
+from deep_contact.reporting.settings import meaning
 
 __all__ = [
     "Claim",
@@ -338,7 +339,7 @@ def cell(value) -> str:
 
 
 def _parser(figure: Figure) -> argparse.ArgumentParser:
-    known = "\n".join(f"  {name}={_as_text(value)}" for name, value in figure.options.items())
+    known = "\n".join(_described(figure.id, name, value) for name, value in figure.options.items())
     parser = argparse.ArgumentParser(
         description=f"{figure.heading}.",
         epilog=f"settings and their values without --quick:\n{known}" if known else None,
@@ -355,6 +356,13 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting; can be repeated")
     return parser
+
+
+def _described(id: str, name: str, value) -> str:
+    """A line of the settings in `--help`; a long value is cut."""
+    text = f"{name}={_as_text(value)}"
+    text = text if len(text) <= 60 else f"{text[:59]}…"
+    return f"  {text:<32}  {meaning(id, name)}".rstrip()
 
 
 def _integer_from(least: int) -> Callable[[str], int]:
@@ -417,11 +425,15 @@ def _typed(name: str, text: str, default):
     found = (row[1:] for row in _READERS if isinstance(default, row[0]))
     read, expected = next(found, (json.loads, f"JSON like {json.dumps(default)}"))
     try:
-        return read(text)
+        value = read(text)
     except (ValueError, KeyError):
         if default is None:
             return text
         raise ValueError(f"{name}: expected {expected}, got {text!r}") from None
+    # Whole numbers count something: of none, no figure can be made.
+    if type(default) is int and default >= 1 and value < 1 and "[" not in name:
+        raise ValueError(f"{name}: expected an integer >= 1, got {value}")
+    return value
 
 
 def _is_flat_list(value) -> bool:

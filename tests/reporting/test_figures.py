@@ -16,7 +16,7 @@ import pytest
 from conftest import load_script
 
 from deep_contact.io import provenance
-from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting import figures, plotting, results, settings
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.state import Contacts, State, World, make_bodies, no_contacts
 
@@ -254,11 +254,23 @@ def test_a_setting_takes_the_type_of_its_default(text, value):
     assert type(changed[name]) is type(value)
 
 
-@pytest.mark.parametrize("text", ["n=1.5", "n=many", "scale=nan", "scale=x", "flag=maybe", "d=1,x", "n", "m=3"])
+@pytest.mark.parametrize(
+    "text", ["n=1.5", "n=0", "n=-3", "n=many", "scale=nan", "scale=x", "flag=maybe", "d=1,x", "n", "m=3"]
+)
 def test_a_setting_of_the_wrong_type_is_refused_by_its_name(text):
     with pytest.raises(ValueError, match="expected") as error:
         figures.override(OPTIONS, [text])
     assert text.partition("=")[0] in str(error.value)
+
+
+@pytest.mark.parametrize("script", sorted(SCRIPTS.glob("*_[0-9]*_[0-9]*.py")), ids=lambda path: path.stem)
+def test_help_says_what_every_setting_means(script, capsys):
+    figure = load_script(script.stem).FIGURE
+    assert [name for name in figure.options if not settings.meaning(figure.id, name)] == []
+    with pytest.raises(SystemExit, match="0"):
+        figures.main(figure, ["--help"])
+    shown = capsys.readouterr().out
+    assert all(settings.meaning(figure.id, name) in shown for name in figure.options)
 
 
 def test_an_unknown_setting_names_the_known_ones(tmp_path, capsys):
@@ -395,6 +407,14 @@ def test_all_figures_runs_only_those_that_are_asked_for(toys, tmp_path, capfd):
     assert "expected some of 9.2, T9.2, 9.10, got '3.99'" in capfd.readouterr().err
 
 
+def test_a_script_ended_by_ctrl_c_is_called_interrupted(toys, tmp_path, capfd):
+    (toys / "figure_9_2_b.py").write_text("import os, signal, sys; print('up', flush=True); os.kill(os.getpid(), 2)")
+    assert load_script("all_figures").main(["--out", str(tmp_path / "out")], toys) == 130
+    printed = capfd.readouterr().out.splitlines()
+    assert printed[-1].split()[:2] == ["9.2", "interrupted"]
+    assert "failed" not in " ".join(printed)
+
+
 def test_two_scripts_of_one_figure_are_refused(toys, capfd):
     (toys / "figure_9_10_d.py").write_text("")
     assert load_script("all_figures").main([], toys) == 2
@@ -500,8 +520,8 @@ def test_users_settings_do_not_change_the_pictures(tmp_path):
     import matplotlib
 
     pictures = []
-    for settings in ({}, {"lines.linewidth": 9, "axes.facecolor": "red", "font.size": 20}):
-        with matplotlib.rc_context(settings), plotting.style():
+    for own in ({}, {"lines.linewidth": 9, "axes.facecolor": "red", "font.size": 20}):
+        with matplotlib.rc_context(own), plotting.style():
             picture = draw({"walks": [[1.0, 2.0]]}, {})
             pictures.append(plotting.save(picture, tmp_path / "a.png").read_bytes())
     assert pictures[0] == pictures[1]
