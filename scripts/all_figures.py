@@ -7,6 +7,7 @@ status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl
 """
 
 import argparse
+import ast
 import re
 import signal
 import subprocess
@@ -45,7 +46,9 @@ def main(arguments=None, folder=HERE):
         if interrupted:
             break
     if Path(given.out).is_dir():
-        index = page.write_report(given.out, expected=[name.replace("T", "T ") for name in scripts])
+        captions = {id_of(name): caption(path) for name, path in scripts.items()}
+        expected = [id_of(name) for name in chosen]
+        index = page.write_report(given.out, expected=expected, others=captions, captions=captions)
         print(f"\nall results as one page: {index}")
     summarise(done)
     return INTERRUPTED if interrupted else int(any(status != 0 for _, status, *_ in done))
@@ -103,6 +106,20 @@ def choose(scripts, only):
         if name not in scripts:
             raise ValueError(f"--only: expected some of {', '.join(scripts)}, got {name!r}")
     return {name: path for name, path in scripts.items() if name in wanted}
+
+
+def id_of(name):
+    """T 5.1 for T5.1."""
+    return name.replace("T", "T ")
+
+
+def caption(script):
+    """What a script's docstring says of the figure, and that of its `draw` of the panels."""
+    tree = ast.parse(script.read_text(encoding="utf-8"))
+    draws = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "draw"]
+    about = (ast.get_docstring(tree) or "").split("\n\n")[0].partition(".py: ")[2]
+    panels = (ast.get_docstring(draws[0]) or "").split("\n\n")[0] if draws else ""
+    return " ".join(f"{about[:1].upper()}{about[1:]} {panels}".split())
 
 
 def stem(script):

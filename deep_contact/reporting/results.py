@@ -57,6 +57,9 @@ SCHEMA = json.loads((Path(__file__).parent / "results_schema.json").read_text(en
 REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
 """Results of the full runs, in a checkout."""
 
+OPEN = "too few states to tell"
+"""Verdict on a claim of a small run that does not agree with the reference run."""
+
 ID_PATTERN = SCHEMA["properties"]["id"]["pattern"]
 _VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 _FINITE = "a finite number (None where one is missing)"
@@ -198,7 +201,7 @@ def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
         return found
     others = {_of_any_size(other["text"]): other["holds"] for other in beside["claims"]}
     agree = others.get(_of_any_size(claim["text"])) == claim["holds"]
-    return f"as in the reference run, {found}" if agree else "too few states to tell"
+    return f"as in the reference run, {found}" if agree else OPEN
 
 
 def _of_any_size(text: str) -> str:
