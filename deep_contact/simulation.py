@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from deep_contact import notebook
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
     ContactSolution,
@@ -28,7 +29,10 @@ from deep_contact.state import (
     LIMITS,
     SINGLE_LIMITS,
     Bodies,
+    Contacts,
     State,
+    StateWithContacts,
+    World,
     check_limits,
     check_state,
 )
@@ -59,7 +63,7 @@ class Simulation(NamedTuple):
     With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
     """
 
-    state: State
+    state: StateWithContacts
     contacts: np.ndarray
     sweeps: np.ndarray
     theta: np.ndarray
@@ -76,6 +80,22 @@ class Simulation(NamedTuple):
             "max_sweeps",
         )
 
+    def __repr__(self) -> str:
+        return f"Simulation({', '.join(self._summary().values())}, state={self.state!r})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: how the run went, and its last state."""
+        return notebook.shown("Simulation", self._summary()) + self.state._repr_html_()
+
+    def _summary(self) -> dict[str, str]:
+        found = {"steps": notebook.counted(self.sweeps.size, "step")}
+        if self.sweeps.size:
+            ends, times = np.unique(self.status, return_counts=True)
+            found["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
+            found["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
+            found["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
+        return found | ({} if self.trajectory is None else {"record": notebook.counted(len(self.trajectory), "state")})
+
 
 def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolution:
     """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
@@ -89,7 +109,7 @@ def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolu
     return solve(state, solver, *_impulses(start, state, solver))
 
 
-def step(state: State, *, solver=None, warm_start="builtin") -> State:
+def step(state: State, *, solver=None, warm_start="builtin") -> StateWithContacts:
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
     For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`.
@@ -107,7 +127,7 @@ def simulate(
     accuracy: str | None = None,
     sleep: bool = False,
     record: int | None = None,
-    on_step: Callable[[State, ConvergenceRecord], None] | None = None,
+    on_step: Callable[[StateWithContacts, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
     """Run a scene, or go on from a state, for so many steps.
 
@@ -243,7 +263,7 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     )
 
 
-def ready(state: State) -> State:
+def ready(state: State) -> StateWithContacts:
     """The state validated, with its contacts.
 
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
@@ -261,6 +281,10 @@ def ready(state: State) -> State:
 def _checked_type(state) -> State:
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+    for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
+        value = getattr(state, name)
+        if not (isinstance(value, kind) or (value is None and kind is Contacts)):
+            raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
     return state
 
 

@@ -14,14 +14,16 @@ Conventions, said once, here:
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from deep_contact import constants
+from deep_contact import constants, notebook
 from deep_contact.scales import ContactScales, contact_scales
 from deep_contact.validation import number
+
+S = TypeVar("S", bound="State")
 
 BOTTOM, RIGHT, TOP, LEFT = range(4)
 WALLS = ("bottom", "right", "top", "left")
@@ -96,6 +98,14 @@ class Bodies(NamedTuple):
     mass: np.ndarray
     radius: np.ndarray
 
+    def __eq__(self, other) -> bool:
+        return all(map(np.array_equal, self, other)) if isinstance(other, Bodies) else NotImplemented
+
+    def __ne__(self, other) -> bool:
+        return not self == other
+
+    __hash__ = None  # type: ignore[assignment]
+
     @property
     def count(self) -> int:
         """Number of circles. (`len` of a NamedTuple is its number of fields.)"""
@@ -134,6 +144,14 @@ class Contacts(NamedTuple):
     normal_start: np.ndarray
     tangent_start: np.ndarray
 
+    def __eq__(self, other) -> bool:
+        return all(map(np.array_equal, self, other)) if isinstance(other, Contacts) else NotImplemented
+
+    def __ne__(self, other) -> bool:
+        return not self == other
+
+    __hash__ = None  # type: ignore[assignment]
+
     @property
     def count(self) -> int:
         """Number of contacts."""
@@ -156,25 +174,26 @@ class World:
     scales: ContactScales | None = None
 
     def __post_init__(self):
-        box = tuple(float(v) for v in np.ravel(self.box))
-        gravity = tuple(float(v) for v in np.ravel(self.gravity))
+        box, gravity, friction, restitution = (
+            _numbers(getattr(self, name)) for name in ("box", "gravity", "friction", "restitution")
+        )
         if len(box) != 4 or not np.isfinite(box).all() or box[0] >= box[2] or box[1] >= box[3]:
             raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
         if len(gravity) != 2 or not np.isfinite(gravity).all():
             raise ValueError(f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
-        if not (np.isfinite(self.friction) and self.friction >= 0):
+        if len(friction) != 1 or not (np.isfinite(friction[0]) and friction[0] >= 0):
             raise ValueError(f"friction: expected a finite number >= 0, got {self.friction}")
-        if not 0 <= self.restitution <= 1:
+        if len(restitution) != 1 or not 0 <= restitution[0] <= 1:
             raise ValueError(f"restitution: expected a number from 0 to 1, got {self.restitution}")
         if self.scales is not None:
             object.__setattr__(self, "scales", _checked_scales(self.scales))
         object.__setattr__(self, "box", box)
         object.__setattr__(self, "gravity", gravity)
-        object.__setattr__(self, "friction", float(self.friction))
-        object.__setattr__(self, "restitution", float(self.restitution))
+        object.__setattr__(self, "friction", friction[0])
+        object.__setattr__(self, "restitution", restitution[0])
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
@@ -183,6 +202,9 @@ class State:
     If `solved`, the contacts hold the impulses which the step from here solved; if not, they hold the impulses
     carried over from the step before, which Builtin starts from. Either way, `dc.step(state)` does the step from
     `normal_start` and `tangent_start`, and a run that is written out and read back goes on bit for bit.
+
+    States are equal if all numbers and settings are. The fields cannot be set; nothing in this package writes into the
+    arrays of a state that it is given, or hands out arrays that a later step writes into.
     """
 
     name: str
@@ -200,9 +222,48 @@ class State:
         """Lengths, speeds and times of the contact model in the steps of this state (`scales.contact_scales`)."""
         return contact_scales(self)
 
-    def replace(self, **changes) -> State:
+    def replace(self: S, **changes) -> S:
         """A copy with some fields changed."""
         return replace(self, **changes)
+
+    def __eq__(self, other) -> bool:
+        if not isinstance(other, State):
+            return NotImplemented
+        return all(getattr(self, field.name) == getattr(other, field.name) for field in fields(self))
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def __repr__(self) -> str:
+        return f"State({self.name!r}, {', '.join(self._summary().values())})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: numbers, and a picture of circles and impulses."""
+        return notebook.shown(f"State {self.name!r}", self._summary(), self._picture())
+
+    def _summary(self) -> dict[str, str]:
+        contacts = "contacts unknown" if self.contacts is None else notebook.counted(self.contacts.count, "contact")
+        found = {"bodies": notebook.counted(self.bodies.count, "circle"), "contacts": contacts}
+        found |= {"time": f"t = {self.time:g} s", "step": f"step {self.step:,}"}
+        return found | ({"impulses": "solved"} if self.solved else {})
+
+    def _picture(self) -> str:
+        bodies, contacts = self.bodies, self.contacts or no_contacts()
+        ends = contacts.position.copy()
+        between = contacts.body_b < bodies.count
+        ends[between] = bodies.position[contacts.body_b[between]]
+        lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
+        return notebook.picture_of(self.world.box, bodies.position, bodies.radius, lines, contacts.normal_impulse)
+
+
+if TYPE_CHECKING:
+
+    class StateWithContacts(State):
+        """What a run hands out. For type checkers alone: there, `contacts` is never None."""
+
+        contacts: Contacts
+
+else:
+    StateWithContacts = State
 
 
 def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None) -> Bodies:
@@ -211,21 +272,43 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
     position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
     Raises ValueError naming the field, the body and the value.
     """
-    position = np.array(position, dtype=np.float64, ndmin=2)
+    try:
+        position = np.array(position, dtype=np.float64, ndmin=2)
+    except (ValueError, TypeError):
+        raise ValueError(
+            f"position: expected numbers of shape (n, 2), x and y of each circle, got {position!r}"
+        ) from None
     n = position.shape[0]
-    radius = np.broadcast_to(np.asarray(radius, dtype=np.float64), n)
+    radius = _for_each("radius", radius, (n,))
     if mass is None:
-        mass = np.asarray(density, dtype=np.float64) * np.pi * radius**2
+        mass = _for_each("density", density, (n,)) * np.pi * radius**2
     return check_bodies(
         Bodies(
             position=position,
-            velocity=np.broadcast_to(np.asarray(velocity, dtype=np.float64), (n, 2)),
-            angle=np.broadcast_to(np.asarray(angle, dtype=np.float64), n),
-            spin=np.broadcast_to(np.asarray(spin, dtype=np.float64), n),
-            mass=np.broadcast_to(np.asarray(mass, dtype=np.float64), n),
+            velocity=_for_each("velocity", velocity, (n, 2)),
+            angle=_for_each("angle", angle, (n,)),
+            spin=_for_each("spin", spin, (n,)),
+            mass=_for_each("mass", mass, (n,)),
             radius=radius,
         )
     )
+
+
+def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    """A value for all circles, or one for each, as an array of this shape."""
+    try:
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
+    except (ValueError, TypeError):
+        expected = f"one {'value' if len(shape) == 1 else 'pair'} for all circles, or for each of the {shape[0]}"
+        raise ValueError(f"{name}: expected {expected}, got {value!r}") from None
+
+
+def _numbers(value) -> tuple[float, ...]:
+    """What was given as floats; none where it is no numbers."""
+    try:
+        return tuple(float(v) for v in np.ravel(value))
+    except (ValueError, TypeError):
+        return ()
 
 
 def check_bodies(bodies: Bodies) -> Bodies:

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from deep_contact import notebook
 from deep_contact.validation import number
 
 if TYPE_CHECKING:
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from pandas import DataFrame
 
     from deep_contact.io.simulation_h5 import StoredSimulation
-    from deep_contact.state import State, World
+    from deep_contact.state import State, StateWithContacts, World
 
 
 @dataclass(frozen=True, repr=False, eq=False)
@@ -64,16 +65,20 @@ class Trajectory:
     def __len__(self) -> int:
         return self.stored.count
 
-    def __getitem__(self, index: int) -> State:
+    def __getitem__(self, index: int) -> StateWithContacts:
         return self.stored.state(range(len(self))[index])
 
-    def __iter__(self) -> Iterator[State]:
+    def __iter__(self) -> Iterator[StateWithContacts]:
         return (self[i] for i in range(len(self)))
 
     def __repr__(self) -> str:
         t = self.times
-        contacts = f"{len(self.pairs):,} contact{'' if len(self.pairs) == 1 else 's'}"
+        contacts = notebook.counted(len(self.pairs), "contact")
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the first and the last state."""
+        return notebook.shown(repr(self), {}) + self[0]._repr_html_() + self[-1]._repr_html_()
 
     @property
     def world(self) -> World:

@@ -126,5 +126,15 @@ def play(found: Iterator[Frame], *, height: float = 6.0) -> int:
 
 
 def record(found: Iterator[Frame], path, *, fps: int = 25) -> list[Path]:
-    """Write frames as a GIF and, where matplotlib finds ffmpeg, an MP4 beside it. Returns the paths."""
+    """Write frames as a GIF and, where matplotlib finds ffmpeg, an MP4 beside it. Returns the paths.
+
+    Raises ValueError for another kind of file, and for an MP4 without ffmpeg, before the first frame is made.
+    """
+    from matplotlib import animation
+
+    suffix = Path(path).suffix
+    if suffix not in (".gif", ".mp4"):
+        raise ValueError(f"out: expected a name that ends in .gif or .mp4, got {str(path)!r}")
+    if suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
+        raise ValueError(f"out: expected ffmpeg to be installed for {str(path)!r}, found none; a .gif needs none")
     return plotting.animate(found, path, fps=fps, draw=Painter(), panels=PANELS, size=5.0)

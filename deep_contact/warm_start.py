@@ -9,20 +9,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from deep_contact.physics.engine import StepProblem, solve
-from deep_contact.state import State
+from deep_contact.state import State, StateWithContacts
 
-WarmStart = Callable[[State, object], tuple[np.ndarray, np.ndarray]]
+WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class NoStart:
     """Zero everywhere (the thesis's Non-Model)."""
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return np.zeros(state.contacts.count), np.zeros(state.contacts.count)
 
 
@@ -33,7 +34,7 @@ class Builtin:
     The engine carries these impulses along as it steps, so they are the start that the state holds.
     """
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return state.contacts.normal_start.copy(), state.contacts.tangent_start.copy()
 
 
@@ -43,7 +44,7 @@ class Copy:
 
     decimals: int | None = None
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         normal, tangent = solved_impulses(state, solver)
         if self.decimals is None:
             return normal, tangent
@@ -59,7 +60,7 @@ class Random:
 
     seed: int = 0
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         rng = np.random.default_rng((self.seed, state.step))
         largest = solved_impulses(state, solver)[0].max(initial=0.0)
         normal = rng.uniform(0.0, 1.0, state.contacts.count) * largest
@@ -73,7 +74,7 @@ class Bad:
 
     factor: float = 10.0
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         normal, tangent = solved_impulses(state, solver)
         wrong = np.full(normal.size, self.factor * normal.max(initial=0.0))
         return wrong, -np.sign(tangent) * state.world.friction * wrong
@@ -98,7 +99,7 @@ class Sph:
         if self.transfer not in ("thesis", "consistent"):
             raise ValueError(f"transfer: expected 'thesis' or 'consistent', got {self.transfer!r}")
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+    def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.round_trip(state, np.column_stack(solved_impulses(state, solver)))
 
     def round_trip(

@@ -1,4 +1,4 @@
-"""python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] [--scheduler A] [--seed S]
+"""python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--verbose] [--jobs J] …
 
 Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers. A failure does not stop the others.
 At the end it prints a summary and writes all results of the folder into one page, <out>/index.html. `--resume` skips
@@ -7,6 +7,8 @@ status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl
 """
 
 import argparse
+import ast
+import signal
 import subprocess
 import sys
 import time
@@ -16,6 +18,9 @@ from deep_contact import parallel
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import INTERRUPTED
 from deep_contact.reporting.scripts import choose, find, stem
+
+INTERRUPTS = (INTERRUPTED, -signal.SIGINT)
+"""Exit status of a script that was ended by Ctrl-C, the second one before it could catch it."""
 
 HERE = Path(__file__).resolve().parent
 
@@ -36,11 +41,13 @@ def main(arguments=None, folder=HERE):
         before, start = written(stored), time.perf_counter()
         status = run([sys.executable, str(script), *passed_on])
         done.append((name, status, written(stored) == before, time.perf_counter() - start, stored))
-        interrupted = status in (INTERRUPTED, -2)
+        interrupted = status in INTERRUPTS
         if interrupted:
             break
     if Path(given.out).is_dir():
-        index = page.write_report(given.out, expected=[name.replace("T", "T ") for name in scripts])
+        captions = {id_of(name): caption(path) for name, path in scripts.items()}
+        expected = [id_of(name) for name in chosen]
+        index = page.write_report(given.out, expected=expected, others=captions, captions=captions)
         print(f"\nall results as one page: {index}")
     summarise(done)
     return INTERRUPTED if interrupted else int(any(status != 0 for _, status, *_ in done))
@@ -56,18 +63,32 @@ def parse(arguments):
     parser = argparse.ArgumentParser(description="Run every figure and table script.")
     parser.add_argument("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
     parser.add_argument("--out", default="figures", metavar="FOLDER")
-    for name in ("--quick", "--resume", "--replot"):
+    for name in ("--quick", "--resume", "--replot", "--verbose"):
         parser.add_argument(name, action="store_true")
     for name in ("--jobs", "--seed"):
         parser.add_argument(name, type=int)
     parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
     passed_on = ["--out", given.out]
-    for name in ("quick", "resume", "replot", "jobs", "seed", "scheduler"):
+    for name in ("quick", "resume", "replot", "verbose", "jobs", "seed", "scheduler"):
         value = getattr(given, name)
         if value is not None and value is not False:
             passed_on += [f"--{name}"] if value is True else [f"--{name}", str(value)]
     return given, passed_on
+
+
+def id_of(name):
+    """T 5.1 for T5.1."""
+    return name.replace("T", "T ")
+
+
+def caption(script):
+    """What a script's docstring says of the figure, and that of its `draw` of the panels."""
+    tree = ast.parse(script.read_text(encoding="utf-8"))
+    draws = [node for node in tree.body if isinstance(node, ast.FunctionDef) and node.name == "draw"]
+    about = (ast.get_docstring(tree) or "").split("\n\n")[0].partition(".py: ")[2]
+    panels = (ast.get_docstring(draws[0]) or "").split("\n\n")[0] if draws else ""
+    return " ".join(f"{about[:1].upper()}{about[1:]} {panels}".split())
 
 
 def run(command):
@@ -86,14 +107,14 @@ def run(command):
 
 def summarise(done):
     """Print a line for each script: its status, time, and number of claims that hold."""
-    print("\nid     status   time/s  claims that hold")
+    print("\nid     status       time/s  claims that hold")
     for name, status, untouched, seconds, stored in done:
-        word, held = "failed", "–"
+        word, held = "interrupted" if status in INTERRUPTS else "failed", "–"
         if status == 0:
             word = "kept" if untouched else "done"
             claims = results.read_results(stored)["claims"]
             held = f"{sum(claim['holds'] for claim in claims)} of {len(claims)}"
-        print(f"{name:<6} {word:<8} {seconds:6.1f}  {held}")
+        print(f"{name:<6} {word:<11}  {seconds:6.1f}  {held}")
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ def compute(options, seed, jobs, progress):
 
 def dropping_model(model, name):
     """A function from the input to the output of the dropout layer and of the network, of the same masks."""
-    import keras
+    from deep_contact.cnn.backend import keras
 
     return keras.Model(model.inputs[0], [model.get_layer(name).output, model.outputs[0]])
 

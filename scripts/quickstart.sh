@@ -1,9 +1,8 @@
 #!/usr/bin/env bash
-# From a fresh checkout to the first picture: makes .venv, installs, and draws Figure 5.9 in its quick form: the
-# starts of the thesis, with the shipped networks, on a held-out scene.
+# From a fresh checkout to the first picture: makes .venv, installs, and draws a pile and how fast the solver converges
+# from each start. Arguments go to scripts/quickstart.py: `--verbose` prints all numbers.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/venv.sh
 ensure_venv ""
-"$PYTHON" scripts/figure_5_9_cnn.py --quick --out figures
-echo "The picture is figures/figure_5_9.png, its numbers are figures/figure_5_9.json."
+"$PYTHON" scripts/quickstart.py "$@"

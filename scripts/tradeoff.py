@@ -221,7 +221,7 @@ def main(arguments=None) -> int:
     out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
     results.write_results(out, file)
     for claim in file["claims"]:
-        print(f"{'holds' if claim.holds else 'DOES NOT HOLD'}: {claim.text}: {claim.measured}")
+        print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
     if given.install:
         install(file)
     print(f"{len(file['data']['rows'])} rows in {out.name}, {wall_s:.0f} s")

@@ -15,7 +15,6 @@ its card, and <out>/history.png the learning curve; --model copies both to anoth
 from __future__ import annotations
 
 import argparse
-import os
 import shlex
 import shutil
 import sys
@@ -124,7 +123,6 @@ def run(data, out, model, **given) -> None:
     options = {name: given.pop(name) for name in ("threads", "devices", "held_out", "tensorboard", "from_model")}
     config = configuration(given, options["from_model"])
     out = Path(out or f"runs/{config.architecture.replace(' ', '_')}")
-    os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     from deep_contact.cnn.dataset import Store
 
     store = Store(data)  # before TensorFlow, which takes seconds to load

@@ -5,14 +5,18 @@
 ensure_venv() {
     local extras="$1" venv="${DEEP_CONTACT_VENV:-.venv}" stamp
     PYTHON="$venv/bin/python"
+    stamp="$venv/installed$(echo "$extras" | tr -c 'a-z\n' '-')"
+    if [ -x "$PYTHON" ] && cmp -s setup.cfg "$stamp"; then
+        return
+    fi
+    echo "installing into $venv (a few minutes; TensorFlow is a few hundred MB)"
     if [ ! -x "$PYTHON" ]; then
-        echo "making the virtual environment $venv"
         "${DEEP_CONTACT_PYTHON:-python3}" -m venv "$venv"
     fi
-    stamp="$venv/installed$(echo "$extras" | tr -c 'a-z\n' '-')"
-    if ! cmp -s setup.cfg "$stamp"; then
-        echo "installing the package and what it needs (TensorFlow is a few hundred MB)"
-        "$PYTHON" -m pip install --quiet --disable-pip-version-check --editable ".$extras"
-        cp setup.cfg "$stamp"
+    # What pip says is worth a screen only if it fails.
+    if ! "$PYTHON" -m pip install --quiet --disable-pip-version-check --editable ".$extras" >"$venv/install.log" 2>&1; then
+        cat "$venv/install.log" >&2
+        return 1
     fi
+    cp setup.cfg "$stamp"
 }

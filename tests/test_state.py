@@ -54,6 +54,36 @@ def test_a_wrong_shape_is_named():
         check_state(scene.replace(bodies=scene.bodies._replace(spin=np.zeros(2))))
 
 
+TWO = [[1.0, 1.0], [4.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: dc.World(gravity=-9.81), r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
+        (lambda: dc.World(gravity="down"), "gravity: expected two finite numbers, .* got down"),
+        (lambda: dc.World(box="wide"), "box: expected finite .* got wide"),
+        (lambda: dc.World(friction="much"), "friction: expected a finite number >= 0, got much"),
+        (lambda: dc.World(restitution=None), "restitution: expected a number from 0 to 1, got None"),
+        (
+            lambda: dc.make_bodies(TWO, radius=[1, 1, 1]),
+            r"radius: expected one value .* each of the 2, got \[1, 1, 1\]",
+        ),
+        (lambda: dc.make_bodies(TWO, velocity=[1, 2, 3]), "velocity: expected one pair for all circles"),
+        (lambda: dc.make_bodies(TWO, density=[1, 2, 3]), "density: expected one value"),
+        (lambda: dc.make_bodies(TWO, mass="heavy"), "mass: expected one value .* got 'heavy'"),
+        (lambda: dc.make_bodies([[1, 1], [2]]), r"position: expected numbers of shape \(n, 2\)"),
+        (lambda: dc.simulate("scene.xml"), "state: expected a State, .* dc.read_state .* got 'scene.xml'"),
+        (lambda: dc.simulate(dc.column(1).replace(bodies=TWO)), "bodies: expected Bodies, got list"),
+        (lambda: dc.simulate(dc.column(1).replace(world=None)), "world: expected World, got NoneType"),
+        (lambda: dc.write_state("a.h5", dc.column(1)), "expected a name that ends in .xml or .xml.gz, got 'a.h5'"),
+    ],
+)
+def test_what_is_easily_given_wrongly_gets_a_sentence(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()
+
+
 def test_inertia_is_a_solid_discs():
     bodies = dc.make_bodies([[1.0, 1.0]], radius=2.0, mass=3.0)
     np.testing.assert_allclose(bodies.inertia, 0.5 * 3.0 * 2.0**2)

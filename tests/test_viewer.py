@@ -73,6 +73,19 @@ def test_a_film_has_two_panels_and_a_frame_for_each_state(scene, tmp_path):
         assert gif.width == pytest.approx(sum(viewer.PANELS) * gif.height, abs=1)
 
 
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("a.mp4", "expected ffmpeg to be installed for .*a.mp4"), ("a.avi", "expected a name that ends in .gif or .mp4")],
+)
+def test_a_film_that_cannot_be_written_is_refused_before_the_first_frame(tmp_path, monkeypatch, name, message):
+    from matplotlib import animation
+
+    monkeypatch.setattr(animation.writers, "is_available", lambda writer: False)
+    never = (pytest.fail("a frame was made") for _ in range(1))
+    with pytest.raises(ValueError, match=message):
+        viewer.record(never, tmp_path / name)
+
+
 def test_a_window_plays_until_it_is_closed(scene, monkeypatch):
     from matplotlib import pyplot
 

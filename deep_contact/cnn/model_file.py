@@ -22,8 +22,8 @@ malice: whoever changes a file on purpose can write a new one.
 from __future__ import annotations
 
 import hashlib
+import io
 import json
-import os
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,6 +33,7 @@ import numpy as np
 from deep_contact.cnn.convolution import dimensions
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
+from deep_contact.io.files import replacing
 
 FORMAT = 1
 METADATA = "deep_contact"
@@ -97,7 +98,8 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coars
 
     card: anything that JSON holds. coarsening: `architectures.coarsening(name)`. box: the world's box that a network
     of fixed size was made for, (x_min, y_min, x_max, y_max), m.
-    Raises ValueError where the network does not fit the spec, or has layers that a model file may not hold.
+    Raises ValueError where the network does not fit the spec, or has layers that a model file may not hold, and OSError
+    where the file cannot be written.
     """
     from deep_contact.cnn.backend import keras
 
@@ -106,26 +108,25 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coars
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": int(coarsening), "box": size, "card": card}
     _check_fit(model, spec, size, path)
     config = json.dumps(portable(json.loads(model.to_json()), path))
+    # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
+    content = io.BytesIO()
+    with h5py.File(content, "w") as file:
+        group = file.create_group("model_weights")
+        for attributes in (file.attrs, group.attrs):
+            attributes.update({"keras_version": keras.__version__, "backend": keras.backend.backend()})
+        file.attrs["model_config"] = config
+        group.attrs["layer_names"] = [layer.name for layer in model.layers]
+        for layer in model.layers:
+            names = [f"{layer.name}/{variable.name}" for variable in layer.weights]
+            stored = group.create_group(layer.name)
+            stored.attrs["weight_names"] = names
+            for name, array in zip(names, layer.get_weights()):
+                stored[name] = array
+        metadata["digest"] = _digest(config, _datasets(group, path), metadata)
+        file[METADATA] = json.dumps(metadata, allow_nan=False)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.h5")
-    try:
-        with h5py.File(temporary, "w") as file:
-            group = file.create_group("model_weights")
-            for attributes in (file.attrs, group.attrs):
-                attributes.update({"keras_version": keras.__version__, "backend": keras.backend.backend()})
-            file.attrs["model_config"] = config
-            group.attrs["layer_names"] = [layer.name for layer in model.layers]
-            for layer in model.layers:
-                names = [f"{layer.name}/{variable.name}" for variable in layer.weights]
-                stored = group.create_group(layer.name)
-                stored.attrs["weight_names"] = names
-                for name, array in zip(names, layer.get_weights()):
-                    stored[name] = array
-            metadata["digest"] = _digest(config, _datasets(group, path), metadata)
-            file[METADATA] = json.dumps(metadata, allow_nan=False)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_bytes(content.getbuffer())
     return path
 
 

@@ -30,10 +30,10 @@ def cosine(epochs: int, rate: float = 2e-3, *, warm_up: int = 1, last: float = 0
     warm_up = min(integer("warm_up", warm_up), integer("epochs", epochs, 1) - 1)
     first = number("rate", rate, above=0) / (warm_up + 1)
     number("last", last, 0, 1)
-    from keras.optimizers.schedules import CosineDecay  # TensorFlow: imported with what needs it
+    from deep_contact.cnn.backend import keras  # TensorFlow: imported with what needs it
 
     options = {"warmup_target": rate, "warmup_steps": warm_up} if warm_up else {}
-    decay = CosineDecay(first, max(epochs - 1 - warm_up, 1), alpha=last, **options)
+    decay = keras.optimizers.schedules.CosineDecay(first, max(epochs - 1 - warm_up, 1), alpha=last, **options)
     return lambda epoch: float(decay(epoch))
 
 

@@ -1,5 +1,7 @@
 """What Numba needs and no physicist has to read: its cache of compiled code, and vector instructions."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 
 
@@ -18,3 +20,23 @@ def prepare_numba() -> None:
         import numba.np.arraymath  # noqa: F401
     finally:
         linalg.ensure_blas = check
+
+
+@contextmanager
+def announced(echo: Callable[[str], None]) -> Iterator[None]:
+    """Within the block, hand one line to `echo` if Numba compiles something, which it does where no cache has it."""
+    from numba.core import event
+
+    class Announcement(event.Listener):
+        told = False
+
+        def on_start(self, event) -> None:
+            if not self.told:
+                self.told = True
+                echo("compiling, once")
+
+        def on_end(self, event) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Announcement()):
+        yield

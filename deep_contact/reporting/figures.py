@@ -14,6 +14,7 @@ that a picture drawn again from its file is the same picture.
 from __future__ import annotations
 
 import argparse
+import base64
 import json
 import math
 import os
@@ -27,17 +28,32 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from dataclasses import KW_ONLY, dataclass, field
+from html import escape
 from pathlib import Path
 
 import numpy as np
 
 from deep_contact import parallel
+from deep_contact.compiled import announced
 from deep_contact.io import provenance
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
+from deep_contact.reporting.settings import meaning
 
-__all__ = ["Claim", "Figure", "cell", "main", "override", "parallel_map", "produce", "progress_bar", "seeds"]
+__all__ = [
+    "Claim",
+    "Figure",
+    "aligned",
+    "cell",
+    "claim_line",
+    "main",
+    "override",
+    "parallel_map",
+    "produce",
+    "progress_bar",
+    "seeds",
+]
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
@@ -94,6 +110,16 @@ class Figure:
         """Figure 3.7: title."""
         return f"{'Table' if self.is_table else 'Figure'} {self.id.removeprefix('T ')}: {self.title}"
 
+    def beside(self, options: dict) -> dict | None:
+        """The reference results beside which a quick run with these options is judged (`results.verdict`).
+
+        None for any other run. Without claims for a quick one where there is no reference.
+        """
+        quick = self.options | self.quick
+        if not self.quick or any(options.get(name) != value for name, value in results.plain(quick).items()):
+            return None
+        return results.reference(self.stem) or {"claims": []}
+
     def rows(self, data: dict) -> list[list[str]]:
         """The table of the data as text, head first."""
         return [[cell(value) for value in row] for row in self.table(data)]
@@ -125,14 +151,14 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     try:
         with _exit_on_sigterm():
             if given.replot:
-                return _replot(figure, given.out, parser)
+                return _replot(figure, given.out, parser, verbose=given.verbose)
             seed = figure.seed if given.seed is None else given.seed
             path = _stored_at(figure, given.out)
             if given.resume and _is_up_to_date(figure, path, options, seed):
                 print(f"{figure.stem}: up to date")
                 return 0
-            with parallel.opened(given.jobs, given.scheduler) as jobs:
-                produce(figure, options=options, seed=seed, out=given.out, jobs=jobs)
+            with announced(_to_standard_error), parallel.opened(given.jobs, given.scheduler) as jobs:
+                produce(figure, options=options, seed=seed, out=given.out, jobs=jobs, verbose=given.verbose)
             return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
@@ -155,13 +181,14 @@ def produce(
     jobs: int | Executor = 1,
     progress: Callable | None = None,
     echo: Callable[[str], None] = print,
-) -> dict:
-    """Compute, store, draw and report a figure; the stored results.
+    verbose: bool = False,
+) -> Results:
+    """Compute, store, draw and report a figure; the stored results, a dict that a notebook shows as the picture.
 
     options: changes to the figure's own, by name. out: folder of the files. jobs: number of processes, or an executor
     (`parallel.finished`); the numbers do not depend on it. progress: see `progress_bar`, the default. echo: called with
-    each line of the report. The results are stored before they are drawn, so that an error in `draw` does not cost a
-    long computation. Raises ValueError for an unknown option.
+    each line of the report. verbose: report the numbers of a quick run, too. The results are stored before they are
+    drawn, so that an error in `draw` does not cost a long computation. Raises ValueError for an unknown option.
     """
     _refuse_unknown(options or {}, figure.options, "options")
     options = results.plain({**figure.options, **(options or {})}, where="options")
@@ -181,8 +208,32 @@ def produce(
     path = results.write_results(_stored_at(figure, out), found)
     found = results.read_results(path)
     _draw(figure, found, out)
-    _report(figure, found, echo)
-    return found
+    _report(figure, found, out, echo, verbose)
+    return Results(found, figure=figure, picture=_stored_at(figure, out).with_suffix(".png"))
+
+
+class Results(dict):
+    """The stored results of a figure, which a notebook shows as its picture and its claims. picture: its path."""
+
+    def __init__(self, found: dict, *, figure: Figure, picture: Path):
+        super().__init__(found)
+        self._figure, self._picture = figure, picture
+
+    def __repr__(self) -> str:
+        return f"Results({self._figure.heading!r}, {len(self['claims'])} claims, {str(self._picture)!r})"
+
+    def _repr_html_(self) -> str:
+        beside = self._figure.beside(self["options"])
+        lines = [claim_line(claim, beside, measured=False) for claim in self["claims"]]
+        picture = base64.b64encode(self._picture.read_bytes()).decode("ascii")
+        return (
+            f"<b>{escape(self._figure.heading)}</b><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
+            f'<img style="max-width:100%" src="data:image/png;base64,{picture}">'
+        )
+
+
+def _to_standard_error(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
@@ -202,7 +253,7 @@ def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
             temporary.write_text(_markdown(figure, found), encoding="utf-8")
 
 
-def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser) -> int:
+def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser, *, verbose: bool) -> int:
     path = _stored_at(figure, out)
     try:
         found = results.read_results(path)
@@ -211,7 +262,7 @@ def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser) -> int:
     if found["id"] != figure.id:
         parser.error(f"--replot: {path.name}: expected id {figure.id!r}, got {found['id']!r}")
     _draw(figure, found, out)
-    _report(figure, found, print)
+    _report(figure, found, out, print, verbose)
     return 0
 
 
@@ -234,28 +285,41 @@ def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool
     return clean and same and (found["id"], found["options"]) == (figure.id, results.plain(options))
 
 
-def _report(figure: Figure, found: dict, echo: Callable[[str], None]) -> None:
-    """Print the numbers as a table, and one line a claim."""
+def _report(figure: Figure, found: dict, out: str | os.PathLike, echo: Callable[[str], None], verbose: bool) -> None:
+    """Print the numbers as a table, one line a claim, and the picture's path.
+
+    A quick run's numbers are left out without `verbose`; its table too, unless it is a table.
+    """
+    beside = figure.beside(found["options"])
+    verbose = verbose or beside is None
     echo(figure.heading)
-    rows = figure.rows(found["data"])
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    for row in rows:
-        echo("  " + "  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip())
+    if verbose or figure.is_table:
+        for line in aligned(figure.rows(found["data"])):
+            echo(f"  {line}")
     for claim in found["claims"]:
-        echo(_claim_line(claim))
+        echo(claim_line(claim, beside, measured=verbose))
+    echo(f"picture: {_stored_at(figure, out).with_suffix('.png')}")
 
 
-def _claim_line(claim: dict) -> str:
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """A table of text as lines with columns."""
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    return ["  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip() for row in rows]
+
+
+def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True) -> str:
+    """A stored claim as one line: its verdict (`results.verdict`), its text, and what was measured if asked for."""
     source = f" ({claim['thesis']})" if claim["thesis"] else ""
-    measured = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
-    return f"{'holds' if claim['holds'] else 'DOES NOT HOLD'}: {claim['text']}{source}: {measured}"
+    numbers = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
+    return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
 
 
 def _markdown(figure: Figure, found: dict) -> str:
     head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(found["data"])]
     lines = [f"**{figure.heading}**", ""]
     lines += ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
-    lines += [""] + [f"- {_claim_line(claim)}" for claim in found["claims"]]
+    beside = figure.beside(found["options"])
+    lines += [""] + [f"- {claim_line(claim, beside)}" for claim in found["claims"]]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -275,7 +339,7 @@ def cell(value) -> str:
 
 
 def _parser(figure: Figure) -> argparse.ArgumentParser:
-    known = "\n".join(f"  {name}={_as_text(value)}" for name, value in figure.options.items())
+    known = "\n".join(_described(figure.id, name, value) for name, value in figure.options.items())
     parser = argparse.ArgumentParser(
         description=f"{figure.heading}.",
         epilog=f"settings and their values without --quick:\n{known}" if known else None,
@@ -288,9 +352,17 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--jobs", type=_integer_from(1), default=_cores(), help="processes (default: one for each core)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     add("--replot", action="store_true", help="draw again from the stored results alone")
+    add("--verbose", action="store_true", help="print the numbers of a quick run, too")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting; can be repeated")
     return parser
+
+
+def _described(id: str, name: str, value) -> str:
+    """A line of the settings in `--help`; a long value is cut."""
+    text = f"{name}={_as_text(value)}"
+    text = text if len(text) <= 60 else f"{text[:59]}…"
+    return f"  {text:<32}  {meaning(id, name)}".rstrip()
 
 
 def _integer_from(least: int) -> Callable[[str], int]:
@@ -353,11 +425,15 @@ def _typed(name: str, text: str, default):
     found = (row[1:] for row in _READERS if isinstance(default, row[0]))
     read, expected = next(found, (json.loads, f"JSON like {json.dumps(default)}"))
     try:
-        return read(text)
+        value = read(text)
     except (ValueError, KeyError):
         if default is None:
             return text
         raise ValueError(f"{name}: expected {expected}, got {text!r}") from None
+    # Whole numbers count something: of none, no figure can be made.
+    if type(default) is int and default >= 1 and value < 1 and "[" not in name:
+        raise ValueError(f"{name}: expected an integer >= 1, got {value}")
+    return value
 
 
 def _is_flat_list(value) -> bool:

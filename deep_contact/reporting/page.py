@@ -8,7 +8,7 @@ from __future__ import annotations
 import base64
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import jinja2
@@ -23,19 +23,27 @@ MEDIA = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
 POLICY = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'"
 
 
-def write_report(folder: str | os.PathLike, *, expected: Iterable[str] = ()) -> Path:
+def write_report(
+    folder: str | os.PathLike,
+    *,
+    expected: Iterable[str] = (),
+    others: Iterable[str] = (),
+    captions: Mapping[str, str] | None = None,
+) -> Path:
     """Write `index.html` into a folder of results files; its path.
 
-    expected: ids ("3.7", "T 5.1") that should be there; the page names those without results as missing. It also names
-    each results file that cannot be read, with the reason. Raises FileNotFoundError if the folder does not exist.
+    expected: ids ("3.7", "T 5.1") that should be there; the page names those without results as missing. others: ids
+    that could be there; those without results are named, too, but nothing is wrong with that. captions: id -> text
+    under the picture. The page names each results file that cannot be read, with the reason. Raises FileNotFoundError
+    if the folder does not exist.
     """
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"folder of results: {folder} does not exist")
-    found, faults = _collect(folder)
-    missing = [_name(id) for id in sorted(set(expected) - {entry["id"] for entry in found}, key=_order)]
-    if missing:
-        faults.append(f"No results of {', '.join(missing)}.")
+    found, faults = _collect(folder, captions or {})
+    there, expected = {entry["id"] for entry in found}, set(expected)
+    if missing := _names(expected - there):
+        faults.append(f"No results of {missing}.")
     environment = jinja2.Environment(loader=jinja2.PackageLoader("deep_contact.reporting", ""), autoescape=True)
     environment.filters["cell"] = cell
     page = environment.get_template("page.html.j2").render(
@@ -43,6 +51,7 @@ def write_report(folder: str | os.PathLike, *, expected: Iterable[str] = ()) -> 
         found=found,
         claims=[claim for entry in found for claim in entry["claims"] if claim["thesis"]],
         faults=faults,
+        not_drawn=_names(set(others) - expected - there),
         animations=_animations(folder),
         errata=ERRATA,
     )
@@ -52,7 +61,11 @@ def write_report(folder: str | os.PathLike, *, expected: Iterable[str] = ()) -> 
     return path
 
 
-def _collect(folder: Path) -> tuple[list[dict], list[str]]:
+def _names(ids: Iterable[str]) -> str:
+    return ", ".join(_name(id) for id in sorted(ids, key=_order))
+
+
+def _collect(folder: Path, captions: Mapping[str, str]) -> tuple[list[dict], list[str]]:
     """Content of the page for each results file, in the order of their ids, and a line for each file with a fault."""
     found, faults = [], []
     for path in folder.glob("*.json"):
@@ -63,9 +76,15 @@ def _collect(folder: Path) -> tuple[list[dict], list[str]]:
                 faults.append(str(error))
                 continue
             made, picture = entry["provenance"], path.with_suffix(".png")
+            reference = results.reference(path.stem)
+            other = _other_settings(entry, reference)
             found.append(
-                {key: entry[key] for key in ("id", "title", "claims")}
+                {key: entry[key] for key in ("id", "title")}
                 | {
+                    "claims": [_judged(claim, reference if other else None) for claim in entry["claims"]],
+                    "caption": captions.get(entry["id"], ""),
+                    "full": None if reference is None else not other,
+                    "other": other,
                     "name": _name(entry["id"]),
                     "anchor": _name(entry["id"]).lower().replace(" ", "-").replace(".", "-"),
                     "picture": _embedded(picture) if picture.exists() else None,
@@ -74,6 +93,22 @@ def _collect(folder: Path) -> tuple[list[dict], list[str]]:
                 }
             )
     return sorted(found, key=lambda entry: _order(entry["id"])), sorted(faults)
+
+
+def _other_settings(entry: dict, reference: dict | None) -> dict[str, str]:
+    """Name -> value here and in the reference run, of the settings in which they differ."""
+    if reference is None:
+        return {}
+    here, there = entry["options"], reference["options"]
+    names = [name for name in {**here, **there} if here.get(name) != there.get(name)]
+    return {name: f"{cell(here.get(name))} instead of {cell(there.get(name))}" for name in names}
+
+
+def _judged(claim: dict, beside: dict | None) -> dict:
+    """A claim with its verdict, and whether it is left open."""
+    verdict = results.verdict(claim, beside)
+    kind = "open" if verdict == results.OPEN else "holds" if claim["holds"] else "not"
+    return claim | {"verdict": verdict, "kind": kind}
 
 
 def _order(id: str) -> tuple:

@@ -7,9 +7,11 @@ used without pyplot: nothing here opens a window or keeps global state.
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from functools import cache
 from itertools import count
 from pathlib import Path
 
@@ -113,18 +115,37 @@ def styles_of(names: Iterable[str]) -> dict[str, dict]:
 
 
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
-    """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot.
+    """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot. A notebook shows it.
 
     size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. keywords go to
     `matplotlib.figure.Figure.subplots`.
     """
-    from matplotlib.figure import Figure
-
     if size is None:
         size = (6.0, 4.0) if rows == columns == 1 else (4.2 * columns, 3.6 * rows)
     with style():
-        figure = Figure(figsize=size, layout="constrained")
+        figure = new_figure(size)
         return figure, figure.subplots(rows, columns, **keywords)
+
+
+def new_figure(size: tuple[float, float]):
+    """An empty matplotlib figure of a width and a height, inches, which shows itself in a notebook's cell."""
+    return _kind_of_figure()(figsize=size, layout="constrained")
+
+
+@cache
+def _kind_of_figure():
+    from matplotlib.figure import Figure
+
+    class NotebookFigure(Figure):
+        """IPython shows only the figures that pyplot has made, or what has this method."""
+
+        def _repr_png_(self) -> bytes:
+            content = io.BytesIO()
+            with style():
+                self.savefig(content, format="png", dpi=DPI)
+            return content.getvalue()
+
+    return NotebookFigure
 
 
 def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title: str = "") -> None:
@@ -353,11 +374,9 @@ def convergence_plot(
 
 def draw_table(rows: Sequence[Sequence[str]], title: str):
     """A figure that shows a table of text: the first row is its head."""
-    from matplotlib.figure import Figure
-
     widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
     with style():
-        figure = Figure(figsize=(max(4.0, 0.085 * sum(widths)), 0.26 * len(rows) + 0.5), layout="constrained")
+        figure = new_figure((max(4.0, 0.085 * sum(widths)), 0.26 * len(rows) + 0.5))
         ax = figure.subplots()
         ax.axis("off")
         ax.set_title(title)

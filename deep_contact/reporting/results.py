@@ -25,6 +25,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -46,11 +47,19 @@ __all__ = [
     "processor",
     "provenance",
     "read_results",
+    "reference",
     "replacing",
+    "verdict",
     "write_results",
 ]
 
 SCHEMA = json.loads((Path(__file__).parent / "results_schema.json").read_text(encoding="utf-8"))
+REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
+"""Results of the full runs, in a checkout."""
+
+OPEN = "too few states to tell"
+"""Verdict on a claim of a small run that does not agree with the reference run."""
+
 ID_PATTERN = SCHEMA["properties"]["id"]["pattern"]
 _VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 _FINITE = "a finite number (None where one is missing)"
@@ -173,6 +182,31 @@ def read_results(path: str | os.PathLike) -> dict:
         return check_results(results)
     except ResultsError as error:
         raise ResultsError(f"{path.name}: {error}") from None
+
+
+def reference(stem: str) -> dict | None:
+    """The results of the reference run of "figure_3_7"; None where there are none, as in an installed package."""
+    path = REFERENCE / f"{stem}.json"
+    return read_results(path) if path.exists() else None
+
+
+def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
+    """How a stored claim reads: "holds" or "does not hold".
+
+    beside: results of the reference run, for a claim of a smaller run. Where both agree, that is said; where they do
+    not, or the reference run has no such claim, it is "too few states to tell". A number of circles may differ.
+    """
+    found = "holds" if claim["holds"] else "does not hold"
+    if beside is None:
+        return found
+    others = {_of_any_size(other["text"]): other["holds"] for other in beside["claims"]}
+    agree = others.get(_of_any_size(claim["text"])) == claim["holds"]
+    return f"as in the reference run, {found}" if agree else OPEN
+
+
+def _of_any_size(text: str) -> str:
+    """A claim without its number of circles."""
+    return re.sub(r"\d+ circles", "circles", text)
 
 
 def _refuse_constant(name: str):

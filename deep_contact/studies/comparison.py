@@ -20,7 +20,7 @@ from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import plotting
 from deep_contact.reporting.figures import Claim, Figure, parallel_map, seeds
 from deep_contact.simulation import ready, simulate, solve_contacts
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, StateWithContacts, World, make_bodies
 from deep_contact.warm_start import Sph, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
@@ -55,7 +55,7 @@ class Convergence:
 
 def solved_states(
     scene: State, *, steps: int, solver=None, warm_start="builtin", every: int = 1, contacts_only: bool = True
-) -> list[State]:
+) -> list[StateWithContacts]:
     """Solved states of a run, one in `every` steps, by default only those with contacts."""
     states = []
 
@@ -79,7 +79,11 @@ def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> Convergence:
 
 
 def paired(
-    states: Sequence[State], starts: Mapping[str, WarmStart], *, sweeps: int, velocity_sweeps: Sequence[int] = ()
+    states: Sequence[StateWithContacts],
+    starts: Mapping[str, WarmStart],
+    *,
+    sweeps: int,
+    velocity_sweeps: Sequence[int] = (),
 ) -> dict[str, Convergence]:
     """Convergence of every start on the same states.
 

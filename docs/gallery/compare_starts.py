@@ -12,7 +12,7 @@ import deep_contact as dc
 
 scene = dc.circles_in_box(n_bodies=50, size=22.0, seed=1)
 states = dc.experiments.solved_states(scene, steps=240, every=12)
-starts = {
+starts: dict[str, dc.warm_start.WarmStart] = {
     "none": dc.warm_start.NoStart(),
     "builtin": dc.warm_start.Builtin(),
     "sph": dc.warm_start.Sph(spacing=0.5, transfer="thesis"),

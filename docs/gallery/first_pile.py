@@ -9,7 +9,7 @@ import numpy as np
 import deep_contact as dc
 
 scene = dc.circles_in_box(n_bodies=60, size=24.0, seed=1)
-speed = []  # m/s
+speed: list[float] = []  # m/s
 
 
 def measure(state, record):

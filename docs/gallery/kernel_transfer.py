@@ -6,19 +6,21 @@ field of ones (`density`), it returns an isolated contact exactly. Read back wit
 sibling theses' way.
 """
 
+from typing import Any
+
 import numpy as np
 
 import deep_contact as dc
 
-state = dc.simulate(dc.circles_in_box(n_bodies=60, size=24.0, seed=5), steps=200).state
-state = dc.experiments.solved_states(state, steps=1)[0]
+state = dc.experiments.solved_states(dc.circles_in_box(n_bodies=60, size=24.0, seed=5), steps=201)[-1]
 points, impulses = state.contacts.position, state.contacts.normal_impulse
-at_edge = {"outside": "clamp", "unreached": "zero"}
+at_edge: dict[str, Any] = {"outside": "clamp", "unreached": "zero"}
 
 print("kernel        d (m)  bilinear   SPH weights  consistent    (‖λ_back − λ‖ / ‖λ‖)")
 for kernel in dc.sph.KERNELS:
     for d in (0.25, 0.5):
-        grid, shape = dc.sph.Grid.over_box(state.world.box, d), {"h": d, "kernel": kernel}
+        grid = dc.sph.Grid.over_box(state.world.box, d)
+        shape: dict[str, Any] = {"h": d, "kernel": kernel}
         image = dc.sph.splat(grid, points, impulses, normalization="particle", **shape, **at_edge)
         ones = dc.sph.density(grid, points, **shape, **at_edge)
         ways = (

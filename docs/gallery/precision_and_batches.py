@@ -11,13 +11,12 @@ import numpy as np
 import deep_contact as dc
 
 pile = dc.simulate(dc.lattice_in_box(n_bodies=3000, seed=1), steps=150, solver=dc.PGS(sweeps=20)).state
-budget = {"sweeps": 20, "tolerance": None}
 solvers = {
-    "PGS": dc.PGS(**budget),
-    "PGS, single": dc.PGS(precision="single", **budget),
-    "levels": dc.BatchedPGS(**budget),
-    "colours": dc.BatchedPGS(order="colours", **budget),
-    "colours, 2 threads": dc.BatchedPGS(order="colours", threads=2, **budget),
+    "PGS": dc.PGS(sweeps=20, tolerance=None),
+    "PGS, single": dc.PGS(precision="single", sweeps=20, tolerance=None),
+    "levels": dc.BatchedPGS(sweeps=20, tolerance=None),
+    "colours": dc.BatchedPGS(order="colours", sweeps=20, tolerance=None),
+    "colours, 2 threads": dc.BatchedPGS(order="colours", threads=2, sweeps=20, tolerance=None),
 }
 reference = None
 for name, solver in solvers.items():

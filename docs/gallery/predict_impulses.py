@@ -11,18 +11,20 @@ from deep_contact.cnn.evaluation import velocity_errors
 
 sample = Path(dc.__file__).parents[1] / "data" / "sample" / "impact_154.xml.gz"
 state = dc.read_state(sample)  # a solved state of a simulation that no training has seen
+contacts = state.contacts
+assert contacts is not None  # as in the file of a scene
 model = dc.load_model()
 normal, tangent = model.predict(state)
-print(f"{state.contacts.count} contacts; the network was trained on {model.card['training_states']:,} states")
+print(f"{contacts.count} contacts; the network was trained on {model.card['training_states']:,} states")
 
-builtin = state.contacts.normal_start, state.contacts.tangent_start
+builtin = contacts.normal_start, contacts.tangent_start
 for name, start in (("builtin", builtin), ("network", dc.warm_start.STARTS["cnn"]()(state, dc.PGS()))):
     errors = ", ".join(f"{error:.3f}" for error in velocity_errors(state, start, (3, 10, 30)))
     print(f"{name}: velocity error after 3, 10 and 30 sweeps {errors}")
 
 figure, ax = dc.plotting.subplots(size=(4.5, 4.5))
-ax.plot(state.contacts.normal_impulse, state.contacts.normal_start, "s", label="Builtin", markersize=4)
-ax.plot(state.contacts.normal_impulse, normal, "o", label="network", markersize=4)
+ax.plot(contacts.normal_impulse, contacts.normal_start, "s", label="Builtin", markersize=4)
+ax.plot(contacts.normal_impulse, normal, "o", label="network", markersize=4)
 ax.axline((0, 0), slope=1, color=dc.plotting.GREY, linewidth=1)
 dc.plotting.label_axes(ax, "solved λ_n", "start", x_unit="N·s", y_unit="N·s")
 ax.legend()

@@ -16,7 +16,7 @@ solver = dc.PGS(sweeps=10, tolerance=None)
 dc.simulate(scene, steps=1, solver=solver)  # compile
 rows = []
 for dt in (0.02, 0.01, 0.005, 0.0025):
-    depth = []
+    depth: list[float] = []
 
     def measure(state, record, depth=depth):
         """Keep the deepest overlap."""
@@ -27,7 +27,7 @@ for dt in (0.02, 0.01, 0.005, 0.0025):
     rows.append((dt, max(depth), np.mean(depth), 1e3 * (time.perf_counter() - begin)))
     print("Δt {:6.4f} s: deepest {:6.1f} slops, mean of steps {:5.2f}, {:4.0f} ms".format(*rows[-1]))
 
-steps, deepest, mean, _ = np.transpose(rows)
+steps, deepest, mean, _ = zip(*rows)
 figure, ax = dc.plotting.subplots()
 ax.loglog(steps, deepest, "o-", label="deepest of the run")
 ax.loglog(steps, mean, "s-", label="deepest of a step, mean")

@@ -126,6 +126,16 @@ def test_killed_process_goes_on_to_the_same_history(undisturbed, data, tmp_path)
     assert without_time(resumed.history) == without_time(undisturbed.history)
 
 
+def test_training_writes_nothing_of_tensorflow_s_log(data, tmp_path):
+    flags = ["--epochs", "1", "--batch-size", "8", "--fractions", "0.6", "0.2", "0.2", "--held-out", "2"]
+    flags += ["--options", "stem=2", "width=4", "decoder=2", "dilations=1,1"]
+    environment = {name: value for name, value in os.environ.items() if name != "TF_CPP_MIN_LOG_LEVEL"}
+    command = [sys.executable, TRAIN, "--data", data, "--out", tmp_path, *flags]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    assert done.returncode == 0
+    assert not [line for line in done.stderr.splitlines() if "compiling" not in line]
+
+
 def test_history_is_written_as_csv(undisturbed):
     with open(undisturbed.path.with_name("history.csv"), encoding="utf-8") as file:
         rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]

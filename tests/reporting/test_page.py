@@ -35,8 +35,9 @@ def entry(id, **changes):
 
 
 @pytest.fixture
-def folder(tmp_path):
-    """Two figures, a table, an animation; and files that do not belong to it."""
+def folder(tmp_path, monkeypatch):
+    """Two figures, a table, an animation; and files that do not belong to it. There are no reference runs."""
+    monkeypatch.setattr(results, "REFERENCE", tmp_path / "reference")
     for id, stem in (("3.10", "figure_3_10"), ("3.9", "figure_3_9"), ("T 5.1", "table_5_1")):
         results.write_results(tmp_path / f"{stem}.json", entry(id))
         figure, ax = plotting.subplots(size=(11.0, 3.0))
@@ -117,6 +118,40 @@ def test_what_is_missing_or_damaged_is_said(folder):
     assert "No results of Table 5.2, Figure 5.7." in text
     assert "figure_4_1.json: title: expected text" in text
     assert text.count("no picture") == 1
+
+
+def test_what_was_not_asked_for_is_no_alarm(folder):
+    text = report_page.write_report(folder, expected=["5.7"], others=["3.9", "5.7", "6.1"]).read_text()
+    assert re.findall(r'<p class="missing">(.*)</p>', text) == ["No results of Figure 5.7."]
+    assert "<p>Not drawn here: Figure 6.1.</p>" in text
+
+
+def test_a_picture_has_its_caption(folder):
+    text = report_page.write_report(folder, captions={"3.9": "Left: a < b."}).read_text()
+    assert text.count("<figcaption>") == 1
+    assert "<figcaption>Left: a &lt; b.</figcaption>" in text
+
+
+def test_a_quick_run_is_called_so_and_contradicts_nothing(folder):
+    full, other = entry("3.9"), entry("3.10", options={"d": [0.5]})
+    other["claims"][1]["holds"] = True
+    results.write_results(folder / "reference" / "figure_3_9.json", full)
+    results.write_results(folder / "reference" / "figure_3_10.json", other)
+    text = report_page.write_report(folder).read_text()
+    assert text.count("Full run: the settings of the reference run.") == 1
+    assert "d [0.25, 0.5] instead of [0.5]." in text
+    assert "<strong>as in the reference run, holds:</strong> θ" in text
+    assert '<li class="open"><strong>too few states to tell:</strong> the &lt;other&gt;' in text
+    assert "of 6 claims of the thesis, 3 hold and 2 do not; 1 left open" in text
+    assert "other settings than the reference runs: 1." in text
+    assert text.count("the &lt;other&gt;") == 5  # not in the list of those that do not hold
+
+
+def test_every_script_has_a_caption():
+    module = load_script("all_figures")
+    for script in module.find(module.HERE).values():
+        assert len(module.caption(script)) > 30
+    assert module.caption(module.find(module.HERE)["3.2"]).endswith("Right: their weights over their distances.")
 
 
 def test_a_film_takes_the_place_of_its_gif(folder):

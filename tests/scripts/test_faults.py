@@ -121,6 +121,7 @@ WRITERS = {
     "json": "results.write_results(out / 'it.json', found)",
     "h5": "dataset.write_simulation(out / 'it.h5', [big], compression=None)",
     "png": "plotting.save(plotting.subplots()[0], out / 'it.png')",
+    "model.h5": "model_file.save_model(out / 'it.model.h5', model, spec, {}, coarsening=stored['coarsening'])",
 }
 
 FULL = """
@@ -136,6 +137,7 @@ big = ready(dc.lattice_in_box(1000))
 claim = {{"text": "x", "thesis": None, "holds": True, "measured": {{"x": 1}}}}
 found = {{"id": "9.9", "title": "x", "options": {{}}, "provenance": results.provenance(), "claims": [claim],
          "data": {{"x": list(range(9000))}}}}
+{prepare}
 plotting.subplots()  # loads what it needs, which may write caches of its own
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 try:
@@ -144,6 +146,13 @@ except OSError as error:
     print(type(error).__name__, error)
 """
 
+PREPARE = {
+    "model.h5": """
+from deep_contact.cnn import model_file, registry
+model, spec, stored = model_file.read_model(registry.path_of("compact"))
+model.to_json()"""
+}
+
 
 @POSIX
 @pytest.mark.parametrize("suffix", WRITERS)
@@ -151,7 +160,7 @@ def test_a_full_disk_is_an_oserror_that_leaves_the_old_file_and_nothing_else(tmp
     # A limit on the size of files stands for the disk: a write beyond 4 KB fails as ENOSPC does, part way through.
     old = tmp_path / f"it.{suffix}"
     old.write_bytes(b"old")
-    done = run(FULL.format(write=WRITERS[suffix]), tmp_path)
+    done = run(FULL.format(write=WRITERS[suffix], prepare=PREPARE.get(suffix, "")), tmp_path)
     assert done.stdout.startswith("OSError [Errno 27]"), done.stdout + done.stderr
     assert old.read_bytes() == b"old"
     assert [path.name for path in tmp_path.iterdir()] == [old.name]

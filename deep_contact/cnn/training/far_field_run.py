@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import keras
 import numpy as np
 
+from deep_contact.cnn.backend import keras
 from deep_contact.cnn.far_field import corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
 from deep_contact.cnn.training.network import NetworkRun, evenly

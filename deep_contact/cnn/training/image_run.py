@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from contextlib import nullcontext
 
-import keras
 import numpy as np
-from keras import ops
 
 from deep_contact.cnn import losses
+from deep_contact.cnn.backend import keras
 from deep_contact.cnn.dataset import Batch, ImageBatches
 from deep_contact.cnn.images import ImageSpec, augment
 from deep_contact.cnn.inference import padded_shape
@@ -17,6 +16,8 @@ from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.cnn.training.network import NetworkRun, evenly
 from deep_contact.physics.contact_solver import projected
 from deep_contact.validation import integer
+
+ops = keras.ops
 
 
 def strategy_for(config: TrainingConfig, devices: int):

@@ -7,11 +7,10 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-import keras
 import numpy as np
-from keras import ops
 
 from deep_contact.cnn import architectures
+from deep_contact.cnn.backend import keras
 from deep_contact.cnn.dataset import Split, Store
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
@@ -20,6 +19,8 @@ from deep_contact.cnn.model_file import save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.io.files import replacing
 from deep_contact.reporting.results import package_versions, processor
+
+ops = keras.ops
 
 
 class Checkpoint(NamedTuple):

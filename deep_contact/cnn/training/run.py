@@ -37,10 +37,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
 
-import keras
 import numpy as np
 
 from deep_contact.cnn import schedules
+from deep_contact.cnn.backend import keras
 from deep_contact.cnn.dataset import Store, fit_scales, split_by_simulation
 from deep_contact.cnn.evaluation import BASELINES, held_out_errors
 from deep_contact.cnn.images import ImageSpec

@@ -1,0 +1,155 @@
+"""What notebooks and editors show: short reprs, inline pictures; and states that compare."""
+
+import dataclasses
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact import notebook
+from deep_contact.reporting import figures, plotting
+
+
+@pytest.fixture(scope="module")
+def run():
+    return dc.simulate(dc.column(3), steps=60, record=20)
+
+
+def picture_in(html):
+    """The inline SVG as XML."""
+    return ElementTree.fromstring(html[html.index("<svg") : html.index("</svg>") + len("</svg>")])
+
+
+def test_reprs_are_one_short_line(run):
+    assert repr(dc.column(3)) == "State('column_3', 3 circles, contacts unknown, t = 0 s, step 0)"
+    assert repr(run.state) == "State('column_3', 3 circles, 3 contacts, t = 0.6 s, step 60)"
+    assert repr(run).startswith("Simulation(60 steps, ")
+    assert repr(run).endswith(f", 4 states, state={run.state!r})")
+    assert repr(run.trajectory) == "Trajectory(3 circles, 4 states, 0 to 0.6 s, 11 contacts)"
+
+
+def test_a_state_shows_each_circle_and_contact_where_it_is(run):
+    state = run.state
+    svg = picture_in(state._repr_html_())
+    circles, lines = svg.findall("g/circle"), svg.findall("g/line")
+    assert (len(circles), len(lines)) == (3, 3)
+    frame = svg.find("rect")
+    x_min, _, x_max, y_max = state.world.box
+    scale = float(frame.get("width")) / (x_max - x_min)
+    for circle, (x, y), r in zip(circles, state.bodies.position, state.bodies.radius):
+        found = [float(circle.get(name)) for name in ("cx", "cy", "r")]
+        # Of a tenth of a pixel, and the y axis of a screen points down.
+        assert found == pytest.approx([(x - x_min) * scale, (y_max - y) * scale, r * scale], abs=0.6)
+
+
+def test_the_widest_line_is_the_largest_impulse(run):
+    lines = picture_in(run.state._repr_html_()).findall("g/line")
+    widths = [float(line.get("stroke-width")) for line in lines]
+    impulses = run.state.contacts.normal_impulse
+    assert np.argsort(widths).tolist() == np.argsort(impulses).tolist()
+
+
+def test_what_cannot_be_drawn_is_left_out():
+    state = dc.column(2)
+    state.bodies.position[0] = np.nan
+    assert len(picture_in(state._repr_html_()).findall("g/circle")) == 1
+    many = dc.lattice_in_box(notebook.MOST_CIRCLES + 1)
+    assert "<svg" not in many._repr_html_()
+    assert "5,001 circles" in many._repr_html_()
+
+
+def test_a_name_is_no_html():
+    assert "<script>" not in dc.column(1).replace(name="<script>")._repr_html_()
+
+
+def test_a_run_shows_how_its_solves_ended(run):
+    shown = run._repr_html_()
+    assert "60 steps" in shown
+    assert "converged" in shown
+    assert run.trajectory._repr_html_().count("<svg") == 2
+    assert dc.simulate(dc.column(1), steps=0)._repr_html_()
+
+
+def test_figures_show_themselves():
+    assert plotting.subplots()[0]._repr_png_().startswith(b"\x89PNG")
+    assert plotting.draw_table([["a"], ["1"]], "t")._repr_png_().startswith(b"\x89PNG")
+
+
+def test_the_results_of_a_figure_are_a_dict_that_shows_the_picture(tmp_path):
+    claims = [figures.Claim("1 < 2", None, True, {"one": 1})]
+    figure = figures.Figure(
+        "T 9.9", "A <b>", lambda *_: {"x": 1}, lambda data: [["x"], [data["x"]]], None, lambda _: claims
+    )
+    found = figures.produce(figure, out=tmp_path, echo=lambda line: None)
+    assert found["data"] == {"x": 1}
+    assert repr(found).startswith("Results('Table 9.9: A <b>', 1 claims, ")
+    assert "holds: 1 &lt; 2" in found._repr_html_()
+    assert "A &lt;b&gt;" in found._repr_html_()
+    assert "data:image/png;base64,iVBOR" in found._repr_html_()
+
+
+# ---- states that compare, and that nothing changes by accident ----
+
+
+def test_states_are_equal_if_all_their_numbers_are(run, tmp_path):
+    state = run.state
+    again = dc.simulate(dc.column(3), steps=60).state
+    assert state == again
+    assert not state != again
+    dc.write_state(tmp_path / "state.xml", state)
+    assert dc.read_state(tmp_path / "state.xml") == state
+    assert state != state.replace(time=7.0)
+    assert state != state.replace(contacts=None)
+    moved = state.bodies._replace(position=state.bodies.position + 1e-15)
+    assert state != state.replace(bodies=moved)
+    assert state.bodies != moved
+    assert state.contacts == again.contacts
+    assert state.__eq__("a state") is NotImplemented
+    assert state != "a state"
+    with pytest.raises(TypeError, match="unhashable"):
+        hash(state)
+
+
+def test_the_fields_of_a_state_cannot_be_set(run):
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        run.state.time = 1.0
+    with pytest.raises(AttributeError):
+        run.state.bodies.mass = np.ones(3)
+
+
+def copied(state):
+    bodies, contacts = (type(part)(*(field.copy() for field in part)) for part in (state.bodies, state.contacts))
+    return state.replace(bodies=bodies, contacts=contacts)
+
+
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.NNCG(), dc.BatchedPGS(), dc.SoftSteps()])
+@pytest.mark.parametrize("locked", [False, True])
+def test_nothing_writes_into_a_state(solver, locked):
+    """Nor into one whose arrays cannot be written to, which is taken as well."""
+    state = dc.simulate(dc.column(3), steps=60).state
+    before = copied(state)
+    for array in (*state.bodies, *state.contacts):
+        array.flags.writeable = not locked
+    for start in ("none", "builtin", "sph", "guarded"):
+        dc.simulate(state, steps=3, solver=solver, warm_start=start)
+        dc.solve_contacts(state, solver=solver, start=start)
+    assert state == before
+
+
+def test_a_later_step_leaves_the_states_before_as_they_were():
+    states = []
+    dc.simulate(dc.column(3), steps=50, on_step=lambda state, record: states.append((state, copied(state))))
+    assert all(state == before for state, before in states)
+
+
+def test_what_a_user_gave_is_copied():
+    position = np.array([[1.0, 1.0]])
+    bodies = dc.make_bodies(position)
+    position[:] = 5.0
+    assert bodies.position.tolist() == [[1.0, 1.0]]
+
+
+def test_the_package_says_that_it_has_types():
+    assert (Path(dc.__file__).parent / "py.typed").exists()
