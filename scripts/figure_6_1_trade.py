@@ -55,7 +55,7 @@ def claims(data):
             if row["n_bodies"] == n and row["ours_plain"] and rivals:
                 ratios[row["preset"]] = min(rivals) / row["ours_plain"]["us"]
         if ratios:
-            text = f"no preset is dearer than with the fastest rival, {n:,} circles"
+            text = f"no preset is dearer than with the fastest rival, {n} circles"
             found.append(Claim(text, None, min(ratios.values()) >= 1, ratios))
     return found
 

@@ -51,12 +51,12 @@ def claims(data):
     for n in sorted({row["n_bodies"] for row in data["rows"]}):
         rows = of_size(data, n)
         powers = {name: order(rows, name) for name in ("penetration", "penetration_max")}
-        text = f"penetration falls with the time step, {n:,} circles"
+        text = f"penetration falls with the time step, {n} circles"
         found.append(Claim(text, None, min(powers.values()) > 0.5, powers))
         # The last two steps differ from the limit by chance alone if their intervals meet.
         last, before = (row["errors"]["energy"] for row in rows[:2])
         measured = {"Δt / 8": last, "Δt / 4": before}
-        text = f"the energy curve stops changing within its intervals, {n:,} circles"
+        text = f"the energy curve stops changing within its intervals, {n} circles"
         found.append(Claim(text, None, before[1] <= last[2], measured))
     return found
 

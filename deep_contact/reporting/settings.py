@@ -56,6 +56,7 @@ MEANINGS = {
     "results": "file of the study; none makes a small one here",
     "scenes": "scenes, each of other random numbers",
     "seconds": "simulated for each run, s",
+    "seeds": "runs of each ensemble, each of other random numbers",
     "settling": "steps for which a pile falls before it is timed",
     "size": "side of the box, m",
     "sizes": "numbers of circles",
