@@ -23,7 +23,7 @@ def compute(options, seed, jobs, progress):
         rows = results.read_results(shipped.find(options["results"]))["data"]["rows"]
     else:
         seeds = figures.seeds(seed, options["seeds"])
-        rows = runs.small_study(options["n_bodies"], seeds, runs.LIMIT[1:-1], seconds=options["seconds"])
+        rows = runs.small_study(options["n_bodies"], seeds, runs.LIMIT[:-1], seconds=options["seconds"])
     names = {runs.name_of(setting): setting["dt"] for setting in runs.LIMIT}
     return {
         "rows": [

@@ -30,16 +30,16 @@ TABLE = Path(__file__).parents[1] / "reference" / "runs.json"
 """What the study installed, shipped with the package."""
 
 PRESETS = {
-    "preview": {"energy": 20, "height": 5, "creep": 3, "penetration": 1, "penetration_95": 2, "penetration_max": 25,
-                "restlessness": 6, "contacts": 0.4, "forces": 12, "impact": 30},
-    "fast": {"energy": 10, "height": 3, "creep": 2, "penetration": 0.5, "penetration_95": 1, "penetration_max": 12,
-             "restlessness": 4, "contacts": 0.3, "forces": 8, "impact": 20},
-    "balanced": {"energy": 7, "height": 2, "creep": 2, "penetration": 0.25, "penetration_95": 0.6,
-                 "penetration_max": 5, "restlessness": 3, "contacts": 0.2, "forces": 6, "impact": 15},
-    "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.15, "penetration_95": 0.5,
-                 "penetration_max": 2, "restlessness": 3, "contacts": 0.15, "forces": 5, "impact": 15},
-    "reference": {"energy": 5, "height": 2, "creep": 2, "penetration": 0.07, "penetration_95": 0.3,
-                  "penetration_max": 1, "restlessness": 3, "contacts": 0.1, "forces": 5, "impact": 15},
+    "preview": {"energy": 25, "height": 5, "creep": 5, "penetration": 1, "penetration_95": 2.5, "penetration_max": 25,
+                "restlessness": 12, "contacts": 0.6, "forces": 16, "impact": 30},
+    "fast": {"energy": 12, "height": 3, "creep": 3, "penetration": 0.6, "penetration_95": 1, "penetration_max": 18,
+             "restlessness": 6, "contacts": 0.5, "forces": 14, "impact": 20},
+    "balanced": {"energy": 8, "height": 2, "creep": 2, "penetration": 0.35, "penetration_95": 0.6,
+                 "penetration_max": 8, "restlessness": 5, "contacts": 0.4, "forces": 12, "impact": 20},
+    "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.2, "penetration_95": 0.5,
+                 "penetration_max": 5, "restlessness": 4, "contacts": 0.3, "forces": 11, "impact": 15},
+    "reference": {"energy": 4, "height": 2, "creep": 2, "penetration": 0.12, "penetration_95": 0.4,
+                  "penetration_max": 2.5, "restlessness": 4, "contacts": 0.2, "forces": 9, "impact": 15},
 }  # fmt: skip
 """Preset -> tolerance of each error: in %, contacts in contacts per circle."""
 

@@ -73,6 +73,11 @@ def test_rows_hold_every_setting_against_the_reference():
     assert runs.meets({"energy": 1.0}, PRESETS["reference"])
 
 
+def test_a_step_that_misses_the_observations_is_refused():
+    with pytest.raises(ValueError, match=r"dt: expected a step that divides 0\.05 s, got 0\.02"):
+        runs.observed("plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
+
+
 def test_times_name_every_setting():
     fine = COARSE | {"dt": TIME_STEP / 8}
     took = runs.times(30, 1, [COARSE, fine], steps=5, repeats=1)
