@@ -6,6 +6,7 @@ from conftest import kinetic_energy
 
 import deep_contact as dc
 from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION, WALL_SKIN
+from deep_contact.physics.engine import is_valid
 from deep_contact.physics.scenes import single_body
 from deep_contact.state import State, World, make_bodies
 
@@ -154,3 +155,15 @@ def test_steps_leave_their_input_alone():
 def test_simulate_refuses_bad_arguments(options, message):
     with pytest.raises(ValueError, match=message):
         dc.simulate(single_body(), **options)
+
+
+def test_a_state_of_the_engine_passes_the_quick_check():
+    """The slow check would accept it, too, but costs more than a step."""
+    state = dc.simulate(dc.circles_in_box(30, seed=1), steps=160, solver=dc.PGS(sweeps=20)).state
+    assert is_valid(state.bodies, state.contacts)
+    shorter = state.bodies._replace(velocity=state.bodies.velocity[:-1])
+    assert not is_valid(shorter, state.contacts)
+    weightless = state.bodies._replace(mass=0 * state.bodies.mass)
+    assert not is_valid(weightless, state.contacts)
+    backwards = state.contacts._replace(normal_impulse=state.contacts.normal_impulse - 1e9)
+    assert not is_valid(state.bodies, backwards)

@@ -282,6 +282,7 @@ def test_nothing_to_solve():
         ((), {"residual": "1"}, "residual: expected a finite number > 0, got '1'"),
         ((), {"most_pivots": -1}, "most_pivots: expected an integer >= 0, got -1"),
         ((), {"most_pivots": 2.5}, "most_pivots: expected an integer >= 0, got 2.5"),
+        (([np.nan, np.inf], [0.0]), {}, "normal_start: expected 1 numbers, .* got nan"),
         (([0.0], None), {}, "tangent_start: expected 1 numbers, one a contact, up to 1e[+]50 N·s, got None"),
         (([0.0, 1.0], [0.0]), {}, r"normal_start: expected 1 numbers, .* got shape \(2,\)"),
         (([np.nan], [0.0]), {}, "normal_start: expected 1 numbers, .* got nan"),

@@ -51,6 +51,7 @@ def test_lattice_holds_many_without_overlap():
 
 def test_column_touches_and_stands():
     scene = dc.column(20)
+    assert scene.world.box == (0, 0, 30, 42)  # room for one more
     assert abs(overlap(scene.bodies)) < 1e-12
     bodies = dc.simulate(scene, steps=100, solver=dc.PGS(sweeps=2000)).state.bodies
     np.testing.assert_allclose(bodies.position[:, 0], 15.0, atol=1e-9)
