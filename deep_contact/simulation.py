@@ -137,6 +137,9 @@ def simulate(
     state = state.replace(solver=solver)
     advance, options = advance_of(solver, sleep)
     options = options._replace(carry=not isinstance(start, NoStart))
+    if by_step and on_step is None and not sleep and _can_start_within(start, solver, state):
+        options = options._replace(settings=start.within(options.settings))
+        start, by_step = Builtin(), False
     log, theta = make_log(steps), np.empty(solver.sweeps)
     still = np.zeros(state.bodies.count if sleep else 0)
     frames = [state]
@@ -174,6 +177,12 @@ def simulate(
         if record is not None and (done % every == 0 or done == steps):
             frames.append(state)
     return Simulation(state, *log, trajectory=None if record is None else Trajectory.from_states(frames))
+
+
+def _can_start_within(start, solver, state: State) -> bool:
+    """Whether `engine.advance` can make this start itself: in float64, with tangents."""
+    ordinary = entry_of(solver).advance is None and solver.precision == "double"
+    return hasattr(start, "within") and ordinary and state.world.friction > 0
 
 
 def with_time_step(state: State, dt: float) -> State:
