@@ -210,7 +210,8 @@ def test_errors_of_over_relaxed_sweeps_are_those_of_psor(falling_states):
 
 def test_gradient_by_the_weights_equals_finite_differences():
     config = PerContactConfig(states=2, largest=60, sweeps=200)
-    sample = samples_of(dc.simulate, None, 5, config)[-1]
+    # Not every scene has states to train on: some still fall, some rest.
+    sample = next(s for seed in range(5, 50) for s in samples_of(dc.simulate, None, seed, config))
     sample = sample._replace(budget=5)
     rng = np.random.default_rng(0)
     weights = [w + 0.02 * rng.normal(size=w.shape) for w in initial(0)]
