@@ -56,7 +56,7 @@ HIDDEN = 16
 BLOCK = 64
 """Contacts whose inputs, hidden units and outputs are in the cache together."""
 
-_SAMPLE = 256
+_SAMPLE = 64
 """Contacts of which the share unsolved is taken at least, if there are as many."""
 
 _SMALL = 1e-2
@@ -228,13 +228,25 @@ def _layer(weights, inputs, outputs, x, y, lowest):
             store(y, to + 7 * step, most(a7, least))
 
 
+@njit(cache=True)
+def _gate(gates, change, corrections):
+    """Fill corrections (2, BLOCK) with Σ gate · change of the normal and of the tangent impulses; in vectors."""
+    for k in range(2):
+        at = 4 * k * BLOCK
+        for j in range(BLOCK):
+            first = gates[at + j] * change[at + j] + gates[at + BLOCK + j] * change[at + BLOCK + j]
+            at_2 = at + 2 * BLOCK
+            second = gates[at_2 + j] * change[at_2 + j] + gates[at_2 + BLOCK + j] * change[at_2 + BLOCK + j]
+            corrections[k, j] = first + second
+
+
 @njit(cache=True, error_model="numpy")
 def correct(network, rows, free, after, friction):
     """Correct the impulses of the rows, in place. free, after: velocities before and after them, (n + 4, 4)."""
     found, sums, scale, unsolved = _measure(rows, free, after, friction)
     x, hidden = np.zeros((len(INPUTS), BLOCK), np.float32), np.empty(HIDDEN * BLOCK, np.float32)
-    gates, change = np.empty(len(CORRECTIONS) * BLOCK, np.float32), np.empty((len(CORRECTIONS), BLOCK))
-    g, flat = gates.reshape(len(CORRECTIONS), BLOCK), x.reshape(x.size)
+    gates, change = np.empty(len(CORRECTIONS) * BLOCK, np.float32), np.zeros((len(CORRECTIONS), BLOCK))
+    corrections, flat = np.empty((2, BLOCK)), x.reshape(x.size)
     first_weights, second_weights = (
         network.first.reshape(network.first.size),
         network.second.reshape(network.second.size),
@@ -245,12 +257,11 @@ def correct(network, rows, free, after, friction):
         _compress(x)
         _layer(first_weights, len(INPUTS), HIDDEN, flat, hidden, np.float32(0.0))
         _layer(second_weights, HIDDEN, len(CORRECTIONS), hidden, gates, np.float32(-np.inf))
+        _gate(gates, change.reshape(change.size), corrections)
         for j in range(count):
             i = first + j
-            p_n, p_t = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
-            p_n += g[0, j] * change[0, j] + g[1, j] * change[1, j] + g[2, j] * change[2, j] + g[3, j] * change[3, j]
-            p_t += g[4, j] * change[4, j] + g[5, j] * change[5, j] + g[6, j] * change[6, j] + g[7, j] * change[7, j]
-            p_n = max(p_n, 0.0)
+            p_n = max(rows.impulse[i, NORMAL] + corrections[0, j], 0.0)
+            p_t = rows.impulse[i, TANGENT] + corrections[1, j]
             rows.impulse[i, NORMAL] = p_n
             rows.impulse[i, TANGENT] = max(-friction * p_n, min(p_t, friction * p_n))
 

@@ -194,7 +194,37 @@ def measure_runs(options: Mapping, seed: int, jobs, progress: Callable) -> list[
     return entries
 
 
-# ---- data of Figure 6.11: {"runs": [entry, …], "given": [entry, …]} ----
+def measure_rest(options: Mapping) -> list[dict]:
+    """What a step with ten sweeps costs in piles at rest: {"circles", "builtin", "learned"}, seconds.
+
+    options: "rest": numbers of circles, "rest_steps" until they rest, "repeats".
+    """
+    found = []
+    for circles in options["rest"]:
+        solver, _ = setting_of(BASE, 10)
+        state = simulate(lattice_in_box(circles, gap=0.05, seed=9), steps=options["rest_steps"], solver=solver).state
+        starts = {"builtin": Builtin(), "learned": PerContact()}
+
+        def run(start, state=state, solver=solver):
+            return lambda: simulate(state, steps=200, solver=solver, warm_start=start)
+
+        runs = {name: run(start) for name, start in starts.items()}
+        took = timing.interleaved(runs, repeats=5 * options["repeats"], clock=time.thread_time)
+        found.append({"circles": circles} | {name: seconds / 200 for name, seconds in took.items()})
+    return found
+
+
+# ---- data of Figure 6.11: {"runs": [entry, …], "given": [entry, …], "rest": [entry, …]} ----
+
+
+def at_equal_sweeps(entries: Sequence[Mapping], circles: int, sweeps: int, key: str) -> list[np.ndarray]:
+    """[of the learned start, of Builtin] with the solver `BASE` and so many sweeps: values of `key`, (scenes,)."""
+    return [
+        np.array(entry[key])
+        for name in (LEARNED, BASE)
+        for entry in entries
+        if (entry["circles"], entry["setting"], entry["sweeps"]) == (circles, name, sweeps)
+    ]
 
 
 def curve(entries: Sequence[Mapping], circles: int, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -244,6 +274,19 @@ def cells(entries: Sequence[Mapping], columns: Sequence[int]) -> list[dict]:
             classical = {name: values.mean() for name, values in errors.items() if name != LEARNED}
             best = min(classical, key=classical.get)
             found.append({"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors, "best": best})
+    return found
+
+
+def prices_of(entries: Sequence[Mapping]) -> dict[int, float]:
+    """Circles -> what the learned start costs a step, in sweeps of `BASE`: the mean over the numbers of sweeps."""
+    found = {}
+    for circles in dict.fromkeys(entry["circles"] for entry in entries):
+        times = {
+            name: {e["sweeps"]: e["seconds"] for e in entries if (e["circles"], e["setting"]) == (circles, name)}
+            for name in (BASE, LEARNED)
+        }
+        sweep = np.polyfit(list(times[BASE]), list(times[BASE].values()), 1)[0]
+        found[circles] = float(np.mean([times[LEARNED][k] - times[BASE][k] for k in times[BASE]]) / sweep)
     return found
 
 
