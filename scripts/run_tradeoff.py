@@ -47,6 +47,9 @@ OURS = [
     *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (3, 5, 10, 20), 4: (5, 10, 20), 8: (10,)}),
     *ladder("PSOR", {1: (3, 6, 10, 20), 2: (2, 4, 8), 4: (2, 4)}, omega=1.3),
     *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8)}, omega=1.5),
+    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8), 4: (2,)}, omega=1.75, friction_omega=1.45),
+    *ladder("PSOR", {1: (10,)}, omega=1.75, friction_omega=1.45, start="scaled"),
+    *ladder("PSOR", {1: (10,)}, omega=1.75, friction_omega=1.45, start="learned"),
     *ladder("NNCG", {1: (5, 10, 20)}),
     *ladder("NesterovPGS", {1: (10, 20)}),
     *ladder("PGS", {1: (10, 50)}, start="none"),
@@ -60,6 +63,7 @@ LARGE = [
     *ladder("PGS", {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 16: (20,)}),
     *ladder("BatchedPGS", {1: (10, 20, 50), 2: (5, 10), 4: (5, 10)}),
     *ladder("PSOR", {1: (10, 20), 2: (4, 8)}, omega=1.3),
+    *ladder("PSOR", {1: (10, 20), 2: (4,)}, omega=1.75, friction_omega=1.45),
 ]
 PEERS = {
     "Box2D 2.3": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},

@@ -1,10 +1,13 @@
 """Starts: what they hold, and that none is accepted that does not fit."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.warm_start import STARTS, Bad, Copy, Random
+from deep_contact.physics.lcp import contact_problem
+from deep_contact.warm_start import STARTS, Bad, Builtin, Copy, Random, Scaled
 
 
 def mean_sweeps(states, start):
@@ -37,6 +40,32 @@ def test_copy_solves_a_state_that_is_not_solved(falling_states):
     )
     expected = dc.solve_contacts(solved, solver=solver, start="builtin")
     np.testing.assert_array_equal(Copy()(unsolved, solver)[0], expected.normal_impulses)
+
+
+@pytest.mark.parametrize("index", [1, 3, 5, 9])
+def test_scaled_is_the_least_energy_along_builtin(falling_states, index):
+    # Energy ½ λ·A λ + b·λ by dense matrices (Eq 2.27); its minimum on the line is at −b·λ / λ·A λ.
+    state = falling_states[index]
+    state = state.replace(world=replace(state.world, restitution=0.3))
+    problem = contact_problem(state)
+    builtin = np.column_stack(Builtin()(state, None)).ravel()
+    share = np.clip(-(problem.b @ builtin) / (builtin @ (problem.A.toarray() @ builtin)), 0.0, 1.0)
+    np.testing.assert_allclose(np.column_stack(Scaled()(state, None)).ravel(), share * builtin, rtol=1e-12)
+
+
+def test_scaled_is_all_of_builtin_at_rest_and_nothing_of_what_pulls(falling_states):
+    column = dc.simulate(dc.column(5), steps=200).state
+    np.testing.assert_allclose(Scaled()(column, None)[0], Builtin()(column, None)[0], rtol=1e-4)
+    # All circles part quickly: any push adds energy.
+    apart = column.bodies._replace(velocity=np.outer(np.arange(5.0), [0.0, 10.0]))
+    assert not Scaled()(column.replace(bodies=apart), None)[0].any()
+
+
+def test_scaled_along_a_run_is_given_the_rows():
+    scene = dc.circles_in_box(20, size=12.0, seed=1)
+    run = dc.simulate(scene, steps=150, warm_start="scaled", solver=dc.PGS(sweeps=10, tolerance=None))
+    assert run.contacts[-1] > 20
+    assert np.isfinite(run.state.bodies.position).all()
 
 
 @pytest.mark.parametrize("start", [Random(seed=1), Bad()])
@@ -98,4 +127,4 @@ def test_a_start_of_the_wrong_size_raises_in_a_run():
 
 
 def test_names_are_documented_starts():
-    assert {"none", "builtin", "copy", "random", "bad"} <= set(STARTS)
+    assert {"none", "builtin", "scaled", "copy", "random", "bad"} <= set(STARTS)

@@ -71,6 +71,17 @@ def solved_problem(state: State) -> SolvedProblem:
     return SolvedProblem(rows, free, solution, friction)
 
 
+def over_relaxed(problem: SolvedProblem, omega: float, friction_omega: float | None = None) -> SolvedProblem:
+    """The problem whose sweeps are those of `PSOR(omega, friction_omega)`: ω times the effective masses.
+
+    Errors and gradients of "velocity" are then of that solver, for its solution and its norm do not change.
+    """
+    data = problem.rows.data.copy()
+    data[:, NORMAL_MASS] *= omega
+    data[:, TANGENT_MASS] *= omega if friction_omega is None else friction_omega
+    return problem._replace(rows=problem.rows._replace(data=data))
+
+
 MEASURES = ("velocity", "residual")
 """The error that a loss measures after each number of sweeps."""
 

@@ -2,7 +2,8 @@
 
 Numba compiles a function again when its own file has changed, but not when a function or a constant has changed that
 was compiled into it from another file. Here cached code is stale once any file of this package has changed that its
-file imports, directly or not. Numba also trusts the bytes of its cache, and damaged ones end the process; here they
+file imports, directly or not. A file that must not import what is compiled into it names that in a comment,
+`# compiled in: deep_contact.…`. Numba also trusts the bytes of its cache, and damaged ones end the process; here they
 carry a checksum, and what is damaged is compiled again.
 
 Both replace details of `numba.core.caching`, and hold for everything that the process compiles.
@@ -20,7 +21,10 @@ from pathlib import Path
 from numba.core import caching
 
 _ROOT = Path(__file__).resolve().parents[2]
-_IMPORT = re.compile(rb"^(?:from (deep_contact[\w.]*) import (\([^)]*\)|.*)|import (deep_contact[\w.]*))", re.MULTILINE)
+_IMPORT = re.compile(
+    rb"^(?:from (deep_contact[\w.]*) import (\([^)]*\)|.*)|(?:import|# compiled in:) (deep_contact[\w.]*))",
+    re.MULTILINE,
+)
 _stamp_of_one_file = caching._SourceFileBackedLocatorMixin.get_source_stamp
 
 

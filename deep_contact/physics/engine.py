@@ -32,6 +32,7 @@ from deep_contact.physics.convergence import ConvergenceRecord, convergence_reco
 from deep_contact.physics.sleeping import advance_sleeping
 from deep_contact.physics.solvers import PRECISIONS, SoftSteps
 from deep_contact.physics.solvers.registry import (
+    apply_start,
     entry_of,
     for_state,
     is_frictionless,
@@ -43,6 +44,9 @@ from deep_contact.physics.step import StepInput, StepOptions, StepWorkspace, log
 from deep_contact.scales import ContactScales
 from deep_contact.state import LIMITS, Bodies, Contacts, State
 from deep_contact.validation import flag
+
+# Loops that `advance` may hold without an import from here, for the code cache:
+# compiled in: deep_contact.cnn.perceptron
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
     LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
@@ -71,7 +75,7 @@ def advance(given, options, workspace, log):
             rows, row_buffer = contact_rows(
                 bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
             )
-        apply_impulses(rows, solver_bodies, friction)
+        apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
         integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)

@@ -78,13 +78,14 @@ def problem_of(state):
     return problem.A.toarray(), problem.b, state.world.friction, start
 
 
-def swept(A, b, mu, impulse, *, omega=1.0, backwards=False):
+def swept(A, b, mu, impulse, *, omega=1.0, friction_omega=None, backwards=False):
     """λ after one sweep by hand: every change of a row times ω, cut to what is admissible; tangent row first."""
+    factors = omega, omega if friction_omega is None else friction_omega
     impulse = impulse.copy()
     contacts = range(0, b.size, 2)
     for row in reversed(contacts) if backwards else contacts:
         for i in (row + 1, row):
-            free = impulse[i] - omega * (A[i] @ impulse + b[i]) / A[i, i]
+            free = impulse[i] - factors[i - row] * (A[i] @ impulse + b[i]) / A[i, i]
             bound = mu * impulse[row]
             impulse[i] = max(free, 0.0) if i == row else max(-bound, min(free, bound))
     return impulse
@@ -101,6 +102,18 @@ def test_psor_is_over_relaxed_algorithm_1(falling_states):
     for _ in range(5):
         impulse = swept(A, b, mu, impulse, omega=1.4)
     assert_impulses(dc.solve_contacts(falling_states[5], solver=dc.PSOR(sweeps=5, tolerance=None, omega=1.4)), impulse)
+
+
+def test_friction_omega_is_that_of_the_tangent_rows(falling_states):
+    A, b, mu, impulse = problem_of(falling_states[5])
+    before = impulse
+    for _ in range(5):
+        before, impulse = impulse, swept(A, b, mu, impulse, omega=1.8, friction_omega=1.3)
+    solver = dc.PSOR(sweeps=5, tolerance=None, omega=1.8, friction_omega=1.3)
+    solution = dc.solve_contacts(falling_states[5], solver=solver)
+    assert_impulses(solution, impulse)
+    # By the smaller ω, so that θ is no less than what a plain sweep would have changed.
+    assert solution.record.theta[-1] == pytest.approx(np.abs(impulse - before).max() / 1.3, rel=1e-9)
 
 
 def test_adaptive_omega_changes_every_twelve_sweeps(falling_states):
@@ -517,6 +530,8 @@ def test_description_tells_what_differs():
     [
         (dc.PSOR, {"omega": 2.0}, "omega: expected a number above 0, below 2, got 2.0"),
         (dc.PSOR, {"omega": 0}, "omega: expected a number above 0, below 2, got 0"),
+        (dc.PSOR, {"friction_omega": 2}, "friction_omega: expected a number above 0, below 2, got 2"),
+        (dc.PSOR, {"friction_omega": 1, "adaptive": True}, "friction_omega: expected None with adaptive=True, got 1"),
         (dc.PSOR, {"adaptive": "yes"}, "adaptive: expected True or False, got 'yes'"),
         (dc.NNCG, {"precision": "half"}, "precision: expected one of double, single, got 'half'"),
         (dc.APGD, {"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
