@@ -86,7 +86,8 @@ def draw(data, options):
                 look = {"color": OURS.get(group, OTHERS), "marker": "o"}
                 if group in MARKERS:
                     look = {"color": plotting.GREY, "marker": MARKERS[group]}
-                ax.errorbar(row["us"], value, [[value - low], [high - value]], linewidth=0.6, markersize=3.5, **look)
+                reach = [[max(0.0, value - low)], [max(0.0, high - value)]]  # an interval may lie beside its value
+                ax.errorbar(row["us"], value, reach, linewidth=0.6, markersize=3.5, **look)
             ours = [(row["us"], row["errors"][name][0]) for row in rows if row["group"] not in MARKERS]
             front = [ours[i] for i in pareto(ours)]
             ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)

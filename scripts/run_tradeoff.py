@@ -56,7 +56,8 @@ OURS = [
     *ladder("PGS", {1: (10,)}, precision="single"),
     *ladder("PSOR", {1: (20,)}, omega=1.0, adaptive=True),
     *ladder("PGS", {1: (4, 10), 2: (3,), 4: (2,)}, position_sweeps=0),
-    *ladder("PGS", {1: (4, 10), 2: (3,), 4: (2,)}, position_sweeps=3),
+    *ladder("PGS", {1: (4, 6, 10), 2: (3,), 4: (2,)}, position_sweeps=3),
+    *ladder("PSOR", {1: (4, 6), 2: (2,)}, omega=1.3, position_sweeps=3),
     *SOFT,
 ]
 LARGE = [
@@ -64,6 +65,9 @@ LARGE = [
     *ladder("BatchedPGS", {1: (10, 20, 50), 2: (5, 10), 4: (5, 10)}),
     *ladder("PSOR", {1: (10, 20), 2: (4, 8)}, omega=1.3),
     *ladder("PSOR", {1: (10, 20), 2: (4,)}, omega=1.75, friction_omega=1.45),
+    *ladder("PSOR", {1: (10, 20)}, omega=1.3, position_sweeps=3),
+    *ladder("PGS", {2: (10,)}, position_sweeps=3),
+    *ladder("BatchedPGS", {2: (10,)}, position_sweeps=3),
 ]
 PEERS = {
     "Box2D 2.3": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},

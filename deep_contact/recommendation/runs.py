@@ -31,15 +31,15 @@ TABLE = Path(__file__).parents[1] / "reference" / "runs.json"
 
 PRESETS = {
     "preview": {"energy": 25, "height": 5, "creep": 5, "penetration": 1, "penetration_95": 2.5, "penetration_max": 25,
-                "restlessness": 12, "contacts": 0.6, "forces": 16, "impact": 30},
+                "restlessness": 12, "contacts": 0.7, "forces": 40, "impact": 35},
     "fast": {"energy": 12, "height": 3, "creep": 3, "penetration": 0.6, "penetration_95": 1, "penetration_max": 18,
-             "restlessness": 6, "contacts": 0.5, "forces": 14, "impact": 20},
+             "restlessness": 8, "contacts": 0.6, "forces": 35, "impact": 30},
     "balanced": {"energy": 8, "height": 2, "creep": 2, "penetration": 0.35, "penetration_95": 0.6,
-                 "penetration_max": 8, "restlessness": 5, "contacts": 0.4, "forces": 12, "impact": 20},
+                 "penetration_max": 8, "restlessness": 6, "contacts": 0.5, "forces": 30, "impact": 30},
     "accurate": {"energy": 6, "height": 2, "creep": 2, "penetration": 0.2, "penetration_95": 0.5,
-                 "penetration_max": 5, "restlessness": 4, "contacts": 0.3, "forces": 11, "impact": 15},
+                 "penetration_max": 5, "restlessness": 5, "contacts": 0.35, "forces": 25, "impact": 25},
     "reference": {"energy": 4, "height": 2, "creep": 2, "penetration": 0.12, "penetration_95": 0.4,
-                  "penetration_max": 2.5, "restlessness": 4, "contacts": 0.2, "forces": 9, "impact": 15},
+                  "penetration_max": 3, "restlessness": 5, "contacts": 0.2, "forces": 12, "impact": 20},
 }  # fmt: skip
 """Preset -> tolerance of each error: in %, contacts in contacts per circle."""
 
