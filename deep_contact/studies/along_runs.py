@@ -230,14 +230,13 @@ def at_equal_sweeps(entries: Sequence[Mapping], circles: int, sweeps: int, key: 
 def curve(entries: Sequence[Mapping], circles: int, name: str) -> tuple[np.ndarray, np.ndarray]:
     """(seconds (c,), errors (c, scenes)) of a setting by its numbers of sweeps.
 
-    Seconds: of the line through the measured ones, overhead + slope · sweeps, so that noise does not change the order.
+    No time is longer than that of more sweeps: a run of very few sweeps may take longer, because it has to correct more
+    positions, and nobody would take it.
     """
     here = [entry for entry in entries if (entry["circles"], entry["setting"]) == (circles, name)]
-    work = np.array([np.mean(entry["work"]) for entry in here])
-    slope, overhead = np.polyfit(work, [entry["seconds"] for entry in here], 1) if len(here) > 1 else (0.0, 0.0)
-    seconds = overhead + slope * work if slope > 0.0 else np.array([entry["seconds"] for entry in here])
-    order = np.argsort(seconds)
-    return seconds[order], np.array([here[i]["error"] for i in order])
+    here.sort(key=lambda entry: np.mean(entry["work"]))
+    seconds = np.minimum.accumulate([entry["seconds"] for entry in here[::-1]])[::-1]
+    return seconds, np.array([entry["error"] for entry in here])
 
 
 def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarray:
@@ -278,7 +277,7 @@ def cells(entries: Sequence[Mapping], columns: Sequence[int]) -> list[dict]:
 
 
 def prices_of(entries: Sequence[Mapping]) -> dict[int, float]:
-    """Circles -> what the learned start costs a step, in sweeps of `BASE`: the mean over the numbers of sweeps."""
+    """Circles -> what the learned start costs a step, in sweeps of `BASE`: the median over the numbers of sweeps."""
     found = {}
     for circles in dict.fromkeys(entry["circles"] for entry in entries):
         times = {
@@ -286,7 +285,7 @@ def prices_of(entries: Sequence[Mapping]) -> dict[int, float]:
             for name in (BASE, LEARNED)
         }
         sweep = np.polyfit(list(times[BASE]), list(times[BASE].values()), 1)[0]
-        found[circles] = float(np.mean([times[LEARNED][k] - times[BASE][k] for k in times[BASE]]) / sweep)
+        found[circles] = float(np.median([times[LEARNED][k] - times[BASE][k] for k in times[BASE]]) / sweep)
     return found
 
 
