@@ -115,7 +115,7 @@ def table(data):
             text = "{:.2f} ({:.2f}–{:.2f})".format(*ratio)
             best = "yes" if name == cell["best"] else ""
             rows.append(
-                [cell["circles"], name, cell["sweeps"], 1e3 * cell["seconds"], float(np.mean(errors)), text, best]
+                [str(cell["circles"]), name, cell["sweeps"], 1e3 * cell["seconds"], float(np.mean(errors)), text, best]
             )
     return rows
 
