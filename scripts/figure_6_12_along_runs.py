@@ -14,6 +14,7 @@ from deep_contact.studies.along_runs import (
     measure_given,
     measure_rest,
     measure_runs,
+    median_ratio_with_interval,
     names_of,
     prices_of,
     ratio_with_interval,
@@ -37,16 +38,24 @@ def compute(options, seed, jobs, progress):
 
 
 def given_cases(data):
-    """(circles, error, best classical, ratio of median times learned / best with interval) of every case."""
+    """(circles, error, best classical, median ratio of times learned / best with interval) of every case.
+
+    The best is that of the least median time. Cases that either reaches on at most half of the states are left out.
+    """
     found = []
     for entry in data["given"]:
         for error in ERRORS:
             times = {name: given_seconds(entry, name, error) for name in entry["errors"]}
-            times = {name: values for name, values in times.items() if np.isfinite(values).all()}
-            if LEARNED in times and len(times) > 1:
-                best = min((name for name in times if name != LEARNED), key=lambda name: times[name].mean())
-                found.append((entry["circles"], error, best, ratio_with_interval(times[LEARNED], times[best])))
+            best = min((name for name in times if name != LEARNED), key=lambda name: np.median(times[name]))
+            ratios = median_ratio_with_interval(times[LEARNED], times[best])
+            if ratios is not None:
+                found.append((entry["circles"], error, best, ratios))
     return found
+
+
+def over(one, other):
+    """`ratio_with_interval`, or three times None where the time does not suffice for the first."""
+    return [None] * 3 if one is None else ratio_with_interval(one, other)
 
 
 def claims(data):
@@ -55,14 +64,15 @@ def claims(data):
     for cell in cells(data["runs"], data["columns"]):
         where = f"{cell['circles']} circles, time of {cell['sweeps']} sweeps"
         best = cell["errors"][cell["best"]]
-        found = ratio_with_interval(cell["errors"][LEARNED], best)
+        found = over(cell["errors"][LEARNED], best)
         ratios[where] = {"best classical": cell["best"], "ratio": found[0], "from": found[1], "to": found[2]}
-        single = [name for name in cell["errors"] if name in ("PSOR 1.5", "PSOR 1.7", "PSOR adaptive")]
-        double = [name for name in cell["errors"] if name in (BASE, "PSOR 1.8 | 1.4")]
-        means = {name: np.mean(cell["errors"][name]) for name in cell["errors"]}
-        pair = [cell["errors"][min(group, key=means.get)] for group in (double, single)]
+        errors = {name: values for name, values in cell["errors"].items() if values is not None}
+        single = [name for name in errors if name in ("PSOR 1.5", "PSOR 1.7", "PSOR adaptive")]
+        double = [name for name in errors if name in (BASE, "PSOR 1.8 | 1.4")]
+        means = {name: np.mean(values) for name, values in errors.items()}
+        pair = [errors[min(group, key=means.get)] for group in (double, single)]
         own[where] = dict(zip(("ratio", "from", "to"), ratio_with_interval(*pair)))
-    wins = sum(r["ratio"] <= 0.85 and r["to"] < 0.95 for r in ratios.values())
+    wins = sum(r["ratio"] is not None and r["ratio"] <= 0.85 and r["to"] < 0.95 for r in ratios.values())
     text = "along runs the learned start leaves at most 0.85 of the best classical error at equal time, in 4 of 9 cells"
     found = [Claim(text, None, wins >= 4, {"wins": wins, **ratios})]
     text = "an ω of its own for friction leaves less than any single ω at equal time, at all sizes and times"
@@ -111,12 +121,11 @@ def table(data):
     rows = [["circles", "setting", "time of, sweeps", "ms a step", "error", "over the best classical", "is best"]]
     for cell in cells(data["runs"], data["columns"]):
         for name, errors in cell["errors"].items():
-            ratio = ratio_with_interval(errors, cell["errors"][cell["best"]])
-            text = "{:.2f} ({:.2f}–{:.2f})".format(*ratio)
-            best = "yes" if name == cell["best"] else ""
-            rows.append(
-                [cell["circles"], name, cell["sweeps"], 1e3 * cell["seconds"], float(np.mean(errors)), text, best]
-            )
+            ratio = over(errors, cell["errors"][cell["best"]])
+            text = None if ratio[0] is None else "{:.2f} ({:.2f}–{:.2f})".format(*ratio)
+            error = None if errors is None else float(np.mean(errors))
+            milliseconds, best = 1e3 * cell["seconds"], "yes" if name == cell["best"] else ""
+            rows.append([str(cell["circles"]), name, cell["sweeps"], milliseconds, error, text, best])
     return rows
 
 

@@ -57,7 +57,7 @@ BLOCK = 64
 """Contacts whose inputs, hidden units and outputs are in the cache together."""
 
 _SAMPLE = 64
-"""Contacts of which the share unsolved is taken at least, if there are as many."""
+"""Contacts of which the share unsolved is taken, at most."""
 
 _SMALL = 1e-2
 """Share of the carried impulses in the scale, so that the tiny residual of a resting pile is not magnified."""
@@ -97,11 +97,11 @@ def _relaxation(rows, v_n, v_t, friction, i):
 def sampled_share(rows, after, friction):
     """Share unsolved: rms change by one relaxation over the sum of it and the rms impulse, in velocities; 0 to 1.
 
-    after: velocities after the rows' impulses. Of one contact in m / `_SAMPLE`.
+    after: velocities after the rows' impulses. Of `_SAMPLE` contacts at most.
     """
     m = rows.body.shape[0]
     unsolved = carried = 0.0
-    for i in range(0, m, max(1, m // _SAMPLE)):
+    for i in range(0, m, m // _SAMPLE + 1):
         k_n, k_t = rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
         v_n, v_t = row_velocity(rows, after, i)
         r_n, r_t = _relaxation(rows, v_n, v_t, friction, i)

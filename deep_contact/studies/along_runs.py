@@ -230,24 +230,27 @@ def at_equal_sweeps(entries: Sequence[Mapping], circles: int, sweeps: int, key: 
 def curve(entries: Sequence[Mapping], circles: int, name: str) -> tuple[np.ndarray, np.ndarray]:
     """(seconds (c,), errors (c, scenes)) of a setting by its numbers of sweeps.
 
-    Seconds: of the line through the measured ones, overhead + slope · sweeps, so that noise does not change the order.
+    No time is longer than that of more sweeps: a run of very few sweeps may take longer, because it has to correct more
+    positions, and nobody would take it.
     """
     here = [entry for entry in entries if (entry["circles"], entry["setting"]) == (circles, name)]
-    work = np.array([np.mean(entry["work"]) for entry in here])
-    slope, overhead = np.polyfit(work, [entry["seconds"] for entry in here], 1) if len(here) > 1 else (0.0, 0.0)
-    seconds = overhead + slope * work if slope > 0.0 else np.array([entry["seconds"] for entry in here])
-    order = np.argsort(seconds)
-    return seconds[order], np.array([here[i]["error"] for i in order])
+    here.sort(key=lambda entry: np.mean(entry["work"]))
+    seconds = np.minimum.accumulate([entry["seconds"] for entry in here[::-1]])[::-1]
+    return seconds, np.array([entry["error"] for entry in here])
 
 
-def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Errors (scenes,) at a time, between those of the nearest two, in logarithms; beyond all, the last ones."""
-    if len(times) == 1:
-        return errors[0]
-    seconds = min(max(seconds, times[0]), times[-1])
-    k = int(np.clip(np.searchsorted(times, seconds), 1, len(times) - 1))
+def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarray | None:
+    """Errors (scenes,) at a time, between those of the nearest two, in logarithms; beyond the last, the last ones.
+
+    None if the fewest sweeps take longer.
+    """
+    if seconds < times[0]:
+        return None
+    k = int(np.searchsorted(times, seconds, side="right"))
+    if k == len(times):
+        return errors[-1]
     low, high = np.log(times[k - 1]), np.log(times[k])
-    share = (np.log(seconds) - low) / (high - low) if high > low else 1.0
+    share = (np.log(seconds) - low) / (high - low)
     return np.exp((1 - share) * np.log(errors[k - 1]) + share * np.log(errors[k]))
 
 
@@ -259,7 +262,7 @@ def names_of(entries: Sequence[Mapping], circles: int) -> list[str]:
 def cells(entries: Sequence[Mapping], columns: Sequence[int]) -> list[dict]:
     """For every size and time of so many sweeps of `BASE`: errors of all settings at this time, and the best classical.
 
-    Each {"circles", "sweeps", "seconds", "errors": {setting: (scenes,)}, "best": its name}.
+    Each {"circles", "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best": its name}.
     """
     found = []
     for circles in dict.fromkeys(entry["circles"] for entry in entries):
@@ -271,14 +274,15 @@ def cells(entries: Sequence[Mapping], columns: Sequence[int]) -> list[dict]:
             seconds = float(curve(entries, circles, BASE)[0][at.index(sweeps)])
             names = names_of(entries, circles)
             errors = {name: error_at(seconds, *curve(entries, circles, name)) for name in names}
-            classical = {name: values.mean() for name, values in errors.items() if name != LEARNED}
+            done = {name: values.mean() for name, values in errors.items() if values is not None}
+            classical = {name: mean for name, mean in done.items() if name != LEARNED}
             best = min(classical, key=classical.get)
             found.append({"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors, "best": best})
     return found
 
 
 def prices_of(entries: Sequence[Mapping]) -> dict[int, float]:
-    """Circles -> what the learned start costs a step, in sweeps of `BASE`: the mean over the numbers of sweeps."""
+    """Circles -> what the learned start costs a step, in sweeps of `BASE`: the median over the numbers of sweeps."""
     found = {}
     for circles in dict.fromkeys(entry["circles"] for entry in entries):
         times = {
@@ -286,7 +290,7 @@ def prices_of(entries: Sequence[Mapping]) -> dict[int, float]:
             for name in (BASE, LEARNED)
         }
         sweep = np.polyfit(list(times[BASE]), list(times[BASE].values()), 1)[0]
-        found[circles] = float(np.mean([times[LEARNED][k] - times[BASE][k] for k in times[BASE]]) / sweep)
+        found[circles] = float(np.median([times[LEARNED][k] - times[BASE][k] for k in times[BASE]]) / sweep)
     return found
 
 
@@ -382,3 +386,18 @@ def given_seconds(entry: Mapping, name: str, error: float) -> np.ndarray:
     price = entry["start_seconds"].get(start, 0.0)
     counts = np.array([sweeps_to(errors, entry["sweeps"], error) for errors in entry["errors"][name]])
     return price + counts * entry["sweep_seconds"]
+
+
+def median_ratio_with_interval(one: np.ndarray, other: np.ndarray, samples: int = 2000) -> list[float] | None:
+    """[median ratio of paired times, low, high] with its 95 % interval over the states (bootstrap).
+
+    Over the states on which both are finite; None if these are half or less.
+    """
+    done = np.isfinite(one) & np.isfinite(other)
+    if 2 * done.sum() <= done.size:
+        return None
+    ratios = one[done] / other[done]
+    chosen = np.random.default_rng(0).integers(0, ratios.size, (samples, ratios.size))
+    drawn = np.sort(np.median(ratios[chosen], axis=1))
+    low, high = (float(drawn[round(share * (samples - 1))]) for share in (0.025, 0.975))
+    return [float(np.median(ratios)), low, high]

@@ -5,7 +5,16 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.studies import along_runs
-from deep_contact.studies.along_runs import BASE, LEARNED, cells, curve, error_at, ratio_with_interval, run_of
+from deep_contact.studies.along_runs import (
+    BASE,
+    LEARNED,
+    cells,
+    curve,
+    error_at,
+    median_ratio_with_interval,
+    ratio_with_interval,
+    run_of,
+)
 
 TASK = {"circles": 30, "seed": 4, "steps": 60, "every": 10, "past_need": 200, "sweeps": 8}
 
@@ -15,7 +24,9 @@ def test_an_error_between_two_times_lies_on_the_line_of_logarithms():
     times, errors = np.array([1.0, 4.0]), np.array([[1.0, 2.0], [0.0625, 0.125]])
     np.testing.assert_allclose(error_at(2.0, times, errors), [0.25, 0.5])
     np.testing.assert_allclose(error_at(9.0, times, errors), errors[1])
-    np.testing.assert_allclose(error_at(0.1, times, errors), errors[0])
+    # Less time than the fewest sweeps take is not enough.
+    assert error_at(0.1, times, errors) is None
+    np.testing.assert_allclose(error_at(1.0, times, errors), errors[0])
 
 
 def entry(name, sweeps, seconds, errors):
@@ -25,11 +36,12 @@ def entry(name, sweeps, seconds, errors):
 def test_cells_compare_at_the_time_of_the_base():
     entries = [entry(BASE, 10, 2.0, [0.4, 0.4]), entry(BASE, 20, 3.0, [0.2, 0.2])]
     entries += [entry("PSOR 1.5", 10, 2.0, [0.5, 0.5]), entry("PSOR 1.5", 20, 3.0, [0.1, 0.1])]
-    # Half a unit dearer: at the time of 10 sweeps it has not done them, so it has what its fewest sweeps leave.
+    # Half a unit dearer: the time of 10 sweeps is too short for it.
     entries += [entry(LEARNED, 10, 2.5, [0.3, 0.3]), entry(LEARNED, 20, 3.5, [0.15, 0.15])]
     first, second = cells(entries, [10, 20])
     assert (first["best"], second["best"]) == (BASE, "PSOR 1.5")
     assert first["seconds"] == pytest.approx(2.0)
+    assert first["errors"][LEARNED] is None
     assert second["errors"][LEARNED][0] == pytest.approx(
         np.exp(np.interp(np.log(3.0), np.log([2.5, 3.5]), np.log([0.3, 0.15])))
     )
@@ -67,3 +79,9 @@ def test_all_settings_can_be_made():
         solver, start = along_runs.setting_of(name, 7)
         assert (solver.sweeps, solver.tolerance) == (7, None)
         assert isinstance(start, dc.warm_start.Builtin)
+
+
+def test_times_that_are_not_reached_are_left_out_of_the_median():
+    one, other = np.array([1.0, 2.0, np.inf, 3.0]), np.array([2.0, 4.0, 1.0, 6.0])
+    assert median_ratio_with_interval(one, other) == [0.5, 0.5, 0.5]
+    assert median_ratio_with_interval(np.array([np.inf, 1.0]), np.array([1.0, 1.0])) is None
