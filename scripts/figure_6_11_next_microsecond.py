@@ -97,7 +97,7 @@ def draw(data, options):
                     ax.annotate(str(row["sweeps"]), (row["us"], row["errors"][name]), fontsize=6, xytext=(2, 3),
                                 textcoords="offset points", color=colour)  # fmt: skip
             plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
-            ax.set(xscale="log", yscale="log")
+            plotting.log_axes(ax)
     panels[0, 0].legend(fontsize=7, title="numbers: sweeps", title_fontsize=6)
     return figure
 

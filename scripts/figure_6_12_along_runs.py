@@ -139,9 +139,10 @@ def draw(data, options):
         for name in names_of(data["runs"], circles):
             seconds, errors = curve(data["runs"], circles, name)
             axis.plot(1e3 * seconds, errors.mean(axis=1), marker="o", markersize=3, **styles[name])
-        axis.set(xscale="log", yscale="log")
+        plotting.log_axes(axis)
         plotting.label_axes(axis, "time of a step", "mean velocity error", x_unit="ms", title=f"{circles} circles")
-    np.atleast_1d(axes)[0].legend(fontsize=7)
+    named = np.atleast_1d(axes)[0].get_legend_handles_labels()  # the first size has all settings
+    axis.legend(*named, fontsize=7, loc="upper left", bbox_to_anchor=(1.0, 1.0))
     return figure
 
 

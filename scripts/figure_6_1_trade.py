@@ -96,7 +96,7 @@ def draw(data, options):
                 ax.annotate(preset, (1, PRESETS[preset][name]), xycoords=("axes fraction", "data"), fontsize=6,
                             ha="right", va="bottom", color=plotting.GREY)  # fmt: skip
             plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
-            ax.set(xscale="log", yscale="log")
+            plotting.log_axes(ax)
     groups = dict.fromkeys(row["group"] for row in data["rows"])
     for group in groups:
         look = {"color": OURS.get(group, OTHERS), "marker": "o"}

@@ -83,7 +83,7 @@ def draw(data, options):
                         label=f"{n:,} circles")  # fmt: skip
         ax.axvline(TIME_STEP, color=plotting.GREY, linewidth=0.6, linestyle=":")
         plotting.label_axes(ax, "time step Δt", text, x_unit="s")
-        ax.set(xscale="log", yscale="log")
+        plotting.log_axes(ax)
     panels[0].legend(fontsize=7)
     return figure
 

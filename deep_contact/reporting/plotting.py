@@ -156,6 +156,17 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
         ax.set_title(title)
 
 
+def log_axes(ax) -> None:
+    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, which do not run into one another."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    ax.set(xscale="log", yscale="log")
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
+
+
 def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
     """Axes of a scene: metres, equal scales, the whole box in view with 2 % margin and, with `walls`, outlined.
 
