@@ -76,7 +76,7 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     """
     scene = ready(scene)
     if solver is None and scene.solver is None:
-        solver, _ = solver_and_start(scene)
+        solver, _ = solver_and_start(scene, sleep=sleep)
     solver = checked_solver(solver, scene)
     start = warm_start_of(warm_start)
     _, options = advance_of(solver, sleep)

@@ -154,9 +154,9 @@ def simulate(
     if accuracy is not None and solver is not None:
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
     if accuracy is not None:
-        solver, warm_start = solver_and_start(state, accuracy)
+        solver, warm_start = solver_and_start(state, accuracy, sleep=sleep)
     elif solver is None and state.solver is None:
-        solver, _ = solver_and_start(state)
+        solver, _ = solver_and_start(state, sleep=sleep)
     solver = checked_solver(solver, state)
     start = warm_start_of(warm_start)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
@@ -336,11 +336,11 @@ def _impulses(start, state: State, solver, problem=None) -> tuple[np.ndarray, np
     return impulses
 
 
-def solver_and_start(state: State, accuracy: str | None = None) -> tuple:
+def solver_and_start(state: State, accuracy: str | None = None, *, sleep: bool = False) -> tuple:
     """(Solver, name of the start) of a preset; of "fast" without one. See `recommendation.runs.solver_and_start`."""
     from deep_contact.recommendation import runs  # which reads the study
 
-    return runs.solver_and_start(state, accuracy)
+    return runs.solver_and_start(state, accuracy, sleep=sleep)
 
 
 def checked_solver(solver, state: State):

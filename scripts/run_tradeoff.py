@@ -252,9 +252,9 @@ def claims(data: dict) -> list[results.Claim]:
 # ---- scenes outside the study ----
 
 VERIFY = {
-    "sizes": [100, 300, 1000, 3000],
+    "sizes": [100, 300, 1000],
     "kinds": {"plain": TIME_STEP, "narrow radii": TIME_STEP, "slippery": 2.5 * TIME_STEP, "loose": TIME_STEP / 2},
-    "seeds": {"100": 20, "300": 10, "1000": 6, "3000": 2},
+    "seeds": {"100": 20, "300": 10, "1000": 6},
     "more_seeds": {"1000": 20},
     "seconds": 6.0,
     "timed": [100, 300, 1000, 3000, 10_000],

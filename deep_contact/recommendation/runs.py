@@ -22,6 +22,7 @@ import numpy as np
 
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.physics.solvers import METHODS, PGS, describe
+from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.recommendation.steps import StepRecommendation, recommend_step
 from deep_contact.state import State
 from deep_contact.validation import number, one_of
@@ -128,13 +129,14 @@ def recommend(
     return _recommendation(scene, kept[-1] if kept else "preview", best, candidates, study)
 
 
-def solver_and_start(scene: State, accuracy: str | None) -> tuple[object, str]:
+def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False) -> tuple[object, str]:
     """What `simulate(accuracy=…)` takes: (solver, name of the start); without a name, those of "fast".
 
-    Raises ValueError on another name, and warns where no setting of the study keeps the preset that was asked for.
+    sleep: only solvers that can put circles to sleep. Raises ValueError on another name, and warns where no setting of the study keeps the preset that was asked for.
     """
     name = one_of("accuracy", accuracy or "fast", PRESETS)
-    best = _cheapest(_candidates(scene, installed()), name)
+    candidates = _candidates(scene, installed())
+    best = _cheapest([found for found in candidates if not sleep or entry_of(found["solver"]).can_sleep], name)
     if accuracy is not None and _excess(best, name) > 1:
         warnings.warn(
             f"accuracy={name!r}: no setting of the study keeps its tolerances for {scene.bodies.count:,} circles; the "
@@ -223,16 +225,14 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
 
     Errors are the larger ones of the two sizes around the scene's; times are interpolated between them by powers.
     """
-    n = scene.bodies.count
+    n, sizes = scene.bodies.count, study["sizes"]
+    low = str(max((size for size in sizes if size <= n), default=sizes[0]))
+    high = str(min((size for size in sizes if size >= n), default=sizes[-1]))
     found = []
     for setting in study["settings"]:
-        sizes = sorted(int(size) for size in setting["us"])
-        low = max((size for size in sizes if size <= n), default=sizes[0])
-        high = min((size for size in sizes if size >= n), default=sizes[-1])
-        # A scene beyond the largest size for which the setting was measured is left to those that were measured there.
-        if n > 3 * sizes[-1] and sizes[-1] < max(study["sizes"]):
-            continue
-        both = [setting["errors"][str(size)] for size in (low, high)]
+        if low not in setting["us"] or high not in setting["us"]:
+            continue  # Large piles were run with fewer settings.
+        both = [setting["errors"][size] for size in (low, high)]
         errors = {name: max(one[name] for one in both if name in one) for name in both[0]}
         k = substeps_of(scene, setting["dt"])
         us = k * _us_at(n, {int(size): us for size, us in setting["us"].items()}) * setting["dt"] / TIME_STEP

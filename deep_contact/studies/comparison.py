@@ -54,7 +54,7 @@ class Convergence:
 
 
 def solved_states(
-    scene: State, *, steps: int, solver=None, warm_start="builtin", every: int = 1, contacts_only: bool = True
+    scene: State, *, steps: int, solver=PGS(), warm_start="builtin", every: int = 1, contacts_only: bool = True
 ) -> list[StateWithContacts]:
     """Solved states of a run, one in `every` steps, by default only those with contacts."""
     states = []
@@ -386,7 +386,7 @@ def isolated_contacts(count: int, *, seed: int) -> list[State]:
     return states
 
 
-def snapshots(scene: State, times: Sequence[float], *, solver=None) -> list[State]:
+def snapshots(scene: State, times: Sequence[float], *, solver=PGS()) -> list[State]:
     """The solved states of a run at these times, s, each of the step that begins nearest to its time."""
     wanted = [round(t / scene.dt) for t in times]
     if not wanted or min(wanted) < 0:

@@ -424,7 +424,7 @@ def test_cnn_start_is_the_prediction_projected(file, falling_states):
 
 
 def test_simulation_runs_from_a_network(file):
-    run = dc.simulate(small_state(), steps=3, warm_start=Cnn(file))
+    run = dc.simulate(small_state(), steps=3, solver=dc.PGS(), warm_start=Cnn(file))
     assert (run.status == "converged").all()
 
 

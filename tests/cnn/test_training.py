@@ -35,7 +35,7 @@ def data(tmp_path_factory):
     folder = tmp_path_factory.mktemp("data")
     for sim in range(5):
         states = []
-        scene = dc.circles_in_box(6, size=6.0, radius=(0.5, 0.5), seed=sim)
+        scene = dc.circles_in_box(6, size=6.0, radius=(0.5, 0.5), sigma_coef=1.7, seed=sim)
 
         def keep(state, record, states=states):
             if state.contacts.count:

@@ -259,7 +259,7 @@ def test_a_tolerance_of_the_user_is_absolute_and_a_run_holds_numbers():
     scene = dc.column(3, radius=0.01)
     assert dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=1e-3)).state.solver.tolerance == 1e-3
     assert dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=None)).state.solver.tolerance is None
-    found = dc.simulate(scene, steps=1).state.solver
+    found = dc.simulate(scene, steps=1, solver=dc.PGS()).state.solver
     assert found == dc.PGS(tolerance=theta_tolerance(scene))
     with pytest.raises(ValueError, match="tolerance: expected a finite number >= 0, got 'screen'"):
         dc.PGS(tolerance="screen")

@@ -21,7 +21,7 @@ TABLE = {
     "cpu": "a processor",
     "sizes": [100, 1000],
     "settings": [
-        entry("few", 0.01, 10.0, 1.5, method="PGS", sweeps=2, tolerance=None),
+        entry("few", 0.01, 10.0, 1.1, method="PGS", sweeps=2, tolerance=None),
         entry("enough", 0.01, 20.0, 0.9, method="PGS", sweeps=9, tolerance=None),
         entry("small", 0.0025, 50.0, 0.01, method="PSOR", omega=1.3, sweeps=2, tolerance=None, start="none"),
         entry("soft", 0.01, 30.0, 0.4, method="SoftSteps", substeps=4),
@@ -38,6 +38,7 @@ def test_the_cheapest_setting_that_keeps_the_preset_is_chosen(study):
     scene = dc.circles_in_box(100)
     assert dc.recommend(scene).solver == dc.PGS(sweeps=9, tolerance=None)
     assert dc.recommend(scene, accuracy="preview").solver == dc.PGS(sweeps=2, tolerance=None)
+    assert dc.recommend(scene, accuracy="fast").us == 20.0
     found = dc.recommend(scene, accuracy="reference")
     assert found.solver == dc.PSOR(omega=1.3, sweeps=2, tolerance=None, substeps=4)
     assert (found.warm_start, found.reached, found.accuracy) == ("none", True, "reference")
@@ -58,7 +59,7 @@ def test_a_simulation_without_a_solver_takes_fast(study):
     assert run.state.solver == by_hand.state.solver
     np.testing.assert_array_equal(run.state.bodies.position, by_hand.state.bodies.position)
     assert dc.simulate(scene, steps=1, accuracy="fast").state.solver == run.state.solver
-    assert dc.simulate(by_hand.state.replace(solver=dc.NNCG()), steps=1).state.solver == dc.NNCG()
+    assert type(dc.simulate(by_hand.state.replace(solver=dc.NNCG()), steps=1).state.solver) is dc.NNCG
 
 
 def test_a_preset_takes_its_start_and_the_default_keeps_the_one_that_was_given(study):
@@ -142,7 +143,7 @@ def test_a_scene_outside_of_the_study_is_called_so(study, scene, said):
 
 def test_what_is_next_is_told(study):
     text = str(dc.recommend(dc.circles_in_box(100)))
-    for part in ("fast: PGS(sweeps=9", "20 μs a step of 0.01 s, 100 circles; a processor", "energy 9 (10)",
+    for part in ("fast: PGS(sweeps=9", "20 μs a step of 0.01 s, 100 circles; a processor", "energy 11 (12)",
                  "cheaper: preview, PGS(sweeps=2, tolerance=None), 0.5 times", "better: balanced, "):  # fmt: skip
         assert part in text, part
 
