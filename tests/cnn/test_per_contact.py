@@ -1,5 +1,6 @@
 """The perceptron on each contact: what its inputs must not depend on, its compiled form, its file, its training."""
 
+import itertools
 import json
 
 import numpy as np
@@ -210,23 +211,22 @@ def test_errors_of_over_relaxed_sweeps_are_those_of_psor(falling_states):
 
 def test_gradient_by_the_weights_equals_finite_differences():
     config = PerContactConfig(states=2, largest=60, sweeps=200)
-    # Not every scene has states to train on: some still fall, some rest.
-    sample = next(s for seed in range(5, 50) for s in samples_of(dc.simulate, None, seed, config))
+    # Not every scene has states to train on: some still fall, some rest. Where a start leaves the cone, the gradient
+    # leads back into it on purpose (`through_solver`) and is no derivative; in the second state it stays inside.
+    found = (s for seed in range(5, 50) for s in samples_of(dc.simulate, None, seed, config))
+    sample = next(itertools.islice(found, 1, None))
     sample = sample._replace(budget=5)
     rng = np.random.default_rng(0)
     weights = [w + 0.02 * rng.normal(size=w.shape) for w in initial(0)]
     gradient = loss_of(weights, sample)[1]
     scale = sample.builtin_error + 0.03
-    agree = []
-    for layer, place in ((0, (3, 2)), (0, (-1, 5)), (1, (4, 1)), (1, (7, 5)), (1, (-1, 2)), (0, (5, 1)), (1, (2, 3))):
+    for layer, place in ((0, (3, 2)), (0, (-1, 5)), (1, (4, 1)), (1, (7, 5)), (1, (-1, 2))):
         numeric = []
         for sign in (1.0, -1.0):
             changed = [w.copy() for w in weights]
             changed[layer][place] += sign * 1e-5
             numeric.append(loss_of(changed, sample)[0])
-        found = (numeric[0] - numeric[1]) / 2e-5 / scale
-        agree.append(found == pytest.approx(gradient[layer][place], rel=2e-2, abs=1e-4))
-    assert sum(agree) >= 6  # within a kink of ReLU and clamps the two differ
+        assert (numeric[0] - numeric[1]) / 2e-5 / scale == pytest.approx(gradient[layer][place], rel=2e-2, abs=1e-4)
 
 
 def test_training_lowers_the_error_and_repeats_itself():
