@@ -132,7 +132,8 @@ def recommend(
 def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False) -> tuple[object, str]:
     """What `simulate(accuracy=…)` takes: (solver, name of the start); without a name, those of "fast".
 
-    sleep: only solvers that can put circles to sleep. Raises ValueError on another name, and warns where no setting of the study keeps the preset that was asked for.
+    sleep: only solvers that can put circles to sleep. Raises ValueError on another name, and warns where no setting of
+    the study keeps the preset that was asked for.
     """
     name = one_of("accuracy", accuracy or "fast", PRESETS)
     candidates = _candidates(scene, installed())

@@ -35,6 +35,9 @@ MODES = {"paired": "the same states for every start", "independent": "a run of i
 CURVE_POINTS = 240
 """Points kept of a curve of θ by sweep; they lie evenly on a logarithmic axis."""
 
+THOROUGH = PGS()
+"""Solves the states of a run to the thesis's tolerance."""
+
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 """Reference solution of velocity errors: a solution swept on, so that it favours no start."""
 
@@ -54,7 +57,7 @@ class Convergence:
 
 
 def solved_states(
-    scene: State, *, steps: int, solver=PGS(), warm_start="builtin", every: int = 1, contacts_only: bool = True
+    scene: State, *, steps: int, solver=THOROUGH, warm_start="builtin", every: int = 1, contacts_only: bool = True
 ) -> list[StateWithContacts]:
     """Solved states of a run, one in `every` steps, by default only those with contacts."""
     states = []
@@ -386,7 +389,7 @@ def isolated_contacts(count: int, *, seed: int) -> list[State]:
     return states
 
 
-def snapshots(scene: State, times: Sequence[float], *, solver=PGS()) -> list[State]:
+def snapshots(scene: State, times: Sequence[float], *, solver=THOROUGH) -> list[State]:
     """The solved states of a run at these times, s, each of the step that begins nearest to its time."""
     wanted = [round(t / scene.dt) for t in times]
     if not wanted or min(wanted) < 0:
