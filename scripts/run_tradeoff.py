@@ -277,7 +277,7 @@ VERIFY_QUICK = VERIFY | {
 def recommended(kind: str, n_bodies: int, seed: int, dt: float, preset: str) -> tuple[dict, float]:
     """(The setting that a preset takes for a scene, its predicted cost of TIME_STEP, μs)."""
     found = recommend(runs.scene(kind, n_bodies, seed).replace(dt=dt), accuracy=preset)
-    options = {key: value for key, value in vars(found.solver).items() if key not in ("tolerance", "position_sweeps")}
+    options = {key: value for key, value in vars(found.solver).items() if key != "tolerance"}
     start = {"start": found.warm_start} if found.warm_start != "builtin" else {}
     return {"method": type(found.solver).__name__, "dt": dt, **options, **start}, found.us * TIME_STEP / dt
 
