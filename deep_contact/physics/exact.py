@@ -312,7 +312,7 @@ class _System:
         self.added[k, self.B.indices[inside]] -= self.B.data[inside]
         self.right_added[k] = right - self.y[row]
         if k == count:
-            if not self.added[k].any():
+            if not self.added[k].any() and self.right_added[k] == 0.0:
                 return  # A normal row stays as it is where its contact begins or ends to slip.
             self.changed.append(row)
             unit = np.zeros(self.y.size)

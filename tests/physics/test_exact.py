@@ -160,6 +160,7 @@ def test_a_proximal_step_solves_its_problem(falling_states):
 
 
 def test_changed_rows_are_solved_as_the_dense_matrix():
+    # Some circles lie alone on the floor: their normal rows are the same whether open or not, but for the right side.
     rng = np.random.default_rng(1)
     state = ready(dc.simulate(dc.circles_in_box(30, seed=3), steps=200).state)
     A, m, mu = contact_problem(state).A, state.contacts.count, 0.4
