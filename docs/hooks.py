@@ -81,8 +81,9 @@ def _public_names() -> str:
         found = getattr(deep_contact, name)
         if inspect.ismodule(found):
             continue
-        first = inspect.getdoc(found).partition("\n")[0]
-        rows.append(f"| [`dc.{name}`][{found.__module__}.{found.__qualname__}] | {first} |\n")
+        described = found if hasattr(found, "__qualname__") else type(found)  # `BOX2D` is a value
+        first = inspect.getdoc(described).partition("\n")[0]
+        rows.append(f"| [`dc.{name}`][{described.__module__}.{described.__qualname__}] | {first} |\n")
     return f"# Public names\n\nAfter `import deep_contact as dc`:\n\n| Name | |\n| --- | --- |\n{''.join(rows)}"
 
 
