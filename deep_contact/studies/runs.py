@@ -67,7 +67,7 @@ def solver_of(setting: Mapping):
 
 
 def name_of(setting: Mapping) -> str:
-    """ "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; Δt is 0.01 s."""
+    """Such as "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; Δt is 0.01 s."""
     words = [setting.get("engine") or setting["method"]]
     budget = "iterations" if "engine" in setting else "sweeps" if "sweeps" in setting else "substeps"
     number = setting.get("sweeps", setting.get("substeps"))
@@ -134,8 +134,9 @@ def times(n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, 
             )
             runs[name] = lambda name=name, setting=setting, count=count: _step_peer(worlds.pop(name), setting, count)
         else:
-            state, solver = start.replace(dt=setting["dt"]), solver_of(setting)
-            runs[name] = lambda state=state, solver=solver, count=count: simulate(state, steps=count, solver=solver)
+            state, options = start.replace(dt=setting["dt"]), {"solver": solver_of(setting), "steps": count}
+            options["warm_start"] = setting.get("start", "builtin")
+            runs[name] = lambda state=state, options=options: simulate(state, **options)
     took = timing.interleaved(runs, repeats=repeats, setup=setup)
     return {name: 1e6 * seconds / steps for name, seconds in took.items()}
 
@@ -162,7 +163,7 @@ def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
     """A row for each kind, size and setting: its errors with their intervals, and its time, μs, where it was measured.
 
     ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}. took: n_bodies -> {name: μs}. The reference
-    is held against the reference at twice its step, which tells how much of every error is chance.
+    itself has no errors.
     """
     found = []
     for (kind, n_bodies), ensemble in ensembles.items():
