@@ -83,20 +83,23 @@ PEER_SETTINGS = [
 FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] in (2, 4, 10) and s["dt"] > TIME_STEP / 8]
 
 FULL = {
-    "sizes": [100, 1000, 10_000],
-    "kinds": {"100": list(runs.KINDS), "1000": list(runs.KINDS), "10000": ["plain"]},
-    "seeds": {"100": 12, "1000": 6, "10000": 2},
-    "peer_seeds": {"100": 12, "1000": 3, "10000": 1},
+    "sizes": [100, 1000, 3000, 10_000],
+    "seeds": {
+        "100": dict.fromkeys(runs.KINDS, 12),
+        "1000": dict.fromkeys(runs.KINDS, 6),
+        "3000": {"plain": 3, "mixed radii": 2, "no friction": 2},
+        "10000": {"plain": 3, "mixed radii": 2, "no friction": 2},
+    },
+    "peer_seeds": {"100": 12, "1000": 3, "3000": 1, "10000": 1},
     "seconds": 6.0,
-    "settings": {"100": OURS, "1000": OURS, "10000": LARGE},
-    "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "10000": FEW_PEERS},
-    "steps": {"100": 200, "1000": 50, "10000": 10},
+    "settings": {"100": OURS, "1000": OURS, "3000": LARGE, "10000": LARGE},
+    "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
+    "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
     "repeats": 5,
 }
 QUICK = {
     "sizes": [100, 300],
-    "kinds": {"100": ["plain"], "300": ["plain"]},
-    "seeds": {"100": 4, "300": 3},
+    "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
     "peer_seeds": {"100": 4, "300": 3},
     "seconds": 4.0,
     "settings": {"100": OURS, "300": LARGE},
@@ -122,12 +125,12 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
     seen, timed = [], []
     for n in options["sizes"]:
         settings = options["settings"][str(n)] + options["peers"][str(n)]
-        for kind in options["kinds"][str(n)]:
+        for kind, seeds in options["seeds"][str(n)].items():
             for setting in settings:
                 if (is_peer(setting) and kind != "plain") or same_errors(setting) != setting:
                     continue
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-                count = options["peer_seeds" if is_peer(setting) else "seeds"][str(n)]
+                count = options["peer_seeds"][str(n)] if is_peer(setting) else seeds
                 seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, count)]
         times = {"n_bodies": n, "seed": seed, "settings": settings}
         timed.append(("times", times | {"steps": options["steps"][str(n)], "repeats": options["repeats"]}))

@@ -105,8 +105,7 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
     script = load_script("run_tradeoff")
     tiny = script.QUICK | {
         "sizes": [20],
-        "kinds": {"20": ["plain"]},
-        "seeds": {"20": 2},
+        "seeds": {"20": {"plain": 2}},
         "seconds": 1.0,
         "settings": {"20": [runs.REFERENCE, COARSE, {"method": "SoftSteps", "substeps": 2, "dt": TIME_STEP}]},
         "peers": {"20": []},
