@@ -78,7 +78,7 @@ def advance(given, options, workspace, log):
         apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        integrate_positions(bodies, solver_bodies, given)
         correct_positions(bodies, contacts, given.box, scales, options.position_sweeps)
 
         solved = contacts
