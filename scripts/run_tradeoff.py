@@ -133,7 +133,8 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
                 count = options["peer_seeds"][str(n)] if is_peer(setting) else seeds
                 seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, count)]
         times = {"n_bodies": n, "seed": seed, "settings": settings}
-        timed.append(("times", times | {"steps": options["steps"][str(n)], "repeats": options["repeats"]}))
+        times |= {"steps": options["steps"][str(n)], "repeats": options["repeats"]}
+        timed += [("times", times | {"phase": phase}) for phase in runs.PHASES]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
     return seen, timed
 
@@ -155,8 +156,7 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict
         for setting in options["settings"][str(n)]:
             if same_errors(setting) != setting:
                 ensemble[runs.name_of(setting)] = setting, ensemble[runs.name_of(same_errors(setting))][1]
-    by_size = {part["n_bodies"]: us for (_, part), us in zip(timed, took)}
-    rows = runs.rows(ensembles, by_size)
+    rows = runs.rows(ensembles, {(part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)})
     curves = {
         f"{kind}, {n}": {
             name: {
@@ -196,7 +196,7 @@ def presets(rows: list[dict]) -> list[dict]:
                     if runs.meets(runs.worst_errors(judged), tolerances):
                         key = whose, scope
                         if key not in best or mine[0]["us"] < best[key]["us"]:
-                            best[key] = {"name": name, "us": mine[0]["us"]}
+                            best[key] = {"name": name, "us": mine[0]["us"], **mine[0]["phases"]}
             found.append(
                 {
                     "n_bodies": n,

@@ -41,6 +41,15 @@ def test_an_observation_is_read_as_it_was_stored():
 
 
 @pytest.mark.peers
+def test_a_pile_is_timed_in_each_phase():
+    found = {phase: runs.pile(40, 1, phase) for phase in runs.PHASES}
+    impact, settling, rest = found.values()
+    assert impact.time < settling.time < rest.time
+    assert 0.5 * 40 <= impact.contacts.count < 1.5 * 40 <= min(settling.contacts.count, rest.contacts.count)
+    speeds = {phase: np.sqrt((state.bodies.velocity**2).sum(axis=1).mean()) for phase, state in found.items()}
+    assert speeds["rest"] < 0.05 < speeds["settling"] < speeds["impact"]
+
+
 @pytest.mark.parametrize("engine", list(peers.ENGINES))
 def test_other_engines_fall_as_ours(engine):
     if engine not in peers.installed():
@@ -60,10 +69,13 @@ def test_rows_hold_every_setting_against_the_reference():
         runs.name_of(s): (s, [runs.observation(runs.observed("plain", 30, k, s, seconds=1.5)) for k in (1, 2)])
         for s in settings
     }
-    rows = runs.rows({("plain", 30): seen}, {30: {runs.name_of(COARSE): 7.0}})
+    rows = runs.rows(
+        {("plain", 30): seen},
+        {(30, "settling"): {runs.name_of(COARSE): 7.0}, (30, "rest"): {runs.name_of(COARSE): 5.0}},
+    )
     reference, coarse = rows
     assert reference["errors"] is None
-    assert (coarse["us"], coarse["seeds"]) == (7.0, 2)
+    assert (coarse["us"], coarse["phases"], coarse["seeds"]) == (7.0, {"rest": 5.0}, 2)
     value, low, high = coarse["errors"]["penetration_max"]
     assert 0 < low <= value <= high
     worst = runs.worst_errors([coarse, {"errors": {"energy": (1e3, 0, 0), "forces": None}}])
