@@ -377,11 +377,40 @@ def carry_impulses(old, contacts):
 
 
 @njit(cache=True)
+def hold_inside(bodies, box, skin, solved):
+    """Put centres that have left the box in this step, in place, half a radius inside: the wall wins over the others.
+
+    Only what is pressed harder than the sweeps or position correction can withstand comes so far. solved: the step's
+    contacts; a centre that was outside of a wall before has a contact there, and comes back by that.
+    """
+    outside = 0.0
+    for i in range(bodies.mass.shape[0]):
+        x, y = bodies.position[i, 0], bodies.position[i, 1]
+        outside = min(outside, x - box[0], box[2] - x, y - box[1], box[3] - y)
+    if outside >= 0.0:
+        return
+    n = bodies.mass.shape[0]
+    was_outside = np.zeros((n, 4), np.bool_)
+    for k in range(solved.body_a.shape[0]):
+        a, b = solved.body_a[k], solved.body_b[k]
+        if b >= n:
+            was_outside[a, b - n] = solved.separation[k] < -(bodies.radius[a] + skin)
+    for i in range(n):
+        for wall in range(4):
+            gap = wall_gap(bodies.position[i, 0], bodies.position[i, 1], box, wall)
+            if gap < 0.0 and not was_outside[i, wall]:
+                back = gap - 0.5 * bodies.radius[i]
+                bodies.position[i, 0] += back * WALL_NORMALS[wall, 0]
+                bodies.position[i, 1] += back * WALL_NORMALS[wall, 1]
+
+
+@njit(cache=True)
 def next_contacts(bodies, box, skin, cells, solved, warm, buffer):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
     warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
+    hold_inside(bodies, box, skin, solved)
     contacts, buffer = find_contacts(bodies.position, bodies.radius, box, skin, cells, buffer)
     carry_impulses(solved, contacts)
     if not warm:

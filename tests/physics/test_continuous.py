@@ -9,6 +9,7 @@ import deep_contact as dc
 from deep_contact.physics.continuous import FAST
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World, make_bodies
+from deep_contact.studies.extremes import loaded_silo
 
 NO_GRAVITY = World(box=(0, 0, 60, 40), gravity=(0, 0))
 SOLVERS = {name: METHODS[name]() for name in METHODS} | {"colours": dc.BatchedPGS(order="colours")}
@@ -110,3 +111,22 @@ def test_fast_circles_do_not_change_their_order_in_a_channel():
         state = dc.step(state, solver=dc.PGS())
         assert (np.diff(state.bodies.position[:, 0]) > 0).all()
         assert inside(state)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_what_is_pressed_too_hard_for_the_sweeps_stays_in_the_box(name):
+    # A million times as heavy on top: five sweeps hold nothing, and the circles below sink into each other.
+    state = loaded_silo(5, 1e6)
+    options = {"substeps": 1} if name == "SoftSteps" else {"sweeps": 5, "tolerance": None}
+    solver = replace(SOLVERS[name], **options)
+    for _ in range(200):
+        state = dc.simulate(state, steps=1, solver=solver).state
+        assert inside(state)
+
+
+def test_what_begins_outside_comes_in_by_its_contact():
+    # Centres 0.1 and 3 m behind the wall: no step puts them inside at once, but they come.
+    state = scene([[-0.1, 10.0], [-3.0, 20.0]], [[0.0, 0.0], [0.0, 0.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS(position_sweeps=1)).state
+    np.testing.assert_allclose(after.bodies.position[:, 0], [0.1, -2.8], atol=1e-9)
+    assert inside(dc.simulate(after, steps=40, solver=dc.PGS()).state)
