@@ -1,7 +1,8 @@
 """Experiments with trained networks: what chapters 5 and 6 of the thesis say about them.
 
 The layers of a network (Figure 5.8, Tables 5.1 and 5.2), the CNN start beside the others (Figure 5.9), time to a
-threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1). Keras and TensorFlow are imported by the functions that need them; networks run on one thread.
+threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1). Keras and TensorFlow are
+imported by the functions that need them; networks run on one thread.
 """
 
 from __future__ import annotations
