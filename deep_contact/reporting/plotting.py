@@ -159,12 +159,12 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
 
 
 def log_axes(ax) -> None:
-    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades where there are three."""
+    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades where there are more than two."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.set(xscale="log", yscale="log")
     for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
-        axis.set_major_locator(LogLocator(subs=(1.0,) if high > 1000 * low else (1.0, 2.0, 5.0)))
+        axis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 
