@@ -159,7 +159,7 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
 
 
 def log_axes(ax) -> None:
-    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades where there are more than two."""
+    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades beyond two of them."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.set(xscale="log", yscale="log")
