@@ -60,8 +60,8 @@ def thesis(
 ) -> keras.Model:
     """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · outputs).
 
-    With the defaults: 64,498,866 trainable parameters (L1201). The fully connected last layer holds 61 million of them
-    and ties the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
+    With the defaults: 64,498,866 trainable parameters. The fully connected last layer holds 61 million of them and ties
+    the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
     as in the thesis.
 
     dropout: after every stack (Table 5.1). weight_decay: of the L2 regulariser; the thesis does not print its value.

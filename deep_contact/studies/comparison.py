@@ -13,12 +13,12 @@ from functools import partial
 
 import numpy as np
 
-from deep_contact import constants
+from deep_contact import constants, sph
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import plotting
-from deep_contact.reporting.figures import Claim, Figure, parallel_map, seeds
+from deep_contact.reporting.figures import Figure, parallel_map, seeds
 from deep_contact.reporting.results import plain
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World, make_bodies
@@ -29,7 +29,7 @@ THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
 
 THESIS_SETTINGS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 12}
-"""Options of the thesis's comparisons: circles, side of the box in m, steps, sweeps a step; and scenes, of which it has one."""
+"""Options of the thesis's comparisons: circles, side of the box in m, steps, sweeps a step; its scenes are fewer."""
 
 MODES = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
 """Ways to compare starts -> how pictures name them."""
@@ -181,12 +181,13 @@ def compare_starts(
     jobs: int = 1,
     progress: Callable | None = None,
 ) -> dict:
-    """The thesis's comparison of starts over `scenes` scenes, by default in both modes, as the data of a results file.
+    """The thesis's comparison of starts over `scenes` scenes, as data of a results file.
 
-    starts: name -> description (`start_of`). n_bodies: see `scene_of`. velocity_sweeps: see `paired`. modes: of `MODES`.
+    starts: name -> description (`start_of`). n_bodies: see `scene_of`. velocity_sweeps: see `paired`. modes: of
+    `MODES`.
     Returns {"sweep": (k,), "paired": {name: …}, "independent": {name: …}} where … is
     {"theta": mean θ after these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number,
-    "scenes": {"theta": mean θ of each scene (scenes, k), four digits, "sweeps": mean, "states": number, (scenes,) each}}.
+    "scenes": {"theta": mean θ of each scene (scenes, k), four digits, "sweeps": mean, "states": number, (scenes,)}}.
     With velocity_sweeps also {"velocity": {"sweeps", "states", "mean": {name: …}, "median": {name: …}}}, paired, over
     the states in which every start has a finite error.
     """
@@ -391,6 +392,29 @@ def transfer_loss(states: Sequence[State], start: Sph, *, method: str = "bilinea
             returned += back[:, 0].sum()
             total += impulses[:, 0].sum()
     return {"relative error": float(np.mean(errors)), "returned": float(returned / total)}
+
+
+def velocity_loss(states: Sequence[State], start: Sph) -> float:
+    """Change of the circles' velocities and spins by way of the image of the state (Algorithm 2), mean over states.
+
+    Channels are read back where the circles are, and divided by the channel of the masses, which every circle knows
+    of itself: mean of ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω).
+    """
+    errors = []
+    for state in states:
+        bodies = state.bodies
+        motion = np.column_stack([bodies.velocity, bodies.spin])
+        grid = sph.Grid.over_box(state.world.box, start.spacing)
+        h = start.spacing if start.support is None else start.support
+        reach = {"h": h, "kernel": start.kernel, "outside": "clamp", "unreached": "nearest"}
+        image = sph.splat(
+            grid, bodies.position, np.column_stack([bodies.mass, motion]), normalization="particle", **reach
+        )
+        back = sph.gather(grid, image, bodies.position, outside="clamp")
+        errors.append(
+            np.linalg.norm(back[:, 1:] * (bodies.mass / back[:, 0])[:, None] - motion) / np.linalg.norm(motion)
+        )
+    return float(np.mean(errors))
 
 
 def isolated_contacts(count: int, *, seed: int) -> list[State]:

@@ -148,6 +148,23 @@ def thesis_hyperparameters() -> dict[str, str]:
     }
 
 
+def hyperparameters_of(path: str) -> dict[str, str]:
+    """The lines of Table 5.2 that a training decides, of the training that made a model file, by its card."""
+    from deep_contact.cnn.model_file import read_metadata
+
+    card = read_metadata(network_file(path))["card"]
+    config, history = card["config"], card["history"]
+    rates = dict.fromkeys(f"{epoch['rate']:g}" for epoch in history)
+    return {
+        "Optimizer": config["optimizer"].upper(),
+        "Initial learning rate": f"{' then '.join(rates)} ({config['schedule']})",
+        "Batch size": str(config["batch_size"]),
+        "Epochs": f"{len(history)} of {config['states_per_epoch']:,} states",
+        "Validation rate": f"{config['fractions'][1]:g} of the simulations",
+        "States shown": f"{len(history) * config['states_per_epoch']:,}",
+    }
+
+
 # ---- the CNN start beside the others: Figure 5.9 ----
 
 AFTER = (3, 10, 30, 100, 1000, 3000)
@@ -161,10 +178,10 @@ THESIS_VISITS = 18_208 * 1000
 
 
 def claims_of_network(data: Mapping, name: str, label: str) -> list[Claim]:
-    """The thesis's claims on Figure 5.9 for one of the networks, and a comparison by the velocity error, paired.
+    """The thesis's claims on Figure 5.9 for one network, and a comparison by velocity errors, paired.
 
-    data: of `comparison.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one, with the cards of
-    the networks (`networks_info`) under "networks".
+    data: of `comparison.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one, with the cards
+    of the networks (`networks_info`) under "networks".
     """
     share = {"state visits of its training, over the thesis's": data["networks"][name]["visits"] / THESIS_VISITS}
 
@@ -354,11 +371,20 @@ def total_time(data: Mapping, name: str, criterion: str, phases: Sequence[str] =
     return sum(mean_stages(data, name, criterion, phases).values())
 
 
+def times_of(data: Mapping, name: str, criterion: str) -> np.ndarray:
+    """Seconds of a whole contact solution, one a state."""
+    found = data["starts"][name]
+    return np.sum([*found["stages"].values(), found["solve"][criterion]], axis=0)
+
+
+def sweeps_of(data: Mapping, name: str, criterion: str) -> np.ndarray:
+    """Sweeps to a criterion, one a state; a state given up counts with all its sweeps."""
+    return np.array([data["most"] if n is None else n for n in data["starts"][name]["sweeps"][criterion]])
+
+
 def mean_sweeps_to(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> float:
-    """Mean sweeps to a criterion over the states of some phases; a state given up counts with all its sweeps."""
-    counts = data["starts"][name]["sweeps"][criterion]
-    chosen = np.isin(data["phases"], list(phases))
-    return float(np.mean([data["most"] if n is None else n for n in counts], where=chosen))
+    """Mean sweeps to a criterion over the states of some phases (`sweeps_of`)."""
+    return float(np.mean(sweeps_of(data, name, criterion), where=np.isin(data["phases"], list(phases))))
 
 
 def time_by_tree(states: Sequence[State], spec, *, repeats: int) -> float:
