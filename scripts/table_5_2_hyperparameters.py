@@ -1,4 +1,4 @@
-"""python scripts/table_5_2_hyperparameters.py: hyperparameters as printed, as built, and of the training that was run."""
+"""python scripts/table_5_2_hyperparameters.py: settings as printed, as built, and of the training that was run."""
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
