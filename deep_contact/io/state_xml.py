@@ -161,8 +161,8 @@ def write_state(path, state: State, *, dialect: str = "canonical") -> None:
     """Write a state to `….xml`, or compressed to `….xml.gz`; the same state gives the same bytes.
 
     dialect: "canonical", or "pybox2d" (`format_pybox2d`). The folder is made if it is missing. The file appears
-    whole or not at all. Raises StateFileError where the name ends in something else, or the state is not valid or cannot
-    be stored; OSError where the file cannot be written.
+    whole or not at all. Raises StateFileError where the name ends in something else, or the state is not valid or
+    cannot be stored; OSError where the file cannot be written.
     """
     path = Path(path)
     if not path.name.endswith((".xml", ".xml.gz")):
