@@ -123,7 +123,7 @@ def draw(data, options):
     """A row a scene, a panel a threshold: bars of the stages' mean times, with the mean sweeps at their ends."""
     scenes = data["scenes"]
     criteria = next(iter(scenes.values()))["criteria"]
-    size = (3.3 * len(criteria), 2.9 * len(scenes))
+    size = (3.4 * len(criteria), 3.1 * len(scenes))
     figure, panels = plotting.subplots(len(scenes), len(criteria), size=size, squeeze=False)
     for row, (title, scene) in zip(panels, scenes.items()):
         names = list(scene["starts"])
@@ -134,7 +134,7 @@ def draw(data, options):
         width, height = scene["box"]
         row[0].set_ylabel(f"{title}, {width:.3g} m × {height:.3g} m,\n{scene['contacts']:.0f} contacts")
     for ax in panels[-1]:
-        ax.set_xlabel("mean time of a step's contacts (ms)")
+        ax.set_xlabel("mean time of a step's contacts (ms);\nat the bars' ends, mean sweeps")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
     return figure
@@ -150,11 +150,11 @@ def draw_bars(ax, scene, names, criterion):
         left = [start + width for start, width in zip(left, widths)]
     for place, (name, end) in enumerate(zip(names, left)):
         sweeps = learned.mean_sweeps_to(scene, name, criterion)
-        ax.text(end, place, f" {sweeps:.3g} sweeps, {end:.2g} ms", va="center", fontsize=7)
+        ax.text(end, place, f" {sweeps:,.0f}", va="center", fontsize=8)
     ax.invert_yaxis()
     ax.set_yticks(range(len(names)), [])
     ax.grid(axis="y", visible=False)
-    ax.set_xlim(0, 1.8 * max(left))
+    ax.set_xlim(0, 1.3 * max(left))
 
 
 OPTIONS = {
