@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from deep_contact.recommendation import PRESETS
-from deep_contact.reporting import errata
+from deep_contact.reporting import errata, results
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing
 from deep_contact.studies.run_errors import ERRORS
@@ -133,13 +133,17 @@ def presets() -> list[list]:
 
 def claims(*, of_thesis: bool) -> list[list]:
     """Every claim of the thesis that a reference run has tested; or every goal of ours, with what was measured."""
-    head = ["figure", "thesis", "claim", "holds"] if of_thesis else ["results", "goal", "met", "measured"]
+    head = ["figure", "thesis", "claim", "verdict"] if of_thesis else ["results", "goal", "met", "measured"]
     keys = ("thesis", "text", "holds") if of_thesis else ("text", "holds", "measured")
     files = [one for one in (stored(path.stem) for path in sorted(REFERENCE.glob("*.json"))) if "claims" in one]
     files.sort(key=lambda one: (one["id"][0] > "9", [int(n) for n in re.findall(r"\d+", one["id"])]))
     found = [(one["id"], claim) for one in files for claim in one["claims"] if bool(claim["thesis"]) == of_thesis]
     for _, claim in found:
-        claim["holds"] = {True: "yes", False: "**no**", None: "open"}[claim["holds"]]
+        verdict, own = results.verdict(claim), claim.get("verdict")
+        found = {True: "yes", False: "**no**", None: verdict}[claim["holds"]]
+        claim["holds"] = (
+            f"**{verdict}**" if of_thesis and claim["holds"] is False else verdict if of_thesis else own or found
+        )
         claim["measured"] = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
     return [head, *([id, *(claim[key] for key in keys)] for id, claim in found)]
 
@@ -157,7 +161,9 @@ def figures() -> list[list]:
 TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, presets, figures)} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
-    "errata": lambda: [list(errata.ERRATA[0]), *(list(erratum.values()) for erratum in errata.ERRATA)],
+    "errata": lambda: errata.rows(errata.ERRATA),
+    "conventions": lambda: errata.rows(errata.CONVENTIONS),
+    "code": lambda: errata.rows(errata.CODE),
 }
 
 
