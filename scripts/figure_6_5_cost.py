@@ -55,11 +55,11 @@ def fastest_rival(row, phase="us"):
 def claims(data):
     """What a circle more costs, what phases cost, and what rivals cost in each of them."""
     found = []
-    powers = {
-        preset: float(np.polyfit(np.log([row["n_bodies"] for row in rows]), np.log([row["ours_plain"]["us"] for row in rows]), 1)[0])
-        for preset in presets_of(data)
-        if len(rows := [row for row in rows_of(data, preset) if row["n_bodies"] >= 1000]) > 1
-    }  # fmt: skip
+    powers = {}
+    for preset in presets_of(data):
+        large = [(row["n_bodies"], row["ours_plain"]["us"]) for row in rows_of(data, preset) if row["n_bodies"] >= 1000]
+        if len(large) > 1:
+            powers[preset] = float(np.polyfit(*np.log(large).T, 1)[0])
     if powers:
         text = "a preset's cost grows with circles to the power of at most 1.15, from 1,000 circles on"
         found.append(Claim(text, None, max(powers.values()) <= 1.15, powers))
@@ -77,7 +77,7 @@ def claims(data):
 def table(data):
     """Rows: each preset at each size, its setting on plain piles, times by phase, and the fastest rival's."""
     head = ["circles", "preset", "setting", "impact, µs", "settling, µs", "rest, µs"]
-    rows = [head + ["fastest rival", "impact, µs", "settling, µs", "rest, µs"]]
+    rows = [[*head, "fastest rival", "impact, µs", "settling, µs", "rest, µs"]]
     for row in data["presets"]:
         ours, rival = row["ours_plain"], fastest_rival(row)
         theirs = row["peers"][rival[0]] if rival else None
@@ -89,7 +89,7 @@ def table(data):
 
 
 def draw(data, options):
-    """Three panels: cost by size with the fastest rival's; cost in impact and at rest by that while settling; ratios."""
+    """Cost by size, with the fastest rival's; in impact and at rest, by that while settling; rival's by ours."""
     figure, (left, middle, right) = plotting.subplots(1, 3, size=(13.5, 4.4))
     drawn = set()
     for preset, colour in presets_of(data).items():

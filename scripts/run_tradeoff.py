@@ -91,6 +91,7 @@ FULL = {
         "10000": {"plain": 3, "mixed radii": 2, "no friction": 2},
     },
     "peer_seeds": {"100": 12, "1000": 3, "3000": 1, "10000": 1},
+    "model": [100, 1000],
     "seconds": 6.0,
     "settings": {"100": OURS, "1000": OURS, "3000": LARGE, "10000": LARGE},
     "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
@@ -101,6 +102,7 @@ QUICK = {
     "sizes": [100, 300],
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
     "peer_seeds": {"100": 4, "300": 3},
+    "model": [],
     "seconds": 4.0,
     "settings": {"100": OURS, "300": LARGE},
     "peers": {"100": PEER_SETTINGS[::3], "300": []},
@@ -126,7 +128,8 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
     for n in options["sizes"]:
         settings = options["settings"][str(n)] + options["peers"][str(n)]
         for kind, seeds in options["seeds"][str(n)].items():
-            for setting in settings:
+            model = list(runs.MODEL.values()) if kind == "plain" and n in options["model"] else []
+            for setting in settings + model:
                 if (is_peer(setting) and kind != "plain") or same_errors(setting) != setting:
                     continue
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}

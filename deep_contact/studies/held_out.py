@@ -58,8 +58,8 @@ def errors_on_scenes(
     """Errors of all starts (name -> description) on the same states of held-out scenes of 70 to 110 circles, as in the
     training data.
 
-    options: number of "scenes", "steps", "every", and the numbers of sweeps "after" which errors are measured. with_all:
-    starts that all of `SOLVERS` follow; PGS follows the others.
+    options: number of "scenes", "steps", "every", and the numbers of sweeps "after" which errors are measured.
+    with_all: starts that all of `SOLVERS` follow; PGS follows the others.
     """
     tasks = [{**options, "starts": starts, "with_all": with_all, "seed": s} for s in seeds(seed, options["scenes"])]
     return parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")

@@ -10,6 +10,7 @@ Time steps are given for circles of r = 1 m under g = 9.81 m/s²: what counts is
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -54,6 +55,12 @@ REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 LIMIT = [{"method": "PGS", "sweeps": 20, "dt": TIME_STEP / k} for k in (1, 2, 4, 8, 16)]
 """The settings whose errors show the convergence to the limit."""
 
+MODEL = {
+    "a tenth of the slop": REFERENCE | {"slop": 0.1},
+    "no position correction": REFERENCE | {"position_sweeps": 0},
+}
+"""What the contact model changes in the limit of small steps; the first has position correction leave less alone."""
+
 
 def scene(kind: str, n_bodies: int, seed: int) -> State:
     """A falling pile: the thesis's scene for 100 circles and fewer, otherwise a loose lattice."""
@@ -65,7 +72,7 @@ def scene(kind: str, n_bodies: int, seed: int) -> State:
 
 def solver_of(setting: Mapping):
     """The options of a setting's method, without substeps."""
-    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
+    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start", "slop")}
     fixed = {} if setting["method"] == "SoftSteps" else {"tolerance": None}
     return METHODS[setting["method"]](**options, **fixed)
 
@@ -102,6 +109,9 @@ def observation(stored: Mapping) -> Observation:
 
 def _states(state: State, setting: Mapping, frames: int) -> Iterator[State]:
     state, each = state.replace(dt=setting["dt"]), round(INTERVAL / setting["dt"])
+    if "slop" in setting:  # as a multiple of the scene's own
+        scales = state.scales._replace(slop=setting["slop"] * state.scales.slop)
+        state = state.replace(world=replace(state.world, scales=scales))
     solver = solver_of(setting)
     for _ in range(frames):
         state = simulate(state, steps=each, solver=solver, warm_start=setting.get("start", "builtin")).state

@@ -92,7 +92,7 @@ def test_unknown_and_missing_fields_are_refused():
 
 
 def test_the_default_is_the_thesis_network_s_input():
-    """61 x 61 x 5 in the order of its training: thesis L1175 to L1180, and n_x."""
+    """61 x 61 x 5 in the order of its training: section 5.2.3 of the thesis, and n_x."""
     state = one_contact((15, 15))
     assert ImageSpec().channels == ("mass", "velocity_x", "velocity_y", "spin", "normal_x") == THESIS_CHANNELS
     assert input_image(state, ImageSpec()).shape == (61, 61, 5)

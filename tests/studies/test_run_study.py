@@ -118,6 +118,7 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
     tiny = script.QUICK | {
         "sizes": [20],
         "seeds": {"20": {"plain": 2}},
+        "model": [20],
         "seconds": 1.0,
         "settings": {"20": [runs.REFERENCE, COARSE, {"method": "SoftSteps", "substeps": 2, "dt": TIME_STEP}]},
         "peers": {"20": []},
@@ -135,6 +136,8 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
         "PGS, 20 sweeps, Δt / 16",
         "PGS, 3 sweeps, Δt",
         "SoftSteps, 2 substeps, Δt",
+        "PGS, 20 sweeps, slop=0.1, Δt / 16",
+        "PGS, 20 sweeps, position_sweeps=0, Δt / 16",
     }
     table = json.loads((tmp_path / "runs.json").read_text())
     found = dc.recommend(dc.circles_in_box(20), accuracy="preview", table=table)
