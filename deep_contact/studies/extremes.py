@@ -53,8 +53,9 @@ class Trial:
     """One scene to run.
 
     solver: of every engine; ours takes the presets' for a scene that is too stiff for a few sweeps
-    (`recommendation.stiff`) where `recognised` is set. ordered: axis along which the circles have to keep the order of their numbers, or None. single: round the bodies to
-    float32 after every step, as an engine with a float32 state does.
+    (`recommendation.stiff`) where `recognised` is set. ordered: axis along which the circles have to keep the order of
+    their numbers, or None. single: round the bodies to float32 after every step, as an engine with such a
+    state does.
     """
 
     scene: State

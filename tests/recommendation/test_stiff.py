@@ -28,7 +28,7 @@ def test_what_is_stiff_rests_within_a_slop_and_without_speed(name):
         state = dc.simulate(state, steps=10, accuracy="fast").state
         assert metrics.penetration(state) < state.scales.slop
     assert np.abs(state.bodies.velocity).max() < 1e-3
-    assert np.abs(state.bodies.position - first).max() < 0.2 * state.bodies.count * state.scales.slop
+    assert np.abs(state.bodies.position - first).max() < 0.3 * state.bodies.count * state.scales.slop
 
 
 @pytest.mark.parametrize("name", STIFF)
