@@ -383,11 +383,13 @@ def hold_inside(bodies, box, skin, solved):
     Only what is pressed harder than the sweeps or position correction can withstand comes so far. solved: the step's
     contacts; a centre that was outside of a wall before has a contact there, and comes back by that.
     """
-    outside = 0.0
+    x_min, y_min, x_max, y_max = box
+    outside = False
     for i in range(bodies.mass.shape[0]):
         x, y = bodies.position[i, 0], bodies.position[i, 1]
-        outside = min(outside, x - box[0], box[2] - x, y - box[1], box[3] - y)
-    if outside >= 0.0:
+        # Without branches, so that the loop vectorises.
+        outside |= (x < x_min) | (x > x_max) | (y < y_min) | (y > y_max)
+    if not outside:
         return
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
