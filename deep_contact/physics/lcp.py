@@ -52,7 +52,7 @@ class ContactProblem(NamedTuple):
 
 
 def check_problem(problem: ContactProblem) -> ContactProblem:
-    """The problem with friction, validated, its arrays float64 and A sorted. Raises ValueError naming field and value."""
+    """The problem with friction, validated, in float64 and with A sorted. Raises ValueError naming field and value."""
     A = sparse.csr_array(problem.A, dtype=np.float64)
     A.sort_indices()
     size = A.shape[0]

@@ -82,7 +82,7 @@ def solve_problem(
 
     solver: `PGS` (the default), `PSOR`, `SymmetricPGS`, `NNCG`, `NesterovPGS` or `APGD`, in double precision; their
     tolerance is a number, or None. start: λ to start from, (2 m,); by default 0. error: stop as well once
-    `siconos_error` is no larger, which is looked at every `CHECK_EVERY` sweeps; the record's status is "converged" then.
+    `siconos_error` is no larger, looked at every `CHECK_EVERY` sweeps; the record's status is "converged" then.
     Impulses are returned in the friction cone. Raises ValueError naming the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
