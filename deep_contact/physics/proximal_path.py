@@ -364,7 +364,7 @@ def follow(bodies, diagonal, friction, epsilon, states, x, u, q, limit, inverse)
         if sign < 0.0 and length >= t and total == 0.0:
             x -= t * dx
             return True, pivots, factorizations
-        if contact < 0 or pivots == limit or turns > MOST_TURNS or not total == 0.0:
+        if contact < 0 or pivots + factorizations > limit or turns > MOST_TURNS or not total == 0.0:
             return False, pivots, factorizations
         step = sign * length
         for i in range(m):
