@@ -392,6 +392,17 @@ def check_limits(state: State, limits: dict = LIMITS) -> State:
     return state
 
 
+def native(state: State) -> State:
+    """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
+    parts = {"bodies": state.bodies, "contacts": state.contacts}
+    foreign = {
+        name: type(part)(*(array.astype(array.dtype.newbyteorder("="), copy=False) for array in part))
+        for name, part in parts.items()
+        if part is not None and not all(array.dtype.isnative for array in part)
+    }
+    return state.replace(**foreign) if foreign else state
+
+
 def no_contacts() -> Contacts:
     """Contacts of a state that has none."""
     return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)

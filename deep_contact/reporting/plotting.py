@@ -46,6 +46,8 @@ START_STYLE = {
         ("compact", PURPLE, (0, (3, 1, 1, 1, 1, 1)), "X", "CNN, image of impulses"),
         ("coarse", PURPLE, ":", "h", "CNN, far field, coarse"),
         ("guarded", ORANGE, "-", "*", "Guarded"),
+        ("learned", GREEN, "--", "d", "Learned, on the contact"),
+        ("best classical", BLACK, "-", "o", "Best classical"),
         ("random", GREY, ":", "+", "Random"),
         ("bad", GREY, "--", "1", "Bad"),
     )
@@ -158,12 +160,12 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
 
 
 def log_axes(ax) -> None:
-    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, which do not run into one another."""
+    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades beyond two of them."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.set(xscale="log", yscale="log")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        axis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 

@@ -1,8 +1,8 @@
 """Experiments with trained networks: what chapters 5 and 6 of the thesis say about them.
 
 The layers of a network (Figure 5.8, Tables 5.1 and 5.2), the CNN start beside the others (Figure 5.9), time to a
-threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1), errors on held-out scenes
-(chapter 6). Keras and TensorFlow are imported by the functions that need them; networks run on one thread.
+threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1). Keras and TensorFlow are
+imported by the functions that need them; networks run on one thread.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import input_image, read_back
 from deep_contact.cnn.inference import network_file, network_start, one_thread
 from deep_contact.physics.engine import solve
-from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting.figures import Claim, parallel_map
 from deep_contact.state import State
@@ -590,43 +589,3 @@ def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
         measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), p]
         equal &= not p < 0.05
     return equal, measured
-
-
-# ---- starts on held-out scenes ----
-
-OFF = 0.05
-"""Velocity error of Builtin's start above which a better start can matter."""
-
-
-def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
-    """`errors_on_scene` of one scene of 70 to 110 circles, as in the training data.
-
-    task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are measured.
-    """
-    from deep_contact.studies.scene_errors import errors_on_scene
-
-    rng = np.random.default_rng(task["seed"])
-    scene = circles_in_box(int(rng.integers(70, 111)), seed=rng)
-    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
-
-
-def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Mean velocity error of a start by scene and number of sweeps, from the output of `errors_on_scene`.
-
-    where: "all" states, or only those where Builtin is "off" by more than `OFF`; scenes without any are omitted.
-    """
-    means = []
-    for scene in scenes:
-        found, builtin = (np.array(scene["errors"][n]) for n in (name, "builtin"))
-        chosen = builtin[:, 0] > OFF if where == "off" else np.ones(len(found), bool)
-        if chosen.any():
-            means.append(found[chosen].mean(axis=0))
-    return np.array(means)
-
-
-def ratios_to_builtin(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Mean error over Builtin's mean error, with the 95 % interval by resampling scenes: (sweeps, 3)."""
-    found, builtin = mean_errors(scenes, name, where), mean_errors(scenes, "builtin", where)
-    chosen = np.random.default_rng(0).integers(0, len(found), (2000, len(found)))
-    sampled = found[chosen].mean(axis=1) / builtin[chosen].mean(axis=1)
-    return np.column_stack([found.mean(axis=0) / builtin.mean(axis=0), *np.quantile(sampled, [0.025, 0.975], axis=0)])

@@ -25,6 +25,7 @@ from deep_contact.cnn.images import (
     symmetries,
     transform_state,
 )
+from deep_contact.physics import metrics
 from deep_contact.simulation import ready
 from deep_contact.state import World, make_bodies
 
@@ -364,3 +365,16 @@ def test_neither_images_nor_data_load_tensorflow():
         "sys.exit(sorted({'tensorflow', 'keras'} & set(sys.modules)) != [])"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+def test_a_state_in_the_other_byte_order_gives_the_same_images_and_impulses(states):
+    def swapped(part):
+        return type(part)(*(array.astype(array.dtype.newbyteorder(">")) for array in part))
+
+    state, spec = states[3], ALL
+    foreign = state.replace(bodies=swapped(state.bodies), contacts=swapped(state.contacts))
+    for one, other in zip(image_pair(foreign, spec), image_pair(state, spec)):
+        np.testing.assert_array_equal(one, other)
+    image = label_image(state, spec)
+    np.testing.assert_array_equal(read_back(image.astype(">f4"), foreign, spec), read_back(image, state, spec))
+    assert metrics.penetration(foreign) == metrics.penetration(state)

@@ -18,6 +18,7 @@ from numba import njit
 from deep_contact import validation
 from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.collision import make_cells, make_contacts, next_contacts, own_contacts
+from deep_contact.physics.continuous import any_is_fast, stop_fast
 from deep_contact.physics.contact_solver import (
     BODY_A,
     BODY_B,
@@ -150,6 +151,8 @@ def advance_softly(given, options, workspace, log):
         if given.restitution > 0.0:
             bounce_back(rows, bounce, pressed, solver_bodies)
         store_velocities(bodies, solver_bodies, given.dt, scales.max_translation)
+        if any_is_fast(bodies, origin):
+            stop_fast(bodies, origin, given.gravity, given.dt, given.box, scales)
         store_whole_impulses(rows, contacts, substeps)
 
         solved = contacts
