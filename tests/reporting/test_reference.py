@@ -191,9 +191,6 @@ def agree(one, other, factor):
 
 FEW_SCENES = "the starts compared differ by less than one scene from another"
 UNDECIDED = {
-    "5.4": FEW_SCENES,
-    "5.5": FEW_SCENES,
-    "5.6": FEW_SCENES,
     "5.9": FEW_SCENES,
     "5.10": "times, of a smaller pile",
     "6.1": FEW_SCENES,
@@ -203,7 +200,6 @@ UNDECIDED = {
     "6.7": "fewer steps, after which solutions have parted less",
     "T 6.3": "one scene of 100 circles, where TensorFlow is behind",
     "6.8": FEW_SCENES,
-    "T 6.1": "a training of seconds",
 }
 """Figures whose quick runs may find other claims to hold, and why."""
 
@@ -219,5 +215,6 @@ def test_a_quick_run_finds_the_same_claims_to_hold(id, folder):
     found, stored = verdicts(run_of(id, True, folder)), verdicts(STORED[id])
     # Fewer where a quick run has fewer networks, of fewer circles where it has smaller piles.
     assert {of_any_size(text) for text in found} <= {of_any_size(text) for text in stored}
+    told = {text: holds for text, holds in found.items() if holds is not None}  # one scene leaves verdicts open
     if id not in UNDECIDED:
-        assert found == {text: stored[text] for text in found}
+        assert told == {text: stored[text] for text in told}
