@@ -113,7 +113,7 @@ def draw(data, options):
     right.set_ylim(bottom=0)
     right.legend()
     title = f"b) contact solution, {options['sweeps']} sweeps"
-    plotting.label_axes(right, "contacts", "time", y_unit="ms", title=title)
+    plotting.label_axes(right, "contacts", "processor time", y_unit="ms", title=title)
     return figure
 
 

@@ -112,7 +112,7 @@ def draw(data, options):
     right.axhline(1.0, color=plotting.GREY, linewidth=1.0)
     right.set_ylim(0, max(1.2, 1.05 * right.get_ylim()[1]))
     plotting.label_axes(right, "part of the run", "error over the best classical", x_unit="%", title="b) all steps")
-    right.legend(fontsize=7)
+    right.legend(fontsize=7, handlelength=3.5)
     return figure
 
 

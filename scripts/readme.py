@@ -104,6 +104,20 @@ def engine() -> list[list]:
     return rows
 
 
+def outside() -> list[list]:
+    """Milliseconds of every method on every problem of others; in brackets those that missed the tolerance."""
+    found = stored("benchmark_outside")
+    rows = [["method", *(f"{title}, {count:,} contacts" for title, count in found["contacts"].items())]]
+    for name in next(iter(found["seconds"].values())):
+        cells = []
+        for title in found["contacts"]:
+            seconds, error = found["seconds"][title][name], found["error"][title][name]
+            text = f"{_text(1e3 * seconds)} ms"
+            cells.append(text if error <= found["tolerance"] else f"({text}, error {error:.0e})")
+        rows.append([name, *cells])
+    return rows + [[name, f"left out: {reason}"] for name, reason in found["missing"].items()]
+
+
 def transfer() -> list[list]:
     """Times of the transfer and of state files."""
     case, files = stored("benchmark_transfer"), stored("benchmark_state_xml")
@@ -133,17 +147,19 @@ def presets() -> list[list]:
 
 def claims(*, of_thesis: bool) -> list[list]:
     """Every claim of the thesis that a reference run has tested; or every goal of ours, with what was measured."""
-    head = ["figure", "thesis", "claim", "verdict"] if of_thesis else ["results", "goal", "met", "measured"]
-    keys = ("thesis", "text", "holds") if of_thesis else ("text", "holds", "measured")
+    head = ["results", "goal", "met", "measured"]
+    keys = ("text", "holds", "measured")
+    if of_thesis:
+        head, keys = ["figure", "thesis", "claim", "verdict", "by mean sweeps"], ("thesis", "text", "holds", "ours")
     files = [one for one in (stored(path.stem) for path in sorted(REFERENCE.glob("*.json"))) if "claims" in one]
     files.sort(key=lambda one: (one["id"][0] > "9", [int(n) for n in re.findall(r"\d+", one["id"])]))
     found = [(one["id"], claim) for one in files for claim in one["claims"] if bool(claim["thesis"]) == of_thesis]
     for _, claim in found:
-        verdict, own = results.verdict(claim), claim.get("verdict")
-        found = {True: "yes", False: "**no**", None: verdict}[claim["holds"]]
-        claim["holds"] = (
-            f"**{verdict}**" if of_thesis and claim["holds"] is False else verdict if of_thesis else own or found
-        )
+        verdict = results.verdict(claim)
+        if not of_thesis and not claim.get("verdict"):
+            verdict = {True: "yes", False: "no", None: "open"}[claim["holds"]]
+        claim["holds"] = f"**{verdict}**" if claim["holds"] is False else verdict
+        claim["ours"] = claim["measured"].get("by that measure")
         claim["measured"] = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
     return [head, *([id, *(claim[key] for key in keys)] for id, claim in found)]
 
@@ -158,7 +174,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, presets, figures)} | {
+TABLES = {table.__name__: table for table in (learned, engine, outside, transfer, tried, presets, figures)} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
     "errata": lambda: errata.rows(errata.ERRATA),

@@ -201,7 +201,7 @@ def produce(
         "id": figure.id,
         "title": figure.title,
         "options": options,
-        "provenance": provenance.provenance(seed=seed, wall_s=wall_s),
+        "provenance": provenance.provenance(seed=seed, wall_s=wall_s, options=options),
         "claims": list(figure.claims(data)),
         "data": data,
     }
@@ -285,7 +285,8 @@ def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool
     made_by, commit = found["provenance"], provenance.commit()
     clean = commit != "unknown" and not commit.endswith("+changes")
     now = {"commit": commit, "packages": provenance.package_versions(), "seed": seed}
-    same = all(made_by[name] == value for name, value in now.items())
+    now["inputs"] = provenance.digests(results.plain(options))
+    same = all(made_by.get(name) == value for name, value in now.items())
     return clean and same and (found["id"], found["options"]) == (figure.id, results.plain(options))
 
 

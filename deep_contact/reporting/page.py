@@ -88,7 +88,9 @@ def _collect(folder: Path, captions: Mapping[str, str]) -> tuple[list[dict], lis
                     "anchor": _name(entry["id"]).lower().replace(" ", "-").replace(".", "-"),
                     "picture": _embedded(picture) if picture.exists() else None,
                     "settings": {**entry["options"], "seed": made["seed"]},
-                    "made": {k: v for k, v in made.items() if k not in ("packages", "seed")} | made["packages"],
+                    "made": {k: v for k, v in made.items() if k not in ("packages", "seed", "inputs")}
+                    | made["packages"]
+                    | made.get("inputs", {}),
                 }
             )
     return sorted(found, key=lambda entry: _order(entry["id"])), sorted(faults)

@@ -402,7 +402,7 @@ def convergence_plot(
 PAGE = 8.3
 """Width of a page, inches."""
 
-_CHARACTER, _LINE = 0.085, 0.17
+_CHARACTER, _LINE = 0.078, 0.16
 """Width of a character of a table and height of a line, inches."""
 
 
@@ -416,7 +416,7 @@ def draw_table(rows: Sequence[Sequence[str]], title: str):
     least = [max(len(word) for text in column for word in (*text.split(), "")) for column in columns]
     room = int(PAGE / _CHARACTER) - 2 * len(widths)
     while sum(widths) > room and widths != least:
-        wide = max(range(len(widths)), key=lambda i: widths[i] - least[i])
+        wide = max((i for i in range(len(widths)) if widths[i] > least[i]), key=widths.__getitem__)
         widths[wide] -= 1
     wrapped = [[textwrap.fill(text, width) if text else "" for text, width in zip(row, widths)] for row in rows]
     lines = [max(text.count("\n") + 1 for text in row) for row in wrapped]
@@ -430,7 +430,7 @@ def draw_table(rows: Sequence[Sequence[str]], title: str):
         ax.set_title(textwrap.fill(title, int(wide / 0.1)))
         table = ax.table(wrapped, colWidths=shares, loc="center", cellLoc="left", bbox=(0, 0, 1, 1))
         table.auto_set_font_size(False)
-        table.set_fontsize(8 * scale)
+        table.set_fontsize(7.4 * scale)
         for (row, _), cell in table.get_celld().items():
             cell.set_height(_LINE * lines[row] + 0.09)
             cell.visible_edges = "B"

@@ -516,6 +516,42 @@ def test_curves_that_are_not_starts_do_not_share_a_style():
     assert styles["copy"] == plotting.style_of("copy")
 
 
+def test_a_table_fits_a_page_and_keeps_its_words():
+    rows = [["name", "what it says", "number"], ["one", "words and more words " * 12, "0.123 (0.1–0.2)"]]
+    figure = plotting.draw_table(rows, "Table 9.1: a long text")
+    assert figure.get_figwidth() <= plotting.PAGE
+    (table,) = figure.axes[0].tables
+    shown = {place: cell.get_text().get_text() for place, cell in table.get_celld().items()}
+    assert shown[1, 1].split() == rows[1][1].split()
+    assert shown[1, 1].count("\n") >= 2
+    assert table.get_celld()[1, 0].get_height() > table.get_celld()[0, 0].get_height()
+
+
+def test_a_table_of_many_columns_gets_smaller_letters_not_a_wider_page():
+    rows = [[f"incompressible{i}" for i in range(14)]] * 2
+    figure = plotting.draw_table(rows, "Table 9.2: many columns")
+    assert figure.get_figwidth() <= plotting.PAGE
+    (table,) = figure.axes[0].tables
+    assert table.get_celld()[0, 0].get_text().get_fontsize() < 7
+    assert "\n" not in table.get_celld()[0, 0].get_text().get_text()
+
+
+def test_curves_beside_starts_have_colours_of_their_own():
+    styles = plotting.styles_of(["none", "builtin", "sph", "another", "copy"])
+    others = {look["color"] for name, look in styles.items() if name != "another"}
+    assert styles["another"]["color"] not in others
+
+
+def test_the_key_of_impulses_shows_the_widths_of_the_lines():
+    figure, ax = plotting.subplots()
+    plotting.draw_state(ax, three_circles(), largest_impulse=4.0)
+    plotting.impulse_key(figure, 4.0)
+    (key,) = figure.legends
+    *lines, _ = key.get_lines()
+    assert [line.get_linewidth() for line in lines] == pytest.approx([0.7, 2.3, 4.3])
+    assert "4 N·s" in key.get_texts()[2].get_text()
+
+
 def test_a_saved_figure_has_the_same_bytes_every_time(tmp_path):
     pictures = []
     for name in ("a.png", "b.png"):
