@@ -22,13 +22,13 @@ from deep_contact.physics.contact_solver import (
     Rows,
     apply_impulses,
     contact_rows,
-    correct_positions,
     integrate_positions,
     integrate_velocities,
     make_rows,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.position_correction import correct_positions, make_correction_room
 from deep_contact.physics.sleeping import advance_sleeping
 from deep_contact.physics.solvers import PRECISIONS, SoftSteps
 from deep_contact.physics.solvers.registry import (
@@ -68,6 +68,7 @@ def advance(given, options, workspace, log):
     front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype, friction)
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
+    room = make_correction_room(n, 4 * n + 64)
     solved = contacts
     for k in range(log.contacts.shape[0]):
         if k > 0:
@@ -79,7 +80,7 @@ def advance(given, options, workspace, log):
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
         integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
-        correct_positions(bodies, contacts, given.box, scales, options.position_sweeps)
+        room = correct_positions(bodies, contacts, given.box, scales, options.position_sweeps, room)
 
         solved = contacts
         contacts, back_buffer = next_contacts(

@@ -22,13 +22,13 @@ from deep_contact.physics.contact_solver import (
     INVERSE_MASS,
     apply_impulses,
     contact_rows,
-    correct_positions,
     integrate_positions,
     integrate_velocities,
     make_rows,
     store_impulses,
 )
 from deep_contact.physics.islands import root_of, unite
+from deep_contact.physics.position_correction import correct_positions, make_correction_room
 from deep_contact.physics.solvers.registry import make_workspace, relax
 from deep_contact.physics.step import log_step
 
@@ -50,6 +50,7 @@ def advance_sleeping(given, options, workspace, log):
     )
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype, friction)
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
+    room = make_correction_room(n, 4 * n + 64)
     parent, shortest = np.empty(n, np.int64), np.empty(n)
     solved = contacts
     awake = (still < np.inf).sum()
@@ -69,7 +70,7 @@ def advance_sleeping(given, options, workspace, log):
         store_impulses(rows, active)
         store_awake_impulses(active, still, contacts)
         integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
-        correct_positions(bodies, active, given.box, scales, options.position_sweeps)
+        room = correct_positions(bodies, active, given.box, scales, options.position_sweeps, room)
 
         solved = contacts
         contacts, back_buffer = next_contacts(
