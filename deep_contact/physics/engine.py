@@ -54,7 +54,7 @@ _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
 _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance(given, options, workspace, log):
     """Do as many steps as the log has rows: the bodies move in place. Returns (contacts solved last, contacts found).
 
@@ -99,7 +99,7 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
     return sweeps
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def build_rows(given, solver_bodies):
     """Fill the solver bodies of a step, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
@@ -252,7 +252,7 @@ def for_solver(function, solver) -> Callable:
 
 @cache
 def _uncached(function, solver_type: type) -> Callable:
-    return njit(error_model="numpy")(function.py_func)
+    return njit(error_model="numpy", nogil=True)(function.py_func)
 
 
 def contacts_of(state: State) -> Contacts:

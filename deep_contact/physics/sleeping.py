@@ -33,7 +33,7 @@ from deep_contact.physics.solvers.registry import make_workspace, relax
 from deep_contact.physics.step import log_step
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance_sleeping(given, options, workspace, log):
     """`engine.advance` with sleeping: same arguments and results; logs the contacts that are awake.
 

@@ -262,7 +262,7 @@ def correct_positions_in_batches(settings, plan, tiles, bodies, box, scales, swe
     take_centres(tiles.centre, bodies)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance_in_batches(given, options, workspace, log):
     """`engine.advance` for `BatchedPGS`: same arguments, same results; positions are corrected in batches as well."""
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings

@@ -110,7 +110,7 @@ class SoftSettings(NamedTuple):
     push_speed: float
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance_softly(given, options, workspace, log):
     """`engine.advance` for `SoftSteps`: same arguments, same results; there are no position sweeps.
 
