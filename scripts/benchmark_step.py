@@ -1,11 +1,11 @@
 """The step as a budget: time of each stage in the running step, a circle.
 
-    python scripts/benchmark_step.py [--quick] [--sizes 100,1000,10000,100000] [--repeats 5] [--json FILE]
+    python scripts/benchmark_step.py [--quick] [--sizes 100,1000,10000,100000] [--repeats 30] [--json FILE]
 
 Steps of ten sweeps and three sweeps of position correction, contact by contact and in batches by colours, of piles that
 fall and that have settled (of `scripts/benchmark_engine.py`; from 100,000 circles on, packed piles of Figure 6.5, which
-do not have to fall first). Times are of the compiled steps alone. For how they are taken, and for the floor of a stage,
-see `deep_contact.studies.step_stages`.
+do not have to fall first). Times are of the compiled steps alone, each stage's the least of the repeats. For how they
+are taken, and for the floor of a stage, see `deep_contact.studies.step_stages`.
 """
 
 from __future__ import annotations
@@ -47,12 +47,12 @@ def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--json", type=Path, help="write the numbers to this file")
     parser.add_argument("--sizes", help="numbers of circles, with commas (100,1000,10000,100000; quick: 100,1000)")
-    parser.add_argument("--repeats", type=int, help="runs of each step on each pile (5; quick: 2)")
+    parser.add_argument("--repeats", type=int, help="runs of each step on each pile (30; quick: 5)")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
     parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
     given = parser.parse_args(arguments)
     sizes = given.sizes or ("100,1000" if given.quick else "100,1000,10000,100000")
-    repeats = given.repeats or (2 if given.quick else 5)
+    repeats = given.repeats or (5 if given.quick else 30)
     try:
         sizes = [int(size) for size in sizes.split(",")]
     except ValueError:
@@ -63,7 +63,7 @@ def main(arguments=None) -> int:
     start = time.perf_counter()
     timed, cases = step_stages.timed_steps(), []
     for n_bodies in sizes:
-        steps = max(5, min(200, 200_000 // n_bodies))
+        steps = max(3, min(50, 50_000 // n_bodies))
         for kind in ("packed",) if n_bodies >= LARGE else engines.KINDS:
             state = pile_of(kind, n_bodies, given.seed)
             for engine, step in timed.items():
