@@ -17,12 +17,11 @@ from deep_contact.physics.engine import (
     advance_of,
     contacts_of,
     is_valid,
-    set_impulses,
     solve,
     step_input,
     step_problem,
 )
-from deep_contact.physics.solvers import PGS
+from deep_contact.physics.solvers import PGS, PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, StepWorkspace, make_log
 from deep_contact.state import (
@@ -239,26 +238,28 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     log, theta = make_log(steps), np.empty(solver.sweeps)
     still = np.zeros(state.bodies.count if sleep else 0)
     scales = state.scales  # of radii that do not change in a run
+    solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision])
     frames = [state]
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
         count = 1 if by_step else min(steps - done, every - done % every, max(1, int(_CHUNK / work)))
-        before, state = state, state.replace(bodies=Bodies(*(field.copy() for field in state.bodies)))
-        problem = step_problem(state, solver, scales)
-        normal, tangent = _impulses(start, state, solver, problem)
-        if tangent.any() and problem.friction is None:
-            state = state.replace(contacts=state.contacts._replace(normal_start=normal, tangent_start=tangent))
-            problem = step_problem(state, solver, scales)
-        set_impulses(problem.rows, normal, tangent)
-        contacts = state.contacts._replace(
-            normal_start=normal,
-            tangent_start=tangent,
-            normal_impulse=state.contacts.normal_impulse.copy(),
-            tangent_impulse=state.contacts.tangent_impulse.copy(),
+        before, contacts = state, state.contacts
+        if isinstance(start, Builtin):
+            normal, tangent = contacts.normal_start, contacts.tangent_start  # which no step writes into
+        else:
+            normal, tangent = _impulses(start, state, solver, step_problem(state, solver, scales) if by_step else None)
+        state = state.replace(
+            bodies=Bodies(*(field.copy() for field in state.bodies)),
+            contacts=contacts._replace(
+                normal_start=normal,
+                tangent_start=tangent,
+                normal_impulse=contacts.normal_impulse.copy(),
+                tangent_impulse=contacts.tangent_impulse.copy(),
+            ),
         )
-        given = step_input(state, options.settings, scales)._replace(contacts=contacts, friction=problem.friction)
-        workspace = StepWorkspace(problem.rows, problem.solver_bodies, theta, still)
+        given = step_input(state, options.settings, scales)
+        workspace = StepWorkspace(solver_bodies, theta, still)
         chunk = StepLog(*(column[done : done + count] for column in log))
         solved, found = advance(given, options, workspace, chunk)
         if not np.isfinite(state.bodies.position.sum()):

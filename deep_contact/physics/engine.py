@@ -58,11 +58,11 @@ _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.norm
 def advance(given, options, workspace, log):
     """Do as many steps as the log has rows: the bodies move in place. Returns (contacts solved last, contacts found).
 
-    given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`, whose rows are those of the first step.
+    given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`.
     log: `StepLog`, filled.
     """
     bodies, contacts, friction, scales = given.bodies, given.contacts, given.friction, given.scales
-    rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
+    solver_bodies, theta = workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
@@ -71,11 +71,10 @@ def advance(given, options, workspace, log):
     room = make_correction_room(n, 4 * n + 64)
     solved = contacts
     for k in range(log.contacts.shape[0]):
-        if k > 0:
-            integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-            rows, row_buffer = contact_rows(
-                bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
-            )
+        integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
+        rows, row_buffer = contact_rows(
+            bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
+        )
         apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
@@ -316,7 +315,7 @@ def _solve_by_stepping(state: State, solver, normal_start, tangent_start) -> Con
     state = state.replace(bodies=bodies, contacts=contacts)
     advance_softly, options = advance_of(solver)
     problem, log, theta = step_problem(state, solver), make_log(1), np.empty(solver.sweeps)
-    workspace = StepWorkspace(problem.rows, problem.solver_bodies, theta, np.empty(0))
+    workspace = StepWorkspace(problem.solver_bodies, theta, np.empty(0))
     solved, _ = advance_softly(step_input(state, options.settings), options, workspace, log)
     return ContactSolution(
         normal_impulses=solved.normal_impulse,

@@ -37,7 +37,7 @@ from deep_contact.physics.step import log_step
 def advance_sleeping(given, options, workspace, log):
     """`engine.advance` with sleeping: same arguments and results; logs the contacts that are awake.
 
-    `workspace.still` goes on in place. The workspace's rows are built anew, from the contacts that are awake.
+    `workspace.still` goes on in place. Rows are built from the contacts that are awake.
     """
     bodies, contacts, friction, still = given.bodies, given.contacts, given.friction, workspace.still
     solver_bodies, theta, scales = workspace.solver_bodies, workspace.theta, given.scales

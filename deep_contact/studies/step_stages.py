@@ -133,7 +133,7 @@ def measure(state: State, solver, timed, *, steps: int, repeats: int) -> dict:
         )
         problem, log = engine.step_problem(copied, solver), make_log(steps)
         given = engine.step_input(copied, options.settings)._replace(friction=problem.friction)
-        workspace = StepWorkspace(problem.rows, problem.solver_bodies, np.empty(solver.sweeps), np.empty(0))
+        workspace = StepWorkspace(problem.solver_bodies, np.empty(solver.sweeps), np.empty(0))
         cycles[:] = 0
         start = time.perf_counter()
         function(given, options, workspace, log)

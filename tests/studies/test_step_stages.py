@@ -30,7 +30,7 @@ def test_the_timed_step_computes_the_same_bits_and_its_stages_add_up(advance, so
             contacts=Contacts(*(field.copy() for field in state.contacts)),
         )
         problem, options = engine.step_problem(copied, solver), engine.advance_of(solver)[1]
-        workspace = StepWorkspace(problem.rows, problem.solver_bodies, np.empty(30), np.empty(0))
+        workspace = StepWorkspace(problem.solver_bodies, np.empty(30), np.empty(0))
         function(engine.step_input(copied, options.settings), options, workspace, make_log(20))
         found.append(copied.bodies)
     assert found[0] == found[1]

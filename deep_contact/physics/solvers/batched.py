@@ -266,7 +266,7 @@ def correct_positions_in_batches(settings, plan, tiles, bodies, box, scales, swe
 def advance_in_batches(given, options, workspace, log):
     """`engine.advance` for `BatchedPGS`: same arguments, same results; positions are corrected in batches as well."""
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
-    rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
+    solver_bodies, theta = workspace.solver_bodies, workspace.theta
     scales = given.scales
     n = bodies.mass.shape[0]
     cells = make_cells(n)
@@ -275,11 +275,10 @@ def advance_in_batches(given, options, workspace, log):
     plan, tiles = make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, solver_bodies.dtype)
     solved = contacts
     for k in range(log.contacts.shape[0]):
-        if k > 0:
-            integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-            rows, row_buffer = contact_rows(
-                bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
-            )
+        integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
+        rows, row_buffer = contact_rows(
+            bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
+        )
         apply_impulses(rows, solver_bodies)
         plan = plan_batches(rows.body, n, settings.colours, plan)
         tiles = fill_tiles(rows, solver_bodies, plan, tiles)
