@@ -64,7 +64,7 @@ class CorrectionRoom(NamedTuple):
     | batch  | of a contact: its level                                        | (M,)       |
     | fill   | of a level: contacts in it, then its next free place           | (M,)       |
     | body   | a, b as rows of `centre`, eight contacts a tile                | (T, 2, 8)  |
-    | normal | of contacts with walls, likewise                               | (T, 2, 8)  |
+    | normal | of the contacts, likewise                                      | (T, 2, 8)  |
     | centre | see `fill_ground`; first the circles                           | (n + 5, 4) |
     | memory | sweeps of the last correction; corrections without levels left | (2,)       |
     """
@@ -144,7 +144,7 @@ def correct_in_turn(bodies, contacts, box, scales):
             separation = distance - reach
             push = min(BAUMGARTE * (wanted - distance), longest) / (mass[a] + mass[b])
             if distance < SMALLEST_DISTANCE * reach:
-                d_x, d_y = 1.0, 0.0
+                d_x, d_y = contacts.normal[i, 0], contacts.normal[i, 1]
             else:
                 push /= distance
             position[b, 0] += push * mass[a] * d_x
@@ -164,10 +164,10 @@ def correct_in_turn(bodies, contacts, box, scales):
 def correct_tiles(body, normal, stride, centre, first, last, scales):
     """`correct_in_turn` over the tiles from `first` to before `last`, in place: the same bits, eight at a time.
 
-    body: (T, 2, 8), rows of `centre`. normal: (T, stride, 8), of which the first two are the normals of walls.
+    body: (T, 2, 8), rows of `centre`. normal: (T, stride, 8), the first two as they were found.
     centre: see `fill_ground`.
     """
-    none, one, tiny = spread(0.0), spread(1.0), spread(SMALLEST_DISTANCE)
+    none, tiny = spread(0.0), spread(SMALLEST_DISTANCE)
     slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
     deepest = none
     for t in range(first, last):
@@ -178,17 +178,17 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
         square = times(d_x, d_x) + times(d_y, d_y)
         distance = root(square)
         push = least(times(share, wanted - distance), longest) / (m_a + m_b)
-        # Coinciding centres are pushed apart along +x, as in the narrow phase.
+        # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
+        found_x, found_y = widened(load(normal, stride * t)), widened(load(normal, stride * t + 1))
         push = where_less(distance, times(tiny, reach), push, push / distance)
         push = where_less(square, times(wanted, wanted), push, none)
-        n_x = where_less(distance, times(tiny, reach), one, d_x)
-        n_y = where_less(distance, times(tiny, reach), none, d_y)
+        n_x = where_less(distance, times(tiny, reach), found_x, d_x)
+        n_y = where_less(distance, times(tiny, reach), found_y, d_y)
         depth = where_less(square, times(wanted, wanted), distance - reach, none)
         # A mass of 0 is a wall's: its normal is given, and a alone moves.
-        wall_x, wall_y = widened(load(normal, stride * t)), widened(load(normal, stride * t + 1))
-        behind = times(d_x, wall_x) + times(d_y, wall_y) - r_a - r_b
+        behind = times(d_x, found_x) + times(d_y, found_y) - r_a - r_b
         from_wall = most(none, least(times(none - share, behind + slop), longest))
-        n_x, n_y = where_less(none, m_b, n_x, wall_x), where_less(none, m_b, n_y, wall_y)
+        n_x, n_y = where_less(none, m_b, n_x, found_x), where_less(none, m_b, n_y, found_y)
         push_a = where_less(none, m_b, times(push, m_b), from_wall)
         push_b = where_less(none, m_b, times(push, m_a), none)
         store_rows(centre, body, 2 * t, (a_x - times(push_a, n_x), a_y - times(push_a, n_y), r_a, m_a))
@@ -229,16 +229,16 @@ def fill_levels(contacts, n, room):
         tiles += (used + WIDTH - 1) // WIDTH
         for place in range(fill[found] + used, tiles * WIDTH):
             room.body[place // WIDTH, :, place % WIDTH] = n + IDLE
-    room.normal[:tiles] = 0.0
+            room.normal[place // WIDTH, :, place % WIDTH] = 0.0
     for i in range(m):
         place = fill[batch[i]]
         fill[batch[i]] += 1
         a, b = contacts.body_a[i], contacts.body_b[i]
         room.body[place // WIDTH, 0, place % WIDTH] = a
         room.body[place // WIDTH, 1, place % WIDTH] = b
-        if b >= n:
-            room.normal[place // WIDTH, 0, place % WIDTH] = WALL_NORMALS[b - n, 0]
-            room.normal[place // WIDTH, 1, place % WIDTH] = WALL_NORMALS[b - n, 1]
+        normal = contacts.normal[i] if b < n else WALL_NORMALS[b - n]
+        room.normal[place // WIDTH, 0, place % WIDTH] = normal[0]
+        room.normal[place // WIDTH, 1, place % WIDTH] = normal[1]
     return tiles
 
 

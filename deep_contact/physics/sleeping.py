@@ -69,7 +69,7 @@ def advance_sleeping(given, options, workspace, log):
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, active)
         store_awake_impulses(active, still, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        integrate_positions(bodies, solver_bodies, given)
         room = correct_positions(bodies, active, given.box, scales, options.position_sweeps, room)
 
         solved = contacts

@@ -285,7 +285,7 @@ def advance_in_batches(given, options, workspace, log):
         sweeps = relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta)
         mark_divergence(solver_bodies, theta, sweeps)
         store_impulses(rows, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        integrate_positions(bodies, solver_bodies, given)
         correct_positions_in_batches(settings, plan, tiles, bodies, given.box, scales, options.position_sweeps)
 
         solved = contacts
