@@ -528,18 +528,24 @@ def carry_impulses(old, contacts):
 
 
 @njit(cache=True)
+def any_outside(position, box):
+    """Whether a centre lies outside of the box."""
+    x_min, y_min, x_max, y_max = box
+    outside = False
+    for i in range(position.shape[0]):
+        x, y = position[i, 0], position[i, 1]
+        # Without branches, so that the loop vectorises.
+        outside |= (x < x_min) | (x > x_max) | (y < y_min) | (y > y_max)
+    return outside
+
+
+@njit(cache=True)
 def hold_inside(bodies, box, skin, solved):
     """Put centres that have left the box in this step, in place, half a radius inside: the wall wins over the others.
 
     Only what is pressed harder than the sweeps or position correction can withstand comes so far. solved: the step's
     contacts; a centre that was outside of a wall before has a contact there, and comes back by that.
     """
-    outside = 0.0
-    for i in range(bodies.mass.shape[0]):
-        x, y = bodies.position[i, 0], bodies.position[i, 1]
-        outside = min(outside, x - box[0], box[2] - x, y - box[1], box[3] - y)
-    if outside >= 0.0:
-        return
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
     for k in range(solved.body_a.shape[0]):
@@ -561,7 +567,8 @@ def next_contacts(bodies, box, skin, cells, solved, warm, buffer):
 
     warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
-    hold_inside(bodies, box, skin, solved)
+    if any_outside(bodies.position, box):
+        hold_inside(bodies, box, skin, solved)
     contacts, buffer = find_contacts(bodies.position, bodies.radius, box, skin, cells, buffer)
     carry_impulses(solved, contacts)
     if not warm:
