@@ -104,6 +104,20 @@ def engine() -> list[list]:
     return rows
 
 
+def outside() -> list[list]:
+    """Milliseconds of every method on every problem of others; in brackets those that missed the tolerance."""
+    found = stored("benchmark_outside")
+    rows = [["method", *(f"{title}, {count:,} contacts" for title, count in found["contacts"].items())]]
+    for name in next(iter(found["seconds"].values())):
+        cells = []
+        for title in found["contacts"]:
+            seconds, error = found["seconds"][title][name], found["error"][title][name]
+            text = f"{_text(1e3 * seconds)} ms"
+            cells.append(text if error <= found["tolerance"] else f"({text}, error {error:.0e})")
+        rows.append([name, *cells])
+    return rows + [[name, f"left out: {reason}"] for name, reason in found["missing"].items()]
+
+
 def transfer() -> list[list]:
     """Times of the transfer and of state files."""
     case, files = stored("benchmark_transfer"), stored("benchmark_state_xml")
@@ -160,7 +174,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-TABLES = {table.__name__: table for table in (learned, engine, transfer, tried, presets, figures)} | {
+TABLES = {table.__name__: table for table in (learned, engine, outside, transfer, tried, presets, figures)} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
     "errata": lambda: errata.rows(errata.ERRATA),

@@ -104,7 +104,7 @@ def take_back_fall(velocity, time, gravity):
 @njit(cache=True, error_model="numpy")
 def _first_touch(i, now, path, cells, grid):
     """(time, partner) of the first touch of a circle from a time on; (inf, NOTHING) without one. Time is in steps."""
-    start, move, stop, radius, box, scales = path
+    start, move, _, radius, box, scales = path
     n = radius.shape[0]
     first, partner = np.inf, NOTHING
     for wall in range(4):
@@ -140,7 +140,7 @@ def _least(distance, reach, radius, scales):
 @njit(cache=True, error_model="numpy")
 def _touch(i, k, now, path):
     """Time of the first touch of two circles from a time on, in steps; inf without one."""
-    start, move, stop, radius, box, scales = path
+    start, move, stop, radius, _, scales = path
     s_x, s_y = start[k, 0] - start[i, 0], start[k, 1] - start[i, 1]
     i_t, k_t = min(now, stop[i]), min(now, stop[k])
     p_x, p_y = s_x + k_t * move[k, 0] - i_t * move[i, 0], s_y + k_t * move[k, 1] - i_t * move[i, 1]

@@ -14,8 +14,10 @@ bounds of the states that it shows, solves a problem whose velocities are shifte
 t q from t = 1 to 0. Between two changes of a state λ is linear in t, and each change (a pivot) tells which way t goes
 on: with friction it may have to grow again for a while, where a descent would be stuck. ε falls while steps are easy.
 
-What it costs. A factorisation of a sparse matrix of 2 m rows a step, and a solve with it and some dense vectors for
-every pivot: it is for references, not for the steps of a run.
+What it costs. Where the bodies are known the path is followed in the space of velocities (`proximal_path`): a matrix of
+one 3 × 3 block a body and touching pair is factorised once a step, and a pivot is a solve with its factors. A problem
+of matrices alone has a system of 2 m rows, factorised by SuperLU, and pivots by Woodbury's formula. Either is for
+references, not for the steps of a run.
 
 Where it fails. A proximal step has a solution and the path finds it where the problem is monotone, as it is without
 friction. With friction there is no such guarantee: ε may be too small against a negative mode, and a path can turn
@@ -25,6 +27,7 @@ far and is no proof. Where solutions are many, which is found depends on the pat
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -32,44 +35,64 @@ from numba import njit
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
-from deep_contact.physics import metrics
+from deep_contact.physics import metrics, proximal_path
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
-from deep_contact.physics.lcp import ContactProblem, contact_problem
+from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite
+from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
+from deep_contact.physics.proximal_path import (
+    MOST_TURNS,
+    OPEN,
+    SLIP_DOWN,
+    SLIP_UP,
+    STICK,
+    leads,
+    slack,
+)
 from deep_contact.physics.solvers import PGS, NesterovPGS
-from deep_contact.state import LARGEST_START, State
+from deep_contact.state import LARGEST_START, State, check_limits, check_state
 from deep_contact.validation import integer, number
 
-OPEN, STICK, SLIP_UP, SLIP_DOWN = range(4)
-"""States of a contact: λ = 0; u = 0; u_n = 0 and λ_t = μ λ_n, where u_t <= 0; λ_t = −μ λ_n, where u_t >= 0."""
+FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-6, 0.1
+"""ε to start with, and its bounds. A drift of λ costs a residual of ε times it, so that it has to be small; but what
+a pivot divides by is of order ε where others hold the contact, and rounding leaves it 16 digits less those of 1 / ε.
+With 1e-9 three of ten piles of 1,000 ended at residuals of 1e-7 (all ten at 1e-8 with 1e-6)."""
 
-FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-9, 0.1
-"""ε to start with, and its bounds. A drift of λ costs a residual of ε times it: the least ε lets it reach its end."""
+LEAST_OF_MATRICES = 1e-9
+"""The least ε where the bodies are not known: the equations of the impulses divide by nothing small."""
 
 FIRST_SWEEPS = NesterovPGS(sweeps=3000, tolerance=None)
 """What is done to the impulses that a state holds, before the first step."""
 
-EASY, FAIR = 10, 25
+EASY, FAIR = 5, 12
 """Pivots up to which a step lets the next one have a fifth, or a half, of its ε."""
 
-MOST_PIVOTS, MOST_TURNS = 120, 30
-"""A step is given up after so many pivots, or so many with t growing: a larger ε is cheaper than a long path."""
+MOST_PIVOTS = 120
+"""A step is given up after so many pivots: a larger ε is cheaper than a long path."""
 
-MOST_IDLE = 100
-"""It ends after so many easy steps in a row without a smaller residual: rounding lets it no further."""
+MOST_IDLE, MOST_RESTARTS = 30, 5
+"""After so many easy steps in a row without a smaller residual sweeps move on, and ε is the first again. Where that has
+happened so often, rounding lets it no further, and it ends."""
+
+SWEEPS_ELSEWHERE = 200
+"""Sweeps of PGS that move on from where a path leads nowhere."""
+
+LONGEST_DRIFT = 1e4
+"""How many steps without a pivot one of them may stand for."""
 
 
 class ExactSolution(NamedTuple):
     """What `solve_exactly` found.
 
-    | field          | meaning                                                               | unit |
-    |----------------|-----------------------------------------------------------------------|------|
-    | solution       | `ContactSolution`; its record has the status, and no sweeps           |      |
-    | residual       | `metrics.residual` of the solution                                     | m/s  |
-    | converged      | whether that is within the residual asked for                         |      |
-    | factorizations | proximal steps, each of which factorises a matrix once                |      |
-    | pivots         | changes of a contact's state, over all steps                          |      |
+    | field          | meaning                                                                      | unit |
+    |----------------|------------------------------------------------------------------------------|------|
+    | solution       | `ContactSolution`; its record has the status, and no sweeps. Without bodies  |      |
+    |                | its velocities are empty                                                     |      |
+    | residual       | `metrics.residual` of the solution, or `lcp.natural_residual` of a problem   | m/s  |
+    | converged      | whether that is within the residual asked for                                |      |
+    | factorizations | of matrices: at least one a proximal step                                    |      |
+    | pivots         | changes of a contact's state, over all steps                                 |      |
     """
 
     solution: ContactSolution
@@ -81,7 +104,7 @@ class ExactSolution(NamedTuple):
 
 @np.errstate(all="ignore")  # Sweeps may grow beyond all numbers where friction is large; the residual refuses them.
 def solve_exactly(
-    state: State,
+    state: State | ContactProblem,
     normal_start: np.ndarray | None = None,
     tangent_start: np.ndarray | None = None,
     *,
@@ -90,53 +113,121 @@ def solve_exactly(
 ) -> ExactSolution:
     """A solution of the state's contact problem to `metrics.residual` <= residual, m/s, where one is found.
 
+    state: or a `ContactProblem` with friction, whose residual is `lcp.natural_residual`, which is the same.
     normal_start, tangent_start: impulses to start from, (m,) each, N·s; by default those that the state holds as its
     start, or what 3,000 sweeps of NesterovPGS make of them where that has the smaller residual. most_pivots: it ends
     after so many pivots and factorisations together; the solution of least residual so far is returned, in the friction
     cone, and `converged` says how it went.
     The same arguments give the same solution. See the module on the method, its costs and where it fails.
-    Raises ValueError if the contacts have not been found, and on arguments that do not hold together.
+    Raises ValueError naming field and value if the contacts have not been found, on a state or problem that is not
+    valid or beyond `state.LIMITS`, and on arguments that do not hold together.
     """
-    problem = contact_problem(state)
     number("residual", residual, above=0)
     integer("most_pivots", most_pivots)
-    solution = _admissible(state, _start(state, normal_start, tangent_start))
-    best, least = solution, metrics.residual(state, solution)
-    epsilon, factorizations, pivots, idle = FIRST_EPSILON, 0, 0, 0
-    while least > residual and pivots + factorizations < most_pivots and idle < MOST_IDLE:
+    if isinstance(state, ContactProblem):
+        problem = check_problem(state)
+        impulse = _start_of_problem(problem, normal_start, tangent_start)
+    elif isinstance(state, State):
+        if state.contacts is None:
+            raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
+        state = check_limits(check_state(state))
+        problem = check_problem(contact_problem(state))
+        impulse = _start(state, normal_start, tangent_start)
+    else:
+        raise ValueError(f"state: expected a State or a ContactProblem, got {state!r}")
+    impulse, factorizations, pivots = _solved(problem, impulse, residual, most_pivots)
+    if isinstance(state, State):
+        solution = solve(state, PGS(sweeps=0), *projected(impulse[::2], impulse[1::2], state.world.friction))
+        least = metrics.residual(state, solution)
+    else:
+        solution, least = _solution(problem, impulse), _natural(blocks_of(problem), impulse.reshape(-1, 2))
+    converged = bool(least <= residual)
+    status = "no_contacts" if impulse.size == 0 else "converged" if converged else "max_sweeps"
+    solution = solution._replace(record=ConvergenceRecord(np.empty(0), 0, status))
+    return ExactSolution(solution, least, converged, factorizations, pivots)
+
+
+def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_pivots: int):
+    """Proximal steps from impulses in the cone, (2 m,). Returns the best impulses, factorisations and pivots."""
+    blocks = blocks_of(problem)
+    impulse = impulse.reshape(-1, 2)
+    best, least = impulse, _natural(blocks, impulse)
+    wrong = least
+    epsilon, factorizations, pivots, idle, restarts = FIRST_EPSILON, 0, 0, 0, 0
+    step, least_epsilon = None, LEAST_EPSILON
+    while least > residual and pivots + factorizations < most_pivots:
+        if restarts > MOST_RESTARTS and isinstance(step, _StepOfMatrices):
+            break
+        if step is None:
+            bodies = proximal_path.bodies_of(problem)
+            step = _StepOfMatrices(problem) if bodies is None else _StepOfBodies(problem, bodies)
+            least_epsilon = LEAST_OF_MATRICES if bodies is None else LEAST_EPSILON
+        elif restarts > MOST_RESTARTS:
+            # Rounding does not let it: with μ of 1e6 the matrix of the velocities has no digits left.
+            step, least_epsilon, restarts = _StepOfMatrices(problem), LEAST_OF_MATRICES, 0
         limit = min(MOST_PIVOTS, most_pivots - pivots - factorizations)
-        impulse = np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
-        found, done = _proximal_step(problem, state.world.friction, impulse, epsilon, limit)
-        factorizations, pivots = factorizations + 1, pivots + done
+        start = impulse
+        found, done, factorized = step(blocks, start, epsilon, limit)
+        factorizations, pivots = factorizations + factorized, pivots + done
         if found is None:
             # From where it stands the path leads nowhere: sweeps move on, and a larger ε makes the next one shorter.
-            epsilon, sweeps = min(LARGEST_EPSILON, 4 * epsilon), 200
+            epsilon, sweeps = min(LARGEST_EPSILON, max(least_epsilon, 4 * epsilon)), SWEEPS_ELSEWHERE
         else:
             impulse, sweeps = found, 1
-            epsilon = max(LEAST_EPSILON, epsilon / (5 if done <= EASY else 2 if done <= FAIR else 1))
-        swept = solve(
-            state, PGS(sweeps=sweeps, tolerance=None), *projected(impulse[::2], impulse[1::2], state.world.friction)
-        )
-        solution = _admissible(state, swept)
-        wrong = metrics.residual(state, solution)
+            epsilon = max(least_epsilon, epsilon / (5 if done <= EASY else 2 if done <= FAIR else 1))
+        impulse = _swept(blocks, impulse, sweeps)
+        wrong, last = _natural(blocks, impulse), wrong
+        if done == 0 and found is not None and 0.9 * last < wrong < 1.1 * last:
+            # Nothing changes but λ, along a line: it goes there until a contact stands on a bound.
+            impulse = _drifted(blocks, start, found)
+            wrong = _natural(blocks, impulse)
         idle = 0 if done > EASY or wrong < least else idle + 1
         if wrong < least:
-            best, least = solution, wrong
+            best, least = impulse, wrong
         elif not np.isfinite(wrong):
-            solution = best
-    converged = bool(least <= residual)
-    status = "no_contacts" if state.contacts.count == 0 else "converged" if converged else "max_sweeps"
-    best = best._replace(record=ConvergenceRecord(np.empty(0), 0, status))
-    return ExactSolution(best, least, converged, factorizations, pivots)
+            impulse = best
+        if found is not None:
+            # Near the end a sweep adds more than it takes away.
+            exact = _swept(blocks, found, 0)
+            at_end = _natural(blocks, exact)
+            if at_end < least:
+                best, least = exact, at_end
+        if idle == MOST_IDLE:
+            impulse, epsilon, idle, restarts = _swept(blocks, impulse, SWEEPS_ELSEWHERE), FIRST_EPSILON, 0, restarts + 1
+    return best.ravel(), factorizations, pivots
 
 
-def _start(state: State, normal, tangent) -> ContactSolution:
-    """The solution that the given impulses are; without, the better of what the state holds and what sweeps find."""
+def _solution(problem: ContactProblem, impulse: np.ndarray) -> ContactSolution:
+    """A problem's impulses as a solution, with the velocities of the bodies where there are any."""
+    velocity = np.empty((0, 3)) if problem.jacobian is None else problem.velocities(impulse).reshape(-1, 3)
+    return ContactSolution(
+        impulse[::2].copy(),
+        impulse[1::2].copy(),
+        velocity[:, :2].copy(),
+        velocity[:, 2].copy(),
+        ConvergenceRecord(np.empty(0), 0, "max_sweeps"),
+    )
+
+
+def _start_of_problem(problem: ContactProblem, normal, tangent) -> np.ndarray:
+    """The given impulses in the cone; without, the better of none and what sweeps find, (2 m,)."""
+    if normal is None and tangent is None:
+        blocks, none = blocks_of(problem), np.zeros(problem.b.size)
+        swept, _ = solve_problem(problem, FIRST_SWEEPS)
+        return swept if _natural(blocks, swept.reshape(-1, 2)) < _natural(blocks, none.reshape(-1, 2)) else none
+    shape = problem.friction.shape
+    start = finite("normal_start", normal, shape), finite("tangent_start", tangent, shape)
+    return np.column_stack(projected(*start, problem.friction)).ravel()
+
+
+def _start(state: State, normal, tangent) -> np.ndarray:
+    """The given impulses in the cone; without, the better of what the state holds and what sweeps find, (2 m,)."""
     contacts = state.contacts
     if normal is None and tangent is None:
         held = contacts.normal_start, contacts.tangent_start
         plain, swept = (solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS))
-        return swept if metrics.residual(state, swept) < metrics.residual(state, plain) else plain
+        found = swept if metrics.residual(state, swept) < metrics.residual(state, plain) else plain
+        return np.column_stack(projected(found.normal_impulses, found.tangent_impulses, state.world.friction)).ravel()
     start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
         array = np.array(np.nan if value is None else value, dtype=np.float64)
@@ -147,113 +238,162 @@ def _start(state: State, normal, tangent) -> ContactSolution:
                 f"{name}: expected {contacts.count} numbers, one a contact, up to {LARGEST_START:g} N·s, got {got}"
             )
         start.append(array)
-    return solve(state, PGS(sweeps=0), *projected(*start, state.world.friction))
-
-
-def _admissible(state: State, solution: ContactSolution) -> ContactSolution:
-    """The solution with its impulses in the cone, which those of a sweep leave by what λ_n fell in it."""
-    return solve(
-        state, PGS(sweeps=0), *projected(solution.normal_impulses, solution.tangent_impulses, state.world.friction)
-    )
-
-
-def _proximal_step(problem: ContactProblem, friction: float, impulse: np.ndarray, epsilon: float, limit: int):
-    """Solve the contact problem with ε diag(A) (λ − c) added to its velocities. Returns (λ or None, pivots).
-
-    c: `impulse`, in the cone, put on the bounds of the states it shows; (2 m,), as all vectors here. None: given up.
-    """
-    A, diagonal = problem.A, problem.A.diagonal()
-    states = _states(impulse, A @ impulse + problem.b, diagonal, friction)
-    x = _on_bounds(states, impulse, friction)
-    before = A @ x + problem.b
-    u = _complementary(states, before)
-    q = u - before
-    A = A + sparse.diags_array(epsilon * diagonal, format="csr")
-    t, sign, last, previous, pivots, turns = 1.0, -1.0, -1, OPEN, 0, 0
-    try:
-        system = _System(A, -q, friction, states, most_changes=2 * limit)
-        while True:
-            # How λ and u change as t grows.
-            dx = system.solve()
-            du = A @ dx + q
-            if pivots:
-                # The contact has to go on into its new state, whichever way that makes t go.
-                sign = 1.0 if _slack(states[last], previous, friction, dx, du, last) > 0 else -1.0
-                turns += sign > 0
-            length, contact, new = _first_change(states, friction, x, u, dx, du, sign)
-            if sign < 0 and length >= t and np.isfinite(du).all():
-                return x - t * dx, pivots
-            if contact < 0 or pivots == limit or turns > MOST_TURNS:
-                return None, pivots
-            x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
-            last, previous = contact, states[contact]
-            states[contact] = new if previous != OPEN else SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
-            system.change(contact, states[contact])
-    except np.linalg.LinAlgError:
-        return None, pivots
-
-
-def _states(impulse: np.ndarray, u: np.ndarray, diagonal: np.ndarray, friction: float) -> np.ndarray:
-    """The states that impulses and velocities show: where the natural map (`metrics.residual`) projects, (m,)."""
-    free = impulse - u / diagonal
-    bound = friction * impulse[::2]
-    states = np.where(free[1::2] > bound, SLIP_UP, np.where(free[1::2] < -bound, SLIP_DOWN, STICK))
-    if friction == 0:
-        states[:] = SLIP_UP  # which says λ_t = 0, and is never left for another way
-    states[free[::2] <= 0] = OPEN
-    return states
-
-
-def _on_bounds(states: np.ndarray, impulse: np.ndarray, friction: float) -> np.ndarray:
-    """The impulses, in the cone, made to satisfy what the states say of them, nearest in each row."""
-    normal = np.where(states == OPEN, 0.0, impulse[::2])
-    bound = friction * normal
-    tangent = np.choose(states, [0.0, impulse[1::2], bound, -bound])
-    return np.column_stack([normal, tangent]).ravel()
-
-
-def _complementary(states: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """The velocities that satisfy what the states say of them, nearest in each row."""
-    normal = np.where(states == OPEN, np.maximum(u[::2], 0.0), 0.0)
-    tangent = u[1::2]
-    tangent = np.choose(states, [tangent, 0.0, np.minimum(tangent, 0.0), np.maximum(tangent, 0.0)])
-    return np.column_stack([normal, tangent]).ravel()
+    return np.column_stack(projected(*start, state.world.friction)).ravel()
 
 
 @njit(cache=True)
-def _slack(state, to, friction, x, u, contact):
-    """What must stay >= 0 for the contact not to go from its state to another. Linear, so its rate is that of x, u."""
-    n, t = 2 * contact, 2 * contact + 1
-    if state == OPEN:
-        return u[n]
-    if state == STICK:
-        return friction * x[n] - x[t] if to == SLIP_UP else friction * x[n] + x[t]
-    if to == OPEN:
-        return x[n]
-    return -u[t] if state == SLIP_UP else u[t]
+def _natural(blocks: Blocks, impulse):
+    """`lcp.natural_residual` of impulses (m, 2)."""
+    u = np.empty_like(impulse)
+    velocities(blocks, impulse, u)
+    largest = 0.0
+    for i in range(impulse.shape[0]):
+        d_n, d_t = blocks.diagonal[i, 0], blocks.diagonal[i, 3]
+        p_n, p_t = impulse[i, 0], impulse[i, 1]
+        bound = blocks.mu[i] * max(p_n, 0.0)
+        wrong_n = d_n * abs(p_n - max(p_n - u[i, 0] / d_n, 0.0))
+        wrong_t = d_t * abs(p_t - max(-bound, min(p_t - u[i, 1] / d_t, bound)))
+        if not wrong_n + wrong_t < np.inf:
+            return np.nan
+        largest = max(largest, max(wrong_n, wrong_t))
+    return largest
+
+
+@njit(cache=True)
+def _swept(blocks: Blocks, impulse, sweeps):
+    """The impulses after sweeps of PGS, (m, 2), in the cone, which those of a sweep leave by what λ_n fell in it."""
+    impulse = impulse.copy()
+    for _ in range(sweeps):
+        sweep(blocks, impulse, 1.0, 1.0, False)
+    for i in range(impulse.shape[0]):
+        bound = blocks.mu[i] * impulse[i, 0]
+        impulse[i, 1] = max(-bound, min(impulse[i, 1], bound))
+    return impulse
+
+
+@njit(cache=True)
+def _drifted(blocks: Blocks, before, after):
+    """The impulses further along the line from `before` to `after`, to where the first leaves its cone, (m, 2)."""
+    length = LONGEST_DRIFT
+    for i in range(after.shape[0]):
+        mu, p_n, p_t = blocks.mu[i], after[i, 0], after[i, 1]
+        d_n, d_t = p_n - before[i, 0], p_t - before[i, 1]
+        for room, rate in ((p_n, d_n), (mu * p_n - p_t, mu * d_n - d_t), (mu * p_n + p_t, mu * d_n + d_t)):
+            # One that slips stays on its bound, but for rounding.
+            if rate < -1e-9 * (abs(d_n) + abs(d_t)) and room > 1e-12 * p_n:
+                length = min(length, room / -rate)
+    return _swept(blocks, after + length * (after - before), 1)
+
+
+@njit(cache=True)
+def _shown(blocks: Blocks, impulse):
+    """What a step starts from: the states that impulses c and their velocities show, and λ, u and q of t = 1.
+
+    States: where the natural map (`metrics.residual`) projects. λ: c on the bounds of its states. u: its velocities,
+    made to satisfy what the states say of them, which shifts them by q. Returns (states (m,), λ, u, q, (m, 2) each).
+    """
+    u, x, q = np.empty_like(impulse), impulse.copy(), np.empty_like(impulse)
+    states = np.empty(impulse.shape[0], np.int64)
+    velocities(blocks, impulse, u)
+    for i in range(impulse.shape[0]):
+        mu = blocks.mu[i]
+        bound = mu * impulse[i, 0]
+        free_t = impulse[i, 1] - u[i, 1] / blocks.diagonal[i, 3]
+        # Without friction it is said to slip up, which says λ_t = 0, and is never left for another way.
+        state = SLIP_UP if free_t > bound or mu == 0.0 else SLIP_DOWN if free_t < -bound else STICK
+        if impulse[i, 0] - u[i, 0] / blocks.diagonal[i, 0] <= 0.0:
+            state = OPEN
+            x[i, 0] = 0.0
+            x[i, 1] = 0.0
+        elif state != STICK:
+            x[i, 1] = bound if state == SLIP_UP else -bound
+        states[i] = state
+    velocities(blocks, x, q)
+    for i in range(impulse.shape[0]):
+        before_n, before_t = q[i, 0], q[i, 1]
+        u[i, 0] = max(before_n, 0.0) if states[i] == OPEN else 0.0
+        u[i, 1] = before_t
+        if states[i] == STICK:
+            u[i, 1] = 0.0
+        elif states[i] == SLIP_UP:
+            u[i, 1] = min(before_t, 0.0)
+        elif states[i] == SLIP_DOWN:
+            u[i, 1] = max(before_t, 0.0)
+        q[i, 0] = u[i, 0] - before_n
+        q[i, 1] = u[i, 1] - before_t
+    return states, x, u, q
+
+
+class _StepOfBodies:
+    """A proximal step of a problem by bodies: see `proximal_path`."""
+
+    def __init__(self, problem: ContactProblem, bodies: proximal_path.Bodies):
+        self.bodies, self.inverse = bodies, proximal_path.make_inverse(bodies)
+        self.diagonal = problem.A.diagonal().reshape(-1, 2).copy()
+
+    def __call__(self, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
+        """Solve the contact problem with ε diag(A) (λ − c) added to its velocities.
+
+        c: `impulse`, (m, 2), in the cone, put on the bounds of the states it shows. Returns (λ, or None where it is
+        given up, pivots, factorisations).
+        """
+        states, x, u, q = _shown(blocks, impulse)
+        reached, pivots, factorizations = proximal_path.follow(
+            self.bodies, self.diagonal, blocks.mu, epsilon, states, x, u, q, limit, self.inverse
+        )
+        return x if reached else None, pivots, factorizations
+
+
+class _StepOfMatrices:
+    """The same of a problem without bodies, by the equations of its impulses."""
+
+    def __init__(self, problem: ContactProblem):
+        self.A, self.diagonal = problem.A, problem.A.diagonal()
+
+    def __call__(self, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
+        """As `_StepOfBodies`."""
+        friction = blocks.mu
+        states, *start = _shown(blocks, impulse)
+        x, u, q = (array.ravel() for array in start)
+        A = self.A + sparse.diags_array(epsilon * self.diagonal, format="csr")
+        t, sign, last, previous, pivots, turns = 1.0, -1.0, -1, OPEN, 0, 0
+        try:
+            system = _System(A, -q, friction, states, most_changes=2 * limit)
+            while True:
+                # How λ and u change as t grows. The path is that of `proximal_path.follow`.
+                dx = system.solve()
+                du = A @ dx + q
+                if pivots:
+                    k = 2 * last
+                    rate = slack(states[last], previous, friction[last], dx[k], dx[k + 1], du[k], du[k + 1])
+                    sign = 1.0 if rate > 0 else -1.0
+                    turns += sign > 0
+                length, contact, new = _first_change(states, friction, x, u, dx, du, sign)
+                if sign < 0 and length >= t and np.isfinite(du).all():
+                    return (x - t * dx).reshape(-1, 2), pivots, 1
+                if contact < 0 or pivots == limit or turns > MOST_TURNS:
+                    return None, pivots, 1
+                x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
+                last, previous = contact, states[contact]
+                states[contact] = new if previous != OPEN else SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
+                system.change(contact, states[contact])
+        except np.linalg.LinAlgError:
+            return None, pivots, 1
 
 
 @njit(cache=True)
 def _first_change(states, friction, x, u, dx, du, sign):
-    """The first contact to leave its state along sign (dx, du). Returns (length, contact or −1, its new state).
-
-    A contact that closes is said to slip up: which way it slips is told by u_t there. The contact that changed last
-    does not go straight back, though it stands on that bound: the sign is such that it leaves it.
-    """
-    least, contact, new = np.inf, -1, OPEN
+    """The first contact to leave its state along sign (dx, du). Returns (length, contact or −1, its new state)."""
+    least, contact, new = math.inf, -1, OPEN
     for i in range(states.shape[0]):
+        state, mu, n, t = states[i], friction[i], 2 * i, 2 * i + 1
         for to in range(4):
-            if states[i] == OPEN:
-                leads = to == SLIP_UP
-            elif states[i] == STICK:
-                leads = to >= SLIP_UP
-            else:
-                leads = to == OPEN or (to == STICK and friction > 0)
-            rate = sign * _slack(states[i], to, friction, dx, du, i) if leads else 0.0
-            if rate < 0:
-                length = max(_slack(states[i], to, friction, x, u, i), 0.0) / -rate
-                if length < least:
-                    least, contact, new = length, i, to
+            if leads(state, to, mu):
+                rate = sign * slack(state, to, mu, dx[n], dx[t], du[n], du[t])
+                if rate < 0.0:
+                    length = max(slack(state, to, mu, x[n], x[t], u[n], u[t]), 0.0) / -rate
+                    if length < least:
+                        least, contact, new = length, i, to
     return least, contact, new
 
 
@@ -265,11 +405,11 @@ class _System:
     Bounds are scaled by the diagonal of A, so that all rows are of one size whatever the masses.
     """
 
-    def __init__(self, A, right: np.ndarray, friction: float, states: np.ndarray, *, most_changes: int):
+    def __init__(self, A, right: np.ndarray, friction: np.ndarray, states: np.ndarray, *, most_changes: int):
         self.A, self.right, self.friction, self.scale = A, right, friction, A.diagonal()
         still = np.column_stack([states != OPEN, states == STICK]).ravel()
         slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
-        ratio = np.where(states[slips // 2] == SLIP_UP, -friction, friction)
+        ratio = np.where(states[slips // 2] == SLIP_UP, -1.0, 1.0) * friction[slips // 2]
         edges = sparse.coo_array((ratio * self.scale[slips], (slips, slips - 1)), shape=A.shape)
         bounds = sparse.diags_array(np.where(still, 0.0, self.scale), format="csr")
         self.B = sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges.tocsr()
@@ -300,7 +440,7 @@ class _System:
             return self.A.indices[inside], self.A.data[inside], self.right[row]
         if row % 2 == 0 or state == OPEN:
             return np.array([row]), self.scale[[row]], 0.0
-        ratio = -self.friction if state == SLIP_UP else self.friction
+        ratio = self.friction[row // 2] * (-1.0 if state == SLIP_UP else 1.0)
         return np.array([row - 1, row]), self.scale[row] * np.array([ratio, 1.0]), 0.0
 
     def _change(self, row: int, columns: np.ndarray, entries: np.ndarray, right: float) -> None:

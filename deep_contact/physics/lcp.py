@@ -1,10 +1,13 @@
 """The contact problem as matrices, and Algorithm 1 of the thesis on them.
 
-The engine never builds these. They are the same problem in the form of the textbook, to hold the sweeps against.
+The engine never builds these. They are the same problem in the form of the textbook, to hold the sweeps against, and
+the form in which problems come from other programs (`io.fclib`), where nothing is known of bodies. `matrix_solvers`
+has the other methods for it.
 """
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -26,20 +29,112 @@ class ContactProblem(NamedTuple):
     | jacobian      | J, sparse (CSR); relative velocities of the contacts are J v            | (r, 3n)  |      |
     | inverse_mass  | diagonal of M⁻¹ for (v_x, v_y, ω) of every circle                       | (3n,)    |      |
     | free_velocity | v + Δt M⁻¹ F, likewise                                                  | (3n,)    |      |
+    | friction      | μ of every contact                                                      | (m,)     |      |
 
-    With friction r = 2 m and the rows of contact i are 2 i (normal) and 2 i + 1 (tangent); without, r = m.
+    With friction r = 2 m and the rows of contact i are 2 i (normal) and 2 i + 1 (tangent); without, r = m and
+    `friction` is None. Where the bodies are not known, as in problems that were read from a file of matrices,
+    jacobian, inverse_mass and free_velocity are None.
     The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; ours is an impulse.
     """
 
     A: sparse.csr_array
     b: np.ndarray
-    jacobian: sparse.csr_array
-    inverse_mass: np.ndarray
-    free_velocity: np.ndarray
+    jacobian: sparse.csr_array | None = None
+    inverse_mass: np.ndarray | None = None
+    free_velocity: np.ndarray | None = None
+    friction: np.ndarray | None = None
 
     def velocities(self, impulse: np.ndarray) -> np.ndarray:
         """(v_x, v_y, ω) of every circle after the impulses, v + M⁻¹ (Δt F + Jᵀ λ), (3n,)."""
+        if self.jacobian is None or self.inverse_mass is None or self.free_velocity is None:
+            raise ValueError("jacobian: expected that of the bodies, got None: a problem of matrices has no bodies")
         return self.free_velocity + self.inverse_mass * (self.jacobian.T @ impulse)
+
+
+def check_problem(problem: ContactProblem) -> ContactProblem:
+    """The problem with friction, validated, in float64 and with A sorted. Raises ValueError naming field and value."""
+    A = sparse.csr_array(problem.A, dtype=np.float64)
+    A.sort_indices()
+    size = A.shape[0]
+    if A.shape != (size, size) or size % 2:
+        raise ValueError(f"A: expected a square matrix with two rows a contact, got shape {A.shape}")
+    b, friction = finite("b", problem.b, (size,)), finite("friction", problem.friction, (size // 2,))
+    if not np.isfinite(A.data).all():
+        raise ValueError(f"A: expected finite entries, got {A.data[~np.isfinite(A.data)][0]}")
+    diagonal = A.diagonal()
+    if not (diagonal > 0).all():
+        i = np.flatnonzero(~(diagonal > 0))[0]
+        raise ValueError(f"A[{i}, {i}]: expected a number > 0, got {diagonal[i]}")
+    if friction.min(initial=0.0) < 0:
+        i = int(np.argmin(friction))
+        raise ValueError(f"friction[{i}]: expected a number >= 0, got {friction[i]}")
+    jacobian = problem.jacobian
+    if jacobian is None:
+        return ContactProblem(A, b, friction=friction)
+    jacobian = sparse.csr_array(jacobian, dtype=np.float64)
+    columns = jacobian.shape[1]
+    if jacobian.shape[0] != size or columns % 3:
+        raise ValueError(f"jacobian: expected {size} rows and three columns a body, got shape {jacobian.shape}")
+    inverse_mass = finite("inverse_mass", problem.inverse_mass, (columns,))
+    if inverse_mass.min(initial=0.0) < 0:
+        raise ValueError(f"inverse_mass: expected numbers >= 0, got {inverse_mass.min()}")
+    return ContactProblem(
+        A, b, jacobian, inverse_mass, finite("free_velocity", problem.free_velocity, (columns,)), friction
+    )
+
+
+def finite(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    """The value as a float64 array of finite numbers of this shape. Raises ValueError."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {value!r}") from None
+    if array.shape != shape:
+        got = "None" if value is None else f"shape {array.shape}"
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, got {got}")
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
+        raise ValueError(f"{name}[{', '.join(map(str, where))}]: expected a finite number, got {array[where]}")
+    return array
+
+
+def natural_residual(problem: ContactProblem, impulse: np.ndarray) -> float:
+    """The largest |λ − Π(λ − u / d)| d over all rows, d the diagonal of A, m/s: `metrics.residual` from matrices."""
+    diagonal = problem.A.diagonal()
+    free = impulse - (problem.A @ impulse + problem.b) / diagonal
+    largest = problem.friction * np.maximum(impulse[::2], 0.0)
+    wrong = np.empty_like(impulse)
+    wrong[::2] = impulse[::2] - np.maximum(free[::2], 0.0)
+    wrong[1::2] = impulse[1::2] - np.clip(free[1::2], -largest, largest)
+    return float(np.max(np.abs(wrong) * diagonal, initial=0.0))
+
+
+def siconos_error(problem: ContactProblem, impulse: np.ndarray) -> float:
+    """Siconos's relative error of a friction-contact problem: what its solvers' tolerance is compared with.
+
+    With z = λ − (u_n + μ |u_t|, u_t) for every contact: the distance of λ from the projection of z on the second-order
+    cone |λ_t| ≤ μ λ_n, 2-norm over all contacts, divided by the largest of ‖λ‖, ‖u‖ and ‖b‖. Impulses and velocities
+    are added as they are, so it depends on the units. (Acary, Brémond and Huber 2018, on the natural map.)
+    """
+    u = problem.A @ impulse + problem.b
+    scale = max(np.linalg.norm(impulse), np.linalg.norm(u), np.linalg.norm(problem.b))
+    return float(_cone_distance(impulse, u, problem.friction) / scale) if scale > 0 else 0.0
+
+
+@njit(cache=True)
+def _cone_distance(impulse, u, friction):
+    """‖λ − Π(z)‖ over all contacts, Π the projection on the cone of each: see `siconos_error`."""
+    total = 0.0
+    for i in range(friction.shape[0]):
+        mu, p_n, p_t = friction[i], impulse[2 * i], impulse[2 * i + 1]
+        z_n, z_t = p_n - u[2 * i] - mu * abs(u[2 * i + 1]), p_t - u[2 * i + 1]
+        if abs(z_t) > mu * z_n:
+            # On the nearer edge (1, ±μ) of the cone, or at its tip.
+            side = 1.0 if z_t > 0.0 else -1.0
+            along = max(0.0, (z_n + mu * abs(z_t)) / (1.0 + mu * mu))
+            z_n, z_t = along, side * mu * along
+        total += (p_n - z_n) ** 2 + (p_t - z_t) ** 2
+    return math.sqrt(total)
 
 
 def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
@@ -78,7 +173,8 @@ def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
     b[:: len(directions)] += np.where(bouncing, state.world.restitution * approach, 0.0)
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
     A.sort_indices()
-    return ContactProblem(A, b, jacobian, inverse_mass, free)
+    mu = np.full(m, state.world.friction) if friction else None
+    return ContactProblem(A, b, jacobian, inverse_mass, free, mu)
 
 
 def projected_gauss_seidel(

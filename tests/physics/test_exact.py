@@ -6,9 +6,11 @@ from conftest import solved_states
 from scipy import optimize
 
 import deep_contact as dc
-from deep_contact.physics import exact, metrics
-from deep_contact.physics.exact import OPEN, SLIP_DOWN, SLIP_UP, STICK, solve_exactly
-from deep_contact.physics.lcp import contact_problem
+from deep_contact.physics import exact, metrics, proximal_path
+from deep_contact.physics.exact import solve_exactly
+from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
+from deep_contact.physics.matrix_solvers import blocks_of
+from deep_contact.physics.proximal_path import OPEN, SLIP_DOWN, SLIP_UP, STICK
 from deep_contact.physics.scenes import single_body
 from deep_contact.reporting.figures import seeds
 from deep_contact.simulation import ready
@@ -144,19 +146,141 @@ def test_a_settling_pile_of_a_thousand():
     check_solution(state, solve_exactly(state))
 
 
-def test_a_proximal_step_solves_its_problem(falling_states):
+def proximal_step(problem, kind):
+    """A proximal step of the problem in the space of velocities or in that of impulses, and its blocks."""
+    problem = check_problem(
+        problem if kind == "bodies" else ContactProblem(problem.A, problem.b, friction=problem.friction)
+    )
+    bodies = proximal_path.bodies_of(problem)
+    assert (bodies is None) == (kind == "matrices")
+    step = exact._StepOfMatrices(problem) if bodies is None else exact._StepOfBodies(problem, bodies)
+    return step, blocks_of(problem)
+
+
+@pytest.mark.parametrize("kind", ["bodies", "matrices"])
+def test_a_proximal_step_solves_its_problem(falling_states, kind):
     # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices.
     state = falling_states[12]
     problem, mu, epsilon = contact_problem(state), state.world.friction, 1e-2
     A, c = problem.A.toarray(), np.zeros(problem.b.size)
-    impulse, pivots = exact._proximal_step(problem, mu, c, epsilon, 1000)
+    step, blocks = proximal_step(problem, kind)
+    found, pivots, _ = step(blocks, c.reshape(-1, 2), epsilon, 1000)
+    impulse = found.ravel()
     u = A @ impulse + problem.b + epsilon * np.diag(A) * (impulse - c)
     free = impulse - u / np.diag(A)
     normal, bound = np.maximum(free[::2], 0.0), mu * impulse[::2]
     np.testing.assert_allclose(impulse[::2], normal, atol=1e-10)
     np.testing.assert_allclose(impulse[1::2], np.clip(free[1::2], -bound, bound), atol=1e-10)
     assert pivots > 20
-    assert exact._proximal_step(problem, mu, c, epsilon, 5) == (None, 5)
+    assert step(blocks, c.reshape(-1, 2), epsilon, 5)[:2] == (None, 5)
+
+
+def test_both_spaces_take_the_same_path(falling_states):
+    for state in falling_states[3:12:4]:
+        problem = contact_problem(state)
+        start = np.zeros((state.contacts.count, 2))
+        found = [
+            step(blocks, start, 1e-2, 1000)
+            for step, blocks in (proximal_step(problem, k) for k in ("bodies", "matrices"))
+        ]
+        assert found[0][1] == found[1][1] > 0
+        np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-9)
+
+
+def test_an_inverse_taken_over_is_that_of_new_factors(falling_states):
+    problem = check_problem(contact_problem(falling_states[9]))
+    bodies, rng, m = proximal_path.bodies_of(problem), np.random.default_rng(2), falling_states[9].contacts.count
+    weight = 1 / (0.1 * problem.A.diagonal().reshape(-1, 2))
+    states, q = rng.integers(0, 4, m), rng.normal(size=(m, 2))
+    kept, fresh = proximal_path.make_inverse(bodies), proximal_path.make_inverse(bodies)
+    arguments = bodies, weight, 0.1, problem.friction
+    assert not proximal_path._take_over(*arguments, states, kept)
+    assert proximal_path._factorise(*arguments, states, kept)
+    changed = states.copy()
+    changed[:6] = (changed[:6] + np.array([1, 2, 3, 1, 2, 3])) % 4
+    assert proximal_path._take_over(*arguments, changed, kept)
+    assert proximal_path._factorise(*arguments, changed, fresh)
+    assert kept.used[0] >= 6 > fresh.used[0]
+    n = bodies.pattern.place.size
+    dv = np.zeros((2, n + 1, 3))
+    for inverse, v in zip((kept, fresh), dv):
+        proximal_path._solve(bodies, weight, problem.friction, q, inverse, v)
+    np.testing.assert_allclose(*dv, atol=1e-9 * np.abs(dv).max())
+    assert not proximal_path._take_over(bodies, weight, 0.2, problem.friction, changed, kept)
+
+
+@pytest.mark.parametrize("with_bodies", [True, False])
+def test_a_problem_of_matrices_is_solved_as_its_state(falling_states, with_bodies):
+    state = falling_states[9]
+    problem, zero = contact_problem(state), np.zeros(state.contacts.count)
+    problem = problem if with_bodies else ContactProblem(problem.A, problem.b, friction=problem.friction)
+    found, expected = solve_exactly(problem, zero, zero, residual=1e-10), from_nothing(state, residual=1e-10)
+    assert found.converged
+    assert found.residual == pytest.approx(natural_residual(check_problem(problem), _ravel(found.solution)), abs=1e-14)
+    if with_bodies:
+        np.testing.assert_allclose(found.solution.velocities, expected.solution.velocities, atol=1e-9)
+    else:
+        assert found.solution.velocities.shape == (0, 2)
+    default = solve_exactly(problem)
+    assert default.converged
+    assert default.residual <= 1e-8
+
+
+def _ravel(solution):
+    return np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
+
+
+def principles(state):
+    """The worst violation of each first principle by the exact solution, m/s or N·s, from positions and velocities."""
+    found = solve_exactly(state)
+    solution, mu = found.solution, state.world.friction
+    normal, tangent = metrics.row_velocities(state, solution.velocities, solution.angular_velocities)
+    normal = normal - metrics.targets(state)
+    p_n, p_t = solution.normal_impulses, solution.tangent_impulses
+    slides = np.abs(tangent) > 1e-6
+    return {
+        "pull": max(0.0, -p_n.min()),
+        "cone": max(0.0, (np.abs(p_t) - mu * p_n).max()),
+        "approach": max(0.0, -normal.min()),
+        "apart": np.minimum(p_n, np.maximum(normal, 0.0)).max(),
+        "slip": np.abs(p_t + mu * p_n * np.sign(tangent))[slides].max(initial=0.0),
+    }
+
+
+def packings():
+    """States whose matrices have dependent rows: columns, hexagonal packings, walls that touch on both sides."""
+    for friction in (0.0, 0.5, 1.0, 10.0):
+        for gravity in ((0.0, -9.81), (0.0, 0.0), (3.0, -9.81)):
+            world = {"friction": friction, "gravity": gravity}
+            for n in (1, 4, 12):
+                yield touching([(1.009, 1.01 + 2 * k) for k in range(n)], box=(0, 0, 2.018, 100), **world)
+            for rows in (2, 3, 5):
+                hexagonal = [(10 + 2 * i + k % 2, 1.01 + np.sqrt(3) * k) for k in range(rows) for i in range(5 - k % 2)]
+                yield touching(hexagonal, **world)
+                yield touching([(10 + 2 * i, 1.01 + 2 * k) for k in range(rows) for i in range(3)], **world)
+
+
+def check_principles(states):
+    worst = {}
+    for state in states:
+        if state.contacts.count:
+            for name, value in principles(state).items():
+                worst[name] = max(worst.get(name, 0.0), value)
+    assert max(worst.values()) < 1e-7, worst
+
+
+def test_first_principles_where_rows_depend_on_each_other():
+    states = list(packings())
+    assert len(states) == 108
+    check_principles(states)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5, 1.0, 10.0])
+def test_first_principles_in_falls(friction):
+    scene = dc.circles_in_box(50, friction=friction, seed=17)
+    states = solved_states(scene, steps=400, every=10)
+    assert len(states) >= 20
+    check_principles(states)
 
 
 def test_changed_rows_are_solved_as_the_dense_matrix():
@@ -166,7 +290,7 @@ def test_changed_rows_are_solved_as_the_dense_matrix():
     A, m, mu = contact_problem(state).A, state.contacts.count, 0.4
     A = A + exact.sparse.diags_array(0.1 * A.diagonal(), format="csr")
     states, right = rng.integers(0, 4, m), rng.normal(size=2 * m)
-    system = exact._System(A, right, mu, states, most_changes=200)
+    system = exact._System(A, right, np.full(m, mu), states, most_changes=200)
     for contact in rng.integers(0, m, 60):
         states[contact] = rng.integers(0, 4)
         system.change(contact, states[contact])
@@ -230,9 +354,10 @@ def test_a_singular_step_is_given_up():
     # Two rows that say the same, and nothing to hold them apart.
     A = exact.sparse.csr_array(np.ones((2, 2)))
     with pytest.raises(np.linalg.LinAlgError):
-        exact._System(A, np.ones(2), 0.5, np.array([STICK]), most_changes=2)
-    problem = contact_problem(ready(single_body()))
-    assert exact._proximal_step(problem._replace(A=A, b=-2 * np.ones(2)), 2.0, np.ones(2), 0.0, 9) == (None, 0)
+        exact._System(A, np.ones(2), np.array([0.5]), np.array([STICK]), most_changes=2)
+    problem = ContactProblem(A, -2 * np.ones(2), friction=np.array([2.0]))
+    step, blocks = proximal_step(problem, "matrices")
+    assert step(blocks, np.ones((1, 2)), 0.0, 9)[:2] == (None, 0)
 
 
 def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
@@ -242,9 +367,9 @@ def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
     with np.errstate(all="ignore"):
         assert not np.isfinite(dc.solve_contacts(state, solver=exact.FIRST_SWEEPS).velocities).all()
     check_solution(state, solve_exactly(state))
-    steps = iter([(np.full(2 * falling_states[4].contacts.count, np.nan), 1)])
-    step = exact._proximal_step
-    monkeypatch.setattr(exact, "_proximal_step", lambda *arguments: next(steps, None) or step(*arguments))
+    steps = iter([(np.full((falling_states[4].contacts.count, 2), np.nan), 1, 1)])
+    step = exact._StepOfBodies.__call__
+    monkeypatch.setattr(exact._StepOfBodies, "__call__", lambda *arguments: next(steps, None) or step(*arguments))
     check_solution(falling_states[4], from_nothing(falling_states[4]))
 
 
@@ -292,6 +417,41 @@ def test_nothing_to_solve():
 def test_bad_arguments_are_refused(arguments, options, message):
     with pytest.raises(ValueError, match=message):
         solve_exactly(ready(single_body()), *arguments, **options)
+
+
+@pytest.mark.parametrize(
+    ("owner", "changes", "message"),
+    [
+        ("bodies", {"velocity": np.array([[np.nan, 0.0]])}, r"bodies.velocity\[0\]: expected a finite number, got"),
+        ("bodies", {"mass": np.array([0.0])}, r"bodies.mass\[0\]: expected a number > 0, got 0.0"),
+        ("bodies", {"mass": np.array([-1.0])}, r"bodies.mass\[0\]: expected a number > 0, got -1.0"),
+        (None, {"dt": np.nan}, "dt: expected a finite number > 0, got nan"),
+        (None, {"dt": 0.0}, "dt: expected a finite number > 0, got 0.0"),
+        ("contacts", {"body_a": np.array([-1])}, r"contacts.body_a\[0\]: expected a circle, 0 to 0, got -1"),
+        ("contacts", {"body_b": np.array([0])}, r"contacts.body_b\[0\]: expected a body after body_a"),
+        ("contacts", {"body_b": np.array([9])}, r"contacts.body_b\[0\]: expected a body after body_a, up to 4"),
+        ("contacts", {"separation": np.zeros(0)}, r"contacts.separation: expected shape \(1,\), got \(0,\)"),
+        ("contacts", {"normal": np.array([[0.0, np.inf]])}, r"contacts.normal\[0\]: expected a finite number"),
+    ],
+)
+def test_states_that_do_not_hold_together_are_refused(owner, changes, message):
+    state = ready(single_body())
+    changes = {owner: getattr(state, owner)._replace(**changes)} if owner else changes
+    with pytest.raises(ValueError, match=message):
+        solve_exactly(state.replace(**changes))
+
+
+def test_other_bytes_and_strides_are_taken():
+    state = ready(single_body())
+    expected = solve_exactly(state)
+    other = state.replace(bodies=state.bodies._replace(velocity=state.bodies.velocity.astype(">f8")[::1]))
+    np.testing.assert_array_equal(solve_exactly(other).solution.velocities, expected.solution.velocities)
+
+
+@pytest.mark.parametrize("value", [None, 3, "state"])
+def test_neither_state_nor_problem(value):
+    with pytest.raises(ValueError, match="state: expected a State or a ContactProblem, got"):
+        solve_exactly(value)
 
 
 def test_contacts_have_to_be_found_first():

@@ -18,7 +18,6 @@ from numba import njit
 from deep_contact import validation
 from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.collision import make_cells, make_contacts, next_contacts, own_contacts
-from deep_contact.physics.continuous import any_is_fast, stop_fast
 from deep_contact.physics.contact_solver import (
     BODY_A,
     BODY_B,
@@ -38,6 +37,7 @@ from deep_contact.physics.contact_solver import (
     make_rows,
     sweep,
 )
+from deep_contact.physics.continuous import any_is_fast, stop_fast
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PRECISIONS
 from deep_contact.physics.solvers.registry import register
 from deep_contact.physics.step import log_step

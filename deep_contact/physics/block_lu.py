@@ -1,0 +1,192 @@
+"""LU factors of sparse matrices of 3 × 3 blocks, one row and column of blocks for every body, without pivoting.
+
+The pattern is symmetric, the values need not be. Bodies are ordered by minimum degree once a problem; the pattern of
+the factors follows from the elimination tree (Davis, Direct Methods for Sparse Linear Systems, 2006, chapters 4, 6).
+A right side at two bodies that touch is non-zero, after the forward solve, on one path of the tree only.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+
+class Pattern(NamedTuple):
+    """Where the factors of n rows of blocks have blocks. All indices are places in the order of elimination.
+
+    | field         | meaning                                                                     | shape    |
+    |---------------|-----------------------------------------------------------------------------|----------|
+    | place         | of every body in the order of elimination                                   | (n,)     |
+    | first         | the blocks below the diagonal in column k are first[k] to first[k + 1]      | (n + 1,) |
+    | row           | their rows, rising; the blocks of U are those mirrored                      | (k,)     |
+    | updates_first | the blocks of row j are those at updates_first[j] to updates_first[j + 1]   | (n + 1,) |
+    | update        | the index of the block, in `row`                                            | (k,)     |
+    | column        | and its column                                                              | (k,)     |
+    """
+
+    place: np.ndarray
+    first: np.ndarray
+    row: np.ndarray
+    updates_first: np.ndarray
+    update: np.ndarray
+    column: np.ndarray
+
+
+class Factors(NamedTuple):
+    """Inverses of the blocks on the diagonal, (n, 9), and the blocks of L, scaled by them, and of U, (k, 9)."""
+
+    inverse: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def pattern_of(n: int, one: np.ndarray, other: np.ndarray) -> Pattern:
+    """The pattern for n bodies with blocks between `one` and `other`, (e,) each; pairs may repeat."""
+    ends = np.concatenate([one, other]), np.concatenate([other, one])
+    graph = sparse.csc_array(sparse.coo_array((np.ones(ends[0].size), ends), shape=(n, n)))
+    graph.data[:] = -1.0
+    dominant = sparse.csc_array(graph + sparse.diags_array(np.full(n, n + 1.0)))
+    place = splu(
+        dominant, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+    ).perm_c.astype(np.int64)
+    i, j = place[ends[0]], place[ends[1]]
+    below = sparse.csc_array(sparse.coo_array((np.ones((i > j).sum()), (i[i > j], j[i > j])), shape=(n, n)))
+    first, row = _fill(n, below.indptr.astype(np.int64), below.indices.astype(np.int64))
+    order = np.argsort(row, kind="stable")
+    updates_first = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=n))]).astype(np.int64)
+    column = np.repeat(np.arange(n), np.diff(first))[order]
+    return Pattern(place, first, row, updates_first, order.astype(np.int64), column)
+
+
+@njit(cache=True)
+def _fill(n, indptr, indices):
+    """Columns of L: those of the matrix, and those of the columns whose first block lies in this row."""
+    first = np.zeros(n + 1, np.int64)
+    row = np.empty(4 * indices.shape[0] + 16, np.int64)
+    seen = np.full(n, -1, np.int64)
+    child, sibling = np.full(n, -1, np.int64), np.full(n, -1, np.int64)
+    count = 0
+    for j in range(n):
+        if count + n - j > row.shape[0]:
+            grown = np.empty(2 * row.shape[0] + n, np.int64)
+            grown[:count] = row[:count]
+            row = grown
+        seen[j] = j
+        begin = count
+        for p in range(indptr[j], indptr[j + 1]):
+            if seen[indices[p]] != j:
+                seen[indices[p]] = j
+                row[count] = indices[p]
+                count += 1
+        k = child[j]
+        while k >= 0:
+            for p in range(first[k], first[k + 1]):
+                if seen[row[p]] != j:
+                    seen[row[p]] = j
+                    row[count] = row[p]
+                    count += 1
+            k = sibling[k]
+        row[begin:count] = np.sort(row[begin:count])
+        first[j + 1] = count
+        if count > begin:
+            parent = row[begin]
+            sibling[j] = child[parent]
+            child[parent] = j
+    return first, row[:count].copy()
+
+
+@njit(cache=True)
+def make_factors(pattern):
+    """Uninitialised blocks for the pattern."""
+    n, count = pattern.place.shape[0], pattern.row.shape[0]
+    return Factors(np.empty((n, 9)), np.empty((count, 9)), np.empty((count, 9)))
+
+
+@njit(cache=True)
+def find_block(pattern, upper, lower):
+    """Index of the block below the diagonal in row `upper` and column `lower`."""
+    begin, end = pattern.first[lower], pattern.first[lower + 1]
+    return begin + np.searchsorted(pattern.row[begin:end], upper)
+
+
+@njit(cache=True, fastmath={"contract"})
+def _subtract_product(target, a, b):
+    """target ← target − a b, blocks of 9 numbers by rows, in place."""
+    for r in range(3):
+        a_0, a_1, a_2 = a[3 * r], a[3 * r + 1], a[3 * r + 2]
+        for c in range(3):
+            target[3 * r + c] -= a_0 * b[c] + a_1 * b[3 + c] + a_2 * b[6 + c]
+
+
+@njit(cache=True, error_model="numpy")
+def factorise(pattern, factors):
+    """Turn the blocks of a matrix into its factors, in place. Returns whether no block was singular."""
+    inverse, lower, upper = factors.inverse, factors.lower, factors.upper
+    first, row = pattern.first, pattern.row
+    at = np.empty(inverse.shape[0], np.int64)
+    scaled = np.empty(9)
+    for j in range(inverse.shape[0]):
+        for p in range(first[j], first[j + 1]):
+            at[row[p]] = p
+        for t in range(pattern.updates_first[j], pattern.updates_first[j + 1]):
+            s = pattern.update[t]
+            _subtract_product(inverse[j], lower[s], upper[s])
+            for p in range(s + 1, first[pattern.column[t] + 1]):
+                q = at[row[p]]
+                _subtract_product(lower[q], lower[p], upper[s])
+                _subtract_product(upper[q], lower[s], upper[p])
+        a = inverse[j]
+        c_0, c_1, c_2 = a[4] * a[8] - a[5] * a[7], a[5] * a[6] - a[3] * a[8], a[3] * a[7] - a[4] * a[6]
+        determinant = a[0] * c_0 + a[1] * c_1 + a[2] * c_2
+        if determinant == 0.0 or not np.isfinite(determinant):
+            return False
+        s_1, s_2 = a[2] * a[7] - a[1] * a[8], a[1] * a[5] - a[2] * a[4]
+        s_4, s_5 = a[0] * a[8] - a[2] * a[6], a[2] * a[3] - a[0] * a[5]
+        s_7, s_8 = a[1] * a[6] - a[0] * a[7], a[0] * a[4] - a[1] * a[3]
+        a[0], a[1], a[2], a[3], a[4] = c_0, s_1, s_2, c_1, s_4
+        a[5], a[6], a[7], a[8] = s_5, c_2, s_7, s_8
+        a /= determinant
+        for p in range(first[j], first[j + 1]):
+            scaled[:] = 0.0
+            _subtract_product(scaled, lower[p], a)
+            for e in range(9):
+                lower[p, e] = -scaled[e]
+    return True
+
+
+@njit(cache=True, fastmath={"contract"})
+def solve(pattern, factors, x, begin):
+    """Solve in place for a right side x, (n, 3).
+
+    begin: −1, or the place of the first body of a right side at bodies that touch: it is 0 off its path to the root.
+    """
+    inverse, lower, upper = factors.inverse, factors.lower, factors.upper
+    first, row = pattern.first, pattern.row
+    n = inverse.shape[0]
+    k = max(begin, 0)
+    while k < n:
+        x_0, x_1, x_2 = x[k, 0], x[k, 1], x[k, 2]
+        for p in range(first[k], first[k + 1]):
+            i = row[p]
+            x[i, 0] -= lower[p, 0] * x_0 + lower[p, 1] * x_1 + lower[p, 2] * x_2
+            x[i, 1] -= lower[p, 3] * x_0 + lower[p, 4] * x_1 + lower[p, 5] * x_2
+            x[i, 2] -= lower[p, 6] * x_0 + lower[p, 7] * x_1 + lower[p, 8] * x_2
+        if begin < 0:
+            k += 1
+        else:
+            k = row[first[k]] if first[k + 1] > first[k] else n
+    for k in range(n - 1, -1, -1):
+        y_0, y_1, y_2 = x[k, 0], x[k, 1], x[k, 2]
+        for p in range(first[k], first[k + 1]):
+            i = row[p]
+            y_0 -= upper[p, 0] * x[i, 0] + upper[p, 1] * x[i, 1] + upper[p, 2] * x[i, 2]
+            y_1 -= upper[p, 3] * x[i, 0] + upper[p, 4] * x[i, 1] + upper[p, 5] * x[i, 2]
+            y_2 -= upper[p, 6] * x[i, 0] + upper[p, 7] * x[i, 1] + upper[p, 8] * x[i, 2]
+        a = inverse[k]
+        x[k, 0] = a[0] * y_0 + a[1] * y_1 + a[2] * y_2
+        x[k, 1] = a[3] * y_0 + a[4] * y_1 + a[5] * y_2
+        x[k, 2] = a[6] * y_0 + a[7] * y_1 + a[8] * y_2

@@ -1,0 +1,293 @@
+"""The solvers on a contact problem of matrices, A λ + b: for problems of which no bodies are known.
+
+The engine's sweeps walk from contact to body and back and never see A. Here a sweep gathers the velocities of a
+contact's two rows from A's blocks of 2 × 2, one for every contact with which it shares a body. The blocks on the
+diagonal may couple normal and tangent, as they do for shapes other than circles, and μ may differ from contact to
+contact. Methods and options are those of `solvers`; in exact arithmetic their sweeps are the engine's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from scipy import sparse
+
+from deep_contact.physics.contact_solver import projected
+from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
+from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem, finite
+from deep_contact.physics.solvers import APGD, NNCG, PGS, PSOR, NesterovPGS, SymmetricPGS
+from deep_contact.physics.solvers import nesterov as with_momentum
+from deep_contact.physics.solvers import nncg as with_directions
+from deep_contact.validation import integer, number
+
+CHECK_EVERY = 10
+"""Sweeps between two looks at Siconos's error, which costs about as much as two sweeps."""
+
+
+class Blocks(NamedTuple):
+    """A problem as 2 × 2 blocks of a row of contacts: those beside the diagonal by contact, and those on it.
+
+    | field    | meaning                                                          | shape    |
+    |----------|------------------------------------------------------------------|----------|
+    | first    | the blocks of contact i are first[i] to first[i + 1]             | (m + 1,) |
+    | contact  | the contact whose impulses a block multiplies                    | (k,)     |
+    | entry    | nn, nt, tn, tt of every block                                    | (k, 4)   |
+    | diagonal | the same of the block on the diagonal, and the inverses of nn, tt| (m, 6)   |
+    | b, mu    | of the problem: velocities without impulses, and μ               | (m, 2), (m,) |
+    """
+
+    first: np.ndarray
+    contact: np.ndarray
+    entry: np.ndarray
+    diagonal: np.ndarray
+    b: np.ndarray
+    mu: np.ndarray
+
+
+def blocks_of(problem: ContactProblem) -> Blocks:
+    """The problem, which `check_problem` has seen, as blocks."""
+    A = sparse.bsr_array(problem.A, blocksize=(2, 2))
+    A.sort_indices()
+    m = problem.b.size // 2
+    row = np.repeat(np.arange(m), np.diff(A.indptr))
+    beside = A.indices != row
+    entry = A.data.reshape(-1, 4)
+    own = entry[~beside]
+    first = np.concatenate([[0], np.cumsum(np.bincount(row[beside], minlength=m))])
+    diagonal = np.ascontiguousarray(np.column_stack([own, 1 / own[:, 0], 1 / own[:, 3]]))
+    return Blocks(
+        first.astype(np.uint32),
+        A.indices[beside].astype(np.uint32),
+        np.ascontiguousarray(entry[beside]),
+        diagonal,
+        np.ascontiguousarray(problem.b.reshape(m, 2)),
+        problem.friction.copy(),
+    )
+
+
+class Stop(NamedTuple):
+    """When sweeping ends: θ within the tolerance (negative: never), or Siconos's error within `error` (likewise)."""
+
+    tolerance: float
+    error: float
+
+
+def solve_problem(
+    problem: ContactProblem, solver=None, start: np.ndarray | None = None, *, error: float | None = None
+) -> tuple[np.ndarray, ConvergenceRecord]:
+    """Impulses of a contact problem with friction, (2 m,), and how the sweeps went. The problem stays as it is.
+
+    solver: `PGS` (the default), `PSOR`, `SymmetricPGS`, `NNCG`, `NesterovPGS` or `APGD`, in double precision; their
+    tolerance is a number, or None. start: λ to start from, (2 m,); by default 0. error: stop as well once
+    `siconos_error` is no larger, looked at every `CHECK_EVERY` sweeps; the record's status is "converged" then.
+    Impulses are returned in the friction cone. Raises ValueError naming the argument.
+    """
+    solver = PGS(tolerance=None) if solver is None else solver
+    loop = _LOOPS.get(type(solver))
+    if loop is None or solver.precision != "double" or solver.islands:
+        known = ", ".join(kind.__name__ for kind in _LOOPS)
+        raise ValueError(f"solver: expected one of {known}, in double precision and without islands, got {solver!r}")
+    problem = check_problem(problem)
+    impulse = np.zeros(problem.b.size) if start is None else finite("start", start, problem.b.shape)
+    if solver.tolerance is not None:
+        number("tolerance", solver.tolerance, low=0)
+    stop = Stop(
+        -1.0 if solver.tolerance is None else float(solver.tolerance),
+        -1.0 if error is None else number("error", error, above=0),
+    )
+    theta = np.empty(integer("sweeps", solver.sweeps))
+    blocks = blocks_of(problem)
+    pairs = impulse.reshape(-1, 2)
+    done, met = loop(blocks, pairs, stop, theta, solver)
+    record = convergence_record(theta[:done], solver, blocks.mu.size)
+    if met and record.status == "max_sweeps":
+        record = record._replace(status="converged")
+    return np.column_stack(projected(pairs[:, 0], pairs[:, 1], problem.friction)).ravel(), record
+
+
+@njit(cache=True)
+def gather(blocks, impulse, i):
+    """(A λ + b)_n and (A λ + b)_t of contact i without what its own impulses add, m/s."""
+    u_n, u_t = blocks.b[i, 0], blocks.b[i, 1]
+    for k in range(blocks.first[i], blocks.first[i + 1]):
+        j = blocks.contact[k]
+        p_n, p_t = impulse[j, 0], impulse[j, 1]
+        u_n += blocks.entry[k, 0] * p_n + blocks.entry[k, 1] * p_t
+        u_t += blocks.entry[k, 2] * p_n + blocks.entry[k, 3] * p_t
+    return u_n, u_t
+
+
+@njit(cache=True)
+def sweep(blocks, impulse, omega_n, omega_t, backwards):
+    """A sweep over all contacts, in place, the friction row before the normal row. Returns θ, N·s."""
+    m = impulse.shape[0]
+    theta = 0.0
+    for step in range(m):
+        i = m - 1 - step if backwards else step
+        u_n, u_t = gather(blocks, impulse, i)
+        own = blocks.diagonal[i]
+        old_n, old_t = impulse[i, 0], impulse[i, 1]
+        largest = blocks.mu[i] * old_n
+        new_t = old_t - omega_t * own[5] * (u_t + own[2] * old_n + own[3] * old_t)
+        new_t = max(-largest, min(new_t, largest))
+        new_n = max(0.0, old_n - omega_n * own[4] * (u_n + own[0] * old_n + own[1] * new_t))
+        theta = max(theta, max(abs(new_n - old_n), abs(new_t - old_t)))
+        impulse[i, 0], impulse[i, 1] = new_n, new_t
+    return theta
+
+
+@njit(cache=True)
+def velocities(blocks, impulse, u):
+    """u = A λ + b, in place, (m, 2)."""
+    for i in range(impulse.shape[0]):
+        own = blocks.diagonal[i]
+        u_n, u_t = gather(blocks, impulse, i)
+        u[i, 0] = u_n + own[0] * impulse[i, 0] + own[1] * impulse[i, 1]
+        u[i, 1] = u_t + own[2] * impulse[i, 0] + own[3] * impulse[i, 1]
+
+
+@njit(cache=True)
+def is_met(blocks, impulse, stop, k):
+    """Whether Siconos's error is within the bound after the k-th sweep, counted from 0, if it is looked at there."""
+    if stop.error < 0.0 or (k + 1) % CHECK_EVERY:
+        return False
+    u = np.empty_like(impulse)
+    inside = impulse.copy()
+    for i in range(impulse.shape[0]):
+        inside[i, 0] = max(inside[i, 0], 0.0)
+        largest = blocks.mu[i] * inside[i, 0]
+        inside[i, 1] = max(-largest, min(inside[i, 1], largest))
+    velocities(blocks, inside, u)
+    scale = math.sqrt(max((inside**2).sum(), max((u**2).sum(), (blocks.b**2).sum())))
+    return _cone_distance(inside.reshape(inside.size), u.reshape(u.size), blocks.mu) <= stop.error * scale
+
+
+@njit(cache=True)
+def _relax_plain(blocks, impulse, stop, theta, omega_n, omega_t, symmetric):
+    least = min(omega_n, omega_t)
+    for k in range(theta.shape[0]):
+        theta[k] = sweep(blocks, impulse, omega_n, omega_t, symmetric and k % 2 == 1) / least
+        met = is_met(blocks, impulse, stop, k)
+        if is_over(theta[k], stop.tolerance) or met:
+            return k + 1, met
+    return theta.shape[0], False
+
+
+@njit(cache=True)
+def _relax_directions(blocks, impulse, stop, theta):
+    """NNCG: see `solvers.nncg.relax_nncg`. Velocities are gathered, so that only impulses are extrapolated."""
+    flat = impulse.reshape(impulse.size)
+    last, along = flat.copy(), np.zeros_like(flat)
+    last_size = np.inf
+    for k in range(theta.shape[0]):
+        theta[k] = sweep(blocks, impulse, 1.0, 1.0, False)
+        met = is_met(blocks, impulse, stop, k)
+        if is_over(theta[k], stop.tolerance) or met or k + 1 == theta.shape[0]:
+            return k + 1, met
+        size = with_directions.squared_distance(flat, last)
+        beta = size / last_size if last_size > 0.0 else 0.0
+        last_size = size
+        if beta > 1.0:
+            with_directions.reset(flat, last, along)
+        else:
+            with_directions.extrapolate(flat, last, along, beta)
+    return theta.shape[0], False
+
+
+@njit(cache=True)
+def _relax_momentum(blocks, impulse, stop, theta):
+    """NesterovPGS: see `solvers.nesterov.relax_nesterov`."""
+    flat = impulse.reshape(impulse.size)
+    last, swept_from = flat.copy(), flat.copy()
+    t, bound = 1.0, with_momentum.FIRST_MOMENTUM
+    last_size, before, now = np.inf, np.inf, 0.0
+    for k in range(theta.shape[0]):
+        theta[k] = sweep(blocks, impulse, 1.0, 1.0, False)
+        met = is_met(blocks, impulse, stop, k)
+        if is_over(theta[k], stop.tolerance) or met or k + 1 == theta.shape[0]:
+            return k + 1, met
+        size, downhill = with_momentum.step_and_slope(flat, swept_from, last)
+        now += size
+        if size > with_momentum.SUDDEN_GROWTH * last_size:
+            bound = max(0.0, 2.0 * bound - 1.0)
+        if (k + 1) % with_momentum.MOMENTUM_WINDOW == 0:
+            bound = max(0.0, 2.0 * bound - 1.0) if now > before else min(with_momentum.MAX_MOMENTUM, 0.2 + 0.8 * bound)
+            before, now = now, 0.0
+        last_size = size
+        share = 0.0
+        if downhill < 0.0:
+            t = 1.0
+        else:
+            next_t = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * t * t))
+            share = min((t - 1.0) / next_t, bound)
+            t = next_t
+        with_momentum.extrapolate(flat, last, share)
+        swept_from[:] = flat
+    return theta.shape[0], False
+
+
+@njit(cache=True)
+def _relax_gradient(blocks, impulse, stop, theta):
+    """APGD: see `solvers.apgd.relax_apgd`. An evaluation of the gradient is a product with A."""
+    y, before = impulse.copy(), impulse.copy()
+    u, u_y = np.empty_like(impulse), np.empty_like(impulse)
+    velocities(blocks, y, u_y)
+    u_before = u_y.copy()
+    lipschitz, momentum = 2.0, 1.0
+    k = 0
+    while k < theta.shape[0]:
+        largest = size = slope = 0.0
+        for i in range(impulse.shape[0]):
+            d_n, d_t = blocks.diagonal[i, 4], blocks.diagonal[i, 5]
+            new_n = max(y[i, 0] - d_n * u_y[i, 0] / lipschitz, 0.0)
+            bound = blocks.mu[i] * new_n
+            new_t = max(-bound, min(y[i, 1] - d_t * u_y[i, 1] / lipschitz, bound))
+            p_n, p_t = new_n - y[i, 0], new_t - y[i, 1]
+            largest = max(largest, max(abs(p_n), abs(p_t)))
+            size += p_n * p_n / d_n + p_t * p_t / d_t
+            slope += u_y[i, 0] * (new_n - before[i, 0]) + u_y[i, 1] * (new_t - before[i, 1])
+            impulse[i, 0], impulse[i, 1] = new_n, new_t
+        theta[k] = largest * lipschitz
+        k += 1
+        velocities(blocks, impulse, u)
+        bend = ((impulse - y) * (u - u_y)).sum()
+        if bend > lipschitz * size * (1.0 + 1e-9) and k < theta.shape[0] and theta[k - 1] > 0.0:
+            lipschitz *= 2.0
+            continue
+        met = is_met(blocks, impulse, stop, k - 1)
+        if is_over(theta[k - 1], stop.tolerance) or met:
+            return k, met
+        share = 0.0
+        if slope > 0.0:
+            momentum = 1.0
+        else:
+            after = 0.5 * momentum * (math.sqrt(momentum * momentum + 4.0) - momentum)
+            share = momentum * (1.0 - momentum) / (momentum * momentum + after)
+            momentum = after
+        # Velocities are linear in the impulses, so theirs is extrapolated instead of gathered again.
+        y[:] = impulse + share * (impulse - before)
+        u_y[:] = u + share * (u - u_before)
+        before[:] = impulse
+        u_before[:] = u
+        lipschitz *= 0.9
+    return theta.shape[0], False
+
+
+def _over_relaxed(blocks, impulse, stop, theta, solver):
+    if solver.adaptive:
+        raise ValueError("adaptive: expected False on a problem of matrices, got True")
+    tangent = solver.omega if solver.friction_omega is None else solver.friction_omega
+    return _relax_plain(blocks, impulse, stop, theta, float(solver.omega), float(tangent), False)
+
+
+_LOOPS = {
+    PGS: lambda blocks, impulse, stop, theta, _: _relax_plain(blocks, impulse, stop, theta, 1.0, 1.0, False),
+    PSOR: _over_relaxed,
+    SymmetricPGS: lambda blocks, impulse, stop, theta, _: _relax_plain(blocks, impulse, stop, theta, 1.0, 1.0, True),
+    NNCG: lambda blocks, impulse, stop, theta, _: _relax_directions(blocks, impulse, stop, theta),
+    NesterovPGS: lambda blocks, impulse, stop, theta, _: _relax_momentum(blocks, impulse, stop, theta),
+    APGD: lambda blocks, impulse, stop, theta, _: _relax_gradient(blocks, impulse, stop, theta),
+}

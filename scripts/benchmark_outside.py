@@ -1,0 +1,37 @@
+"""Contact problems as matrices, ours and Siconos's, solved by our solvers and by other packages: time to an error.
+
+    python scripts/benchmark_outside.py --out build/results FILE …
+
+FILE: fc2d or FCLIB files (`deep_contact.io.fclib`); without any, piles of our own are solved. Every solver is asked for
+`siconos_error` <= the tolerance; what it returns is judged here, by the same function. Packages of the extra `rivals`
+and Siconos (a Debian package, python3-siconos) are left out, with the reason, where they cannot be imported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import platform
+from pathlib import Path
+
+from deep_contact.io.files import write_json
+from deep_contact.studies import outside
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", nargs="*", type=Path, help="fc2d or FCLIB files")
+    parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
+    parser.add_argument("--tolerance", type=float, default=1e-5, help="Siconos's error that is asked for")
+    parser.add_argument("--piles", type=int, nargs="*", default=[100, 300], help="circles of our own piles")
+    parser.add_argument("--repeats", type=int, default=5, help="timed runs in turns; the least counts")
+    arguments = parser.parse_args()
+    problems = outside.read_problems(arguments.files) | outside.own_problems(arguments.piles)
+    found = outside.compare(problems, tolerance=arguments.tolerance, repeats=arguments.repeats, progress=print)
+    found["machine"] = platform.processor() or platform.machine()
+    path = write_json(arguments.out / "benchmark_outside.json", found)
+    print(outside.table(found))
+    print(f"written: {path}")
+
+
+if __name__ == "__main__":
+    main()

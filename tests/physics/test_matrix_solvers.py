@@ -1,0 +1,126 @@
+"""Solvers on matrices against the engine's sweeps on the same states, closed forms, and Siconos's measure of error."""
+
+import numpy as np
+import pytest
+from scipy import sparse
+
+import deep_contact as dc
+from deep_contact.physics import metrics
+from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual, siconos_error
+from deep_contact.physics.matrix_solvers import solve_problem
+from deep_contact.physics.scenes import single_body
+from deep_contact.simulation import ready
+
+
+def of_circle(speed=0.0, friction=0.3):
+    """One circle on the floor, by hand: d_n = 1 / m, d_t = 3 / m."""
+    scene = single_body(friction=friction)
+    return contact_problem(ready(scene.replace(bodies=scene.bodies._replace(velocity=np.array([[speed, 0.0]])))))
+
+
+@pytest.mark.parametrize("solver", [dc.PGS, dc.PSOR, dc.SymmetricPGS, dc.NNCG, dc.NesterovPGS, dc.APGD])
+def test_sweeps_of_matrices_are_those_of_the_engine(falling_states, solver):
+    options = {"sweeps": 25, "tolerance": None} | ({"omega": 1.3, "friction_omega": 1.1} if solver is dc.PSOR else {})
+    for state in falling_states[4::6]:
+        start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
+        expected = dc.solve_contacts(state, solver=solver(**options))
+        impulse, record = solve_problem(contact_problem(state), solver(**options), start)
+        tolerance = 1e-10 * max(1.0, expected.normal_impulses.max())
+        np.testing.assert_allclose(impulse[::2], expected.normal_impulses, atol=tolerance)
+        cone = state.world.friction * expected.normal_impulses
+        np.testing.assert_allclose(impulse[1::2], np.clip(expected.tangent_impulses, -cone, cone), atol=tolerance)
+        np.testing.assert_allclose(record.theta, expected.record.theta, atol=tolerance)
+
+
+def test_the_natural_residual_is_that_of_the_state(falling_states):
+    state = falling_states[7]
+    found = dc.solve_contacts(state, solver=dc.PGS(sweeps=3, tolerance=None))
+    impulse = np.column_stack([found.normal_impulses, found.tangent_impulses]).ravel()
+    assert natural_residual(contact_problem(state), impulse) == pytest.approx(metrics.residual(state, found), rel=1e-9)
+
+
+def test_siconos_error_of_nothing_is_the_pull_towards_the_cone():
+    # λ = 0 and u = b = (−1, 0): z = (1, 0), which is in the cone, so the distance is 1, over max(0, 1, 1).
+    problem = ContactProblem(sparse.csr_array(np.eye(2)), np.array([-1.0, 0.0]), friction=np.array([0.5]))
+    assert siconos_error(problem, np.zeros(2)) == 1.0
+
+
+def test_siconos_error_projects_on_the_edge_of_the_cone():
+    # λ = 0, u = b = (−1, −2), μ = ½: z = (1 − 1, 2), whose projection on the edge (1, ½) is (0.8, 0.4).
+    problem = ContactProblem(sparse.csr_array(np.eye(2)), np.array([-1.0, -2.0]), friction=np.array([0.5]))
+    assert siconos_error(problem, np.zeros(2)) == pytest.approx(np.hypot(0.8, 0.4) / np.sqrt(5), rel=1e-14)
+
+
+@pytest.mark.parametrize("speed", [0.0, 5.0, 0.01])
+def test_siconos_error_vanishes_at_a_solution(speed):
+    problem = of_circle(speed)
+    impulse, record = solve_problem(problem, dc.PGS(sweeps=100, tolerance=1e-15))
+    assert record.status == "converged"
+    assert siconos_error(problem, impulse) < 1e-13
+    assert siconos_error(problem, 0.9 * impulse) > 1e-3
+
+
+def test_a_block_that_couples_normal_and_tangent():
+    # Closed form of a sticking contact: λ = −A⁻¹ b, where the cone contains it.
+    A = np.array([[2.0, 0.3], [0.3, 1.0]])
+    b = np.array([-1.0, 0.1])
+    expected = np.linalg.solve(A, -b)
+    problem = ContactProblem(sparse.csr_array(A), b, friction=np.array([1.0]))
+    for solver in (dc.PGS, dc.NNCG, dc.NesterovPGS, dc.APGD):
+        impulse, _ = solve_problem(problem, solver(sweeps=500, tolerance=1e-15))
+        np.testing.assert_allclose(impulse, expected, atol=1e-12)
+
+
+def test_mu_of_each_contact():
+    # Two contacts that do not meet, both pushed sideways beyond their cones.
+    problem = ContactProblem(
+        sparse.csr_array(np.eye(4)), np.array([-1.0, 3.0, -1.0, 3.0]), friction=np.array([0.2, 0.7])
+    )
+    impulse, _ = solve_problem(problem, dc.PGS(sweeps=5, tolerance=0.0))
+    np.testing.assert_allclose(impulse, [1.0, -0.2, 1.0, -0.7], atol=1e-15)
+
+
+def test_sweeping_ends_at_the_error_asked_for(falling_states):
+    problem = contact_problem(falling_states[7])
+    impulse, record = solve_problem(problem, dc.NNCG(sweeps=5000, tolerance=None), error=1e-6)
+    assert record.status == "converged"
+    assert record.sweeps % 10 == 0
+    assert siconos_error(problem, impulse) <= 1e-6
+    _, none = solve_problem(problem, dc.NNCG(sweeps=10, tolerance=None), error=1e-12)
+    assert none.status == "max_sweeps"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"b": np.array([0.0, np.nan])}, r"b\[1\]: expected a finite number, got nan"),
+        ({"b": np.zeros(3)}, r"b: expected finite numbers of shape \(2,\), got shape \(3,\)"),
+        ({"friction": None}, r"friction: expected finite numbers of shape \(1,\), got None"),
+        ({"friction": np.array([-0.5])}, r"friction\[0\]: expected a number >= 0, got -0.5"),
+        ({"A": sparse.csr_array(np.diag([1.0, 0.0]))}, r"A\[1, 1\]: expected a number > 0, got 0.0"),
+        ({"A": sparse.csr_array(np.ones((2, 4)))}, r"A: expected a square matrix .* got shape \(2, 4\)"),
+        ({"A": sparse.csr_array([[1.0, np.inf], [0, 1]])}, "A: expected finite entries, got inf"),
+        ({"inverse_mass": np.array([-1.0, 1.0, 1.0])}, "inverse_mass: expected numbers >= 0, got -1.0"),
+        ({"jacobian": sparse.csr_array(np.ones((2, 4)))}, r"jacobian: expected 2 rows .* got shape \(2, 4\)"),
+    ],
+)
+def test_bad_problems_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        check_problem(of_circle()._replace(**changes))
+
+
+@pytest.mark.parametrize(
+    ("solver", "options", "message"),
+    [
+        (dc.PGS(islands=True), {}, "solver: expected one of PGS, .* got PGS"),
+        (dc.PGS(precision="single"), {}, "solver: expected one of PGS, .* got PGS"),
+        (dc.BatchedPGS(), {}, "solver: expected one of PGS, .* got BatchedPGS"),
+        (dc.PSOR(adaptive=True, tolerance=None), {}, "adaptive: expected False on a problem of matrices, got True"),
+        (dc.PGS(), {}, "tolerance: expected a finite number >= 0, got 'scene'"),
+        (dc.PGS(tolerance=None), {"error": 0.0}, "error: expected a finite number > 0, got 0.0"),
+        (dc.PGS(tolerance=None), {"start": np.zeros(3)}, r"start: expected finite numbers of shape \(2,\)"),
+    ],
+)
+def test_bad_arguments_are_refused(solver, options, message):
+    with pytest.raises(ValueError, match=message):
+        solve_problem(of_circle(), solver, **options)

@@ -1,0 +1,98 @@
+"""The comparison on matrices: fair forms of one problem, one judge, profiles by hand, sequences that come back."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.io.fclib import write_fc2d
+from deep_contact.physics import metrics
+from deep_contact.physics.exact import solve_exactly
+from deep_contact.physics.lcp import check_problem, contact_problem
+from deep_contact.studies import outside
+
+
+def test_the_padded_problem_is_the_same_with_a_tangent_that_meets_nothing(falling_states):
+    problem = check_problem(contact_problem(falling_states[9]))
+    W, q = outside.padded(problem)
+    W, kept = W.toarray(), np.arange(q.size).reshape(-1, 3)
+    np.testing.assert_array_equal(W[np.ix_(kept[:, :2].ravel(), kept[:, :2].ravel())], problem.A.toarray())
+    third = kept[:, 2]
+    np.testing.assert_array_equal(W[np.ix_(third, third)], np.diag(problem.A.diagonal()[1::2]))
+    assert not W[np.ix_(kept[:, :2].ravel(), third)].any()
+    assert not q[third].any()
+
+
+def test_profile_by_hand():
+    times = {"p": {"a": 1.0, "b": 3.0, "c": 0.1}, "q": {"a": 8.0, "b": 2.0, "c": 0.1}}
+    errors = {"p": {"a": 0.0, "b": 0.0, "c": 1.0}, "q": {"a": 0.0, "b": 0.0, "c": 1.0}}
+    # Within 1, 2, 5, 10, 100 times the fastest of those that solved it: a is 1 and 4 times, b 3 and 1; c solves none.
+    expected = {"a": [0.5, 0.5, 1, 1, 1], "b": [0.5, 0.5, 1, 1, 1], "c": [0] * 5}
+    assert outside.profile(times, errors, 1e-5) == expected
+
+
+def test_ours_are_compared(falling_states, tmp_path):
+    path = write_fc2d(tmp_path / "pile.dat.gz", falling_states[9])
+    problems = outside.read_problems([path])
+    found = outside.compare(problems, tolerance=1e-4, repeats=1)
+    assert found["contacts"] == {"pile": falling_states[9].contacts.count}
+    for name in ("PGS", "NNCG", "NesterovPGS"):
+        assert found["error"]["pile"][f"ours, {name}"] <= 1e-4
+        assert 0 < found["seconds"]["pile"][f"ours, {name}"] < 10
+    assert set(found["missing"]) | set(found["seconds"]["pile"]) >= {f"Siconos {name}" for name in outside.SICONOS}
+    assert "| ours, NNCG |" in outside.table(found)
+
+
+def test_energy_error_is_the_velocity_error(falling_states):
+    state = falling_states[9]
+    reference, near = solve_exactly(state).solution, dc.solve_contacts(state, solver=dc.PGS(sweeps=3, tolerance=None))
+    one, other = (np.column_stack([s.normal_impulses, s.tangent_impulses]).ravel() for s in (near, reference))
+    expected = metrics.velocity_error(state, near, reference)
+    assert outside.energy_error(contact_problem(state), one, other) == pytest.approx(expected, rel=1e-9)
+
+
+def test_relaxation_without_friction_is_exact(frictionless_states):
+    pytest.importorskip("clarabel", reason="needs the package clarabel of the extra rivals")
+    state = frictionless_states[3]
+    problem = check_problem(contact_problem(state))
+    exact = solve_exactly(state, residual=1e-10).solution
+    impulse = np.column_stack([exact.normal_impulses, exact.tangent_impulses]).ravel()
+    assert outside.energy_error(problem, outside.relaxed(problem), impulse) < 1e-5
+
+
+def test_a_sequence_is_written_and_scored(falling_states, tmp_path):
+    states = falling_states[6:10]
+    folder = outside.write_sequence(tmp_path / "sequence", states)
+    solvers = {"NNCG": outside.ours("NNCG", 1e-6)}
+    starts = outside.STARTS | {"solution": lambda problem, carried: solved[problem.friction.size]}
+    solved = {}
+    for state in states:
+        found = solve_exactly(state).solution
+        solved[state.contacts.count] = np.column_stack([found.normal_impulses, found.tangent_impulses]).ravel()
+    found = outside.score_starts(folder, starts, tolerance=1e-6, solvers=solvers)["NNCG"]
+    assert set(found) == {"none", "carried", "solution"}
+    assert all(row["steps"] == 4 and row["unsolved"] == 0 and row["seconds"] > 0 for row in found.values())
+    short = {"one": lambda problem, start: outside.solve_problem(problem, dc.PGS(sweeps=1, tolerance=None), start)[0]}
+    found = outside.score_starts(folder, starts, tolerance=1e-6, solvers=short)["one"]
+    assert found["solution"]["unsolved"] == 0 < found["none"]["unsolved"]
+
+
+def test_the_scripts_run(tmp_path):
+    root = Path(__file__).parents[2]
+
+    def run(*arguments):
+        return subprocess.run(
+            [sys.executable, *map(str, arguments)], cwd=root, capture_output=True, text=True, check=True, timeout=300
+        ).stdout
+
+    folder = tmp_path / "sequence"
+    assert "written: 3 problems" in run(
+        "scripts/benchmark_starts.py", "write", folder, "--circles", 20, "--steps", 3, "--first", 150
+    )
+    assert "| ours, PGS |" in run("scripts/benchmark_starts.py", "score", folder, "--out", tmp_path)
+    file = folder / "step_0000.hdf5"
+    assert "ours, NNCG" in run("scripts/benchmark_outside.py", file, "--piles", "--repeats", 1, "--out", tmp_path)
+    assert (tmp_path / "benchmark_outside.json").exists()
