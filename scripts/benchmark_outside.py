@@ -29,7 +29,8 @@ def main() -> None:
     found = outside.compare(problems, tolerance=arguments.tolerance, repeats=arguments.repeats, progress=print)
     found["machine"] = platform.processor() or platform.machine()
     path = write_json(arguments.out / "benchmark_outside.json", found)
-    print(outside.table(found))
+    for row in outside.table(found):
+        print("| " + " | ".join(row) + " |")
     print(f"written: {path}")
 
 
