@@ -16,6 +16,7 @@ import numpy as np
 from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import SoftSteps, describe
+from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, why_stiff
 from deep_contact.reporting import results
 from deep_contact.simulation import checked_solver, ready, solver_and_start
 from deep_contact.state import State
@@ -91,6 +92,7 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
         _double_precision(solver, savings),
         _calls(start, savings),
         _network(warm_start, found["data"]["jobs"]),
+        _stiffness(scene, solver),
     )
     name = warm_start if isinstance(warm_start, str) else type(start).__name__
     return Plan(
@@ -117,6 +119,16 @@ def installed_results() -> dict:
 def _share(one: Mapping) -> str:
     """What is left of the cost, with its quartiles, "51 % (50 to 53 %)"."""
     return f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
+
+
+def _stiffness(scene: State, solver) -> Choice:
+    why = why_stiff(scene) or "nothing is too stiff for a few sweeps"
+    substeps = getattr(solver, "substeps", 1)
+    used = solver.tolerance is not None and solver.sweeps >= SWEEPS
+    if why_stiff(scene) and not used:
+        why += f", but {describe(solver)} was asked for"
+    saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"
+    return Choice(part="solving stiff piles", used=used, why=why, saving=saving)
 
 
 def _tangents(scene: State, solver, used: bool, savings: Mapping) -> Choice:

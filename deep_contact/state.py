@@ -31,23 +31,23 @@ WALL_NORMALS = np.array([[0.0, -1.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
 """Contact normals of the four walls, from circle to wall."""
 
 LIMITS = {
-    "bodies.position": (-1e10, 1e10, "m"),
+    "bodies.position": (-1e12, 1e12, "m"),
     "bodies.velocity": (-1e10, 1e10, "m/s"),
     "bodies.spin": (-1e10, 1e10, "rad/s"),
     "bodies.mass": (1e-30, 1e30, "kg"),
-    "bodies.radius": (1e-6, 1e9, "m"),
-    "contacts.separation": (-1e11, 1e11, "m"),
+    "bodies.radius": (1e-6, 1e11, "m"),
+    "contacts.separation": (-1e13, 1e13, "m"),
     "contacts.normal_impulse": (-1e60, 1e60, "N·s"),
     "contacts.tangent_impulse": (-1e60, 1e60, "N·s"),
     "contacts.normal_start": (-1e60, 1e60, "N·s"),
     "contacts.tangent_start": (-1e60, 1e60, "N·s"),
-    "world.box": (-1e9, 1e9, "m"),
+    "world.box": (-1e11, 1e11, "m"),
     "world.gravity": (-1e6, 1e6, "m/s²"),
-    "world.friction": (0.0, 1e9, ""),
+    "world.friction": (0.0, 1e12, ""),
     "dt": (1e-9, 1.0, "s"),
-    "scales.slop": (0.0, 1e9, "m"),
-    "scales.wall_skin": (0.0, 1e9, "m"),
-    "scales.max_correction": (0.0, 1e9, "m"),
+    "scales.slop": (0.0, 1e11, "m"),
+    "scales.wall_skin": (0.0, 1e11, "m"),
+    "scales.max_correction": (0.0, 1e11, "m"),
 }
 """Name -> smallest and largest value that the engine computes with, and their unit.
 
@@ -390,6 +390,17 @@ def check_limits(state: State, limits: dict = LIMITS) -> State:
             index = f"[{', '.join(map(str, where))}]" if where else ""
             raise ValueError(f"{name}{index}: expected {low:g} to {high:g} {unit}".rstrip() + f", got {values[where]}")
     return state
+
+
+def native(state: State) -> State:
+    """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
+    parts = {"bodies": state.bodies, "contacts": state.contacts}
+    foreign = {
+        name: type(part)(*(array.astype(array.dtype.newbyteorder("="), copy=False) for array in part))
+        for name, part in parts.items()
+        if part is not None and not all(array.dtype.isnative for array in part)
+    }
+    return state.replace(**foreign) if foreign else state
 
 
 def no_contacts() -> Contacts:

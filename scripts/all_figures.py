@@ -113,7 +113,7 @@ def summarise(done):
         if status == 0:
             word = "kept" if untouched else "done"
             claims = results.read_results(stored)["claims"]
-            held = f"{sum(claim['holds'] for claim in claims)} of {len(claims)}"
+            held = f"{sum(claim['holds'] is True for claim in claims)} of {len(claims)}"
         print(f"{name:<6} {word:<11}  {seconds:6.1f}  {held}")
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import platform
 import tempfile
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import numpy as np
 
 from deep_contact.io.state_xml import read_state, write_state
 from deep_contact.physics.solvers import PGS
-from deep_contact.reporting.results import replacing
+from deep_contact.reporting.results import provenance, replacing
 from deep_contact.state import Contacts, State, World, make_bodies
 from deep_contact.studies import timing
 
@@ -56,7 +55,7 @@ def main():
     given = parser.parse_args()
     state = example_state()
     found = {"circles": state.bodies.count, "contacts": state.contacts.count, "repeats": given.repeats}
-    found["machine"] = platform.processor() or platform.machine()
+    found["provenance"] = provenance()
     print(f"{state.bodies.count} circles, {state.contacts.count} contacts, {given.repeats} repeats")
     print(f"{'file':8}{'kB':>7}{'write: min':>14}{'median':>10}{'read: min':>14}{'median':>10}   (ms)")
     with tempfile.TemporaryDirectory() as folder:

@@ -13,13 +13,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import platform
 from pathlib import Path
 
 import numpy as np
 
 from deep_contact import sph
-from deep_contact.reporting.results import replacing
+from deep_contact.reporting.results import provenance, replacing
 from deep_contact.sph.neighbours import splat_by_tree
 from deep_contact.studies import timing
 
@@ -111,7 +110,7 @@ def main() -> None:
     result = {
         "options": options,
         "spacing": SPACING,
-        "machine": platform.machine(),
+        "provenance": provenance(),
         "case": case,
         "ratio": {
             "k-d tree / splat of both": case["k-d tree, splat of both"] / case["splat of both"],

@@ -39,9 +39,9 @@ def claims(data):
     least = {kernel: min(min(w) for w in curves.values()) for kernel, curves in data["curves"].items()}
     plane = "the kernels of Eq 3.8 and 3.11 integrate to one on the plane of the simulation"
     return [
-        Claim("each kernel integrates to one in the dimension of its constant", "L431", all_one(right), right),
-        Claim(plane, "L431, L472, L491", all_one(thesis), thesis),
-        Claim("no kernel is negative anywhere", "L443", min(least.values()) >= 0, least),
+        Claim("each kernel integrates to one in the dimension of its constant", "Eq 3.2", all_one(right), right),
+        Claim(plane, "Eq 3.2, Eq 3.8, Eq 3.11", all_one(thesis), thesis),
+        Claim("no kernel is negative anywhere", "Eq 3.4b", min(least.values()) >= 0, least),
     ]
 
 

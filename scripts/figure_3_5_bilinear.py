@@ -41,8 +41,8 @@ def claims(data):
 
     equal = "Eq 3.16's matrix form equals two 1-D interpolations, and so does our gather"
     return [
-        claim(equal, "L604-613", "Eq 3.16", "gather"),
-        claim("Algorithm 4's matrix gives the same as Eq 3.16", "L629", "Algorithm 4"),
+        claim(equal, "Eq 3.16", "Eq 3.16", "gather"),
+        claim("Algorithm 4's matrix gives the same as Eq 3.16", "Algorithm 4", "Algorithm 4"),
     ]
 
 

@@ -22,11 +22,13 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """L847: matrix multiplications and biases are all there is to a fully connected network."""
+    """section 4.2.5: matrix multiplications and biases are all there is to a fully connected network."""
     difference = float(np.abs(np.subtract(data["values"][-1], data["Keras"])).max())
     text = "matrix multiplications and biases, with ReLU between, complete a fully connected network: equal to Keras's"
     holds = difference <= 1e-12 * np.abs(data["Keras"]).max()  # sums of a few products in float64
-    return [Claim(text, "L847", bool(holds), {"largest difference": difference, "parameters": data["parameters"]})]
+    return [
+        Claim(text, "section 4.2.5", bool(holds), {"largest difference": difference, "parameters": data["parameters"]})
+    ]
 
 
 def table(data):

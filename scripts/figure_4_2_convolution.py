@@ -35,7 +35,7 @@ def compute(options, seed, jobs, progress):
         "shown": [row, column],
         "products": worked.window_products(image, kernel, row, column) + 0.0,  # no −0
         "results": results,
-        "example of L798": example | {"largest difference to Keras": float(np.abs(ours - theirs).max())},
+        "example of section 4.2.2": example | {"largest difference to Keras": float(np.abs(ours - theirs).max())},
         "sizes": sizes,
     }
 
@@ -49,19 +49,26 @@ def claims(data):
     same = {f"largest difference to {name}": apart("Eq 4.1", name) for name in ("Keras Conv2D", "SciPy correlate2d")}
     plain, flipped = apart("Eq 4.1", "SciPy convolve2d"), apart("Eq 4.1, flipped kernel", "SciPy convolve2d")
     cross = {"difference to SciPy's convolution": plain, "with the kernel flipped": flipped}
-    example, sizes = data["example of L798"], {}
+    example, sizes = data["example of section 4.2.2"], {}
     for row in data["sizes"]:
         sizes["I = {I}, K = {K}, s = {s}".format(**row)] = f"{row['Eq 4.2']:g}, Keras {row['Keras']}"
     name = "what the layer computes is a cross-correlation; a convolution in terms of mathematics flips the kernel"
     depth = "32 × 32 × 3 with a 3 × 3 × 3 kernel gives 30 × 30 × 1, and with n kernels 30 × 30 × n"
     deep = example["one kernel"] == [30, 30, 1] and example["four kernels"] == [30, 30, 4]
-    equal = all(row["Eq 4.2"] == row["Keras"] for row in data["sizes"])
+    fitting = [row for row in data["sizes"] if (row["I"] - row["K"]) % row["s"] == 0]
+    others = [row for row in data["sizes"] if row not in fitting]
+    equal = all(row["Eq 4.2"] == row["Keras"] for row in fitting)
+    exact = equal and not others
+    where = None if exact else "holds where the stride divides I − K; elsewhere rounded down" if equal else None
+    smaller = {f"{row['I']} with K = {row['K']}, s = {row['s']}": row["Keras"] for row in data["sizes"]}
+    shrinks = all(row["Keras"] < row["I"] for row in data["sizes"])
     # Sums of a few products of small whole numbers: exact, or nearly so.
     return [
-        Claim("Eq 4.1 is what a convolutional layer computes", "L774-777", max(same.values()) < 1e-9, same),
-        Claim(name, "L766-768", flipped < 1e-9 < plain, cross),
-        Claim(depth, "L798-800", deep, example),
-        Claim("Eq 4.2 gives the size of the output for every stride", "L790-796", equal, sizes),
+        Claim("Eq 4.1 is what a convolutional layer computes", "Eq 4.1", max(same.values()) < 1e-9, same),
+        Claim(name, "section 4.2", flipped < 1e-9 < plain, cross),
+        Claim(depth, "section 4.2.2", deep, example),
+        Claim("Eq 4.2 gives the size of the output", "Eq 4.2", equal, sizes, where),
+        Claim("without padding each convolution makes the map smaller", "section 4.2.2", shrinks, smaller),
     ]
 
 

@@ -84,13 +84,9 @@ def claims(data):
     layers, error = data["convolutions"], data["relative error of λ"]
     depths = {f"{c['name']}": f"{c['kernel depth']} of {c['input depth']}" for c in layers}
     deep = all(c["kernel depth"] == c["input depth"] for c in layers)
-    nodes = {f"{c['name']}, border {c['border']}, stride {c['stride']}": c["nodes"] for c in layers}
-    sizes = list(nodes.values())
-    smaller = all(after < before for before, after in zip(sizes, sizes[1:]))
     nearer = "the trained network's impulses are nearer to the solution than zero is"
     return [
-        Claim("a kernel is as deep as its layer's input", "L788", deep, depths),
-        Claim("the maps get smaller with every convolution", "L790", smaller, nodes),
+        Claim("a kernel is as deep as its layer's input", "section 4.2.2", deep, depths),
         Claim(nearer, None, error["network"] < 1, error),
     ]
 
@@ -105,9 +101,9 @@ def table(data):
 def draw(data, options):
     """A row of maps for each layer; below, the impulses predicted and solved."""
     columns, rows = options["maps"], len(data["panels"])
-    figure = plotting.subplots(size=(1.75 * columns, 1.9 * rows + 3.9))[0]
+    figure = plotting.subplots(size=(1.75 * columns, 2.2 * rows + 3.9))[0]
     figure.clear()
-    above, below = figure.subfigures(2, 1, height_ratios=[1.9 * rows, 3.9])
+    above, below = figure.subfigures(2, 1, height_ratios=[2.2 * rows, 3.9])
     state = plotting.state_of(data["scene"])
     x_min, y_min, x_max, y_max = state.world.box
     for row, part in zip(above.subplots(rows, columns, squeeze=False), data["panels"]):
@@ -117,8 +113,10 @@ def draw(data, options):
             # Impacts are much larger than all else: the colour scale ends at the 95th percentile.
             size = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
             look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
-            ax.imshow(values, cmap="cividis", vmin=-size, vmax=size, **look)
+            shown = ax.imshow(values, cmap="cividis", vmin=-size, vmax=size, **look)
             ax.set_title(name.replace("_", " "), fontsize=8)
+            bar = above.colorbar(shown, ax=ax, location="bottom", shrink=0.9, pad=0.02, ticks=[-size, 0, size])
+            bar.ax.set_xticklabels([f"{-size:.2g}", "0", f"{size:.2g}"], fontsize=6)
         n_y, n_x = np.shape(part["values"][0])
         text = f"{part['layer'].replace('_', ' ')}\n{n_y} × {n_x}, {part['maps in all']} maps"
         look = {"rotation": 90, "ha": "right", "va": "center", "fontsize": 8}

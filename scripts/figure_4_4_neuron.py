@@ -36,7 +36,7 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The claims of L829 on ReLU."""
+    """The claims of section 4.2.3 on ReLU."""
     ratios = data["gradient ratio, by gain"]
     below = np.array(data["line"]) < 0
     lost = {
@@ -45,15 +45,15 @@ def claims(data):
     }
     relu = {f"{gain} × He": ratio for gain, ratio in ratios["ReLU"].items()}
     he = {name: found["1"] for name, found in ratios.items()}
-    every = (
-        f"vanishing or exploding gradients hardly affect ReLU, through {data['depth']} layers and whatever the "
-        "weights: the gradient keeps its size within a factor of ten"
+    normal = (
+        "vanishing or exploding gradients hardly affect ReLU: with the thesis's He normal weights (Table 5.2) a "
+        f"gradient keeps its size through {data['depth']} layers, within a factor of ten"
     )
-    normal = "with He normal weights (Table 5.2) a gradient keeps its size through ReLU, within a factor of ten"
+    every = f"with weights of {' and '.join(ratios['ReLU'])} times He's it keeps it too"
     return [
-        Claim("ReLU gets rid of every piece of negative information", "L829", not any(lost.values()), lost),
-        Claim(every, "L829", all(0.1 <= ratio <= 10 for ratio in relu.values()), relu),
-        Claim(normal, None, 0.1 <= he["ReLU"] <= 10, he),
+        Claim("ReLU gets rid of every piece of negative information", "section 4.2.3", not any(lost.values()), lost),
+        Claim(normal, "section 4.2.3, Table 5.2", 0.1 <= he["ReLU"] <= 10, he),
+        Claim(every, None, all(0.1 <= ratio <= 10 for ratio in relu.values()), relu),
     ]
 
 

@@ -36,9 +36,9 @@ def claims(data):
     fewer = weights["with pooling"] < weights["without"]
     equal = "the output holds the largest value within each window: equal to Keras's"
     return [
-        Claim(equal, "L833", max(differences.values()) == 0, differences),
-        Claim("pooling decreases the size of the output", "L833", smaller, {"nodes along an edge": sizes}),
-        Claim("pooling decreases the number of weights", "L835-837", fewer, weights),
+        Claim(equal, "section 4.2.4", max(differences.values()) == 0, differences),
+        Claim("pooling decreases the size of the output", "section 4.2.4", smaller, {"nodes along an edge": sizes}),
+        Claim("pooling decreases the number of weights", "section 4.2.4", fewer, weights),
     ]
 
 

@@ -66,7 +66,7 @@ def dropping_model(model, name):
 
 
 def claims(data):
-    """L894, and that dropout keeps the mean."""
+    """section 4.3.2, and that dropout keeps the mean."""
     rate = data["rate"]
     # Three standard deviations of the share dropped among so many independent values.
     allowed = float(3 * np.sqrt(rate * (1 - rate) / data["values"]))
@@ -77,8 +77,8 @@ def claims(data):
     training = "dropout is at work in training only: without it the network repeats itself, with it it does not"
     scaled = "what is kept is scaled up so that the mean stays, within a hundredth"
     return [
-        Claim(random, "L894", abs(data["dropped"] - rate) <= allowed, share),
-        Claim(training, "L894", data["change off"] == 0 < data["change on"], repeats),
+        Claim(random, "section 4.3.2", abs(data["dropped"] - rate) <= allowed, share),
+        Claim(training, "section 4.3.2", data["change off"] == 0 < data["change on"], repeats),
         Claim(scaled, None, abs(data["mean over masks"] - 1) < 0.01, mean),
     ]
 

@@ -73,14 +73,14 @@ def claims(data):
     step = "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"
     after = "the hidden weights can be updated by Eq 4.18 after the output's weights were"
     return [
-        gradient("Eq 4.12", "output", "L985-989", chain, **factors),
-        gradient("Eq 4.13", "output", "L993", "Eq 4.13: ∂L/∂w_j = −2 v_j e"),
-        update("Eq 4.14", "output", "L997", step),
-        gradient("Eq 4.15", "hidden", "L1004-1009", hidden_chain, **factors),
-        gradient("Eq 4.17", "hidden", "L1013", "Eq 4.17: ∂L/∂w_ij = −2 e w_j x_i"),
-        update("Eq 4.18", "hidden", "L1017", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
-        update(LATE, "hidden", "L1002", after),
-        Claim("a step decreases the loss", "L964-968", loss["after the step of Eq 4.8"] < loss["before"], loss),
+        gradient("Eq 4.12", "output", "Eq 4.11, Eq 4.12", chain, **factors),
+        gradient("Eq 4.13", "output", "Eq 4.13", "Eq 4.13: ∂L/∂w_j = −2 v_j e"),
+        update("Eq 4.14", "output", "Eq 4.14", step),
+        gradient("Eq 4.15", "hidden", "Eq 4.15, Eq 4.16", hidden_chain, **factors),
+        gradient("Eq 4.17", "hidden", "Eq 4.17", "Eq 4.17: ∂L/∂w_ij = −2 e w_j x_i"),
+        update("Eq 4.18", "hidden", "Eq 4.18", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
+        update(LATE, "hidden", "section 4.3.5", after),
+        Claim("a step decreases the loss", "section 4.3.5", loss["after the step of Eq 4.8"] < loss["before"], loss),
     ]
 
 

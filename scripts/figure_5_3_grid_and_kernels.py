@@ -8,7 +8,7 @@ from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 
 SMALLEST = 0.5**0.5
-"""The thesis's lower bound for h / d, L1102."""
+"""The thesis's lower bound for h / d, section 5.1.3."""
 
 
 def compute(options, seed, jobs, progress):
@@ -52,9 +52,9 @@ def claims(data):
     coarse = any(found["cells with several"] for d, found in cells.items() if float(d) <= 1)
     most = {"most nodes reached, h = d": int(reached[1.0].max())}
     return [
-        Claim("with d <= r = 1 m no two contact points lie in one cell", "L1090-1092", not coarse, fine),
-        Claim("with h <= d a contact reaches four nodes at most", "L1094-1097", max(most.values()) <= 4, most),
-        Claim("with h >= 0.71 d every contact reaches a node", "L1099-1102", not any(lost.values()), missed),
+        Claim("with d <= r = 1 m no two contact points lie in one cell", "section 5.1.3", not coarse, fine),
+        Claim("with h <= d a contact reaches four nodes at most", "section 5.1.3", max(most.values()) <= 4, most),
+        Claim("with h >= 0.71 d every contact reaches a node", "section 5.1.3", not any(lost.values()), missed),
     ]
 
 

@@ -2,23 +2,54 @@
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim
-from deep_contact.studies import comparison
+from deep_contact.studies import comparison, verdicts
+
+EQUAL, BEST = "h = 0.25 m", "d = h = 0.5 m"
+PLACE = "section 5.1.3, Figure 5.4"
 
 
 def claims(data):
     """The conclusions of the thesis from Figure 5.4, by independent runs as in the thesis."""
-    by_h, by_d = comparison.mean_sweeps(data["h"]), comparison.mean_sweeps(data["d"])
-    equal = by_h["h = 0.25 m"]
-    slower = min(by_h["h = 0.1 m"], by_h["h = 0.5 m"]) > equal
-    best = "h = d is a good choice: no other h needs fewer sweeps"
-    return [
-        Claim("h = 0.4 d and h = 2 d converge more slowly than h = d", "L1106", slower, by_h),
-        Claim(best, "L1118", equal <= min(by_h.values()), by_h),
-        Claim("d = 0.5 converges most rapidly", "L1121", min(by_d, key=by_d.get) == "d = h = 0.5 m", by_d),
+    by_h, by_d = data["h"], data["d"]
+    slow, twice = "h = 0.1 m", "h = 0.5 m"
+    others = [name for name in by_d["independent"] if name != BEST]
+    good = "h = d is a good choice: its θ is within a tenth of the best other h's"
+    rest = [name for name in by_h["independent"] if name != EQUAL]
+    found = [
+        verdicts.judged(by_h, slow, EQUAL, "h = 0.4 d converges more slowly than h = d", PLACE, within=verdicts.SLOWER),
+        verdicts.judged(by_h, twice, EQUAL, "h = 2 d converges more slowly than h = d", PLACE, within=verdicts.SLOWER),
     ]
+    for name, times in ((slow, "0.4"), (twice, "2")):
+        text = f"h = {times} d is unstable: its θ rises more between sweeps than at h = d"
+        found.append(verdicts.judged_by(verdicts.rise, by_h, name, EQUAL, text, PLACE, within=verdicts.SLOWER))
+    found += [
+        verdicts.judged(by_h, EQUAL, rest, good, PLACE, within=(0.0, 1.1)),
+        verdicts.judged(by_d, BEST, others, "d = 0.5 m converges most rapidly", PLACE),
+    ]
+    return found + ([best_by_number(data)] if data["numbers"] else [])
 
 
-FIGURE = comparison.study_figure(id="5.4", kernel="poly6", claims=claims)
+def best_by_number(data):
+    """Whether d = 0.5 m is beaten for some number of circles, by the level of θ over the sweeps (`verdicts.level`)."""
+    text = "d = h = 0.5 m is not always the best: for other numbers of circles another d converges more rapidly"
+    beaten, scenes = {}, set()
+    for n, found in data["numbers"].items():
+        part = found["independent"]
+        others = [name for name in part if name != BEST]
+        beaten[f"{n} circles: level of θ over the best other's, and its interval"] = verdicts.intervals(
+            part, BEST, others, of=verdicts.level
+        )[:, 0].tolist()
+        scenes.add(verdicts.scenes_of(part))
+    if min(scenes) < verdicts.FEWEST:
+        return Claim(text, PLACE, None, beaten, f"open: {min(scenes)} scenes")
+    if any(low > 1 for _, low, _ in beaten.values()):
+        return Claim(text, PLACE, True, beaten)
+    if all(high < 1 for *_, high in beaten.values()):
+        return Claim(text, PLACE, False, beaten)
+    return Claim(text, PLACE, None, beaten, "within the noise")
+
+
+FIGURE = comparison.study_figure(id="5.4", kernel="poly6", claims=claims, numbers=(50, 150))
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

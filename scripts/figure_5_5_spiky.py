@@ -1,33 +1,26 @@
 """python scripts/figure_5_5_spiky.py: spiky, support h at d = 0.25 and spacing d at h = d."""
 
-import numpy as np
-
 from deep_contact.reporting import figures
-from deep_contact.reporting.figures import Claim
-from deep_contact.studies import comparison
+from deep_contact.studies import comparison, verdicts
 
-FINEST = "d = h = 0.25 m"
+EQUAL, FINEST = "h = 0.25 m", "d = h = 0.25 m"
+PLACE = "section 5.1.3, Figure 5.5"
 
 
 def claims(data):
     """The conclusions of the thesis from Figure 5.5, by independent runs as in the thesis."""
-    by_h, by_d = comparison.mean_sweeps(data["h"]), comparison.mean_sweeps(data["d"])
-    rises = {name: rise(found["theta"]) for name, found in data["d"]["independent"].items()}
-    measured = {f"rise in all, decades, {name}": found for name, found in rises.items()}
-    best = "h = d is a good choice: no other h needs fewer sweeps"
-    alike = "all d perform similarly: mean sweeps within a quarter of each other"
-    stable = "d = 0.25 is the most stable: its θ rises least between sweeps"
+    by_h, by_d = data["h"], data["d"]
+    every = list(by_d["independent"])
+    rest, others = [name for name in by_h["independent"] if name != EQUAL], [name for name in every if name != FINEST]
+    good = "h = d is a good choice: its θ is within a tenth of the best other h's"
+    alike = "all d perform similarly: the largest θ is at most 1.25 times the smallest"
+    stable = "d = 0.25 m is the most stable: its θ rises least between sweeps"
     return [
-        Claim(best, "L1129", by_h["h = 0.25 m"] <= min(by_h.values()), by_h),
-        Claim(alike, "L1129", max(by_d.values()) < 1.25 * min(by_d.values()), by_d),
-        Claim("d = 0.25 is a bit faster than any other d", "L1129", min(by_d, key=by_d.get) == FINEST, by_d),
-        Claim(stable, "L1129", min(rises, key=rises.get) == FINEST, measured),
+        verdicts.judged(by_h, EQUAL, rest, good, PLACE, within=(0.0, 1.1)),
+        verdicts.judged(by_d, every, every, alike, PLACE, within=(0.0, 1.25)),
+        verdicts.judged(by_d, FINEST, others, "d = 0.25 m is a bit faster than any other d", PLACE),
+        verdicts.judged_by(verdicts.rise, by_d, FINEST, others, stable, PLACE),
     ]
-
-
-def rise(theta):
-    """Sum of the rises of a curve of θ by sweep, decades."""
-    return float(np.maximum(np.diff(np.log10(theta)), 0).sum())
 
 
 FIGURE = comparison.study_figure(id="5.5", kernel="spiky", claims=claims)

@@ -1,7 +1,7 @@
 """python scripts/figure_5_6_kernels.py: poly6 at d = h = 0.5 against spiky at d = h = 0.25."""
 
 from deep_contact.reporting import figures
-from deep_contact.studies import comparison
+from deep_contact.studies import comparison, verdicts
 
 POLY6, SPIKY = "poly6, d = h = 0.5 m", "spiky, d = h = 0.25 m"
 
@@ -16,7 +16,7 @@ def starts(transfer):
 
 def claims(data):
     """The thesis chooses poly6."""
-    return [comparison.faster(data, POLY6, SPIKY, "poly6 performs better", "L1129")]
+    return [verdicts.judged(data, POLY6, SPIKY, "poly6 performs better", "section 5.1.3, Figure 5.6")]
 
 
 FIGURE = comparison.convergence_figure(

@@ -32,8 +32,8 @@ def claims(data):
     measured = {"trainable": trainable, "with the moving statistics": every}
     channels = {"trainable with 4 channels": four, "trainable with 5 channels": trainable}
     return [
-        Claim("the network has 64,498,866 weights", "L1199", trainable == 64_498_866, measured),
-        Claim("it has 51,599,092 weights for an input of 61 × 61 × 4", "L1195", four == 51_599_092, channels),
+        Claim("the network has 64,498,866 weights", "section 5.3.1", trainable == 64_498_866, measured),
+        Claim("it has 51,599,092 weights for an input of 61 × 61 × 4", "section 5.3.1", four == 51_599_092, channels),
     ]
 
 

@@ -41,9 +41,7 @@ def draw(data, options):
     velocity.set_xscale("log")
     velocity.set_yscale("log")
     plotting.label_axes(velocity, "sweep", "mean relative velocity error", title=comparison.MODES["paired"])
-    banded = all("quartiles" in found for found in data["paired"].values())  # older results files have none
-    title = "bands: quartiles of the scenes" if banded else None
-    velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title)
+    velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title="bands: quartiles of the scenes")
     return figure
 
 

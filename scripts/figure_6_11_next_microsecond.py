@@ -1,4 +1,4 @@
-"""python scripts/figure_6_11_next_microsecond.py: which part of an error is the solver's and which the step's."""
+"""python scripts/figure_6_11_next_microsecond.py: which part of an error is the solver's, the step's, the model's."""
 
 from deep_contact.constants import TIME_STEP
 from deep_contact.io import shipped
@@ -9,6 +9,13 @@ from deep_contact.studies import runs
 DIVISORS = (1, 2, 4, 8)
 COLOURS = (plotting.VERMILION, plotting.ORANGE, plotting.GREEN, plotting.BLUE)
 SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "forces": "forces"}
+ABSOLUTE = ("penetration_max",)
+"""Errors that are not against the reference."""
+
+STEP, LEFT = "Δt = 10 ms", "left at the smallest Δt"
+PARTS = {STEP: plotting.BLUE, LEFT: plotting.SKY} | dict(zip(runs.MODEL, (plotting.GREEN, plotting.ORANGE)))
+"""Part of an error -> colour; few sweeps, whose name has their number, have another."""
+
 SOLVED = 20
 """Sweeps that count as solved: more of them change no error beyond its interval."""
 
@@ -21,16 +28,20 @@ def compute(options, seed, jobs, progress):
         settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in DIVISORS[:3] for k in (2, 5, SOLVED)]
         seeds = figures.seeds(seed, options["seeds"])
         rows = runs.small_study(options["n_bodies"], seeds, settings, seconds=options["seconds"])
-    found = []
+    names = {runs.name_of(setting): what for what, setting in runs.MODEL.items()}
+    found, model = [], []
     for row in rows:
         setting = row["setting"]
+        if row["name"] in names and row["errors"]:
+            values = {name: row["errors"][name][0] for name in SHOWN}
+            model.append({"n_bodies": row["n_bodies"], "what": names[row["name"]], "errors": values})
         plain = setting.keys() == {"method", "sweeps", "dt"} and setting["method"] == "PGS"
         if plain and row["kind"] == "plain" and row["errors"] and row["us"] is not None:
             values = {name: row["errors"][name] and row["errors"][name][0] for name in SHOWN}
             divisor = TIME_STEP / setting["dt"]
             found.append({"n_bodies": row["n_bodies"], "divisor": divisor, "sweeps": setting["sweeps"],
                           "us": row["us"], "errors": values})  # fmt: skip
-    return {"rows": found}
+    return {"rows": found, "model": model}
 
 
 def line(data, n, divisor):
@@ -39,11 +50,25 @@ def line(data, n, divisor):
     return sorted(rows, key=lambda row: row["sweeps"])
 
 
-def parts(data, n, divisor, name):
-    """(Of the step, of the solver with the fewest sweeps) of an error: what is left when solved, and what that adds."""
-    rows = line(data, n, divisor)
+def parts(data, n, name):
+    """Part -> what it adds to an error, in percent: few sweeps, the step, and what else the model may be.
+
+    Few sweeps: the fewest with Δt over those that count as solved. The step: solved with Δt, over the smallest step.
+    What the model changes is an error against the reference; of a depth it is the change of the depth.
+    """
+    rows = line(data, n, 1)
     solved = next(row["errors"][name] for row in rows if row["sweeps"] == SOLVED)
-    return solved, max(0.0, rows[0]["errors"][name] - solved)
+    least = min(DIVISORS, key=lambda divisor: -divisor if line(data, n, divisor) else 0)
+    limit = next((row["errors"][name] for row in line(data, n, least) if row["sweeps"] == SOLVED), None)
+    found = {f"{rows[0]['sweeps']} sweeps": max(0.0, rows[0]["errors"][name] - solved)}
+    found[STEP] = max(0.0, solved - (limit if name in ABSOLUTE and limit is not None else 0.0))
+    if limit is not None and name in ABSOLUTE:
+        found[LEFT] = limit
+    for row in data["model"]:
+        if row["n_bodies"] == n:
+            value = row["errors"][name]
+            found[row["what"]] = abs(value - limit) if name in ABSOLUTE and limit is not None else value
+    return found
 
 
 def sizes_of(data):
@@ -77,14 +102,18 @@ def table(data):
         for divisor in DIVISORS:
             for row in line(data, n, divisor):
                 rows.append([n, divisor, row["sweeps"], row["us"], *(row["errors"][name] for name in SHOWN)])
+        for row in data["model"]:
+            if row["n_bodies"] == n:
+                rows.append([n, row["what"], None, None, *row["errors"].values()])
     return rows
 
 
 def draw(data, options):
-    """A row of panels for each size: a line for each step, along which sweeps grow; error by time."""
+    """A row of panels for each size: a line for each step, along which sweeps grow; error by time; and the parts."""
     sizes = sizes_of(data)
-    figure, panels = plotting.subplots(len(sizes), len(SHOWN), size=(11.0, 3.2 * len(sizes)), squeeze=False)
+    figure, panels = plotting.subplots(len(sizes), len(SHOWN) + 1, size=(14.5, 3.2 * len(sizes)), squeeze=False)
     for row_of_panels, n in zip(panels, sizes):
+        draw_parts(row_of_panels[-1], data, n)
         for ax, (name, text) in zip(row_of_panels, SHOWN.items()):
             for divisor, colour in zip(DIVISORS, COLOURS):
                 rows = [row for row in line(data, n, divisor) if row["errors"][name]]
@@ -100,6 +129,19 @@ def draw(data, options):
             plotting.log_axes(ax)
     panels[0, 0].legend(fontsize=7, title="numbers: sweeps", title_fontsize=6)
     return figure
+
+
+def draw_parts(ax, data, n):
+    """Bars: what each part adds to each of the errors."""
+    found = {name: parts(data, n, name) for name in SHOWN}
+    for k, (name, mine) in enumerate(found.items()):
+        for i, (part, value) in enumerate(mine.items()):
+            colour = PARTS.get(part, plotting.VERMILION)
+            ax.barh(k + 0.15 * (i - 2), value, 0.14, color=colour, label=part if name in ABSOLUTE else None)
+    ax.set_yticks(range(len(found)), list(SHOWN.values()))
+    ax.invert_yaxis()
+    plotting.label_axes(ax, "part of the error", None, x_unit="%", title=f"{n:,} circles, by part")
+    ax.legend(fontsize=6)
 
 
 FIGURE = Figure(

@@ -12,8 +12,16 @@ import numpy as np
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies.break_even import sweep_times
-from deep_contact.studies.held_out import errors_on_scenes, ratio_cells, start_of, start_us, timing_state
-from deep_contact.studies.learned import mean_errors, networks_info, ratios_to_builtin
+from deep_contact.studies.held_out import (
+    cells_of,
+    errors_on_scenes,
+    mean_errors,
+    ratios_to_builtin,
+    start_of,
+    start_us,
+    timing_state,
+)
+from deep_contact.studies.learned import networks_info
 
 SHIPPED = "models/model.h5"
 MARKERS = "^sDv"
@@ -94,7 +102,7 @@ def table(data):
     """Rows: weights, time, and the error left after some sweeps over Builtin's, with its 95 % interval."""
     rows = [["network", "weights", "μs", "in sweeps", *(f"error({k}) / Builtin's" for k in data["after"])]]
     for network in data["networks"]:
-        cells = ratio_cells(data["scenes"], network["name"], "all")
+        cells = cells_of(ratios_to_builtin(data["scenes"], network["name"], "all"))
         rows.append([network["name"], network["weights"], network["us"], network["us"] / data["sweep_us"], *cells])
     builtin = mean_errors(data["scenes"], "builtin", "all").mean(axis=0)
     rows.append(["builtin, its error", None, None, None, *(float(value) for value in builtin)])

@@ -83,21 +83,26 @@ PEER_SETTINGS = [
 FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] in (2, 4, 10) and s["dt"] > TIME_STEP / 8]
 
 FULL = {
-    "sizes": [100, 1000, 10_000],
-    "kinds": {"100": list(runs.KINDS), "1000": list(runs.KINDS), "10000": ["plain"]},
-    "seeds": {"100": 12, "1000": 6, "10000": 2},
-    "peer_seeds": {"100": 12, "1000": 3, "10000": 1},
+    "sizes": [100, 1000, 3000, 10_000],
+    "seeds": {
+        "100": dict.fromkeys(runs.KINDS, 12),
+        "1000": dict.fromkeys(runs.KINDS, 6),
+        "3000": {"plain": 3, "mixed radii": 2, "no friction": 2},
+        "10000": {"plain": 3, "mixed radii": 2, "no friction": 2},
+    },
+    "peer_seeds": {"100": 12, "1000": 3, "3000": 1, "10000": 1},
+    "model": [100, 1000],
     "seconds": 6.0,
-    "settings": {"100": OURS, "1000": OURS, "10000": LARGE},
-    "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "10000": FEW_PEERS},
-    "steps": {"100": 200, "1000": 50, "10000": 10},
+    "settings": {"100": OURS, "1000": OURS, "3000": LARGE, "10000": LARGE},
+    "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
+    "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
     "repeats": 5,
 }
 QUICK = {
     "sizes": [100, 300],
-    "kinds": {"100": ["plain"], "300": ["plain"]},
-    "seeds": {"100": 4, "300": 3},
+    "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
     "peer_seeds": {"100": 4, "300": 3},
+    "model": [],
     "seconds": 4.0,
     "settings": {"100": OURS, "300": LARGE},
     "peers": {"100": PEER_SETTINGS[::3], "300": []},
@@ -122,15 +127,17 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
     seen, timed = [], []
     for n in options["sizes"]:
         settings = options["settings"][str(n)] + options["peers"][str(n)]
-        for kind in options["kinds"][str(n)]:
-            for setting in settings:
+        for kind, seeds in options["seeds"][str(n)].items():
+            model = list(runs.MODEL.values()) if kind == "plain" and n in options["model"] else []
+            for setting in settings + model:
                 if (is_peer(setting) and kind != "plain") or same_errors(setting) != setting:
                     continue
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-                count = options["peer_seeds" if is_peer(setting) else "seeds"][str(n)]
+                count = options["peer_seeds"][str(n)] if is_peer(setting) else seeds
                 seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, count)]
         times = {"n_bodies": n, "seed": seed, "settings": settings}
-        timed.append(("times", times | {"steps": options["steps"][str(n)], "repeats": options["repeats"]}))
+        times |= {"steps": options["steps"][str(n)], "repeats": options["repeats"]}
+        timed += [("times", times | {"phase": phase}) for phase in runs.PHASES]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
     return seen, timed
 
@@ -152,8 +159,7 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict
         for setting in options["settings"][str(n)]:
             if same_errors(setting) != setting:
                 ensemble[runs.name_of(setting)] = setting, ensemble[runs.name_of(same_errors(setting))][1]
-    by_size = {part["n_bodies"]: us for (_, part), us in zip(timed, took)}
-    rows = runs.rows(ensembles, by_size)
+    rows = runs.rows(ensembles, {(part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)})
     curves = {
         f"{kind}, {n}": {
             name: {
@@ -193,7 +199,7 @@ def presets(rows: list[dict]) -> list[dict]:
                     if runs.meets(runs.worst_errors(judged), tolerances):
                         key = whose, scope
                         if key not in best or mine[0]["us"] < best[key]["us"]:
-                            best[key] = {"name": name, "us": mine[0]["us"]}
+                            best[key] = {"name": name, "us": mine[0]["us"], **mine[0]["phases"]}
             found.append(
                 {
                     "n_bodies": n,

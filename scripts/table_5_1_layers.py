@@ -35,9 +35,9 @@ def claims(data):
     equal, known = "the layers and shapes are those of Table 5.1", "they are, but for its channels and its second"
     weights = {"trainable parameters": trainable}
     return [
-        Claim(equal, "L1223-1252", not found and same_length, count | measured),
-        Claim(f"{known} batch normalisation", "L1223-1252", only_known, measured),
-        Claim("its weights number 64,498,866", "L1199", trainable == 64_498_866, weights),
+        Claim(equal, "Table 5.1", not found and same_length, count | measured),
+        Claim(f"{known} batch normalisation", "Table 5.1", only_known, measured),
+        Claim("its weights number 64,498,866", "section 5.3.1", trainable == 64_498_866, weights),
     ]
 
 

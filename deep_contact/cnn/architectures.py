@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from deep_contact.cnn.backend import keras
-from deep_contact.validation import integer, number, one_of
+from deep_contact.validation import flag, integer, number, one_of
 
 layers = keras.layers
 
@@ -57,14 +57,16 @@ def thesis(
     outputs: int = THESIS_OUTPUTS,
     dropout: float = 0.1,
     weight_decay: float = 5e-4,
+    input_normalization: bool = False,
 ) -> keras.Model:
     """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · outputs).
 
-    With the defaults: 64,498,866 trainable parameters (L1201). The fully connected last layer holds 61 million of them
-    and ties the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
+    With the defaults: 64,498,866 trainable parameters. The fully connected last layer holds 61 million of them and ties
+    the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
     as in the thesis.
 
     dropout: after every stack (Table 5.1). weight_decay: of the L2 regulariser; the thesis does not print its value.
+    input_normalization: batch normalisation after the input, as in section 5.3.1, not in Table 5.1 or Appendix B.
     Raises ValueError naming the option and the value.
     """
     if len(shape) != 2:
@@ -74,6 +76,8 @@ def thesis(
     number("dropout", dropout, 0, below=1)
     number("weight_decay", weight_decay, 0)
     stack = [keras.Input((n_y, n_x, channels), name="bodies")]
+    if flag("input_normalization", input_normalization):
+        stack.append(layers.BatchNormalization(name="normalization_0"))
     for stage, (filters, kernels) in enumerate(_THESIS_STACKS, 1):
         for turn, side in enumerate(kernels, 1):
             stack.append(

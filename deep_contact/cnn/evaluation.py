@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,8 +22,10 @@ BASELINES = {
 """Name -> start without a network: `NoStart` and `Builtin` of `warm_start`, which is above this folder."""
 
 
-def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: Sequence[int] = SWEEPS) -> np.ndarray:
-    """`metrics.velocity_error` after so many PGS sweeps from a start, (len(sweeps),).
+def velocity_errors(
+    state: State, start: tuple[np.ndarray, np.ndarray], sweeps: Sequence[int] = SWEEPS, *, solver=None
+) -> np.ndarray:
+    """`metrics.velocity_error` after so many sweeps of a solver, by default PGS, from a start, (len(sweeps),).
 
     The reference are the velocities by the impulses that the solved state holds. The error is infinite where v* = v⁻
     but v differs. Raises ValueError on a state that is not solved.
@@ -30,8 +33,10 @@ def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: 
     if state.contacts is None or not state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
 
+    solver = PGS() if solver is None else solver
+
     def swept(count, normal, tangent):
-        return solve(state, PGS(sweeps=count, tolerance=None), np.asarray(normal), np.asarray(tangent))
+        return solve(state, replace(solver, sweeps=count, tolerance=None), np.asarray(normal), np.asarray(tangent))
 
     reference = swept(0, state.contacts.normal_impulse, state.contacts.tangent_impulse)
     return np.array([velocity_error(state, swept(k, *start), reference) for k in sweeps])

@@ -50,7 +50,7 @@ from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
 from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
 from deep_contact.sph.kernels import kernel_number
-from deep_contact.state import State
+from deep_contact.state import State, native
 from deep_contact.validation import flag, integer, number, one_of
 
 CONTACT_CHANNELS = (
@@ -187,6 +187,7 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
         raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
+    state = native(state)
     rows, free, _ = step_problem(state) if problem is None else problem
     world = state.world
     found = _measure(state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4)

@@ -39,7 +39,7 @@ from deep_contact.physics.contact_solver import NORMAL_MASS, V_X, V_Y
 from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import KERNELS, Grid, gather, splat
 from deep_contact.sph.grid import ROUNDING
-from deep_contact.state import State, World, check_contacts
+from deep_contact.state import State, World, check_contacts, native
 from deep_contact.validation import flag, integer, number, one_of
 
 # Every particle is mapped. Where h < d / √2 some particles have no node within h: they go to the nearest node, since
@@ -54,7 +54,7 @@ class View:
     def __init__(self, state: State):
         if state.contacts is None:
             raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
-        self.state = state
+        self.state = state = native(state)
         self.bodies = state.bodies
         self.contacts = state.contacts
 

@@ -86,7 +86,7 @@ class LearnedModel:
         self.check_scene(state)
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
-        return self._impulses(_native(state))
+        return self._impulses(state)
 
     def _impulses(self, state):
         return read_back(self._image(state), state, self.spec)
@@ -97,7 +97,7 @@ class LearnedModel:
         A far-field network's is of coefficients, (rows, columns, 12), at every second node of the window.
         """
         self.check_scene(state)
-        return self._image(_native(state))
+        return self._image(state)
 
     def _image(self, state):
         return self.run(input_image(state, self.spec))
@@ -232,17 +232,6 @@ def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -
     function = tf.function(lambda image: model(image, training=False), input_signature=signature, **jit)
     concrete = function.get_concrete_function()
     return lambda image: concrete(tf.constant(image[None])).numpy()[0]
-
-
-def _native(state: State) -> State:
-    """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
-    parts = {"bodies": state.bodies, "contacts": state.contacts}
-    foreign = {
-        name: type(part)(*(array.astype(array.dtype.newbyteorder("="), copy=False) for array in part))
-        for name, part in parts.items()
-        if part is not None and not all(array.dtype.isnative for array in part)
-    }
-    return state.replace(**foreign) if foreign else state
 
 
 @dataclass(frozen=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
 import platform
 import re
@@ -10,14 +11,16 @@ from importlib import metadata
 from pathlib import Path
 
 from deep_contact.constants import VERSION
+from deep_contact.io.shipped import find
 
 PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
 """Packages whose versions are recorded, where they are installed."""
 
 
-def provenance(*, seed: int | None = None, wall_s: float = 0.0) -> dict:
+def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | None = None) -> dict:
     """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
 
+    options: of the run; with them also "inputs", the digests of the files that they name.
     Neither paths nor the name of the machine are recorded. No package is imported to learn its version.
     """
     return {
@@ -28,22 +31,40 @@ def provenance(*, seed: int | None = None, wall_s: float = 0.0) -> dict:
         "cpu": processor(),
         "seed": seed,
         "wall_s": round(float(wall_s), 3),
-    }
+    } | ({} if options is None else {"inputs": digests(options)})
 
 
 def commit() -> str:
     """The 40 digits of the package's commit; "unknown" for an installed package or without git.
 
-    "+changes" follows the digits if tracked files differ from the commit.
+    "+changes" follows the digits if tracked files differ from the commit. Results under data/reference are not counted:
+    they are made one after the other, and do not make each other.
     """
     try:
         # An installed package may lie inside some other project's checkout: only a tracked one has a commit.
         _git("ls-files", "--error-unmatch", "constants.py")
         digits = _git("rev-parse", "HEAD")
-        changed = _git("status", "--porcelain", "--untracked-files=no")
+        changed = _git("status", "--porcelain", "--untracked-files=no", "--", ":/", ":(top,exclude)data/reference")
     except (OSError, subprocess.SubprocessError):
         return "unknown"
     return digits + ("+changes" if changed else "")
+
+
+def digests(options) -> dict[str, str]:
+    """SHA-256 of each file that a run's options name, such as model files, by the path as it is given.
+
+    options: dicts, lists and values, in each other; text that names no file here or in the package's folders is none.
+    """
+    if isinstance(options, dict):
+        options = list(options.values())
+    if isinstance(options, (list, tuple)):
+        return {name: digest for item in options for name, digest in digests(item).items()}
+    if not isinstance(options, str) or not re.search(r"\.\w+$", options):
+        return {}
+    try:
+        return {options: hashlib.sha256(find(options).read_bytes()).hexdigest()}
+    except OSError:
+        return {}
 
 
 def _git(*arguments: str) -> str:

@@ -25,10 +25,12 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
   `<contacts>` where no contacts have been searched for yet.
 * The inertia is written for other readers, and checked on reading: only solid discs, m r²/2, are modelled.
 
-Two older dialects are read as well:
+Two older dialects are read as well, and the first is written by `write_state(…, dialect="pybox2d")`, for the readers of
+the thesis's authors:
 
 * pybox2d exports with `velocity vx vy`, `angle theta`, `angular_velocity omega`, `normal nx ny`, `impulse ni ti` and
-  shapes printed as `dcCircleShape(radius=1)`, `dcLoopShape(vertices=[(30, 0), …])`;
+  shapes printed as `dcCircleShape(radius=1)`, `dcLoopShape(vertices=[(30, 0), …])`, the box as body 0 and the master of
+  its contacts; `vel_iter`, `vel_thres` and `pos_iter` of the root are `State.solver`, a PGS;
 * exports with bodies and contacts directly under the root (also spelt `Configuration`), normals printed as
   `b2Vec2(-1,2.9819e-05)` and shapes as `master_shape`, `slave_shape` of the contacts.
 
@@ -72,10 +74,10 @@ from deep_contact.io.xml_tree import (
     refuse_too_large,
     to_float,
 )
-from deep_contact.physics.solvers import METHODS
+from deep_contact.physics.solvers import METHODS, PGS
 from deep_contact.scales import ContactScales, mean
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
-from deep_contact.validation import integer
+from deep_contact.validation import integer, one_of
 
 INERTIA_TOLERANCE = 1e-3
 """Largest relative difference between a stored inertia and m r²/2. Old files hold float32."""
@@ -123,6 +125,29 @@ _CONTACT_TEXT = """\
 """
 
 
+_PYBOX2D_BODY = """\
+    <body index="%d" type="free">
+      <mass value="%r"/>
+      <inertia value="%r"/>
+      <position x="%r" y="%r"/>
+      <velocity vx="%r" vy="%r"/>
+      <angle theta="%r"/>
+      <angular_velocity omega="%r"/>
+      <shape value="dcCircleShape(radius=%r)"/>
+    </body>
+"""
+_PYBOX2D_BOX = _PYBOX2D_BODY.replace("free", "fixed").replace("dcCircleShape(radius=%r)", "dcLoopShape(vertices=%s)")
+_PYBOX2D_CONTACT = """\
+    <contact index="%d" master="%d" slave="%d">
+      <position x="%r" y="%r"/>
+      <normal nx="%r" ny="%r"/>
+      <impulse ni="%r" ti="%r"/>
+    </contact>
+"""
+_POSITION_THRESHOLD = 2e-5
+"""`pos_thres` of the authors' generator, m; the engine has none, and so writes theirs."""
+
+
 def read_state(path) -> State:
     """The state in a file `….xml` or `….xml.gz`, in canonical form or an older dialect (module docstring).
 
@@ -132,17 +157,18 @@ def read_state(path) -> State:
     return parse_state(load(path), path)
 
 
-def write_state(path, state: State) -> None:
+def write_state(path, state: State, *, dialect: str = "canonical") -> None:
     """Write a state to `….xml`, or compressed to `….xml.gz`; the same state gives the same bytes.
 
-    The folder is made if it is missing. The file appears whole or not at all. Raises StateFileError where the name
-    ends in something else, or the state is not valid or cannot be stored; OSError where the file cannot be written.
+    dialect: "canonical", or "pybox2d" (`format_pybox2d`). The folder is made if it is missing. The file appears
+    whole or not at all. Raises StateFileError where the name ends in something else, or the state is not valid or
+    cannot be stored; OSError where the file cannot be written.
     """
     path = Path(path)
     if not path.name.endswith((".xml", ".xml.gz")):
         raise StateFileError(f"{path}: not written: expected a name that ends in .xml or .xml.gz, got {path.name!r}")
     try:
-        data = format_state(state)
+        data = DIALECTS[one_of("dialect", dialect, DIALECTS)](state)
     except ValueError as error:
         raise StateFileError(f"{path}: not written: {error}") from None
     if path.suffix == ".gz":
@@ -188,6 +214,43 @@ def format_state(state: State) -> bytes:
     data = text.encode("utf-8")
     refuse_too_large(data)
     return data
+
+
+def format_pybox2d(state: State) -> bytes:
+    """A solved state as the thesis's authors exported it (module docstring), UTF-8.
+
+    That dialect has no gravity, friction, restitution, separations or starts, and reads the step off the file's name:
+    they are lost. Raises ValueError naming the field that cannot be stored: `solved`, where contacts have no solution.
+    """
+    state = check_state(state)
+    contacts, solver = state.contacts, state.solver
+    if contacts is not None and contacts.count and not state.solved:
+        raise ValueError("solved: expected True, since the dialect has no place for starts, got False")
+    settings = ""
+    if type(solver) is PGS and isinstance(solver.tolerance, float):
+        settings = f' vel_iter="{solver.sweeps}" vel_thres="{solver.tolerance!r}"'
+        settings += f' pos_iter="{solver.position_sweeps}" pos_thres="{_POSITION_THRESHOLD!r}"'
+    bodies, n = state.bodies, state.bodies.count
+    zeros = (0.0,) * 8
+    columns = (bodies.mass, _inertia(bodies), *bodies.position.T, *bodies.velocity.T, bodies.angle, bodies.spin)
+    text = '<?xml version="1.0" encoding="UTF-8"?>\n'
+    text += f'<configuration dt="{float(state.dt)!r}" name="{_escape("name", state.name)}"{settings}'
+    text += f' time="{float(state.time)!r}">\n  <bodies>\n'
+    text += _PYBOX2D_BOX % (0, *zeros, _corners(state.world.box))
+    text += _fill(_PYBOX2D_BODY, n, (range(1, n + 1), *columns, bodies.radius)) + "  </bodies>\n"
+    if contacts is not None:
+        wall = contacts.body_b >= n
+        master, slave = np.where(wall, 0, contacts.body_a + 1), np.where(wall, contacts.body_a, contacts.body_b) + 1
+        normal = np.where(wall[:, None], -contacts.normal, contacts.normal)
+        impulses = contacts.normal_impulse, contacts.tangent_impulse
+        rows = (range(contacts.count), master, slave, *contacts.position.T, *normal.T, *impulses)
+        text += f"  <contacts>\n{_fill(_PYBOX2D_CONTACT, contacts.count, rows)}  </contacts>\n"
+    data = (text + "</configuration>\n").encode("utf-8")
+    refuse_too_large(data)
+    return data
+
+
+DIALECTS = {"canonical": format_state, "pybox2d": format_pybox2d}
 
 
 def parse_state(data: bytes, source) -> State:
@@ -255,6 +318,8 @@ def _read_settings(root, source: str, canonical: bool) -> tuple[dict, dict]:
     if canonical or "dt" in root.attrib:
         settings["dt"] = read_number(root, "dt")
     if not canonical:
+        if all(name in root.attrib for name in ("vel_iter", "vel_thres", "pos_iter")):
+            settings["solver"] = _printed_solver(root)
         number = re.search(r"(?:^|[_/\\])([0-9]{1,18})\.xml(?:\.gz)?$", source)
         return settings | {"step": int(number[1]) if number else 0}, {}
     solved = read_text(root, "solved")
@@ -273,6 +338,15 @@ def _read_solver(element):
         return METHODS[method](**options)
     except (TypeError, ValueError) as error:
         raise fault(element, f"expected options of {method}: {str(error)[:200]}", str(options)) from None
+
+
+def _printed_solver(root) -> PGS:
+    """The settings of the authors' solver: sweeps and threshold of velocities, sweeps of positions."""
+    counts = {"sweeps": read_integer(root, "vel_iter"), "position_sweeps": read_integer(root, "pos_iter")}
+    try:
+        return PGS(tolerance=read_number(root, "vel_thres"), **counts)
+    except ValueError as error:
+        raise fault(root, f"expected options of PGS: {error}", str(counts)) from None
 
 
 def _read_scales(element) -> ContactScales:

@@ -15,9 +15,11 @@ from numba import njit
 from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
 SMALLEST_DISTANCE = 5e-13
-"""Centres closer than this, in sums of their radii, have no direction between them; the normal is then +x, as in Box2D.
-"""
+"""Centres closer than this, in sums of their radii, have no direction between them: `parting` gives one."""
 
+
+GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
+"""rad"""
 
 NEAR = 0.2
 """Gap below which pairs are kept as near, in smallest radii. In a packing it is too small for second neighbours."""
@@ -302,7 +304,7 @@ def find_contacts(position, radius, box, skin, cells, buffer):
 def write_geometry(position, radius, box, skin, contacts):
     """Narrow phase's geometry: normal, separation and point of every contact, in place.
 
-    The point lies in the middle of the overlap. Coinciding centres have the normal (1, 0), as in Box2D.
+    The point lies in the middle of the overlap. Coinciding centres have the normal of `parting`.
     """
     n = position.shape[0]
     for i in range(contacts.body_a.shape[0]):
@@ -313,7 +315,7 @@ def write_geometry(position, radius, box, skin, contacts):
             distance = math.sqrt(n_x * n_x + n_y * n_y)
             separation = distance - radius[a] - radius[b]
             if distance < SMALLEST_DISTANCE * (radius[a] + radius[b]):
-                n_x, n_y = 1.0, 0.0
+                n_x, n_y = parting(a, b)
             else:
                 n_x, n_y = n_x / distance, n_y / distance
         else:
@@ -325,6 +327,19 @@ def write_geometry(position, radius, box, skin, contacts):
         contacts.separation[i] = separation
         contacts.position[i, 0] = x + arm * n_x
         contacts.position[i, 1] = y + arm * n_y
+
+
+@njit(cache=True, error_model="numpy")
+def parting(a, b):
+    """Unit normal from circle a to circle b where their centres coincide: as if i lay at √i on the golden spiral.
+
+    A heap in one place parts as a disc, then, and no two of its circles in one direction (H. Vogel 1979, A better way
+    to construct the sunflower head, Mathematical Biosciences 44). Circles 0 and 1 part along +x, as in Box2D.
+    """
+    x_a, y_a = math.sqrt(a) * math.cos((a - 1) * GOLDEN_ANGLE), math.sqrt(a) * math.sin((a - 1) * GOLDEN_ANGLE)
+    x_b, y_b = math.sqrt(b) * math.cos((b - 1) * GOLDEN_ANGLE), math.sqrt(b) * math.sin((b - 1) * GOLDEN_ANGLE)
+    distance = math.hypot(x_b - x_a, y_b - y_a)
+    return (x_b - x_a) / distance, (y_b - y_a) / distance
 
 
 @njit(cache=True)
@@ -362,11 +377,40 @@ def carry_impulses(old, contacts):
 
 
 @njit(cache=True)
+def hold_inside(bodies, box, skin, solved):
+    """Put centres that have left the box in this step, in place, half a radius inside: the wall wins over the others.
+
+    Only what is pressed harder than the sweeps or position correction can withstand comes so far. solved: the step's
+    contacts; a centre that was outside of a wall before has a contact there, and comes back by that.
+    """
+    outside = 0.0
+    for i in range(bodies.mass.shape[0]):
+        x, y = bodies.position[i, 0], bodies.position[i, 1]
+        outside = min(outside, x - box[0], box[2] - x, y - box[1], box[3] - y)
+    if outside >= 0.0:
+        return
+    n = bodies.mass.shape[0]
+    was_outside = np.zeros((n, 4), np.bool_)
+    for k in range(solved.body_a.shape[0]):
+        a, b = solved.body_a[k], solved.body_b[k]
+        if b >= n:
+            was_outside[a, b - n] = solved.separation[k] < -(bodies.radius[a] + skin)
+    for i in range(n):
+        for wall in range(4):
+            gap = wall_gap(bodies.position[i, 0], bodies.position[i, 1], box, wall)
+            if gap < 0.0 and not was_outside[i, wall]:
+                back = gap - 0.5 * bodies.radius[i]
+                bodies.position[i, 0] += back * WALL_NORMALS[wall, 0]
+                bodies.position[i, 1] += back * WALL_NORMALS[wall, 1]
+
+
+@njit(cache=True)
 def next_contacts(bodies, box, skin, cells, solved, warm, buffer):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
     warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
+    hold_inside(bodies, box, skin, solved)
     contacts, buffer = find_contacts(bodies.position, bodies.radius, box, skin, cells, buffer)
     carry_impulses(solved, contacts)
     if not warm:

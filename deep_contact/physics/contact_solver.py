@@ -22,6 +22,7 @@ from numba import njit
 
 from deep_contact.constants import BAUMGARTE, MAX_ROTATION, POSITION_TOLERANCE
 from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
+from deep_contact.physics.continuous import FAST, stop_fast
 from deep_contact.state import WALL_NORMALS
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
@@ -287,16 +288,18 @@ def store_impulses(rows, contacts):
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, solver_bodies, dt, max_translation):
+def integrate_positions(bodies, solver_bodies, given):
     """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
 
     A displacement is cut to the largest translation, m, a rotation to `MAX_ROTATION`, and the velocity with it, as in
-    Box2D.
+    Box2D. Fast circles stop where they touch something (`continuous`). given: `StepInput`.
     """
+    dt, max_translation, any_fast = given.dt, given.scales.max_translation, False
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
         spin = solver_bodies[i, V_S] / bodies.radius[i]
         distance = dt * math.sqrt(v_x * v_x + v_y * v_y)
+        any_fast |= distance > FAST * bodies.radius[i]
         if distance > max_translation:
             v_x *= max_translation / distance
             v_y *= max_translation / distance
@@ -308,6 +311,9 @@ def integrate_positions(bodies, solver_bodies, dt, max_translation):
         bodies.position[i, 0] += dt * v_x
         bodies.position[i, 1] += dt * v_y
         bodies.angle[i] += dt * spin
+    if any_fast:
+        start = bodies.position - dt * bodies.velocity
+        stop_fast(bodies, start, given.gravity, dt, given.box, given.scales)
 
 
 @njit(cache=True, error_model="numpy")
@@ -335,7 +341,7 @@ def correct_positions(bodies, contacts, box, scales, sweeps):
                 separation = distance - reach
                 push = min(BAUMGARTE * (least - distance), longest) / (mass[a] + mass[b])
                 if distance < SMALLEST_DISTANCE * reach:
-                    d_x, d_y = 1.0, 0.0
+                    d_x, d_y = contacts.normal[i, 0], contacts.normal[i, 1]
                 else:
                     push /= distance
                 position[b, 0] += push * mass[a] * d_x

@@ -42,7 +42,7 @@ from deep_contact.physics.solvers.registry import (
 )
 from deep_contact.physics.step import StepInput, StepOptions, StepWorkspace, log_step, make_log
 from deep_contact.scales import ContactScales
-from deep_contact.state import LIMITS, Bodies, Contacts, State
+from deep_contact.state import LIMITS, Bodies, Contacts, State, native
 from deep_contact.validation import flag
 
 # Loops that `advance` may hold without an import from here, for the code cache:
@@ -78,7 +78,7 @@ def advance(given, options, workspace, log):
         apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        integrate_positions(bodies, solver_bodies, given)
         correct_positions(bodies, contacts, given.box, scales, options.position_sweeps)
 
         solved = contacts
@@ -256,7 +256,7 @@ def _uncached(function, solver_type: type) -> Callable:
 
 def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
-    bodies = state.bodies
+    bodies = native(state).bodies
     buffer = make_contacts(4 * bodies.count + 64)
     contacts, _ = find_contacts(
         bodies.position, bodies.radius, state.world.box, state.scales.wall_skin, make_cells(bodies.count), buffer

@@ -68,7 +68,7 @@ def advance_sleeping(given, options, workspace, log):
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, active)
         store_awake_impulses(active, still, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        integrate_positions(bodies, solver_bodies, given)
         correct_positions(bodies, active, given.box, scales, options.position_sweeps)
 
         solved = contacts

@@ -24,6 +24,7 @@ from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.physics.solvers import METHODS, PGS, describe
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.recommendation.steps import StepRecommendation, recommend_step
+from deep_contact.recommendation.stiff import stiff_solver, why_stiff
 from deep_contact.state import State
 from deep_contact.validation import number, one_of
 
@@ -225,6 +226,7 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
     """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for the scene's size.
 
     Errors are the larger ones of the two sizes around the scene's; times are interpolated between them by powers.
+    For a scene that is too stiff for the study there is one setting alone: see `recommendation.stiff`.
     """
     n, sizes = scene.bodies.count, study["sizes"]
     low = str(max((size for size in sizes if size <= n), default=sizes[0]))
@@ -243,7 +245,22 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
         if k == 1 or isinstance(solver, PGS):  # SoftSteps finds contacts once a step and divides it in its own way
             solver = solver if k == 1 else replace(solver, substeps=k)
             found.append({"solver": solver, "start": start, "us": us, "errors": errors})
-    return found
+    return _stiff_candidate(scene, found, study) or found
+
+
+def _stiff_candidate(scene: State, candidates: list[dict], study: Mapping) -> list[dict]:
+    """The setting for a scene that a few sweeps cannot solve; none for others.
+
+    us: at most, with all its sweeps, each at the price of one of the study's cheapest. errors: of the study's best.
+    """
+    solver = stiff_solver(scene, substeps_of(scene, TIME_STEP))
+    if solver is None:
+        return []
+    best = min(candidates, key=lambda found: _excess(found, "reference"))
+    each = min(found["us"] / (found["solver"].sweeps * getattr(found["solver"], "substeps", 1)) for found in candidates)
+    return [
+        {"solver": solver, "start": "builtin", "us": each * solver.sweeps * solver.substeps, "errors": best["errors"]}
+    ]
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:
@@ -274,6 +291,11 @@ def outside(scene: State, study: Mapping) -> list[str]:
         found.append(f"friction {world.friction:g}; it has 0 and 0.5")
     if world.restitution > 0:
         found.append(f"restitution {world.restitution:g}; it has 0")
+    if why_stiff(scene):
+        found.append(
+            f"{why_stiff(scene)}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
+            "at rest needs few, and the errors are those of the study's best setting"
+        )
     needed = scene.dt / longest_step(scene, max(setting["dt"] for setting in study["settings"]))
     if needed > MOST_SUBSTEPS:
         found.append(f"Δt = {scene.dt:g} s, {needed:.3g} times too long; give at most {scene.dt / needed:.2g} s")

@@ -201,7 +201,7 @@ def produce(
         "id": figure.id,
         "title": figure.title,
         "options": options,
-        "provenance": provenance.provenance(seed=seed, wall_s=wall_s),
+        "provenance": provenance.provenance(seed=seed, wall_s=wall_s, options=options),
         "claims": list(figure.claims(data)),
         "data": data,
     }
@@ -261,6 +261,10 @@ def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser, *, verbos
         parser.error(f"--replot: {error}")
     if found["id"] != figure.id:
         parser.error(f"--replot: {path.name}: expected id {figure.id!r}, got {found['id']!r}")
+    judged = results.plain({"title": figure.title, "claims": list(figure.claims(found["data"]))})
+    if any(found[name] != value for name, value in judged.items()):  # claims follow from the data: judged as of now
+        found = results.check_results(found | judged)
+        results.write_results(path, found)
     _draw(figure, found, out)
     _report(figure, found, out, print, verbose)
     return 0
@@ -281,7 +285,8 @@ def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool
     made_by, commit = found["provenance"], provenance.commit()
     clean = commit != "unknown" and not commit.endswith("+changes")
     now = {"commit": commit, "packages": provenance.package_versions(), "seed": seed}
-    same = all(made_by[name] == value for name, value in now.items())
+    now["inputs"] = provenance.digests(results.plain(options))
+    same = all(made_by.get(name) == value for name, value in now.items())
     return clean and same and (found["id"], found["options"]) == (figure.id, results.plain(options))
 
 
@@ -351,7 +356,7 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
     add("--jobs", type=_integer_from(1), default=_cores(), help="processes (default: one for each core)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
-    add("--replot", action="store_true", help="draw again from the stored results alone")
+    add("--replot", action="store_true", help="judge and draw again from the stored results alone")
     add("--verbose", action="store_true", help="print the numbers of a quick run, too")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
     add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting; can be repeated")

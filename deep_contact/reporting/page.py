@@ -14,8 +14,7 @@ from pathlib import Path
 import jinja2
 
 from deep_contact.io.files import replacing
-from deep_contact.reporting import results
-from deep_contact.reporting.errata import ERRATA
+from deep_contact.reporting import errata, results
 from deep_contact.reporting.figures import cell
 
 MEDIA = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
@@ -53,7 +52,7 @@ def write_report(
         faults=faults,
         not_drawn=_names(set(others) - expected - there),
         animations=_animations(folder),
-        errata=ERRATA,
+        errata=errata.TITLES,
     )
     path = folder / "index.html"
     with replacing(path) as temporary:
@@ -89,7 +88,9 @@ def _collect(folder: Path, captions: Mapping[str, str]) -> tuple[list[dict], lis
                     "anchor": _name(entry["id"]).lower().replace(" ", "-").replace(".", "-"),
                     "picture": _embedded(picture) if picture.exists() else None,
                     "settings": {**entry["options"], "seed": made["seed"]},
-                    "made": {k: v for k, v in made.items() if k not in ("packages", "seed")} | made["packages"],
+                    "made": {k: v for k, v in made.items() if k not in ("packages", "seed", "inputs")}
+                    | made["packages"]
+                    | made.get("inputs", {}),
                 }
             )
     return sorted(found, key=lambda entry: _order(entry["id"])), sorted(faults)
@@ -105,10 +106,10 @@ def _other_settings(entry: dict, reference: dict | None) -> dict[str, str]:
 
 
 def _judged(claim: dict, beside: dict | None) -> dict:
-    """A claim with its verdict, and whether it is left open."""
+    """A claim with its verdict, and whether it holds, does not, does in part, or is left open."""
     verdict = results.verdict(claim, beside)
-    kind = "open" if verdict == results.OPEN else "holds" if claim["holds"] else "not"
-    return claim | {"verdict": verdict, "kind": kind}
+    kind = {True: "holds", False: "not", None: "part" if verdict.startswith("holds") else "open"}[claim["holds"]]
+    return claim | {"verdict": verdict, "kind": "open" if verdict == results.OPEN else kind}
 
 
 def _order(id: str) -> tuple:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
 from functools import cache
@@ -45,6 +46,8 @@ START_STYLE = {
         ("compact", PURPLE, (0, (3, 1, 1, 1, 1, 1)), "X", "CNN, image of impulses"),
         ("coarse", PURPLE, ":", "h", "CNN, far field, coarse"),
         ("guarded", ORANGE, "-", "*", "Guarded"),
+        ("learned", GREEN, "--", "d", "Learned, on the contact"),
+        ("best classical", BLACK, "-", "o", "Best classical"),
         ("random", GREY, ":", "+", "Random"),
         ("bad", GREY, "--", "1", "Bad"),
     )
@@ -104,10 +107,10 @@ def _start_key(name: str) -> str:
 def styles_of(names: Iterable[str]) -> dict[str, dict]:
     """Name -> keywords for `ax.plot`: starts as `style_of` has them, others with the next free colour and line."""
     found = {name: style_of(name) if _start_key(name) in START_STYLE else None for name in names}
-    taken = [(look["color"], look["linestyle"]) for look in found.values() if look]
-    # Seven colours and four lines have no common factor: 28 different pairs.
+    taken = {look["color"] for look in found.values() if look}
+    # Seven colours and four lines have no common factor: 28 different pairs. Colours of starts come last.
     pairs = ((CYCLE[i % 7], ("-", "--", "-.", ":")[i % 4]) for i in count())
-    free = (pair for pair in pairs if pair not in taken)
+    free = (pair for pair in pairs if pair[0] not in taken or taken >= set(CYCLE))
     for name, look in found.items():
         if look is None:
             found[name] = dict(zip(("color", "linestyle"), next(free)), label=name)
@@ -157,12 +160,12 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
 
 
 def log_axes(ax) -> None:
-    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, which do not run into one another."""
+    """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades beyond two of them."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     ax.set(xscale="log", yscale="log")
-    for axis in (ax.xaxis, ax.yaxis):
-        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    for axis, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        axis.set_major_locator(LogLocator(subs=(1.0,) if high > 100 * low else (1.0, 2.0, 5.0)))
         axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axis.set_minor_formatter(NullFormatter())
 
@@ -317,6 +320,19 @@ def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
         ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
 
 
+def impulse_key(figure, largest: float) -> None:
+    """A key below a figure of states: how wide a line is for which normal impulse, N·s, and what the ticks are."""
+    from matplotlib.lines import Line2D
+
+    shares = (0.1, 0.5, 1.0) if largest > 0 else ()
+    lines = [
+        Line2D([], [], color=VERMILION, linewidth=0.3 + 4.0 * share, label=f"λ$_n$ = {share * largest:.2g} N·s")
+        for share in shares
+    ]
+    tick = Line2D([], [], color="#222222", linewidth=1.0, label="tick: orientation of a circle")
+    figure.legend(handles=[*lines, tick], loc="outside lower center", ncols=len(lines) + 1, fontsize=8)
+
+
 def _readable_on(circles) -> list[str]:
     """Black or white for each circle, whichever stands out from its colour."""
     circles.update_scalarmappable()
@@ -383,19 +399,40 @@ def convergence_plot(
     return float(floor)
 
 
+PAGE = 8.3
+"""Width of a page, inches."""
+
+_CHARACTER, _LINE = 0.078, 0.16
+"""Width of a character of a table and height of a line, inches."""
+
+
 def draw_table(rows: Sequence[Sequence[str]], title: str):
-    """A figure that shows a table of text: the first row is its head."""
-    widths = [max(len(row[i]) for row in rows) + 2 for i in range(len(rows[0]))]
+    """A figure that shows a table of text: the first row is its head. Text is wrapped so that it fits a page.
+
+    Where the longest words do not fit beside each other, letters are smaller.
+    """
+    columns = list(zip(*rows))
+    widths = [max(map(len, column)) for column in columns]
+    least = [max(len(word) for text in column for word in (*text.split(), "")) for column in columns]
+    room = int(PAGE / _CHARACTER) - 2 * len(widths)
+    while sum(widths) > room and widths != least:
+        wide = max((i for i in range(len(widths)) if widths[i] > least[i]), key=widths.__getitem__)
+        widths[wide] -= 1
+    wrapped = [[textwrap.fill(text, width) if text else "" for text, width in zip(row, widths)] for row in rows]
+    lines = [max(text.count("\n") + 1 for text in row) for row in wrapped]
+    shares = [(width + 2) / (sum(widths) + 2 * len(widths)) for width in widths]
     with style():
-        figure = new_figure((max(4.0, 0.085 * sum(widths)), 0.26 * len(rows) + 0.5))
+        needed = _CHARACTER * (sum(widths) + 2 * len(widths))
+        wide, scale = min(max(4.0, needed), PAGE), min(1.0, PAGE / needed)
+        figure = new_figure((wide, scale * (_LINE * sum(lines) + 0.09 * len(rows)) + 0.5))
         ax = figure.subplots()
         ax.axis("off")
-        ax.set_title(title)
-        shares = [width / sum(widths) for width in widths]
-        table = ax.table(rows, colWidths=shares, loc="center", cellLoc="left", bbox=(0, 0, 1, 1))
+        ax.set_title(textwrap.fill(title, int(wide / 0.1)))
+        table = ax.table(wrapped, colWidths=shares, loc="center", cellLoc="left", bbox=(0, 0, 1, 1))
         table.auto_set_font_size(False)
-        table.set_fontsize(8)
+        table.set_fontsize(7.4 * scale)
         for (row, _), cell in table.get_celld().items():
+            cell.set_height(_LINE * lines[row] + 0.09)
             cell.visible_edges = "B"
             cell.set_edgecolor(BLACK if row == 0 else "#CCCCCC")
             if row == 0:

@@ -7,8 +7,8 @@ A results file is strict JSON with six fields, as `results_schema.json` defines 
 | id         | "3.7" for a figure, "T 5.1" for a table                                                    |
 | title      | one line                                                                                   |
 | options    | the settings of the run, name -> value                                                     |
-| provenance | version, commit, python, packages, cpu, seed, wall_s: see `io.provenance`                  |
-| claims     | list of {text, thesis, holds, measured}: see `Claim`                                       |
+| provenance | version, commit, python, packages, cpu, seed, wall_s, inputs: see `io.provenance`          |
+| claims     | list of {text, thesis, holds, measured, verdict}: see `Claim`                              |
 | data       | every plotted number                                                                       |
 
 How numbers are stored, by `plain`:
@@ -75,15 +75,18 @@ class Claim(NamedTuple):
     | field    | meaning                                                                                |
     |----------|----------------------------------------------------------------------------------------|
     | text     | the statement                                                                          |
-    | thesis   | where the thesis makes it, "L669", "L484-486" or "L669, L1131"; None if it does not    |
-    | holds    | whether it is true of the data                                                         |
+    | thesis   | where the thesis makes it, "section 3.4.1" or "section 5.1.3, Eq 3.8"; None if it does |
+    |          | not. The text copy of the thesis has no pages                                          |
+    | holds    | whether it is true of the data; None where they do not tell, or tell both              |
     | measured | the numbers that decided it, name -> value                                             |
+    | verdict  | what says more than `holds`: "holds, sweeps 1 to 180", "within the noise"; or None     |
     """
 
     text: str
     thesis: str | None
-    holds: bool
+    holds: bool | None
     measured: dict
+    verdict: str | None = None
 
 
 def plain(value, *, digits: int | None = None, where: str = "data"):
@@ -191,13 +194,13 @@ def reference(stem: str) -> dict | None:
 
 
 def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
-    """How a stored claim reads: "holds" or "does not hold".
+    """How a stored claim reads: its own verdict if it has one, else "holds", "does not hold" or "open".
 
     beside: results of the reference run, for a claim of a smaller run. Where both agree, that is said; where they do
     not, or the reference run has no such claim, it is "too few states to tell". A number of circles may differ.
     """
-    found = "holds" if claim["holds"] else "does not hold"
-    if beside is None:
+    found = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
+    if beside is None or claim["holds"] is None:
         return found
     others = {_of_any_size(other["text"]): other["holds"] for other in beside["claims"]}
     agree = others.get(_of_any_size(claim["text"])) == claim["holds"]

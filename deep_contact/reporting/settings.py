@@ -40,6 +40,7 @@ MEANINGS = {
     "n_bodies": "circles of a scene; low,high is a random number between both",
     "networks": "model files, by name of the start",
     "nodes": "of the image along an edge",
+    "numbers": "numbers of circles for which the spacings are compared once more",
     "output": "neurons of the output layer",
     "output weights": "of the output neuron, one a hidden neuron",
     "particles": "random points around the centre",

@@ -1,94 +1,139 @@
 """When a start pays for itself: the velocity error against wall time, including the start's own time.
 
-Starts are compared on the same states with the same solver. The time of a start is measured on each state, the time of
-a sweep on each pile; the errors after each number of sweeps are counted. The time to an error is then
-start + sweeps to it × time of a sweep.
+Settings, a start with a solver, are compared on the same states. The time of a start is measured on each state, the
+time of a sweep on each pile; the errors after each number of sweeps are counted. The time to an error is then
+start + sweeps to it × time of a sweep. A learned start is held against the best classical setting: for each number of
+circles, kind of pile and error, the one with the least median time. The learned start may choose its solver as well.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from deep_contact.physics import metrics
-from deep_contact.physics.engine import solve
-from deep_contact.physics.solvers import NNCG, PGS
+from deep_contact.physics.engine import solve, step_problem
+from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
 from deep_contact.studies import timing
 from deep_contact.studies.tradeoff import pile, references_from, states_of
 
-SOLVERS = {"PGS": PGS, "NNCG": NNCG}
+SOLVERS = {
+    "PGS": PGS(),
+    "PSOR": PSOR(omega=1.75, friction_omega=1.45),
+    "NNCG": NNCG(),
+    "NesterovPGS": NesterovPGS(),
+}
 """Name -> method of the sweeps after the start."""
+
+CLASSICAL = {
+    "none": ("PSOR",),
+    "builtin": ("PGS", "PSOR", "NNCG", "NesterovPGS"),
+    "scaled": ("PSOR", "NNCG", "NesterovPGS"),
+}
+LEARNED = dict.fromkeys(("learned", "coarse", "far field"), ("PSOR", "NNCG", "NesterovPGS"))
+"""Start -> the solvers that follow it."""
 
 FEWEST, SAMPLES = 10, 1000
 """Fewest states that decide a win, and samples of them for its interval (bootstrap)."""
 
 
 def errors_by_sweeps(
-    state: State, starts: Mapping[str, object], *, sweeps: Sequence[int], past_need: int, exact: bool
+    state: State,
+    starts: Mapping[str, object],
+    *,
+    settings: Mapping[str, Sequence[str]] = CLASSICAL | LEARNED,
+    sweeps: Sequence[int],
+    past_need: int,
+    exact: bool,
 ) -> dict[str, dict[str, list[float]]]:
-    """Errors of every start with every solver, {start: {solver: (len(sweeps),)}}, on a state with contacts.
+    """Errors of every setting, {start: {solver: (len(sweeps),)}}, on a state with contacts.
 
-    starts: name -> callable of `deep_contact.warm_start`. An error is the distance to the nearest of the references
-    that `past_need` sweeps of each solver from each start lead to (`tradeoff.references_from`). Without references, {}
-    is returned.
+    starts: name -> callable of `deep_contact.warm_start`. settings: start -> the solvers that follow it. An error is
+    the distance to the nearest of the references that `past_need` sweeps of NNCG and of PGS from each start lead to
+    (`tradeoff.references_from`). Without references, {} is returned.
     """
     impulses = {name: start(state, PGS()) for name, start in starts.items()}
     ends = [
         solve(state, method(sweeps=past_need, tolerance=1e-9), *start)
         for start in impulses.values()
-        for method in SOLVERS.values()
+        for method in (PGS, NNCG)
     ]
     references = references_from(state, ends, exact=exact)
     if not references:
         return {}
 
-    def error(method, k, start):
-        solution = solve(state, method(sweeps=k, tolerance=None), *start)
+    def error(solver, k, start):
+        solution = solve(state, replace(SOLVERS[solver], sweeps=k, tolerance=None), *start)
         return float(f"{metrics.nearest_velocity_error(state, solution, references):.4g}")
 
     return {
-        name: {solver: [error(method, k, start) for k in sweeps] for solver, method in SOLVERS.items()}
+        name: {solver: [error(solver, k, start) for k in sweeps] for solver in settings[name]}
         for name, start in impulses.items()
     }
 
 
 def start_times(states: Sequence[State], starts: Mapping[str, object], *, repeats: int) -> dict[str, list[float]]:
-    """Seconds that each start takes on each state: the least of the repeats, after a warm-up run."""
-    return {
-        name: [timing.fastest(lambda: start(state, PGS()), repeats) for state in states]  # noqa: B023
-        for name, start in starts.items()
-    }
+    """Seconds that each start takes on each state, whose rows have been built: the least of the repeats."""
+    found = {name: [] for name in starts}
+    for state in states:
+        problem = step_problem(state)
+        for name, start in starts.items():
+
+            def call(start=start, state=state, problem=problem):
+                if hasattr(start, "from_problem"):
+                    return start.from_problem(state, PGS(), problem)
+                return start(state, PGS())
+
+            found[name].append(timing.fastest(call, repeats))
+    return found
 
 
 def sweep_times(state: State, *, repeats: int) -> dict[str, float]:
     """Seconds of one sweep of each solver on a state's contacts, from the difference of many and few sweeps."""
 
     def solved(method):
-        return lambda k: solve_contacts(state, solver=method(sweeps=k, tolerance=None))
+        return lambda k: solve_contacts(state, solver=replace(method, sweeps=k, tolerance=None))
 
     m = state.contacts.count
     return {name: timing.sweep_time(solved(method), m, repeats=repeats) for name, method in SOLVERS.items()}
 
 
-def measure_pile(circles: int, kind: str, seed: int, starts: Mapping[str, object], options: Mapping) -> dict:
-    """Errors of every start by sweeps on states of one pile, and the times of starts and sweeps.
+def errors_of_pile(task: Mapping) -> dict:
+    """Errors of every setting by sweeps on states of one pile.
 
-    options: "states" and "every" of the pile, "sweeps", "past_need", "exact": numbers of circles, "repeats".
+    task: "circles", "kind", "seed", "starts": name -> description of `held_out.start_of`, "states" and "every" of the
+    pile, "sweeps", "past_need", "exact": numbers of circles that are solved exactly.
     """
-    states = states_of(pile(kind, circles, seed), count=options["states"], every=options["every"])
-    settings = {name: options[name] for name in ("sweeps", "past_need")} | {"exact": circles in options["exact"]}
+    from deep_contact.studies.held_out import start_of
+
+    starts = {name: start_of(description) for name, description in task["starts"].items()}
+    settings = {name: task[name] for name in ("sweeps", "past_need")} | {"exact": task["circles"] in task["exact"]}
+    states = states_of_pile(task)
     found = [errors_by_sweeps(state, starts, **settings) for state in states]
     return {
-        "circles": circles,
-        "kind": kind,
+        "circles": task["circles"],
+        "kind": task["kind"],
         "contacts": float(np.mean([state.contacts.count for state in states])),
         "used": [i for i, errors in enumerate(found) if errors],
         "errors": [errors for errors in found if errors],
-        "start_seconds": start_times(states, starts, repeats=options["repeats"]),
-        "sweep_seconds": sweep_times(states[-1], repeats=options["repeats"]),
+    }
+
+
+def states_of_pile(task: Mapping) -> list[State]:
+    """The states of a task of `errors_of_pile`."""
+    return states_of(pile(task["kind"], task["circles"], task["seed"]), count=task["states"], every=task["every"])
+
+
+def times_of_pile(task: Mapping, starts: Mapping[str, object], repeats: int) -> dict:
+    """Times of the starts and sweeps on the states of one pile; nothing else may run beside it."""
+    states = states_of_pile(task)
+    return {
+        "start_seconds": start_times(states, starts, repeats=repeats),
+        "sweep_seconds": sweep_times(states[-1], repeats=repeats),
     }
 
 
@@ -109,7 +154,7 @@ def sweeps_to(found: Sequence[float], sweeps: Sequence[int], error: float) -> fl
     return float(sweeps[last] + share * (sweeps[last + 1] - sweeps[last]))
 
 
-# ---- data of Figure 6.10: {"sweeps", "piles": [`measure_pile`, …]} ----
+# ---- data of Figure 6.10: {"sweeps", "piles": [`errors_of_pile` | `times_of_pile`, …]} ----
 
 
 def piles_of(data: Mapping, **values) -> list[dict]:
@@ -135,14 +180,33 @@ def seconds_to(data: Mapping, circles: int, kind: str, start: str, solver: str, 
     )
 
 
-def ratios(data: Mapping, circles: int, kind: str, start: str, solver: str, error: float) -> np.ndarray:
-    """Time from a learned start over the time from Builtin, on each state where either reaches the error.
+def best_setting(
+    data: Mapping, circles: int, kind: str, settings: Mapping, error: float
+) -> tuple[str, str, np.ndarray] | None:
+    """(start, solver, seconds to the error on each state) of the setting with the least median; None without states.
+
+    settings: start -> solvers, such as `CLASSICAL`.
+    """
+    found = [
+        (start, solver, seconds_to(data, circles, kind, start, solver, error))
+        for start, solvers in settings.items()
+        for solver in solvers
+    ]
+    return min(found, key=lambda one: np.median(one[2])) if found[0][2].size else None
+
+
+def ratios(data: Mapping, circles: int, kind: str, start: str, error: float) -> np.ndarray:
+    """Time from a learned start with its best solver over that of the best classical setting, on each state where
+    either reaches the error.
 
     0 where only the learned start does. Empty where neither does on half of the states.
     """
-    one, other = (seconds_to(data, circles, kind, name, solver, error) for name in (start, "builtin"))
-    done = np.isfinite(one) | np.isfinite(other)
-    return one[done] / other[done] if 2 * done.sum() > done.size else np.empty(0)
+    one = best_setting(data, circles, kind, {start: LEARNED[start]}, error)
+    other = best_setting(data, circles, kind, CLASSICAL, error)
+    if one is None or other is None:
+        return np.empty(0)
+    done = np.isfinite(one[2]) | np.isfinite(other[2])
+    return one[2][done] / other[2][done] if 2 * done.sum() > done.size else np.empty(0)
 
 
 def median_ratio(*case) -> float | None:

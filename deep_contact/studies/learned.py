@@ -1,8 +1,8 @@
 """Experiments with trained networks: what chapters 5 and 6 of the thesis say about them.
 
 The layers of a network (Figure 5.8, Tables 5.1 and 5.2), the CNN start beside the others (Figure 5.9), time to a
-threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1), errors on held-out scenes
-(chapter 6). Keras and TensorFlow are imported by the functions that need them; networks run on one thread.
+threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1). Keras and TensorFlow are
+imported by the functions that need them; networks run on one thread.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import input_image, read_back
 from deep_contact.cnn.inference import network_file, network_start, one_thread
 from deep_contact.physics.engine import solve
-from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting.figures import Claim, parallel_map
 from deep_contact.state import State
-from deep_contact.studies.comparison import scene_of, solved_states, sweeps_to, swept_on, theta_after
+from deep_contact.studies import verdicts
+from deep_contact.studies.comparison import scene_of, solved_states, sweeps_to, swept_on
 from deep_contact.warm_start import Sph, WarmStart
 
 # ---- networks ----
@@ -49,8 +49,9 @@ STARTS = {
 def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
     """The cards of some model files, read without TensorFlow.
 
-    Returns name -> {"file", "architecture", "parameters", "trainable_parameters", "seed", "training_states"}; None if a
-    card leaves a field out. Raises FileNotFoundError for a missing file, before anything long begins.
+    Returns name -> {"file", "architecture", "parameters", "trainable_parameters", "seed", "training_states", "visits":
+    states shown in training, each as often as it was}; None if a card leaves a field out. Raises FileNotFoundError for
+    a missing file, before anything long begins.
     """
     from deep_contact.cnn.model_file import read_metadata
 
@@ -59,6 +60,7 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
     for name, path in networks.items():
         card = read_metadata(network_file(path))["card"]
         found[name] = {"file": str(path)} | {key: card.get(key) for key in names}
+        found[name]["visits"] = len(card["history"]) * card["config"]["states_per_epoch"]
     return found
 
 
@@ -70,10 +72,10 @@ LAYER_TITLES = {"InputLayer": "Input", "Conv2D": "Convolution", "MaxPooling2D": 
 PRINTED = json.loads((Path(__file__).parent / "printed_tables.json").read_text(encoding="utf-8"))
 
 PRINTED_LAYERS = PRINTED["layers"]
-"""Table 5.1 as the thesis prints it (L1223-1252), misprints included: (layer, output shape without the batch)."""
+"""Table 5.1 as the thesis prints it, misprints included: (layer, output shape without the batch)."""
 
 PRINTED_HYPERPARAMETERS = PRINTED["hyperparameters"]
-"""Table 5.2 as the thesis prints it (L1260-1272); its "1 × 5 × 10⁻³" is 0.005."""
+"""Table 5.2 as the thesis prints it; its "1 × 5 × 10⁻³" is 0.005."""
 
 
 def layers_of(model) -> list[dict]:
@@ -145,42 +147,52 @@ def thesis_hyperparameters() -> dict[str, str]:
     }
 
 
+def hyperparameters_of(path: str) -> dict[str, str]:
+    """The lines of Table 5.2 that a training decides, of the training that made a model file, by its card."""
+    from deep_contact.cnn.model_file import read_metadata
+
+    card = read_metadata(network_file(path))["card"]
+    config, history = card["config"], card["history"]
+    rates = dict.fromkeys(f"{epoch['rate']:g}" for epoch in history)
+    return {
+        "Optimizer": config["optimizer"].upper(),
+        "Initial learning rate": f"{' then '.join(rates)} ({config['schedule']})",
+        "Batch size": str(config["batch_size"]),
+        "Epochs": f"{len(history)} of {config['states_per_epoch']:,} states",
+        "Validation rate": f"{config['fractions'][1]:g} of the simulations",
+        "States shown": f"{len(history) * config['states_per_epoch']:,}",
+    }
+
+
 # ---- the CNN start beside the others: Figure 5.9 ----
 
 AFTER = (3, 10, 30, 100, 1000, 3000)
 """Numbers of sweeps after which the claims of Figure 5.9 compare the starts."""
 
-CLOSE = 2.0
-"""Largest factor between the mean θ of two starts that count as similar."""
+CLOSE = (0.5, 2.0)
+"""Range of θ over θ of two starts that count as similar."""
+
+THESIS_VISITS = 18_208 * 1000
+"""State visits of the thesis's training: its samples in each of its epochs."""
 
 
-def theta_ratios(data: Mapping, first: str, second: str, mode: str) -> dict[str, float]:
-    """Mean θ of one start over that of another after each number of sweeps in `AFTER`, if the other is not zero."""
-    ratios = {}
-    for sweeps in AFTER:
-        if sweeps <= data["sweep"][-1]:
-            above, below = (theta_after(data, mode, name, sweeps) for name in (first, second))
-            if below > 0:
-                ratios[f"θ({sweeps}), {first} / {second}"] = above / below
-    return ratios
+def claims_of_network(data: Mapping, name: str, label: str) -> list[Claim]:
+    """The thesis's claims on Figure 5.9 for one network, and a comparison by velocity errors, paired.
 
-
-def claims_of_network(data: Mapping, name: str, label: str, *, mode: str = "independent") -> list[Claim]:
-    """The thesis's claims on Figure 5.9 for one of the networks, and a comparison by the velocity error, paired.
-
-    data: of `comparison.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one. A comparison
-    holds if it holds after each number of sweeps in `AFTER`; `measured` shows after which it does not.
+    data: of `comparison.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one, with the cards
+    of the networks (`networks_info`) under "networks".
     """
+    share = {"state visits of its training, over the thesis's": data["networks"][name]["visits"] / THESIS_VISITS}
 
-    def compared(other, within: Callable[[float], bool], text, thesis):
-        ratios = theta_ratios(data, name, other, mode)
-        return Claim(text, thesis, all(map(within, ratios.values())), ratios)
+    def compared(first, second, text, within=verdicts.FASTER):
+        claim = verdicts.judged(data, first, second, f"{label} {text}", "section 5.4", within=within)
+        return claim._replace(measured=claim.measured | share)
 
     found = [
-        compared("sph", lambda r: 1 / CLOSE <= r <= CLOSE, f"{label} performs similarly to SPH", "L1337"),
-        compared("sph", lambda r: r >= 1, f"{label} is not as good as SPH", "L1339"),
-        compared("builtin", lambda r: r < 1, f"{label} converges faster than Builtin", "L1339-1341"),
-        compared("copy", lambda r: r > 1, f"{label} does not converge as rapidly as Copy", "L1341"),
+        compared(name, "sph", "performs similarly to SPH: θ from half to twice of it", CLOSE),
+        compared("sph", name, "is not as good as SPH"),
+        compared(name, "builtin", "converges faster than Builtin"),
+        compared("copy", name, "does not converge as rapidly as Copy"),
     ]
     if "velocity" in data:
         found.append(_fewer_errors(data, name, "builtin", f"{label} has a smaller mean velocity error than Builtin"))
@@ -358,11 +370,20 @@ def total_time(data: Mapping, name: str, criterion: str, phases: Sequence[str] =
     return sum(mean_stages(data, name, criterion, phases).values())
 
 
+def times_of(data: Mapping, name: str, criterion: str) -> np.ndarray:
+    """Seconds of a whole contact solution, one a state."""
+    found = data["starts"][name]
+    return np.sum([*found["stages"].values(), found["solve"][criterion]], axis=0)
+
+
+def sweeps_of(data: Mapping, name: str, criterion: str) -> np.ndarray:
+    """Sweeps to a criterion, one a state; a state given up counts with all its sweeps."""
+    return np.array([data["most"] if n is None else n for n in data["starts"][name]["sweeps"][criterion]])
+
+
 def mean_sweeps_to(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> float:
-    """Mean sweeps to a criterion over the states of some phases; a state given up counts with all its sweeps."""
-    counts = data["starts"][name]["sweeps"][criterion]
-    chosen = np.isin(data["phases"], list(phases))
-    return float(np.mean([data["most"] if n is None else n for n in counts], where=chosen))
+    """Mean sweeps to a criterion over the states of some phases (`sweeps_of`)."""
+    return float(np.mean(sweeps_of(data, name, criterion), where=np.isin(data["phases"], list(phases))))
 
 
 def time_by_tree(states: Sequence[State], spec, *, repeats: int) -> float:
@@ -568,43 +589,3 @@ def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
         measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), p]
         equal &= not p < 0.05
     return equal, measured
-
-
-# ---- starts on held-out scenes ----
-
-OFF = 0.05
-"""Velocity error of Builtin's start above which a better start can matter."""
-
-
-def errors_on_thesis_scene(starts: Mapping[str, object], task: Mapping) -> dict:
-    """`errors_on_scene` of one scene of 70 to 110 circles, as in the training data.
-
-    task: "seed" of the scene; "steps", "every", and the numbers of sweeps "after" which errors are measured.
-    """
-    from deep_contact.studies.scene_errors import errors_on_scene
-
-    rng = np.random.default_rng(task["seed"])
-    scene = circles_in_box(int(rng.integers(70, 111)), seed=rng)
-    return errors_on_scene(scene, starts, steps=task["steps"], every=task["every"], sweeps=task["after"])
-
-
-def mean_errors(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Mean velocity error of a start by scene and number of sweeps, from the output of `errors_on_scene`.
-
-    where: "all" states, or only those where Builtin is "off" by more than `OFF`; scenes without any are omitted.
-    """
-    means = []
-    for scene in scenes:
-        found, builtin = (np.array(scene["errors"][n]) for n in (name, "builtin"))
-        chosen = builtin[:, 0] > OFF if where == "off" else np.ones(len(found), bool)
-        if chosen.any():
-            means.append(found[chosen].mean(axis=0))
-    return np.array(means)
-
-
-def ratios_to_builtin(scenes: Sequence[Mapping], name: str, where: str) -> np.ndarray:
-    """Mean error over Builtin's mean error, with the 95 % interval by resampling scenes: (sweeps, 3)."""
-    found, builtin = mean_errors(scenes, name, where), mean_errors(scenes, "builtin", where)
-    chosen = np.random.default_rng(0).integers(0, len(found), (2000, len(found)))
-    sampled = found[chosen].mean(axis=1) / builtin[chosen].mean(axis=1)
-    return np.column_stack([found.mean(axis=0) / builtin.mean(axis=0), *np.quantile(sampled, [0.025, 0.975], axis=0)])

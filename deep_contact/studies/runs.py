@@ -10,6 +10,7 @@ Time steps are given for circles of r = 1 m under g = 9.81 m/s²: what counts is
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.studies import peers, timing
 from deep_contact.studies.run_errors import Observation, intervals, observe
+from deep_contact.studies.tradeoff import RESTING_SPEED, rms_speed
 
 INTERVAL = 5 * TIME_STEP
 """Between two observations, s."""
@@ -41,14 +43,23 @@ HELD_OUT_KINDS = {
 }
 """Kinds of the scenes outside the study."""
 
-SETTLING = 1.5
-"""Contacts per circle from which on a pile is timed: after the impact, before rest, whatever its size."""
+PHASES = ("impact", "settling", "rest")
+"""When piles are timed. The cost of a setting is that of a settling pile; the others show how it changes in a run."""
+
+CONTACTS = {"impact": 0.5, "settling": 1.5}
+"""Contacts per circle from which on a pile is in a phase, whatever its size."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
 
 LIMIT = [{"method": "PGS", "sweeps": 20, "dt": TIME_STEP / k} for k in (1, 2, 4, 8, 16)]
 """The settings whose errors show the convergence to the limit."""
+
+MODEL = {
+    "a tenth of the slop": REFERENCE | {"slop": 0.1},
+    "no position correction": REFERENCE | {"position_sweeps": 0},
+}
+"""What the contact model changes in the limit of small steps; the first has position correction leave less alone."""
 
 
 def scene(kind: str, n_bodies: int, seed: int) -> State:
@@ -61,7 +72,7 @@ def scene(kind: str, n_bodies: int, seed: int) -> State:
 
 def solver_of(setting: Mapping):
     """The options of a setting's method, without substeps."""
-    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
+    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start", "slop")}
     fixed = {} if setting["method"] == "SoftSteps" else {"tolerance": None}
     return METHODS[setting["method"]](**options, **fixed)
 
@@ -98,6 +109,9 @@ def observation(stored: Mapping) -> Observation:
 
 def _states(state: State, setting: Mapping, frames: int) -> Iterator[State]:
     state, each = state.replace(dt=setting["dt"]), round(INTERVAL / setting["dt"])
+    if "slop" in setting:  # as a multiple of the scene's own
+        scales = state.scales._replace(slop=setting["slop"] * state.scales.slop)
+        state = state.replace(world=replace(state.world, scales=scales))
     solver = solver_of(setting)
     for _ in range(frames):
         state = simulate(state, steps=each, solver=solver, warm_start=setting.get("start", "builtin")).state
@@ -117,13 +131,15 @@ def _states_of_peer(start: State, setting: Mapping, frames: int) -> Iterator[Sta
 # ---- times ----
 
 
-def times(n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int) -> dict[str, float]:
-    """Wall time of TIME_STEP of a settling pile with each setting, μs, by name; they take turns, the least counts.
+def times(
+    n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int, phase: str = "settling"
+) -> dict[str, float]:
+    """Wall time of TIME_STEP of a pile with each setting, μs, by name; they take turns, the least counts.
 
     steps: of TIME_STEP in each run. Other engines start from the same bodies; what their Python wrapper costs a step is
     part of what their users pay.
     """
-    start = settling(n_bodies, seed)
+    start = pile(n_bodies, seed, phase)
     worlds: dict = {}
     runs, setup = {}, {}
     for setting in settings:
@@ -141,12 +157,16 @@ def times(n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, 
     return {name: 1e6 * seconds / steps for name, seconds in took.items()}
 
 
-def settling(n_bodies: int, seed: int) -> State:
-    """A plain pile at the time, in tenths of a second, at which it has `SETTLING` contacts per circle; at most 20 s."""
+def pile(n_bodies: int, seed: int, phase: str) -> State:
+    """A plain pile at the first tenth of a second at which it is in the phase of `PHASES`, or after 60 s.
+
+    It is at rest when it has been settling and its rms speed is below `RESTING_SPEED`.
+    """
     state = scene("plain", n_bodies, seed)
-    for _ in range(200):
+    least = CONTACTS.get(phase, CONTACTS["settling"])
+    for _ in range(600):
         state = simulate(state, steps=10, solver=METHODS["PGS"](sweeps=20, tolerance=None)).state
-        if state.contacts.count >= SETTLING * n_bodies:
+        if state.contacts.count >= least * n_bodies and (phase != "rest" or rms_speed(state) < RESTING_SPEED):
             break
     return state
 
@@ -160,10 +180,10 @@ def _step_peer(world, setting: Mapping, count: int) -> None:
 
 
 def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
-    """A row for each kind, size and setting: its errors with their intervals, and its time, μs, where it was measured.
+    """A row for each kind, size and setting: its errors with their intervals, and its times, μs, where measured.
 
-    ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}. took: n_bodies -> {name: μs}. The reference
-    itself has no errors.
+    ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}. took: (n_bodies, phase) -> {name: μs}. "us" is
+    the time of a settling pile, "phases" has those of the other phases. The reference itself has no errors.
     """
     found = []
     for (kind, n_bodies), ensemble in ensembles.items():
@@ -177,7 +197,12 @@ def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
                     "setting": dict(setting),
                     "seeds": len(seen),
                     "errors": intervals(seen, true[: len(seen)]) if seen is not true else None,
-                    "us": took.get(n_bodies, {}).get(name),
+                    "us": took.get((n_bodies, "settling"), {}).get(name),
+                    "phases": {
+                        phase: by_name[name]
+                        for (size, phase), by_name in took.items()
+                        if size == n_bodies and phase != "settling" and name in by_name
+                    },
                 }
             )
     return found
@@ -207,5 +232,7 @@ def small_study(n_bodies: int, seeds: Sequence[int], settings: Sequence[Mapping]
         )
         for setting in [REFERENCE, *settings]
     }
-    took = times(n_bodies, seeds[0], settings, steps=10, repeats=1)
-    return rows({("plain", n_bodies): ensemble}, {n_bodies: took})
+    took = {
+        (n_bodies, phase): times(n_bodies, seeds[0], settings, steps=10, repeats=1, phase=phase) for phase in PHASES
+    }
+    return rows({("plain", n_bodies): ensemble}, took)

@@ -11,8 +11,9 @@ import numpy as np
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 from deep_contact.studies import timing
-from deep_contact.studies.break_even import sweep_times
+from deep_contact.studies.break_even import start_times, sweep_times
 from deep_contact.studies.tradeoff import pile, states_of
+from deep_contact.warm_start import Builtin, Scaled
 
 RUNTIMES = ("Numba", "XLA", "TensorFlow")
 """`cnn.convolution`; one program of TensorFlow's compiler; one call per layer."""
@@ -29,14 +30,24 @@ def times(task: Mapping) -> dict[str, list]:
 
     task: "models": paths, "count" of circles, "threads", "batches": images at once, "repeats", "seed".
     Returns {"times": [{"network", "circles", "threads", "runtime", "batch", "us": per image}], "stages":
-    [{"network", "circles", "threads", **`parts_of_start`}]}; the stages with one thread only.
+    [{"network", "circles", "threads", **`parts_of_start`}], "starts": [{"start", "circles", "us", "sweep"}]: those
+    without images, on rows that have been built, and a sweep of PSOR}; the stages and starts with one thread only.
     """
     from deep_contact.cnn.far_field import describe
     from deep_contact.cnn.inference import limit_threads, load_model, network_file
+    from deep_contact.cnn.per_contact import PerContact
 
     limit_threads(task["threads"])
     state = states_of(pile("settling", task["count"], task["seed"]), count=1)[0]
-    found = {"times": [], "stages": []}
+    found = {"times": [], "stages": [], "starts": []}
+    if task["threads"] == 1:
+        starts = {"builtin": Builtin(), "scaled": Scaled(), "learned": PerContact(least=0.0)}  # never left out
+        took = {name: us[0] for name, us in start_times([state], starts, repeats=task["repeats"]).items()}
+        sweep = sweep_times(state, repeats=task["repeats"])["PSOR"]
+        found["starts"] = [
+            {"start": name, "circles": task["count"], "us": 1e6 * (took[name] - took["builtin"]), "sweep": 1e6 * sweep}
+            for name in ("scaled", "learned")
+        ]
     for path in task["models"]:
         model = load_model(network_file(path))
         image = describe(state, model.spec).image

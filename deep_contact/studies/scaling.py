@@ -105,6 +105,7 @@ def stages(state: State, name: str, *, repeats: int) -> dict[str, float]:
     rows, solver_bodies, _ = engine.step_problem(state, solver)
     buffer, cells = collision.make_contacts(4 * n + 64), collision.make_cells(n)
     moved = Bodies(*(field.copy() for field in bodies))
+    crawling = engine.step_input(state, settings)._replace(dt=1e-9)
 
     def prepare():
         contact_solver.integrate_velocities(bodies, gravity, state.dt, solver_bodies)
@@ -114,7 +115,7 @@ def stages(state: State, name: str, *, repeats: int) -> dict[str, float]:
 
     def move():
         contact_solver.store_impulses(rows, contacts)
-        contact_solver.integrate_positions(moved, solver_bodies, 1e-9, scales.max_translation)
+        contact_solver.integrate_positions(moved, solver_bodies, crawling)
 
     prepare()
     calls = {"velocities and rows": prepare}

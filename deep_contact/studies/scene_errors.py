@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,6 +19,7 @@ def errors_on_scene(
     scene: State,
     starts: Mapping[str, object],
     *,
+    solvers: Mapping[str, object] | None = None,
     steps: int = 600,
     every: int = 5,
     sweeps: Sequence[int] = (0, 3, 10, 30, 100),
@@ -28,10 +30,18 @@ def errors_on_scene(
 
     The run starts from Builtin and solves to `threshold`, as the training data did. The reference solution of each
     state goes on from the run's, to θ < 1e-9 N·s or by 20,000 sweeps.
-    starts: name -> callable of `deep_contact.warm_start`; "builtin" has to be among them.
-    Returns {"step": (k,), "sweeps": {name: (k,) sweeps until θ ≤ threshold, at most `most`}, "errors": {name:
+    starts: name -> callable of `deep_contact.warm_start`; "builtin" has to be among them. solvers: name of a start
+    -> those that it is followed by, name -> method; by default PGS alone. A setting's name is that of its start if its
+    solver is PGS, otherwise both: "builtin, NNCG".
+    Returns {"step": (k,), "sweeps": {setting: (k,) sweeps until θ ≤ threshold, at most `most`}, "errors": {setting:
     (k, len(sweeps)), `cnn.evaluation.velocity_errors`}}.
     """
+    solvers = solvers or {}
+    settings = {
+        name if solver == "PGS" else f"{name}, {solver}": (name, method)
+        for name in starts
+        for solver, method in solvers.get(name, {"PGS": PGS()}).items()
+    }
     states: list[State] = []
 
     def keep(state: State, record) -> None:
@@ -40,20 +50,24 @@ def errors_on_scene(
 
     to_threshold = PGS(sweeps=most, tolerance=threshold)
     simulate(scene, steps=steps, solver=to_threshold, on_step=keep)
-    found: dict = {"step": [], "sweeps": {n: [] for n in starts}, "errors": {n: [] for n in starts}}
+    found: dict = {"step": [], "sweeps": {n: [] for n in settings}, "errors": {n: [] for n in settings}}
     for state in states:
         contacts = state.contacts
         exact = solve(state, PGS(sweeps=20_000, tolerance=1e-9), contacts.normal_impulse, contacts.tangent_impulse)
         contacts = contacts._replace(normal_impulse=exact.normal_impulses, tangent_impulse=exact.tangent_impulses)
         state = state.replace(contacts=contacts)
         given = {name: start(state, to_threshold) for name, start in starts.items()}
-        errors = {name: velocity_errors(state, impulses, sweeps) for name, impulses in given.items()}
+        errors = {
+            name: velocity_errors(state, given[start], sweeps, solver=solver)
+            for name, (start, solver) in settings.items()
+        }
         if not all(np.isfinite(error).all() for error in errors.values()):
             continue  # contacts without anything to solve
         found["step"].append(state.step)
-        for name, impulses in given.items():
+        for name, (start, solver) in settings.items():
             found["errors"][name].append(errors[name])
-            found["sweeps"][name].append(solve(state, to_threshold, *impulses).record.sweeps)
+            enough = replace(solver, sweeps=most, tolerance=threshold)
+            found["sweeps"][name].append(solve(state, enough, *given[start]).record.sweeps)
     return {
         "step": np.array(found["step"]),
         "sweeps": {name: np.array(counts) for name, counts in found["sweeps"].items()},

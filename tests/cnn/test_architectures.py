@@ -21,7 +21,7 @@ def thesis():
     return build("thesis")
 
 
-def test_thesis_network_has_the_parameters_of_L1201(thesis):
+def test_thesis_network_has_the_parameters_of_section_5_3_1(thesis):
     assert sum(int(np.prod(v.shape)) for v in thesis.trainable_variables) == 64_498_866
     # and the moving mean and variance of 64 and 256 channels
     assert thesis.count_params() == 64_499_506
@@ -44,6 +44,21 @@ def test_thesis_network_has_the_kinds_of_table_5_1(thesis):
 def test_thesis_network_has_the_kernels_of_appendix_b(thesis):
     sides = [layer.kernel_size[0] for layer in thesis.layers if isinstance(layer, keras.layers.Conv2D)]
     assert sides == [3, 3, 3, 3, 2] + [2] * 9
+
+
+def test_batch_normalisation_after_the_input_is_an_option_that_learns_two_numbers_a_channel():
+    """Section 5.3.1 names it; the 64,498,866 weights leave it out."""
+    small = {"shape": (8, 8), "channels": 5}
+    plain, normalized = build("thesis", **small), build("thesis", input_normalization=True, **small)
+    assert [type(layer).__name__ for layer in normalized.layers[:2]] == ["BatchNormalization", "Conv2D"]
+    trainable = [sum(int(np.prod(v.shape)) for v in model.trainable_variables) for model in (plain, normalized)]
+    assert trainable[1] - trainable[0] == 2 * 5
+    images = np.random.default_rng(0).normal(3.0, 7.0, (64, 8, 8, 5)).astype(np.float32)
+    shown = np.asarray(normalized.layers[0](images, training=True))
+    np.testing.assert_allclose(shown.mean(axis=(0, 1, 2)), 0, atol=1e-4)
+    np.testing.assert_allclose(shown.std(axis=(0, 1, 2)), 1, atol=1e-3)
+    with pytest.raises(ValueError, match="input_normalization"):
+        build("thesis", input_normalization=1)
 
 
 def test_thesis_network_has_the_settings_of_table_5_2(thesis):

@@ -230,3 +230,12 @@ def test_the_better_of_two_starts_is_taken(state, factor, taken):
     normal, _ = Guarded(Knows(source=None, spec=SPEC))(state, dc.PGS())
     expected = state.contacts.normal_impulse if taken else state.contacts.normal_start
     np.testing.assert_allclose(normal, expected)
+
+
+def test_a_state_in_the_other_byte_order_is_described_the_same(state):
+    def swapped(part):
+        return type(part)(*(array.astype(array.dtype.newbyteorder(">")) for array in part))
+
+    foreign = state.replace(bodies=swapped(state.bodies), contacts=swapped(state.contacts))
+    for name in ("image", "features", "start"):
+        np.testing.assert_array_equal(getattr(describe(foreign, SPEC), name), getattr(describe(state, SPEC), name))

@@ -25,6 +25,7 @@ from deep_contact.cnn.images import (
     symmetries,
     transform_state,
 )
+from deep_contact.physics import metrics
 from deep_contact.simulation import ready
 from deep_contact.state import World, make_bodies
 
@@ -91,7 +92,7 @@ def test_unknown_and_missing_fields_are_refused():
 
 
 def test_the_default_is_the_thesis_network_s_input():
-    """61 x 61 x 5 in the order of its training: thesis L1175 to L1180, and n_x."""
+    """61 x 61 x 5 in the order of its training: section 5.2.3 of the thesis, and n_x."""
     state = one_contact((15, 15))
     assert ImageSpec().channels == ("mass", "velocity_x", "velocity_y", "spin", "normal_x") == THESIS_CHANNELS
     assert input_image(state, ImageSpec()).shape == (61, 61, 5)
@@ -364,3 +365,16 @@ def test_neither_images_nor_data_load_tensorflow():
         "sys.exit(sorted({'tensorflow', 'keras'} & set(sys.modules)) != [])"
     )
     assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
+
+
+def test_a_state_in_the_other_byte_order_gives_the_same_images_and_impulses(states):
+    def swapped(part):
+        return type(part)(*(array.astype(array.dtype.newbyteorder(">")) for array in part))
+
+    state, spec = states[3], ALL
+    foreign = state.replace(bodies=swapped(state.bodies), contacts=swapped(state.contacts))
+    for one, other in zip(image_pair(foreign, spec), image_pair(state, spec)):
+        np.testing.assert_array_equal(one, other)
+    image = label_image(state, spec)
+    np.testing.assert_array_equal(read_back(image.astype(">f4"), foreign, spec), read_back(image, state, spec))
+    assert metrics.penetration(foreign) == metrics.penetration(state)

@@ -404,3 +404,31 @@ def test_shipped_histories_have_the_columns_of_new_ones():
         far_field = path.stem != "compact_history"
         assert ("validation_velocity_error_30" in columns) == far_field
         assert ("validation_impulse_error" in columns) != far_field
+
+
+def test_nesterov_looks_ahead_as_in_eq_4_9(data, tmp_path, monkeypatch):
+    """Keras keeps the point of the gradient, θ − γ v; Eq 4.9 keeps θ. On L = ½ a θ², both by hand and by Keras."""
+    keras = pytest.importorskip("keras")
+    rate, gamma, a = 0.1, 0.9, 3.0
+    theta, v, ahead = 1.0, 0.0, []
+    for _ in range(6):
+        v = gamma * v + rate * a * (theta - gamma * v)
+        theta -= v
+        ahead.append(theta - gamma * v)
+    made = []
+
+    class Seen(keras.optimizers.SGD):
+        def __init__(self, *arguments, **options):
+            super().__init__(*arguments, **options)
+            made.append((arguments, options))
+
+    monkeypatch.setattr(keras.optimizers, "SGD", Seen)
+    quietly(tiny(optimizer="nesterov", momentum=gamma, rate=rate, epochs=1), data, tmp_path)
+    ((arguments, options),) = made
+    optimizer, weight = Seen(*arguments, **options | {"global_clipnorm": None}), keras.Variable([1.0])
+    optimizer.build([weight])
+    found = []
+    for _ in range(6):
+        optimizer.apply([a * weight.value], [weight])
+        found.append(float(np.asarray(weight.value)[0]))
+    np.testing.assert_allclose(found, ahead, rtol=1e-5)

@@ -61,3 +61,29 @@ def test_a_package_that_is_not_installed_is_left_out(monkeypatch):
 
     monkeypatch.setattr(provenance.metadata, "version", version)
     assert provenance.package_versions() == {"tensorflow": "2.16"}
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
+def test_results_do_not_make_a_checkout_dirty_and_sources_do(tmp_path, monkeypatch):
+    package, stored = tmp_path / "deep_contact", tmp_path / "data" / "reference" / "figure_3_7.json"
+    for path in (package / "constants.py", package / "io" / "provenance.py", stored):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("1")
+    name = ["-c", "user.name=any", "-c", "user.email=any@example.org"]
+    for command in (["init", "-q"], ["add", "."], [*name, "commit", "-qm", "one"]):
+        subprocess.run(["git", *command], cwd=tmp_path, check=True)
+    monkeypatch.setattr(provenance, "__file__", str(package / "io" / "provenance.py"))
+    clean = provenance.commit()
+    stored.write_text("2")
+    assert provenance.commit() == clean
+    (package / "constants.py").write_text("2")
+    assert provenance.commit() == clean + "+changes"
+
+
+def test_inputs_are_known_by_their_digests_wherever_the_options_name_them(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.h5").write_bytes(b"abc")
+    abc = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-2, appendix B.1
+    options = {"model": "a.h5", "more": {"x": ["a.h5", 3, None]}, "kernel": "poly6", "gone": "b.h5", "name": "e.g."}
+    assert provenance.provenance(options=options)["inputs"] == {"a.h5": abc}
+    assert "inputs" not in provenance.provenance()

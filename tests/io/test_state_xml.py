@@ -20,6 +20,7 @@ from deep_contact import constants
 from deep_contact.io import state_xml, xml_tree
 from deep_contact.io.state_xml import (
     StateFileError,
+    format_pybox2d,
     format_state,
     parse_state,
     read_state,
@@ -643,3 +644,68 @@ def test_two_thousand_damaged_files_only_raise_state_file_errors():
     assert result.returncode == 0, result.stdout + result.stderr
     assert "'read'" in result.stdout
     assert "'refused'" in result.stdout
+
+
+# ---- writing the dialect of the thesis's authors ----
+
+
+def test_the_authors_dialect_comes_back_with_iterations_and_thresholds(tmp_path):
+    """All that the dialect holds is exact, for a box as master too; its starts, gravity and gaps are the reader's."""
+    solver = PGS(sweeps=5000, tolerance=6e-5, position_sweeps=2500)
+    state = example(solver=solver)
+    path = tmp_path / "pile_3.xml"
+    write_state(path, state, dialect="pybox2d")
+    found = read_state(path)
+    assert (found.name, found.step, found.time, found.dt, found.solver) == ("pile", 3, 0.03, 0.01, solver)
+    assert found.solved
+    for written, back in zip(state.bodies, found.bodies):
+        np.testing.assert_array_equal(back, written)
+    for name in ("body_a", "body_b", "position", "normal", "normal_impulse", "tangent_impulse"):
+        np.testing.assert_array_equal(getattr(found.contacts, name), getattr(state.contacts, name))
+
+
+def test_the_authors_dialect_has_their_names_and_their_order():
+    root = ElementTree.fromstring(format_pybox2d(example(solver=PGS(tolerance=1e-3))))
+    box, *circles = root.iter("body")
+    assert (box.get("index"), box.get("type")) == ("0", "fixed")
+    assert (
+        box.find("shape").get("value") == "dcLoopShape(vertices=[(0.0, 0.0), (30.0, 0.0), (30.0, 30.0), (0.0, 30.0)])"
+    )
+    assert [circle.get("index") for circle in circles] == ["1", "2"]
+    assert set(circles[0].find("velocity").attrib) == {"vx", "vy"}
+    assert circles[0].find("angle").get("theta") == "0.125"
+    first, wall, _ = root.iter("contact")
+    assert (first.get("master"), first.get("slave")) == ("1", "2")
+    assert (wall.get("master"), wall.get("slave")) == ("0", "1")
+    assert [float(wall.find("normal").get(name)) for name in ("nx", "ny")] == [0.0, 1.0]  # from the box to the circle
+    assert set(wall.find("impulse").attrib) == {"ni", "ti"}
+    assert {name: root.get(name) for name in ("vel_iter", "vel_thres", "pos_iter", "pos_thres")} == {
+        "vel_iter": "3000", "vel_thres": "0.001", "pos_iter": "10", "pos_thres": "2e-05",
+    }  # fmt: skip
+
+
+def test_the_authors_dialect_has_the_elements_of_one_of_their_files():
+    """Every element and attribute of an export of theirs is written, and no other."""
+
+    def names(root):
+        return {(element.tag, name) for element in root.iter() for name in element.attrib}
+
+    theirs = names(ElementTree.fromstring(OLD_A.read_text()))
+    assert names(ElementTree.fromstring(format_pybox2d(read_state(OLD_A)))) == theirs
+    assert read_state(OLD_A).solver == PGS(sweeps=5000, tolerance=6e-5, position_sweeps=2500)
+
+
+def test_unsolved_contacts_have_no_place_in_the_authors_dialect(tmp_path):
+    with pytest.raises(StateFileError, match=r"solved: expected True"):
+        write_state(tmp_path / "a.xml", example(solved=False), dialect="pybox2d")
+    with pytest.raises(StateFileError, match=r"dialect: expected one of .*, got 'ours'"):
+        write_state(tmp_path / "a.xml", example(), dialect="ours")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("bad", ['vel_iter="-5"', 'vel_iter="99999999999"', 'vel_thres="-1"', 'pos_iter="x"'])
+def test_bad_iterations_of_an_old_file_are_refused(bad):
+    name = bad.partition("=")[0]
+    text = re.sub(rf'{name}="[^"]*"', bad, OLD_A.read_text())
+    with pytest.raises(StateFileError, match=r"sweeps|tolerance|vel_iter|pos_iter"):
+        parse_state(text.encode(), "old.xml")

@@ -10,6 +10,9 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
+from deep_contact.io.state_xml import format_state, parse_state
+from deep_contact.physics.solvers import METHODS
+from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.simulation import ready
 from deep_contact.state import LIMITS, Bodies, State, World, check_state
 from deep_contact.studies.extremes import mechanical_energy
@@ -210,3 +213,55 @@ def test_circles_renumbered_find_the_same_contacts(seed):
     pairs = {frozenset(pair) for pair in zip(number[found.body_a].tolist(), number[found.body_b].tolist())}
     expected = {frozenset(p) for p in zip(state.contacts.body_a.tolist(), state.contacts.body_b.tolist())}
     assert pairs == expected
+
+
+@st.composite
+def solvers(draw):
+    """Any method in any precision, with the options that it admits."""
+    name = draw(st.sampled_from(list(METHODS)))
+    options = {"precision": draw(st.sampled_from(["double", "single"]))}
+    if name == "SoftSteps":
+        return METHODS[name](substeps=draw(st.integers(1, 4)), **options)
+    options |= {"sweeps": draw(st.integers(1, 30)), "tolerance": draw(st.sampled_from([None, 1e-6, "scene"]))}
+    options |= {"position_sweeps": draw(st.integers(0, 10)), "substeps": draw(st.sampled_from([1, 2]))}
+    if name == "BatchedPGS":
+        options["order"] = draw(st.sampled_from(["levels", "colours"]))
+        options["threads"] = draw(st.sampled_from([1, 2])) if options["order"] == "colours" else 1
+    if name == "PGS":
+        options["islands"] = draw(st.booleans())
+    return METHODS[name](**options)
+
+
+def same_bits(one, other):
+    return all(map(np.array_equal, (*one.bodies, *one.contacts), (*other.bodies, *other.contacts)))
+
+
+@settings(max_examples=40, deadline=None)
+@given(crowds(), solvers(), st.sampled_from(["none", "builtin", "scaled", "copy", "random", "sph"]), st.data())
+def test_every_combination_keeps_the_first_principles_and_its_bits(state, solver, start, data):
+    sleep = entry_of(solver).can_sleep and data.draw(st.booleans())
+    options = {"solver": solver, "warm_start": start, "sleep": sleep}
+    solved = []
+    after = dc.simulate(state, steps=6, on_step=lambda s, record: solved.append((s, record)), **options).state
+    n, mass, double = state.bodies.count, state.bodies.mass, solver.precision == "double"
+    for one, record in solved:
+        p_n, p_t = one.contacts.normal_impulse, one.contacts.tangent_impulse
+        assert (p_n >= 0).all()
+        theta = record.theta[-1] if record.theta.size else 0.0
+        slack = one.world.friction * (p_n + theta) - np.abs(p_t)
+        if type(solver) is dc.PGS and one.contacts.count:
+            assert slack.min() >= -(1e-9 if double else 1e-3) * (1 + p_n.max())
+    # Newton: between two circles nothing changes their common momentum, which the walls and gravity alone do.
+    if type(solver) is not METHODS["SoftSteps"] and solver.substeps == 1 and not sleep:
+        ready_state = ready(state)
+        found = dc.solve_contacts(ready_state, solver=solver, start=None)
+        c = ready_state.contacts
+        normal, wall = c.normal, c.body_b >= n
+        tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
+        pushed = found.normal_impulses[:, None] * normal + found.tangent_impulses[:, None] * tangent
+        change = mass @ (found.velocities - state.bodies.velocity - state.dt * np.array(state.world.gravity))
+        scale = 1.0 + np.abs(pushed).sum() + mass @ np.abs(state.bodies.velocity).sum(axis=1)
+        np.testing.assert_allclose(change, -pushed[wall].sum(axis=0), atol=(1e-12 if double else 1e-4) * scale)
+    # The same bits again, and from a file.
+    assert same_bits(dc.simulate(state, steps=6, **options).state, after)
+    assert same_bits(dc.simulate(parse_state(format_state(state)), steps=6, **options).state, after)

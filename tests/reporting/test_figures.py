@@ -46,7 +46,7 @@ def sleep(seconds):
 
 def claims(data):
     nearest = np.min(np.abs(data["walks"]))
-    return [Claim("a walk comes back", "L1-2", nearest == 0.0, {"walks": len(data["walks"])})]
+    return [Claim("a walk comes back", "section 1.2", nearest == 0.0, {"walks": len(data["walks"])})]
 
 
 def table(data):
@@ -83,7 +83,7 @@ def test_a_run_writes_both_files_and_reports_numbers_and_claims(tmp_path, capsys
     assert sorted(path.name for path in tmp_path.iterdir()) == ["figure_9_1.json", "figure_9_1.png"]
     printed = capsys.readouterr().out.splitlines()
     assert printed[0] == "Figure 9.1: Walks"
-    assert printed[-2] == "does not hold: a walk comes back (L1-2): walks = 3"
+    assert printed[-2] == "does not hold: a walk comes back (section 1.2): walks = 3"
     assert printed[-1] == f"picture: {tmp_path / 'figure_9_1.png'}"
     assert len(printed) == 1 + 4 + 1 + 1
 
@@ -94,7 +94,7 @@ def test_a_quick_run_says_in_a_few_lines_where_it_agrees_with_the_reference(tmp_
     capsys.readouterr()
     path = tmp_path / "quick"
     assert run(path, "--quick") == 0
-    head = ["Figure 9.1: Walks", "as in the reference run, does not hold: a walk comes back (L1-2)"]
+    head = ["Figure 9.1: Walks", "as in the reference run, does not hold: a walk comes back (section 1.2)"]
     assert capsys.readouterr().out.splitlines() == [*head, f"picture: {path / 'figure_9_1.png'}"]
     run(path, "--quick", "--verbose")
     assert len(capsys.readouterr().out.splitlines()) == 1 + 4 + 1 + 1
@@ -104,7 +104,7 @@ def test_a_quick_run_says_in_a_few_lines_where_it_agrees_with_the_reference(tmp_
 
 def test_a_quick_run_that_finds_otherwise_leaves_the_claim_open(tmp_path, capsys):
     assert run(tmp_path, "--quick") == 0  # there is no reference run of it
-    assert capsys.readouterr().out.splitlines()[1] == "too few states to tell: a walk comes back (L1-2)"
+    assert capsys.readouterr().out.splitlines()[1] == "too few states to tell: a walk comes back (section 1.2)"
 
 
 @pytest.mark.parametrize(
@@ -154,6 +154,17 @@ def test_replot_draws_the_same_picture_from_the_file_alone(tmp_path, monkeypatch
     assert run(tmp_path, "--replot") == 0
     assert picture.read_bytes() == before
     assert (tmp_path / "figure_9_1.json").read_bytes() == data
+
+
+def test_replot_judges_the_stored_numbers_anew(tmp_path):
+    """Claims follow from the data: what a script says of them now is what its results file says."""
+    run(tmp_path)
+    made = stored(tmp_path)
+    later = dataclasses.replace(FIGURE, claims=lambda data: [Claim("always", None, None, {"n": 1}, "within the noise")])
+    assert run(tmp_path, "--replot", figure=later) == 0
+    found = stored(tmp_path)
+    assert [claim["verdict"] for claim in found["claims"]] == ["within the noise"]
+    assert {**found, "claims": None} == {**made, "claims": None}
 
 
 def test_replot_without_results_is_an_error(tmp_path, capsys):
@@ -219,7 +230,7 @@ def test_a_table_is_written_as_json_markdown_and_picture(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["table_9_2.json", "table_9_2.md", "table_9_2.png"]
     lines = (tmp_path / "table_9_2.md").read_text(encoding="utf-8").splitlines()
     assert lines[:4] == ["**Table 9.2: Ends**", "", "| walk | end |", "| --- | --- |"]
-    assert lines[-1].startswith("- does not hold: a walk comes back (L1-2)")
+    assert lines[-1].startswith("- does not hold: a walk comes back (section 1.2)")
 
 
 @pytest.mark.parametrize(
@@ -426,7 +437,7 @@ def test_two_scripts_of_one_figure_are_refused(toys, capfd):
 EXPECTED = {
     # Claims in order: Eq 3.2 holds in each constant's own dimension, but the 3-D constants are used on a plane.
     "figure_3_3_kernels": [True, False, True],
-    "figure_3_4_kernel_gradients": [True, True],  # L484
+    "figure_3_4_kernel_gradients": [True, True],  # section 3.2.2
     "figure_3_5_bilinear": [True, False],  # Eq 3.16 is right, Algorithm 4 has its matrix transposed
     "figure_3_1_grid": [],
     "figure_3_2_sph": [],
@@ -503,6 +514,42 @@ def test_curves_that_are_not_starts_do_not_share_a_style():
     looks = {(style["color"], style["linestyle"]) for style in styles.values()}
     assert len(looks) == 11
     assert styles["copy"] == plotting.style_of("copy")
+
+
+def test_a_table_fits_a_page_and_keeps_its_words():
+    rows = [["name", "what it says", "number"], ["one", "words and more words " * 12, "0.123 (0.1–0.2)"]]
+    figure = plotting.draw_table(rows, "Table 9.1: a long text")
+    assert figure.get_figwidth() <= plotting.PAGE
+    (table,) = figure.axes[0].tables
+    shown = {place: cell.get_text().get_text() for place, cell in table.get_celld().items()}
+    assert shown[1, 1].split() == rows[1][1].split()
+    assert shown[1, 1].count("\n") >= 2
+    assert table.get_celld()[1, 0].get_height() > table.get_celld()[0, 0].get_height()
+
+
+def test_a_table_of_many_columns_gets_smaller_letters_not_a_wider_page():
+    rows = [[f"incompressible{i}" for i in range(14)]] * 2
+    figure = plotting.draw_table(rows, "Table 9.2: many columns")
+    assert figure.get_figwidth() <= plotting.PAGE
+    (table,) = figure.axes[0].tables
+    assert table.get_celld()[0, 0].get_text().get_fontsize() < 7
+    assert "\n" not in table.get_celld()[0, 0].get_text().get_text()
+
+
+def test_curves_beside_starts_have_colours_of_their_own():
+    styles = plotting.styles_of(["none", "builtin", "sph", "another", "copy"])
+    others = {look["color"] for name, look in styles.items() if name != "another"}
+    assert styles["another"]["color"] not in others
+
+
+def test_the_key_of_impulses_shows_the_widths_of_the_lines():
+    figure, ax = plotting.subplots()
+    plotting.draw_state(ax, three_circles(), largest_impulse=4.0)
+    plotting.impulse_key(figure, 4.0)
+    (key,) = figure.legends
+    *lines, _ = key.get_lines()
+    assert [line.get_linewidth() for line in lines] == pytest.approx([0.7, 2.3, 4.3])
+    assert "4 N·s" in key.get_texts()[2].get_text()
 
 
 def test_a_saved_figure_has_the_same_bytes_every_time(tmp_path):

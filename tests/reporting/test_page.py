@@ -26,8 +26,8 @@ OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND"
 def entry(id, **changes):
     """Results with a claim that holds and one that does not."""
     claims = [
-        {"text": "θ < 1 & so on", "thesis": "L669", "holds": True, "measured": {"θ": 0.125}},
-        {"text": "the <other>", "thesis": "L1-2", "holds": False, "measured": {"n": 3}},
+        {"text": "θ < 1 & so on", "thesis": "section 3.4.1", "holds": True, "measured": {"θ": 0.125}},
+        {"text": "the <other>", "thesis": "section 1.2", "holds": False, "measured": {"n": 3}},
     ]
     made = results.provenance(seed=7, wall_s=1.0)
     found = {"id": id, "title": f"Title {id}", "options": {"d": [0.25, 0.5]}, "provenance": made, "claims": claims}
@@ -83,10 +83,10 @@ def test_the_page_has_every_result_in_order_and_is_well_formed(folder):
     assert links == {f"#{anchor}" for anchor in anchors - {"animation"}}
 
 
-def test_claims_stand_with_line_numbers_and_verdict(folder):
+def test_claims_stand_with_section_and_verdict(folder):
     text = report_page.write_report(folder).read_text()
-    assert "of 6 claims of the thesis, 3 hold and 3 do not" in text
-    assert "<strong>holds:</strong> θ &lt; 1 &amp; so on <small>(L669)</small>" in text
+    assert "of 6 claims of the thesis, 3 hold, 0 hold in part, 3 do not, and 0 are left open" in text
+    assert "<strong>holds:</strong> θ &lt; 1 &amp; so on <small>(section 3.4.1)</small>" in text
     assert '<span class="measured">θ = 0.125</span>' in text
     assert "<strong>does not hold:</strong> the &lt;other&gt;" in text
     assert text.count("the &lt;other&gt;") == 6  # at their figures, and in the list of those that do not hold
@@ -105,10 +105,23 @@ def test_the_page_asks_for_nothing_beyond_itself(folder):
 
 
 def test_all_errata_are_in_the_page_and_in_the_markdown(folder):
-    assert report_page.write_report(folder).read_text().count('<td data-name="Where">') == len(errata.ERRATA)
-    table = errata.markdown().splitlines()
-    assert len(table) == len(errata.ERRATA) + 2
+    assert report_page.write_report(folder).read_text().count('<td data-name="Where">') == sum(
+        map(len, errata.TITLES.values())
+    )
+    table = [line for line in errata.markdown().splitlines() if line.startswith("|")]
+    assert len(table) == sum(len(rows) + 2 for rows in errata.TITLES.values())
     assert {len(re.findall(r"(?<!\\)\|", line)) for line in table} == {5}
+
+
+def test_a_claim_that_holds_in_part_is_no_yes_and_no_no(folder):
+    found = entry("3.9")
+    found["claims"][0] |= {"holds": None, "verdict": "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000"}
+    found["claims"][1] |= {"holds": None, "verdict": "within the noise"}
+    results.write_results(folder / "figure_3_9.json", found)
+    text = report_page.write_report(folder).read_text()
+    assert "2 hold, 1 hold in part, 2 do not, and 1 are left open" in text
+    assert '<li class="part"><strong>holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000:</strong>' in text
+    assert '<li class="open"><strong>within the noise:</strong>' in text
 
 
 def test_what_is_missing_or_damaged_is_said(folder):
@@ -142,7 +155,7 @@ def test_a_quick_run_is_called_so_and_contradicts_nothing(folder):
     assert "d [0.25, 0.5] instead of [0.5]." in text
     assert "<strong>as in the reference run, holds:</strong> θ" in text
     assert '<li class="open"><strong>too few states to tell:</strong> the &lt;other&gt;' in text
-    assert "of 6 claims of the thesis, 3 hold and 2 do not; 1 left open" in text
+    assert "of 6 claims of the thesis, 3 hold, 0 hold in part, 2 do not, and 1 are left open" in text
     assert "other settings than the reference runs: 1." in text
     assert text.count("the &lt;other&gt;") == 5  # not in the list of those that do not hold
 

@@ -80,9 +80,8 @@ def test_the_stored_claims_are_what_the_script_says_of_the_stored_data(id):
     """So that no claim is changed, added or dropped without the results that README shows."""
     found = json.loads(json.dumps(results.plain(list(figure_of(id).claims(STORED[id]["data"])))))
     stored = STORED[id]["claims"]
-    assert [(c["text"], c["thesis"], c["holds"]) for c in found] == [
-        (c["text"], c["thesis"], c["holds"]) for c in stored
-    ]
+    names = ("text", "thesis", "holds", "verdict")
+    assert [[c.get(name) for name in names] for c in found] == [[c.get(name) for name in names] for c in stored]
     for new, old in zip(found, stored):
         assert_equal(new["measured"], old["measured"], rtol=1e-9)
 
@@ -103,6 +102,19 @@ def assert_equal(found, stored, rtol, where="data"):
         assert found == pytest.approx(stored, rel=rtol), where
     else:
         assert found == stored, where
+
+
+def test_every_script_has_its_stored_results():
+    assert STORED.keys() == SCRIPTS.keys()
+
+
+@pytest.mark.parametrize("id", STORED)
+def test_no_verdict_of_the_thesis_comes_from_fewer_than_ten_scenes(id):
+    """Verdicts on starts and on times have a number of scenes; what is derived or counted has none."""
+    for claim in STORED[id]["claims"]:
+        if claim["thesis"] and claim["measured"].get("scenes", 10) < 10:
+            assert claim["holds"] is None
+            assert claim["verdict"].startswith("open")
 
 
 @pytest.mark.parametrize("id", STORED)
@@ -179,9 +191,6 @@ def agree(one, other, factor):
 
 FEW_SCENES = "the starts compared differ by less than one scene from another"
 UNDECIDED = {
-    "5.4": FEW_SCENES,
-    "5.5": FEW_SCENES,
-    "5.6": FEW_SCENES,
     "5.9": FEW_SCENES,
     "5.10": "times, of a smaller pile",
     "6.1": FEW_SCENES,
@@ -191,7 +200,6 @@ UNDECIDED = {
     "6.7": "fewer steps, after which solutions have parted less",
     "T 6.3": "one scene of 100 circles, where TensorFlow is behind",
     "6.8": FEW_SCENES,
-    "T 6.1": "a training of seconds",
 }
 """Figures whose quick runs may find other claims to hold, and why."""
 
@@ -207,5 +215,6 @@ def test_a_quick_run_finds_the_same_claims_to_hold(id, folder):
     found, stored = verdicts(run_of(id, True, folder)), verdicts(STORED[id])
     # Fewer where a quick run has fewer networks, of fewer circles where it has smaller piles.
     assert {of_any_size(text) for text in found} <= {of_any_size(text) for text in stored}
+    told = {text: holds for text, holds in found.items() if holds is not None}  # one scene leaves verdicts open
     if id not in UNDECIDED:
-        assert found == {text: stored[text] for text in found}
+        assert told == {text: stored[text] for text in told}

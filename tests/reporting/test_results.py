@@ -23,7 +23,7 @@ GOOD = {
         "seed": 0,
         "wall_s": 1.5,
     },
-    "claims": [{"text": "Copy needs none", "thesis": "L663", "holds": True, "measured": {"sweeps": 0}}],
+    "claims": [{"text": "Copy needs none", "thesis": "section 3.4.1", "holds": True, "measured": {"sweeps": 0}}],
     "data": {"theta": [1.0, 0.1], "missing": [1, None]},
 }
 BAD = {
@@ -41,6 +41,8 @@ BAD = {
     "claims.0.thesis": "page 3",
     "claims.0.holds": 1,
     "claims.0.measured": {},
+    "claims.0.verdict": " ",
+    "provenance.inputs": {"models/model.h5": "abc"},
 }
 
 
@@ -76,7 +78,7 @@ def test_a_missing_and_an_unknown_field_are_refused(name):
 
 def test_an_error_names_field_expectation_and_value():
     found = changed("claims.0.holds", "yes")
-    with pytest.raises(ResultsError, match=r"claims\[0\]\.holds: expected true or false, got 'yes'"):
+    with pytest.raises(ResultsError, match=r"claims\[0\]\.holds: expected true, false or null, got 'yes'"):
         results.check_results(found)
 
 
@@ -120,10 +122,38 @@ def test_missing_numbers_come_back_as_nan():
 
 
 def test_claims_are_stored_by_their_names(tmp_path):
-    claim = Claim("Builtin like None", "L669", np.bool_(False), {"ratio": np.float64(0.3)})
+    claim = Claim("Builtin like None", "section 3.4.1", None, {"ratio": np.float64(0.3)}, "within the noise")
     path = results.write_results(tmp_path / "a.json", GOOD | {"claims": [claim]})
     found = json.loads(path.read_text(encoding="utf-8"))["claims"]
-    assert found == [{"text": "Builtin like None", "thesis": "L669", "holds": False, "measured": {"ratio": 0.3}}]
+    about = {"text": "Builtin like None", "thesis": "section 3.4.1", "verdict": "within the noise"}
+    assert found == [about | {"holds": None, "measured": {"ratio": 0.3}}]
+
+
+@pytest.mark.parametrize(
+    "place", ["abstract", "section 3.4.1", "Eq 2.7a", "Eq 4.11 to 4.18", "Table 5.1, Appendix B", "Algorithm 4"]
+)
+def test_a_place_of_the_thesis_is_a_section_or_something_numbered(place):
+    assert results.check_results(changed("claims.0.thesis", place))
+
+
+@pytest.mark.parametrize("place", ["L669", "page 3", "section", "section 3.4.1,", "Eq"])
+def test_a_line_number_is_no_place_of_the_thesis(place):
+    with pytest.raises(ResultsError, match=r"claims\[0\]\.thesis: expected places of the thesis"):
+        results.check_results(changed("claims.0.thesis", place))
+
+
+@pytest.mark.parametrize(
+    ("holds", "own", "expected"),
+    [
+        (True, None, "holds"),
+        (False, None, "does not hold"),
+        (None, None, "open"),
+        (None, "within the noise", "within the noise"),
+        (True, "holds, sweeps 1 to 180", "holds, sweeps 1 to 180"),
+    ],
+)
+def test_a_verdict_is_the_claims_own_if_it_has_one(holds, own, expected):
+    assert results.verdict({"text": "any", "holds": holds, "verdict": own}) == expected
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path):

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from deep_contact import sph
-from deep_contact.sph.neighbours import splat_by_tree
+from deep_contact.sph.neighbours import field_of, splat_by_tree
 
 THESIS = sph.Grid.over_box((0, 0, 30, 30), 0.5)
 SMALL = sph.Grid(origin=(-1.0, 2.0), spacing=(0.5, 0.3), shape=(8, 6))
@@ -475,3 +475,41 @@ def test_importing_the_transfer_does_not_import_the_tree():
     """scipy's top level comes with Numba; its k-d tree is for the witness alone."""
     code = "import sys, deep_contact.sph, deep_contact.sph.neighbours; sys.exit('scipy.spatial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+# ---- fields between the particles ----
+
+
+@pytest.mark.parametrize("kernel", ["poly6", "wendland_c2"])
+def test_the_gradient_and_laplacian_of_a_field_are_those_of_finite_differences(kernel):
+    """Eq 3.7a and 3.7b against central differences of Eq 3.6. Both kernels are smooth at the centre."""
+    position, values = random_particles(SMALL, 40)
+    volume = np.random.default_rng(1).uniform(0.5, 2.0, 40)
+    points = random_particles(SMALL, 25, seed=2)[0]
+    step = 1e-4
+
+    def field(shift=(0.0, 0.0)):
+        return field_of(points + shift, position, values, h=0.8, kernel=kernel, volume=volume)
+
+    here, gradient, laplacian = field()
+    steps = [(step, 0.0), (0.0, step)]
+    around = [(field(s)[0], field((-s[0], -s[1]))[0]) for s in steps]
+    found = np.stack([(after - before) / (2 * step) for after, before in around], axis=-1)
+    np.testing.assert_allclose(gradient, found, atol=1e-5 * np.abs(gradient).max())
+    curved = sum((after + before - 2 * here) / step**2 for after, before in around)
+    # W'' of both kernels has a kink or a zero at the edge of the support.
+    np.testing.assert_allclose(laplacian, curved, atol=1e-3 * np.abs(laplacian).max())
+
+
+def test_a_field_at_the_nodes_is_the_image():
+    position, values = random_particles(SMALL, 30)
+    x, y = SMALL.nodes
+    nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    image = sph.splat(SMALL, position, values, h=0.7, unreached="zero")
+    np.testing.assert_allclose(field_of(nodes, position, values, h=0.7)[0].reshape(image.shape), image, atol=1e-12)
+
+
+def test_far_from_all_particles_a_field_is_zero():
+    found = field_of([[50.0, 50.0]], [[0.0, 0.0]], [[1.0]], h=1.0)
+    assert [part.shape for part in found] == [(1, 1), (1, 1, 2), (1, 1)]
+    assert not any(part.any() for part in found)

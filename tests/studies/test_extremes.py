@@ -327,14 +327,40 @@ def test_a_scene_beyond_a_limit_is_refused_with_its_reason():
 
 def test_passing_through_is_a_failure():
     # 2 m a step, each: more than a diameter between two looks. Continuous collision is not modelled.
-    outcome = measure(Trial(scene=extremes.channel(1000.0), steps=20, ordered=0))
+    nothing = dc.PGS(sweeps=0, tolerance=None, position_sweeps=0)
+    outcome = measure(Trial(scene=extremes.channel(20.0), steps=100, solver=nothing, ordered=0))
     assert outcome["verdict"] == FAILED
     assert "passed through another" in outcome["message"]
 
 
 def test_sinking_is_degraded():
     scene = extremes.loaded_silo(5, 1e4)
-    assert measure(Trial(scene=scene, steps=100, solver=TEN, ordered=1))["verdict"] in (DEGRADED, FAILED)
+    assert measure(Trial(scene=scene, steps=100, solver=TEN, ordered=1, recognised=False))["verdict"] in (
+        DEGRADED,
+        FAILED,
+    )
+
+
+@pytest.mark.parametrize(
+    ("quantity", "value", "steps"),
+    [
+        ("speed", 400.0, 300),
+        ("speed", 1e6, 300),
+        ("gravity", 1e6, 100),
+        ("radius", 1e-4, 100),
+        ("radius", 1e10, 100),
+        ("coinciding circles", 50, 100),
+        ("mass ratio, heavy on light", 1e4, 100),
+        ("mass ratio, heavy on light", 1e6, 100),
+        ("column height", 200, 20),
+        ("coordinate", 1e10, 100),
+        ("friction", 1e12, 150),
+    ],
+)
+def test_what_others_do_not_survive_is_safe(quantity, value, steps):
+    case = {"quantity": quantity, "value": value, "engine": "ours", "steps": steps}
+    outcome = extremes.run_case(case)
+    assert outcome["verdict"] == SAFE, outcome["message"]
 
 
 def test_rising_energy_is_a_failure():

@@ -41,6 +41,15 @@ def test_an_observation_is_read_as_it_was_stored():
 
 
 @pytest.mark.peers
+def test_a_pile_is_timed_in_each_phase():
+    found = {phase: runs.pile(40, 1, phase) for phase in runs.PHASES}
+    impact, settling, rest = found.values()
+    assert impact.time < settling.time < rest.time
+    assert 0.5 * 40 <= impact.contacts.count < 1.5 * 40 <= min(settling.contacts.count, rest.contacts.count)
+    speeds = {phase: np.sqrt((state.bodies.velocity**2).sum(axis=1).mean()) for phase, state in found.items()}
+    assert speeds["rest"] < 0.05 < speeds["settling"] < speeds["impact"]
+
+
 @pytest.mark.parametrize("engine", list(peers.ENGINES))
 def test_other_engines_fall_as_ours(engine):
     if engine not in peers.installed():
@@ -60,10 +69,13 @@ def test_rows_hold_every_setting_against_the_reference():
         runs.name_of(s): (s, [runs.observation(runs.observed("plain", 30, k, s, seconds=1.5)) for k in (1, 2)])
         for s in settings
     }
-    rows = runs.rows({("plain", 30): seen}, {30: {runs.name_of(COARSE): 7.0}})
+    rows = runs.rows(
+        {("plain", 30): seen},
+        {(30, "settling"): {runs.name_of(COARSE): 7.0}, (30, "rest"): {runs.name_of(COARSE): 5.0}},
+    )
     reference, coarse = rows
     assert reference["errors"] is None
-    assert (coarse["us"], coarse["seeds"]) == (7.0, 2)
+    assert (coarse["us"], coarse["phases"], coarse["seeds"]) == (7.0, {"rest": 5.0}, 2)
     value, low, high = coarse["errors"]["penetration_max"]
     assert 0 < low <= value <= high
     worst = runs.worst_errors([coarse, {"errors": {"energy": (1e3, 0, 0), "forces": None}}])
@@ -105,8 +117,8 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
     script = load_script("run_tradeoff")
     tiny = script.QUICK | {
         "sizes": [20],
-        "kinds": {"20": ["plain"]},
-        "seeds": {"20": 2},
+        "seeds": {"20": {"plain": 2}},
+        "model": [20],
         "seconds": 1.0,
         "settings": {"20": [runs.REFERENCE, COARSE, {"method": "SoftSteps", "substeps": 2, "dt": TIME_STEP}]},
         "peers": {"20": []},
@@ -124,6 +136,8 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
         "PGS, 20 sweeps, Δt / 16",
         "PGS, 3 sweeps, Δt",
         "SoftSteps, 2 substeps, Δt",
+        "PGS, 20 sweeps, slop=0.1, Δt / 16",
+        "PGS, 20 sweeps, position_sweeps=0, Δt / 16",
     }
     table = json.loads((tmp_path / "runs.json").read_text())
     found = dc.recommend(dc.circles_in_box(20), accuracy="preview", table=table)

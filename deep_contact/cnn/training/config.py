@@ -19,7 +19,7 @@ FAR_FIELD_LOSSES = ("through solver", "residual through solver", "impulses")
 LOSSES = ("appendix b", "velocity", "squared velocity", "impulse", *FAR_FIELD_LOSSES)
 """Of images: the first, and `losses.CONTACT_LOSSES`."""
 
-OPTIMIZERS = ("sgd", "adam")
+OPTIMIZERS = ("sgd", "nesterov", "adam")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,8 @@ class TrainingConfig:
     |                                    | far-field network the error after `sweeps` sweeps ("through solver"), the   |
     |                                    | change by one more sweep ("residual through solver", no labels), "impulses" |
     | sweeps                             | increasing numbers of sweeps of the losses through the solver               |
-    | optimizer, momentum, clip          | "adam" or "sgd"; momentum of SGD; largest norm of a gradient, or None       |
+    | optimizer, momentum                | "adam", "sgd", or "nesterov", which is SGD by Eq 4.9; momentum of both      |
+    | clip                               | largest norm of a gradient, or None                                         |
     | schedule, rate                     | of `schedules.schedule`                                                     |
     | epochs, batch_size, seed           |                                                                             |
     | patience                           | stop after so many epochs without a lower validation loss, or None          |

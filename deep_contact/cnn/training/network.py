@@ -52,8 +52,9 @@ class NetworkRun:
             self.coarsening = architectures.coarsening(config.architecture)
         else:
             self.model, self.coarsening = initial.network, initial.coarsening
-        if config.optimizer == "sgd":
-            self.optimizer = keras.optimizers.SGD(config.rate, momentum=config.momentum, global_clipnorm=config.clip)
+        if config.optimizer in ("sgd", "nesterov"):  # Eq 4.8, Eq 4.9
+            options = {"momentum": config.momentum, "nesterov": config.optimizer == "nesterov"}
+            self.optimizer = keras.optimizers.SGD(config.rate, global_clipnorm=config.clip, **options)
         else:
             self.optimizer = keras.optimizers.Adam(config.rate, global_clipnorm=config.clip)
         self.optimizer.build(self.model.trainable_variables)

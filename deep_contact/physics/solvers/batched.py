@@ -150,7 +150,7 @@ def sweep_tiles(tiles, first, last, friction):
 def correct_tiles(tiles, first, last, scales):
     """A sweep of `contact_solver.correct_positions` over some tiles, in place. Returns the deepest separation, m."""
     body, data, centre = tiles.body, tiles.data, tiles.centre
-    none, one, tiny = spread(0.0), spread(1.0), spread(SMALLEST_DISTANCE)
+    none, tiny = spread(0.0), spread(SMALLEST_DISTANCE)
     slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
     deepest = none
     for t in range(first, last):
@@ -158,13 +158,13 @@ def correct_tiles(tiles, first, last, scales):
         b_x, b_y, r_b, w_b = load_rows(centre, body, 2 * t + 1)
         d_x, d_y, reach = b_x - a_x, b_y - a_y, r_a + r_b
         distance = root(d_x * d_x + d_y * d_y)
-        # Coinciding centres are pushed apart along +x, as in the narrow phase.
-        n_x = where_less(distance, tiny * reach, one, d_x / distance)
-        n_y = where_less(distance, tiny * reach, none, d_y / distance)
+        # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
+        found_x, found_y = widened(load(data, 7 * t + N_X)), widened(load(data, 7 * t + N_Y))
+        n_x = where_less(distance, tiny * reach, found_x, d_x / distance)
+        n_y = where_less(distance, tiny * reach, found_y, d_y / distance)
         # An inverse mass of 0 is a wall: its normal is given, and the distance behind it is negative.
-        wall_x, wall_y = widened(load(data, 7 * t + N_X)), widened(load(data, 7 * t + N_Y))
-        n_x, n_y = where_less(none, w_b, n_x, wall_x), where_less(none, w_b, n_y, wall_y)
-        distance = where_less(none, w_b, distance, d_x * wall_x + d_y * wall_y)
+        n_x, n_y = where_less(none, w_b, n_x, found_x), where_less(none, w_b, n_y, found_y)
+        distance = where_less(none, w_b, distance, d_x * found_x + d_y * found_y)
         overlap = most(most(reach - slop, none) - distance, none)
         push = least(share * overlap, longest) / (w_a + w_b)
         store_rows(centre, body, 2 * t, (a_x - push * w_a * n_x, a_y - push * w_a * n_y, r_a, w_a))
@@ -326,7 +326,7 @@ def advance_in_batches(given, options, workspace, log):
         sweeps = relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta)
         mark_divergence(solver_bodies, theta, sweeps)
         store_impulses(rows, contacts)
-        integrate_positions(bodies, solver_bodies, given.dt, scales.max_translation)
+        integrate_positions(bodies, solver_bodies, given)
         correct_positions_in_batches(settings, plan, tiles, bodies, given.box, scales, options.position_sweeps)
 
         solved = contacts

@@ -37,6 +37,7 @@ from deep_contact.physics.contact_solver import (
     make_rows,
     sweep,
 )
+from deep_contact.physics.continuous import any_is_fast, stop_fast
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PRECISIONS
 from deep_contact.physics.solvers.registry import register
 from deep_contact.physics.step import log_step
@@ -150,6 +151,8 @@ def advance_softly(given, options, workspace, log):
         if given.restitution > 0.0:
             bounce_back(rows, bounce, pressed, solver_bodies)
         store_velocities(bodies, solver_bodies, given.dt, scales.max_translation)
+        if any_is_fast(bodies, origin):
+            stop_fast(bodies, origin, given.gravity, given.dt, given.box, scales)
         store_whole_impulses(rows, contacts, substeps)
 
         solved = contacts

@@ -1,0 +1,194 @@
+"""Verdicts on claims about starts, by the thesis's own measure: the mean θ after each sweep (Eq 2.30).
+
+A claim says that one start's θ over another's lies within a range. Whether it does is decided at each stored number of
+sweeps, by the interval of the ratio over scenes: 95 % of bootstrap resamplings of the scenes, the same ones for both
+starts, so that what is common to both falls out. Beside it stands our own measure, the sweeps to a threshold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from deep_contact.reporting.figures import Claim
+
+FEWEST = 10
+"""Scenes from which on a claim is judged."""
+
+RESAMPLINGS = 2000
+COVERAGE = (2.5, 97.5)
+"""Percentiles of the resamplings that bound an interval."""
+
+SMALLEST = 1e-15
+"""θ below which a solve has come to rest, N·s: the rounding of impulses of some N·s in float64."""
+
+SHOWN = (1, 10, 100, 1000)
+"""Numbers of sweeps after which `measured` shows a ratio."""
+
+FASTER, MUCH_FASTER, SLOWER, ALIKE = (0.0, 1.0), (0.0, 0.5), (1.0, np.inf), (0.8, 1.25)
+"""Ranges of θ over θ: of a start that is faster, much faster (at most half), slower, or alike within a quarter."""
+
+NAMED = {FASTER: "below 1", MUCH_FASTER: "below 0.5", SLOWER: "above 1", ALIKE: "0.8 to 1.25"}
+
+Names = str | Sequence[str]
+
+
+def scenes_of(part: Mapping) -> int:
+    """Number of scenes in one mode of `comparison.compare_starts`' data."""
+    return len(next(iter(part.values()))["scenes"]["states"])
+
+
+def resampled(part: Mapping, name: str, quantity: str = "theta") -> np.ndarray:
+    """A start's mean over the states of some scenes: of all scenes in row 0, of a resampling in each other row.
+
+    part: one mode of `comparison.compare_starts`' data. quantity: "theta", for rows of θ by sweep, or "sweeps", for
+    rows of one number. The same scenes are drawn for every start.
+    """
+    scenes = part[name]["scenes"]
+    count = len(scenes["states"])
+    weights = np.vstack([np.ones(count), _drawn(count)]) * np.asarray(scenes["states"])
+    values = np.asarray(scenes[quantity], dtype=float).reshape(count, -1)
+    return np.maximum(weights @ values / weights.sum(axis=1, keepdims=True), SMALLEST)
+
+
+def intervals(
+    part: Mapping, first: Names, second: Names, *, quantity: str = "theta", of: Callable | None = None
+) -> np.ndarray:
+    """[ratio, lower, upper end of its interval], (3, k): largest of the first starts over smallest of the second.
+
+    of: taken of each resampled curve before the ratio, (rows, k) -> (rows,); by default the curve itself.
+    """
+
+    def values(names):
+        found = [resampled(part, name, quantity) for name in ([names] if isinstance(names, str) else names)]
+        return [curve if of is None else of(curve)[:, None] for curve in found]
+
+    ratio = np.maximum.reduce(values(first)) / np.minimum.reduce(values(second))
+    return np.vstack([ratio[:1], np.percentile(ratio[1:], COVERAGE, axis=0)])
+
+
+def decided(found: np.ndarray, within: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Where the whole interval lies within the range, and where the whole of it lies outside; (k,) each."""
+    (_, low, high), (least, most) = found, within
+    return (low > least) & (high < most), (high <= least) | (low >= most)
+
+
+def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
+    """The sweeps at which something is so: "1 to 180, 240 to 3000".
+
+    Beside longer ranges, those beyond ten sweeps that end before 1.25 times their beginning are left out: of many
+    intervals of 95 % some miss by chance.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], where.astype(int), [0]])))
+    pairs = [(sweeps[a], sweeps[b - 1]) for a, b in zip(edges[::2], edges[1::2])]
+    pairs = [(a, b) for a, b in pairs if a <= 10 or b >= 1.25 * a] or pairs
+    return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in pairs)
+
+
+def verdict(found: np.ndarray, within: tuple[float, float], sweeps: Sequence[int] | None = None) -> tuple:
+    """(holds, verdict) of intervals by sweep: "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000".
+
+    holds: true where the claim holds at some sweeps and is refuted at none, false where it is the other way round, None
+    where both occur or every interval reaches across an end of the range. sweeps: None for intervals of one number.
+    """
+    holds, fails = decided(found, within)
+    if not (holds.any() or fails.any()):
+        return None, "within the noise"
+    says = [("holds", holds), ("does not hold", fails)]
+    if sweeps is None or holds.all() or fails.all():
+        text = next(word for word, where in says if where.any())
+        return bool(holds.any()), text if sweeps is None else f"{text}, sweeps {ranges(sweeps, np.ones_like(holds))}"
+    text = "; ".join(f"{word}, sweeps {ranges(sweeps, where)}" for word, where in says if where.any())
+    return (None if holds.any() and fails.any() else bool(holds.any())), text
+
+
+def judged(
+    data: Mapping,
+    first: Names,
+    second: Names,
+    text: str,
+    thesis: str | None = None,
+    *,
+    within: tuple[float, float] = FASTER,
+    mode: str = "independent",
+) -> Claim:
+    """The claim that θ of the first start over that of the second lies within a range, by sweep.
+
+    data: of `comparison.compare_starts`. Of several first starts the largest θ counts, of several second ones the
+    smallest. mode: whose curves decide, by default runs of their own, as in the thesis; `measured` has the verdict from
+    the same states too. Fewer than `FEWEST` scenes leave the claim open.
+    """
+    sweeps, count = data["sweep"], scenes_of(data[mode])
+    found = intervals(data[mode], first, second)
+    shown = [k for k in SHOWN if k <= sweeps[-1]]
+    at = {str(k): found[:, int(np.argmin(np.abs(np.asarray(sweeps) - k)))].tolist() for k in shown}
+    measured = {"scenes": count, f"θ ratio and its interval, by sweep, {mode}": at, "range": _range(within)}
+    for other in data.keys() & {"paired", "independent"} - {mode}:
+        measured[f"verdict, {other}"] = verdict(intervals(data[other], first, second), within, sweeps)[1]
+    ours = intervals(data[mode], first, second, quantity="sweeps")
+    measured[f"mean sweeps to θ < {data['threshold']:g}, ratio and its interval"] = ours[:, 0].tolist()
+    measured["by that measure"] = verdict(ours, within)[1]
+    return Claim(text, thesis, *_of_enough(count, *verdict(found, within, sweeps), measured))
+
+
+def judged_by(
+    of: Callable, data: Mapping, first: Names, second: Names, text: str, thesis: str | None = None, *, within=FASTER
+) -> Claim:
+    """The same for one number of each curve of θ by sweep, such as its rise, in runs of their own.
+
+    of: (rows, k) -> (rows,), > 0.
+    """
+    part = data["independent"]
+    found = intervals(part, first, second, of=of)
+    measured = {"scenes": scenes_of(part), "ratio and its interval": found[:, 0].tolist(), "range": _range(within)}
+    return Claim(text, thesis, *_of_enough(scenes_of(part), *verdict(found, within), measured))
+
+
+def judged_values(
+    first: Sequence[float],
+    second: Sequence[float],
+    text: str,
+    thesis: str | None = None,
+    *,
+    within: tuple[float, float] = FASTER,
+    also: Mapping | None = None,
+) -> Claim:
+    """The claim that the mean of a number over scenes, over that of another, lies within a range.
+
+    first, second: a number a scene, >= 0, (scenes,) each. also: more for `measured`.
+    """
+    count = len(first)
+    weights = np.vstack([np.ones(count), _drawn(count)])
+    top, bottom = (np.maximum(weights @ np.asarray(values, dtype=float), SMALLEST) for values in (first, second))
+    ratio = top / bottom
+    found = np.array([ratio[0], *np.percentile(ratio[1:], COVERAGE)])[:, None]
+    measured = {"scenes": count, "ratio and its interval": found[:, 0].tolist(), "range": _range(within)}
+    return Claim(text, thesis, *_of_enough(count, *verdict(found, within), measured | dict(also or {})))
+
+
+def _drawn(count: int) -> np.ndarray:
+    """How often each scene is drawn in each resampling, (resamplings, scenes)."""
+    return np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), RESAMPLINGS)
+
+
+def _of_enough(count: int, holds: bool | None, text: str, measured: dict) -> tuple:
+    """holds, measured and verdict, as `Claim` takes them; open from too few scenes."""
+    if count < FEWEST:
+        return None, measured, f"open: {count} scene{'s' * (count > 1)}"
+    return holds, measured, text
+
+
+def _range(within: tuple[float, float]) -> str:
+    low, high = within
+    return NAMED.get(within) or f"{low:g} to {high:g}"
+
+
+def rise(theta: np.ndarray) -> np.ndarray:
+    """All rises of curves of θ by sweep, (rows, k) -> (rows,), decades: what makes a start unstable. At least 1e-6."""
+    return np.maximum(np.maximum(np.diff(np.log10(theta), axis=1), 0).sum(axis=1), 1e-6)
+
+
+def level(theta: np.ndarray) -> np.ndarray:
+    """Geometric mean of curves of θ over the stored sweeps, which lie evenly on a logarithmic axis, N·s."""
+    return np.exp(np.log(theta).mean(axis=1))

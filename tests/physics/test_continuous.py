@@ -1,0 +1,132 @@
+"""What moves far in one step: it stops at the first thing in its way, and nothing gets out."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.physics.continuous import FAST
+from deep_contact.physics.solvers import METHODS
+from deep_contact.state import State, World, make_bodies
+from deep_contact.studies.extremes import loaded_silo
+
+NO_GRAVITY = World(box=(0, 0, 60, 40), gravity=(0, 0))
+SOLVERS = {name: METHODS[name]() for name in METHODS} | {"colours": dc.BatchedPGS(order="colours")}
+
+
+def scene(position, velocity, *, radius=1.0, world=NO_GRAVITY, **options):
+    return State(name="fast", world=world, bodies=make_bodies(position, velocity=velocity, radius=radius, **options))
+
+
+def inside(state):
+    x_min, y_min, x_max, y_max = state.world.box
+    position = state.bodies.position
+    return bool(((position > (x_min, y_min)) & (position < (x_max, y_max))).all())
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_fast_circle_stops_where_it_touches_and_hits_in_the_next_step(name):
+    # By hand: 1.9 m a step from x = 5 touches the circle at 9.5 after 2.5 m, in the second step.
+    state = scene([[5.0, 20.0], [9.5, 20.0]], [[190.0, 0.0], [0.0, 0.0]])
+    first = dc.simulate(state, steps=1, solver=SOLVERS[name]).state
+    np.testing.assert_allclose(first.bodies.position[:, 0], [6.9, 9.5], rtol=1e-12)
+    second = dc.simulate(first, steps=1, solver=SOLVERS[name]).state
+    np.testing.assert_allclose(second.bodies.position[:, 0], [7.5, 9.5], atol=state.scales.slop)
+    np.testing.assert_allclose(second.bodies.velocity[:, 0], [190.0, 0.0])
+    assert second.contacts.count == 1
+    third = dc.simulate(second, steps=1, solver=SOLVERS[name]).state
+    np.testing.assert_allclose(third.bodies.velocity[:, 0], [95.0, 95.0], rtol=1e-6)
+
+
+def test_a_fast_circle_stops_at_the_wall_and_gives_back_the_energy_of_the_fall_that_it_did_not_do():
+    # 1 m of 1.9 m to the skin of the wall. All of its velocity along x is left; along y ½ v² falls by g times the rest
+    # of the 1 mm that gravity alone would have moved it.
+    world = replace(NO_GRAVITY, gravity=(0.0, -10.0))
+    state = dc.simulate(scene([[57.99, 20.0]], [[190.0, 0.0]], world=world), steps=1, solver=dc.PGS()).state
+    moved = (state.bodies.position[0, 0] - 57.99) / 1.9
+    np.testing.assert_allclose(state.bodies.position[0, 0], 60 - 1 - state.scales.wall_skin, atol=state.scales.slop)
+    np.testing.assert_allclose(state.bodies.velocity[0, 0], 190.0)
+    energy = 0.5 * 0.1**2 - 10.0 * 0.001 * (1 - moved)
+    np.testing.assert_allclose(0.5 * state.bodies.velocity[0, 1] ** 2, energy, rtol=1e-9)
+    np.testing.assert_allclose(state.bodies.position[0, 1], 20 - 0.001 * moved, rtol=1e-12)
+
+
+def test_a_circle_meets_what_has_stopped_before_it():
+    # The second follows the first at the same speed, 2.5 m behind, and would never touch it; the first stops at the
+    # wall after 0.5 m, so the second may go 1 m.
+    state = scene([[58.49, 20.0], [55.99, 20.0]], [[190.0, 0.0], [190.0, 0.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    np.testing.assert_allclose(after.bodies.position[:, 0], [58.99, 56.99], atol=2 * state.scales.slop)
+
+
+def test_circles_that_fly_together_are_not_held():
+    state = scene([[10.0, 20.0], [12.1, 20.0], [14.2, 20.0]], [[190.0, 0.0]] * 3)
+    after = dc.simulate(state, steps=10, solver=dc.PGS()).state
+    np.testing.assert_allclose(after.bodies.position - state.bodies.position, [[19.0, 0.0]] * 3, atol=1e-9)
+
+
+def test_small_circles_do_not_slip_between_or_through():
+    # A wall of unlike circles across the box; a thousandth as large, and fast, against it from the left.
+    y = np.arange(1.0, 40.0, 2.0)
+    wall = np.column_stack([np.full(20, 30.0), y])
+    bullets = np.column_stack([np.full(20, 25.0), y])
+    state = scene(
+        np.vstack([wall, bullets]), [[0.0, 0.0]] * 20 + [[95.0, 0.0]] * 20, radius=[1.0] * 20 + [0.001] * 20,
+        mass=[1e6] * 20 + [1.0] * 20,
+    )  # fmt: skip
+    after = dc.simulate(state, steps=30, solver=dc.PGS()).state
+    assert (after.bodies.position[20:, 0] < 30.0).all()
+
+
+@pytest.mark.parametrize("speed", [1.0, 24.0, 49.0])
+def test_what_moves_less_than_half_a_radius_is_left_alone(speed):
+    # To the last bit it moves by Δt v.
+    assert speed * 0.01 < FAST
+    state = scene([[30.0, 20.0], [40.0, 20.0]], [[speed, 0.0], [0.0, 0.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS()).state
+    np.testing.assert_array_equal(after.bodies.position, state.bodies.position + 0.01 * state.bodies.velocity)
+
+
+@pytest.mark.parametrize("speed", [1e2, 1e4, 1e6])
+@pytest.mark.parametrize("seed", range(3))
+def test_nothing_gets_out_of_a_closed_box(seed, speed):
+    rng = np.random.default_rng(seed)
+    state = dc.circles_in_box(40, radius=(0.5, 1.0), restitution=float(rng.choice([0.0, 0.5, 1.0])), seed=seed)
+    velocity = speed * rng.normal(size=(40, 2))
+    state = state.replace(bodies=state.bodies._replace(velocity=velocity))
+    for _ in range(20):
+        state = dc.simulate(state, steps=10, solver=dc.PGS(sweeps=20)).state
+        assert inside(state)
+
+
+def test_fast_circles_do_not_change_their_order_in_a_channel():
+    # 15 circles at random speeds in a channel that is one circle wide: none passes another.
+    rng = np.random.default_rng(8)
+    x = np.cumsum(rng.uniform(2.0, 4.0, 15))
+    world = World(box=(0, 0, x[-1] + 3, 2.02), gravity=(0, 0), restitution=1.0, friction=0.0)
+    velocity = np.column_stack([rng.normal(0, 1e3, 15), np.zeros(15)])
+    state = scene(np.column_stack([x, np.full(15, 1.01)]), velocity, world=world)
+    for _ in range(300):
+        state = dc.step(state, solver=dc.PGS())
+        assert (np.diff(state.bodies.position[:, 0]) > 0).all()
+        assert inside(state)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_what_is_pressed_too_hard_for_the_sweeps_stays_in_the_box(name):
+    # A million times as heavy on top: five sweeps hold nothing, and the circles below sink into each other.
+    state = loaded_silo(5, 1e6)
+    options = {"substeps": 1} if name == "SoftSteps" else {"sweeps": 5, "tolerance": None}
+    solver = replace(SOLVERS[name], **options)
+    for _ in range(200):
+        state = dc.simulate(state, steps=1, solver=solver).state
+        assert inside(state)
+
+
+def test_what_begins_outside_comes_in_by_its_contact():
+    # Centres 0.1 and 3 m behind the wall: no step puts them inside at once, but they come.
+    state = scene([[-0.1, 10.0], [-3.0, 20.0]], [[0.0, 0.0], [0.0, 0.0]])
+    after = dc.simulate(state, steps=1, solver=dc.PGS(position_sweeps=1)).state
+    np.testing.assert_allclose(after.bodies.position[:, 0], [0.1, -2.8], atol=1e-9)
+    assert inside(dc.simulate(after, steps=40, solver=dc.PGS()).state)

@@ -1,0 +1,33 @@
+"""One command for all references: what it runs, and what it keeps."""
+
+import json
+
+from conftest import load_script
+
+from deep_contact.io.provenance import provenance
+
+SCRIPT = load_script("all_references")
+
+
+def test_every_file_of_data_reference_is_made_by_one_of_the_commands():
+    made = {path.stem for path in SCRIPT.REFERENCE.glob("*.json")}
+    figures = {name for name in made if name.startswith(("figure_", "table_"))}
+    assert made - figures == SCRIPT.STUDIES.keys()
+    *_, most, quick, _ = SCRIPT.commands()
+    asked = most[-1].split(",")
+    assert len(asked) == len(figures) - 1
+    assert "6.6" not in asked
+    assert quick[-2:] == ["6.6", "--quick"]
+    assert all((SCRIPT.HERE / script).is_file() for script, *_ in SCRIPT.STUDIES.values())
+
+
+def test_what_this_commit_made_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(SCRIPT, "REFERENCE", tmp_path)
+    monkeypatch.setattr(SCRIPT, "commit", lambda: "0" * 40)
+    before = len(SCRIPT.commands())
+    for name, commit in (("tradeoff", "0" * 40), ("mutants", "1" * 40)):
+        (tmp_path / f"{name}.json").write_text(json.dumps({"provenance": provenance() | {"commit": commit}}))
+    assert len(SCRIPT.commands()) == before - 1
+    assert not any(command[-1].endswith("/tradeoff.json") for command in SCRIPT.commands())
+    monkeypatch.setattr(SCRIPT, "commit", lambda: "0" * 40 + "+changes")
+    assert len(SCRIPT.commands()) == before
