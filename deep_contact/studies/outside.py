@@ -143,7 +143,7 @@ def methods(tolerance: float) -> tuple[dict[str, Callable], dict[str, str]]:
 def compare(
     problems: dict[str, ContactProblem], *, tolerance: float = 1e-5, repeats: int = 5, most: float = 20.0, progress=None
 ) -> dict:
-    """Time and error of every method on every problem, without a start, one run of each after the other.
+    """Processor time and error of every method on every problem, without a start, one run of each after the other.
 
     repeats: times each is run, in turns; the least time counts. One that takes more than `most` seconds runs once, and
     on no larger problem: time and error are None there.
@@ -159,9 +159,9 @@ def compare(
             for name, solve in solvers.items():
                 if name in slow:
                     continue
-                begin = time.perf_counter()
+                begin = time.process_time()
                 impulse = solve(problem, None)
-                seconds = time.perf_counter() - begin
+                seconds = time.process_time() - begin
                 errors[title][name] = finite_or_one(siconos_error(problem, impulse))
                 if turn < 2 or seconds < times[title][name]:
                     times[title][name] = seconds
