@@ -49,4 +49,4 @@ TIME_STEP = 0.01
 """s"""
 
 THETA_TOLERANCE = 6e-5
-"""Convergence rate at which the thesis's data generator stopped the velocity sweeps, N·s; for π kg and Δt = 0.01 s."""
+"""Convergence rate at which the authors' data generator stopped the velocity sweeps, N·s; for π kg and Δt = 0.01 s."""

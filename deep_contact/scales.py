@@ -128,7 +128,7 @@ def _scales_of_scene(state: State) -> ContactScales:
 
 
 def theta_tolerance(state: State) -> float:
-    """θ at which sweeps end by default, N·s: the thesis's 6e-5 N·s, in units of the scene's impulses."""
+    """θ at which sweeps end by default, N·s: 6e-5 N·s of the authors' code, in units of the scene's impulses."""
     return constants.THETA_TOLERANCE * scene_units(state).impulse
 
 

@@ -49,7 +49,7 @@ def best_by_number(data):
     return Claim(text, PLACE, None, beaten, "within the noise")
 
 
-FIGURE = comparison.study_figure(id="5.4", kernel="poly6", claims=claims, numbers=(50, 150))
+FIGURE = comparison.study_figure(id="5.4", kernel="poly6", claims=claims, numbers=(50, 110))
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

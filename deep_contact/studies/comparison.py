@@ -38,7 +38,7 @@ CURVE_POINTS = 160
 """Points kept of a curve of θ by sweep; they lie evenly on a logarithmic axis."""
 
 THOROUGH = PGS()
-"""Solves the states of a run to the thesis's tolerance."""
+"""Solves the states of a run to the tolerance of the thesis's authors' code."""
 
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 """Reference solution of velocity errors: a solution swept on, so that it favours no start."""

@@ -219,7 +219,7 @@ STAGES = ("splat", "network", "gather", "solve")
 """Stages of a step's contact solution: particles to image, image to image, image to contacts, sweeps."""
 
 THETAS = {"θ < 6e-5": 6e-5, "θ < 1e-2": 1e-2}
-"""Thresholds of θ, N·s: the thesis's, and a looser one."""
+"""Thresholds of θ, N·s: that of the thesis's authors' code, and a looser one."""
 
 ERRORS = {"velocity error < 1e-1": 1e-1, "velocity error < 1e-2": 1e-2}
 """Thresholds of the relative velocity error. They need the solution, so they can measure a solver but not stop it."""

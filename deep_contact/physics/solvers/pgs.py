@@ -28,7 +28,7 @@ class PGS:
     """Projected Gauss-Seidel, the thesis's Algorithm 1 with the friction row of Box2D beside every normal row.
 
     sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
-    sweep, N·s) is no larger; None sweeps to the end, "scene" takes the thesis's 6e-5 N·s times the scene's m g Δt over
+    sweep, N·s) is no larger; None sweeps to the end, "scene" takes 6e-5 N·s times the scene's m g Δt over
     the thesis's (`scales.theta_tolerance`). position_sweeps: at most so many sweeps of position correction.
     precision: of the rows and velocities in the sweeps, "double" or "single". islands: sweep each island on its own.
     substeps: divide every step of a run into so many, each with sweeps and position sweeps of its own (Macklin et al.,
