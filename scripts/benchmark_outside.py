@@ -25,9 +25,11 @@ def main() -> None:
     parser.add_argument("--tolerance", type=float, default=1e-5, help="Siconos's error that is asked for")
     parser.add_argument("--piles", type=int, nargs="*", default=[100, 300], help="circles of our own piles")
     parser.add_argument("--repeats", type=int, default=5, help="timed runs in turns; the least counts")
+    parser.add_argument("--most", type=float, default=20.0, help="s; who takes more runs once, and on nothing larger")
     arguments = parser.parse_args()
     problems = outside.read_problems(arguments.files) | outside.own_problems(arguments.piles)
-    found = outside.compare(problems, tolerance=arguments.tolerance, repeats=arguments.repeats, progress=print)
+    limits = {"tolerance": arguments.tolerance, "repeats": arguments.repeats, "most": arguments.most}
+    found = outside.compare(problems, **limits, progress=lambda line: print(line, flush=True))
     found["machine"] = platform.processor() or platform.machine()
     path = write_json(arguments.out / "benchmark_outside.json", found)
     for row in outside.table(found):
