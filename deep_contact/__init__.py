@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from deep_contact.recommendation import recommend
     from deep_contact.reporting import figures, plotting, results
     from deep_contact.scales import BOX2D, ContactScales
-    from deep_contact.simulation import simulate, solve_contacts, step
+    from deep_contact.simulation import simulate, simulate_many, solve_contacts, step
     from deep_contact.state import Bodies, Contacts, State, World, make_bodies
     from deep_contact.studies import comparison as experiments
     from deep_contact.studies import peers

@@ -1,8 +1,10 @@
-"""The validated interface of the engine: `solve_contacts`, `step`, `simulate`."""
+"""The validated interface of the engine: `solve_contacts`, `step`, `simulate`, `simulate_many`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -15,12 +17,11 @@ from deep_contact.physics.engine import (
     advance_of,
     contacts_of,
     is_valid,
-    set_impulses,
     solve,
     step_input,
     step_problem,
 )
-from deep_contact.physics.solvers import PGS
+from deep_contact.physics.solvers import PGS, PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, StepWorkspace, make_log
 from deep_contact.state import (
@@ -173,6 +174,56 @@ def simulate(
     return Simulation(state, *log, trajectory=None if record is None else Trajectory.from_states(frames))
 
 
+def simulate_many(
+    states: Iterable[State],
+    *,
+    steps: int = 600,
+    dt: float | None = None,
+    solver=None,
+    warm_start="builtin",
+    accuracy: str | None = None,
+    sleep: bool = False,
+    record: int | None = None,
+    threads: int | None = None,
+) -> list[Simulation]:
+    """Run many scenes, each on its own, on all cores: for each what `simulate` returns, in their order, bit for bit.
+
+    The compiled steps of one scene leave the interpreter to the others, so this pays for many small scenes, for which
+    threads within a step would not. threads: at most so many; by default one a core. warm_start: "builtin", None or
+    "none", which need nothing from Python between two steps. The other arguments are those of `simulate`.
+    Raises ValueError and FloatingPointError as `simulate` does, with the number of the state.
+    """
+    threads = _cores() if threads is None else integer("threads", threads, least=1)
+    start = warm_start_of(warm_start)
+    if not isinstance(start, (Builtin, NoStart)):
+        raise ValueError(f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
+    options = {"steps": steps, "dt": dt, "warm_start": start, "accuracy": accuracy, "sleep": sleep, "record": record}
+    states = [_checked_type(state) for state in states]
+    for one in (solver, *(state.solver for state in states)):
+        if getattr(one, "threads", 1) > 1:
+            # Numba's own threads must not be started from several threads at once.
+            raise ValueError(f"solver: expected one with threads=1 for many scenes, got {one!r}")
+
+    def run(number: int) -> Simulation:
+        try:
+            return simulate(states[number], solver=solver, **options)
+        except (ValueError, FloatingPointError) as error:
+            raise type(error)(f"states[{number}]: {error}") from error
+
+    with ThreadPoolExecutor(min(threads, max(1, len(states)))) as pool:
+        found = [pool.submit(run, number) for number in range(len(states))]
+        try:
+            return [future.result() for future in found]
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def _advance(state: State, steps: int, start, sleep: bool, record: int | None, on_step) -> tuple[State, StepLog, list]:
     """So many steps of a state with its solver: the state after them, their log, the recorded states."""
     solver = state.solver
@@ -187,26 +238,28 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     log, theta = make_log(steps), np.empty(solver.sweeps)
     still = np.zeros(state.bodies.count if sleep else 0)
     scales = state.scales  # of radii that do not change in a run
+    solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision])
     frames = [state]
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
         count = 1 if by_step else min(steps - done, every - done % every, max(1, int(_CHUNK / work)))
-        before, state = state, state.replace(bodies=Bodies(*(field.copy() for field in state.bodies)))
-        problem = step_problem(state, solver, scales)
-        normal, tangent = _impulses(start, state, solver, problem)
-        if tangent.any() and problem.friction is None:
-            state = state.replace(contacts=state.contacts._replace(normal_start=normal, tangent_start=tangent))
-            problem = step_problem(state, solver, scales)
-        set_impulses(problem.rows, normal, tangent)
-        contacts = state.contacts._replace(
-            normal_start=normal,
-            tangent_start=tangent,
-            normal_impulse=state.contacts.normal_impulse.copy(),
-            tangent_impulse=state.contacts.tangent_impulse.copy(),
+        before, contacts = state, state.contacts
+        if isinstance(start, Builtin):
+            normal, tangent = contacts.normal_start, contacts.tangent_start  # which no step writes into
+        else:
+            normal, tangent = _impulses(start, state, solver, step_problem(state, solver, scales) if by_step else None)
+        state = state.replace(
+            bodies=Bodies(*(field.copy() for field in state.bodies)),
+            contacts=contacts._replace(
+                normal_start=normal,
+                tangent_start=tangent,
+                normal_impulse=contacts.normal_impulse.copy(),
+                tangent_impulse=contacts.tangent_impulse.copy(),
+            ),
         )
-        given = step_input(state, options.settings, scales)._replace(contacts=contacts, friction=problem.friction)
-        workspace = StepWorkspace(problem.rows, problem.solver_bodies, theta, still)
+        given = step_input(state, options.settings, scales)
+        workspace = StepWorkspace(solver_bodies, theta, still)
         chunk = StepLog(*(column[done : done + count] for column in log))
         solved, found = advance(given, options, workspace, chunk)
         if not np.isfinite(state.bodies.position.sum()):

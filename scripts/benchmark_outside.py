@@ -4,7 +4,8 @@
 
 FILE: fc2d or FCLIB files (`deep_contact.io.fclib`); without any, piles of our own are solved. Every solver is asked for
 `siconos_error` <= the tolerance; what it returns is judged here, by the same function. Packages of the extra `rivals`
-and Siconos (a Debian package, python3-siconos) are left out, with the reason, where they cannot be imported.
+and Siconos (a Debian package, python3-siconos) are left out, with the reason, where they cannot be imported. Times are
+of the processor: set OPENBLAS_NUM_THREADS=1, for several threads would count several times.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ def main() -> None:
     found = outside.compare(problems, tolerance=arguments.tolerance, repeats=arguments.repeats, progress=print)
     found["machine"] = platform.processor() or platform.machine()
     path = write_json(arguments.out / "benchmark_outside.json", found)
-    print(outside.table(found))
+    for row in outside.table(found):
+        print("| " + " | ".join(row) + " |")
     print(f"written: {path}")
 
 

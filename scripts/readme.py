@@ -18,6 +18,7 @@ from deep_contact.recommendation import PRESETS
 from deep_contact.reporting import errata, results
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing
+from deep_contact.studies import outside as others
 from deep_contact.studies.run_errors import ERRORS
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -105,17 +106,8 @@ def engine() -> list[list]:
 
 
 def outside() -> list[list]:
-    """Milliseconds of every method on every problem of others; in brackets those that missed the tolerance."""
-    found = stored("benchmark_outside")
-    rows = [["method", *(f"{title}, {count:,} contacts" for title, count in found["contacts"].items())]]
-    for name in next(iter(found["seconds"].values())):
-        cells = []
-        for title in found["contacts"]:
-            seconds, error = found["seconds"][title][name], found["error"][title][name]
-            text = f"{_text(1e3 * seconds)} ms"
-            cells.append(text if error <= found["tolerance"] else f"({text}, error {error:.0e})")
-        rows.append([name, *cells])
-    return rows + [[name, f"left out: {reason}"] for name, reason in found["missing"].items()]
+    """Every method on every problem of others."""
+    return others.table(stored("benchmark_outside"))
 
 
 def transfer() -> list[list]:

@@ -1,7 +1,8 @@
-"""python scripts/soak.py: long runs of piles with every preset; drift of energy, momentum and memory, and resumed runs.
+"""python scripts/soak.py: long runs of piles with every preset; drift of energy, momentum, memory, and resumed runs.
 
-A unit is one preset on one pile. Each is appended to the file `--out` as one line of JSON once it is done, so a run that
-is stopped goes on where it was. The whole takes hours: 1,000,000 steps of 100 circles and 20,000 of 1,000, for five presets.
+A unit is one preset on one pile. Each is appended to the file `--out` as one line of JSON once it is done, so a run
+that is stopped goes on where it was. The whole takes hours: 1,000,000 steps of 100 circles and 20,000 of 1,000, for
+each of five presets.
 """
 
 import argparse
@@ -42,8 +43,9 @@ def soak(n, steps, preset, parts=20):
     """Run a pile in so many parts; what drifts after it has settled, and whether a resumed run ends in the same bits.
 
     In the middle the state is written to XML and read again, and the run goes on from both. Returns
-    {"circles", "steps", "preset", "energy", "momentum", "outside", "memory_mb", "resumed", "seconds"}: rise of the energy
-    and largest |Σ m v| / Σ m once settled, as shares of m g r̄ and in m/s; circles outside; growth of memory; same bits.
+    {"circles", "steps", "preset", "energy", "momentum", "outside", "memory_mb", "resumed", "seconds"}: rise of the
+    energy and largest |Σ m v| / Σ m once settled, as a share of m g r̄ and in m/s; circles outside; growth of memory;
+    same bits.
     """
     began = time.time()
     scene = dc.lattice_in_box(n, radius=(0.8, 1.0), seed=n)

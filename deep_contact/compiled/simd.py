@@ -55,6 +55,12 @@ _arithmetic(operator.truediv, lambda builder, x, y: builder.fdiv(x, y, flags=_CO
 
 
 @intrinsic
+def times(context, x, y):
+    """Products that are rounded before anything is added to them, as NumPy does; `x * y` may be fused with a sum."""
+    return x(x, y), lambda context, builder, signature, values: builder.fmul(*values)
+
+
+@intrinsic
 def where_less(context, x, y, then, otherwise):
     """`then` in the lanes where x < y, `otherwise` in the others."""
 

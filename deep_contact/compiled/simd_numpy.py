@@ -7,6 +7,7 @@ import numpy as np
 WIDTH = 8
 
 root = np.sqrt
+times = np.multiply
 
 
 def where_less(x, y, then, otherwise):

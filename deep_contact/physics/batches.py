@@ -24,15 +24,13 @@ from numba import njit
 
 from deep_contact.compiled.simd import WIDTH, lowest_zero
 from deep_contact.physics.contact_solver import BODY_A, BODY_B, NORMAL, TANGENT, TARGET
+from deep_contact.physics.position_correction import IDLE
 
 BLOCK = 1024
 """Contacts coloured together. Measured: smaller blocks fill fewer tiles; larger ones leave the nearest cache."""
 
 COLOURS = 64
 """Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own; so are phases."""
-
-IDLE = 4
-"""Index of the idle body among the five of a block; 0 to 3 are the walls."""
 
 CONTACTS, BLOCKS, TILES, PHASES, CIRCLES = range(5)
 """Elements of `Plan.count`."""
@@ -81,7 +79,7 @@ class Tiles(NamedTuple):
     | data    | as in `Rows`                                                          | (T, 7, 8) |
     | impulse | λ_n, λ_t, N·s                                                         | (T, 2, 8) |
     | solver_bodies | as in the engine, with the bodies of the blocks                 | (n+5B, 4) |
-    | centre  | x, y, radius, 1 / m; of a wall, a corner of the box that lies on it   | (n+5B, 4) |
+    | centre  | see `position_correction.fill_ground`                                 | (n+5B, 4) |
     """
 
     body: np.ndarray

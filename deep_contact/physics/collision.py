@@ -25,6 +25,16 @@ NEAR = 0.2
 """Gap below which pairs are kept as near, in smallest radii. In a packing it is too small for second neighbours."""
 
 
+CROWDED = 8
+"""Circles in the cell of a circle, on average, from which on circles are sorted into levels by their size. Equal ones
+have one or two; where one is large, cells are as wide as it is, and the others crowd in them."""
+
+LEVELS, STEP = 16, 8.0
+"""Levels of size: each holds circles down to an eighth of its largest radius, the last all that are left."""
+
+X, Y, PER_METRE, COLUMNS, ROWS, FIRST_CELL = range(6)
+"""Columns of `Cells.grid`."""
+
 SEARCHES, PAIRS = range(2)
 """Elements of `Cells.memory`."""
 
@@ -37,7 +47,7 @@ class Cells(NamedTuple):
 
     | field  | meaning                                                                       | shape        |
     |--------|-------------------------------------------------------------------------------|--------------|
-    | start  | circles `order[start[c]:start[c + 1]]` are in cell c = row * columns + column | (≤ 8n + 40,) |
+    | start  | circles `order[start[c]:start[c + 1]]` are in cell c = row * columns + column | (8n + 1000,) |
     | order  | circles by cell, in a cell by index                                           | (n,)         |
     | cell   | cell of each circle                                                           | (n,)         |
     | circle | x, y, radius in the order of `order`                                          | (n, 3)       |
@@ -45,6 +55,9 @@ class Cells(NamedTuple):
     | first  | circles `near[first[a]:first[a + 1]]` are near a and come after it            | (n + 1,)     |
     | near   | circles, for each a by index                                                  | (8n + 40,)   |
     | memory | searches since the last sorting, -1 before the first; pairs in `near`, or -1   | (2,)         |
+    | level  | of each circle, if they are sorted by size: 0 holds the largest                | (n,)         |
+    | grid   | of a level: corner, m, cells per metre, columns, rows, first cell in `start`   | (16, 6)      |
+    | pair   | near pairs as they were found, the lesser index first                          | (8n + 40, 2) |
     """
 
     start: np.ndarray
@@ -55,14 +68,18 @@ class Cells(NamedTuple):
     first: np.ndarray
     near: np.ndarray
     memory: np.ndarray
+    level: np.ndarray
+    grid: np.ndarray
+    pair: np.ndarray
 
 
 @njit(cache=True)
 def make_cells(n):
     """Buffers of the broad phase over n circles."""
     return Cells(
-        np.empty(8 * n + 40, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
+        np.empty(8 * n + 1000, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
         np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int64), np.full(2, -1),
+        np.empty(n, np.int64), np.empty((LEVELS, 6)), np.empty((8 * n + 40, 2), np.int64),
     )  # fmt: skip
 
 
@@ -171,6 +188,10 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     memory[SEARCHES], memory[PAIRS] = 0, -1
     cells.anchor[:] = position
     columns, rows = sort_into_cells(position, radius, cells)
+    if is_crowded(cells, n, columns * rows):
+        if find_near_by_levels(position, radius, gap, cells):
+            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+        columns, rows = sort_into_cells(position, radius, cells)
     circle, order = cells.circle, cells.order
     m = 0
     for a in range(n):
@@ -215,6 +236,10 @@ def find_near(position, radius, gap, cells):
     circle, order, near = cells.circle, cells.order, cells.near
     cells.anchor[:] = position
     cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
+    if is_crowded(cells, n, columns * rows):
+        if find_near_by_levels(position, radius, gap, cells):
+            return
+        columns, rows = sort_into_cells(position, radius, cells, gap)
     m = 0
     for a in range(n):
         x, y, r = position[a, 0], position[a, 1], radius[a] + gap
@@ -236,6 +261,126 @@ def find_near(position, radius, gap, cells):
         cells.first[a] = first
     cells.first[n] = m
     cells.memory[PAIRS] = m
+
+
+@njit(cache=True)
+def is_crowded(cells, n, count):
+    """Whether so many cells are so full that levels of size pay."""
+    in_cells_of_all = 0
+    for c in range(count):
+        inside = cells.start[c + 1] - cells.start[c]
+        in_cells_of_all += inside * inside
+    return in_cells_of_all > CROWDED * n
+
+
+@njit(cache=True, error_model="numpy")
+def find_near_by_levels(position, radius, gap, cells):
+    """`find_near` where sizes differ: a grid for each level of size, as wide as its own largest circle.
+
+    A circle looks for others of its level, and in all levels of larger ones. Returns whether the pairs fit; if not, or
+    if one level holds all, nothing has been found, and the cells have to be sorted again.
+    """
+    n, near, pair, first = position.shape[0], cells.near, cells.pair, cells.first
+    if not sort_into_levels(position, radius, gap, cells):
+        return False
+    m = 0
+    first[:] = 0
+    for i in range(n):
+        x, y, r = position[i, 0], position[i, 1], radius[i] + gap
+        for level in range(cells.level[i] + 1):
+            columns, rows = int(cells.grid[level, COLUMNS]), int(cells.grid[level, ROWS])
+            corner = int(cells.grid[level, FIRST_CELL])
+            column = math.floor((x - cells.grid[level, X]) * cells.grid[level, PER_METRE])
+            row = math.floor((y - cells.grid[level, Y]) * cells.grid[level, PER_METRE])
+            left, right = int(max(column - 1, 0)), int(min(column + 1, columns - 1))
+            if left > right:
+                continue
+            own = level == cells.level[i]
+            for neighbour_row in range(int(max(row - 1, 0)), int(min(row + 2, rows))):
+                start = cells.start[corner + neighbour_row * columns + left]
+                stop = cells.start[corner + neighbour_row * columns + right + 1]
+                if m + (stop - start) > near.shape[0]:
+                    return False
+                for k in range(start, stop):
+                    j = cells.order[k]
+                    d_x, d_y, reach = cells.circle[k, 0] - x, cells.circle[k, 1] - y, cells.circle[k, 2] + r
+                    if d_x * d_x + d_y * d_y <= reach * reach and (j > i or not own):
+                        pair[m, 0], pair[m, 1] = min(i, j), max(i, j)
+                        first[pair[m, 0] + 1] += 1
+                        m += 1
+    for a in range(n):
+        first[a + 1] += first[a]
+    # Filled from where each run begins, which leaves first[a] where the next one begins; it is then moved back by one.
+    for k in range(m):
+        near[first[pair[k, 0]]] = pair[k, 1]
+        first[pair[k, 0]] += 1
+    for a in range(n, 0, -1):
+        first[a] = first[a - 1]
+    first[0] = 0
+    for a in range(n):
+        _sort_run(near, first[a], first[a + 1])
+    cells.memory[PAIRS] = m
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def sort_into_levels(position, radius, gap, cells):
+    """Sort the circles into levels of size, and those of each level into cells of its grid. False: one holds all.
+
+    As in `sort_into_cells`, a grid covers the centres of its circles and has at most about four cells per circle.
+    """
+    n, level, grid, start = position.shape[0], cells.level, cells.grid, cells.start
+    largest, smallest = radius[0], radius[0]
+    for i in range(n):
+        largest, smallest = max(largest, radius[i]), min(smallest, radius[i])
+    if STEP * smallest >= largest:
+        return False
+    for i in range(n):
+        level[i], least = 0, largest / STEP
+        while radius[i] < least and level[i] < LEVELS - 1:
+            level[i] += 1
+            least /= STEP
+    first_cell = first_circle = 0
+    for number in range(LEVELS):
+        x_min = y_min = math.inf
+        x_max = y_max = -math.inf
+        inside, widest = 0, 0.0
+        for i in range(n):
+            if level[i] == number:
+                inside += 1
+                widest = max(widest, radius[i])
+                x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
+                y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
+        if inside == 0:
+            grid[number, :] = 0.0
+            continue
+        width, high, wide = 2.0 * widest + gap, y_max - y_min, x_max - x_min
+        width = max(width, math.sqrt(wide * high / (4.0 * inside + 16.0)), max(wide, high) / (inside + 4.0))
+        per_metre = (1.0 - 1e-12) / width
+        columns, rows = int(wide * per_metre) + 1, int(high * per_metre) + 1
+        grid[number, X], grid[number, Y], grid[number, PER_METRE] = x_min, y_min, per_metre
+        grid[number, COLUMNS], grid[number, ROWS], grid[number, FIRST_CELL] = columns, rows, first_cell
+        count = columns * rows
+        begin = start[first_cell : first_cell + count + 1]
+        begin[:] = 0
+        for i in range(n):
+            if level[i] == number:
+                column, row = int((position[i, 0] - x_min) * per_metre), int((position[i, 1] - y_min) * per_metre)
+                cells.cell[i] = row * columns + column
+                begin[cells.cell[i]] += 1
+        total = first_circle
+        for c in range(count + 1):
+            total += begin[c]
+            begin[c] = total
+        # Filled from the back, which leaves begin[c] where cell c begins.
+        for i in range(n - 1, -1, -1):
+            if level[i] == number:
+                begin[cells.cell[i]] -= 1
+                k = begin[cells.cell[i]]
+                cells.order[k] = i
+                cells.circle[k, 0], cells.circle[k, 1], cells.circle[k, 2] = position[i, 0], position[i, 1], radius[i]
+        first_circle, first_cell = first_circle + inside, first_cell + count + 1
+    return True
 
 
 @njit(cache=True, error_model="numpy")
@@ -273,14 +418,20 @@ def write_walls(x, y, reach, box, n, body_b, m):
 
 @njit(cache=True, error_model="numpy")
 def _sort_run(values, start, stop):
-    """Insertion sort of values[start:stop], in place; a circle has few neighbours."""
-    for i in range(start + 1, stop):
-        value = values[i]
-        j = i
-        while j > start and values[j - 1] > value:
-            values[j] = values[j - 1]
-            j -= 1
-        values[j] = value
+    """Sort values[start:stop], in place: insertion sort, since a circle has few neighbours, after coarse ones with
+    growing strides where it has many (Shell 1959)."""
+    stride = 1
+    while 9 * stride < stop - start:
+        stride = 3 * stride + 1
+    while stride > 0:
+        for i in range(start + stride, stop):
+            value = values[i]
+            j = i
+            while j >= start + stride and values[j - stride] > value:
+                values[j] = values[j - stride]
+                j -= stride
+            values[j] = value
+        stride //= 3
 
 
 @njit(cache=True, error_model="numpy")
@@ -377,18 +528,24 @@ def carry_impulses(old, contacts):
 
 
 @njit(cache=True)
+def any_outside(position, box):
+    """Whether a centre lies outside of the box."""
+    x_min, y_min, x_max, y_max = box
+    outside = False
+    for i in range(position.shape[0]):
+        x, y = position[i, 0], position[i, 1]
+        # Without branches, so that the loop vectorises.
+        outside |= (x < x_min) | (x > x_max) | (y < y_min) | (y > y_max)
+    return outside
+
+
+@njit(cache=True)
 def hold_inside(bodies, box, skin, solved):
     """Put centres that have left the box in this step, in place, half a radius inside: the wall wins over the others.
 
     Only what is pressed harder than the sweeps or position correction can withstand comes so far. solved: the step's
     contacts; a centre that was outside of a wall before has a contact there, and comes back by that.
     """
-    outside = 0.0
-    for i in range(bodies.mass.shape[0]):
-        x, y = bodies.position[i, 0], bodies.position[i, 1]
-        outside = min(outside, x - box[0], box[2] - x, y - box[1], box[3] - y)
-    if outside >= 0.0:
-        return
     n = bodies.mass.shape[0]
     was_outside = np.zeros((n, 4), np.bool_)
     for k in range(solved.body_a.shape[0]):
@@ -410,7 +567,8 @@ def next_contacts(bodies, box, skin, cells, solved, warm, buffer):
 
     warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
-    hold_inside(bodies, box, skin, solved)
+    if any_outside(bodies.position, box):
+        hold_inside(bodies, box, skin, solved)
     contacts, buffer = find_contacts(bodies.position, bodies.radius, box, skin, cells, buffer)
     carry_impulses(solved, contacts)
     if not warm:

@@ -1,4 +1,4 @@
-"""The contact problem of one step: its rows, a sweep of Projected Gauss-Seidel over them, position correction.
+"""The contact problem of one step: its rows, and a sweep of Projected Gauss-Seidel over them.
 
 For circles the arms from the centres to the contact point are parallel to the normal. A normal impulse therefore
 turns nothing, an arm is one number instead of a vector, and the two rows of a contact do not see each other
@@ -20,10 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.constants import BAUMGARTE, MAX_ROTATION, POSITION_TOLERANCE
-from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
+from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.continuous import FAST, stop_fast
-from deep_contact.state import WALL_NORMALS
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
@@ -314,48 +312,6 @@ def integrate_positions(bodies, solver_bodies, given):
     if any_fast:
         start = bodies.position - dt * bodies.velocity
         stop_fast(bodies, start, given.gravity, dt, given.box, given.scales)
-
-
-@njit(cache=True, error_model="numpy")
-def correct_positions(bodies, contacts, box, scales, sweeps):
-    """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
-
-    Nonlinear Gauss-Seidel as in Box2D 2.3: each contact, at the positions as they are by then, moves its bodies by
-    a share of the penetration beyond the slop, by their inverse masses. For circles nothing turns.
-    """
-    n = bodies.mass.shape[0]
-    position, radius, mass = bodies.position, bodies.radius, bodies.mass
-    slop, skin, longest = scales.slop, scales.wall_skin, scales.max_correction
-    for _ in range(sweeps):
-        deepest = 0.0
-        for i in range(contacts.body_a.shape[0]):
-            a, b = contacts.body_a[i], contacts.body_b[i]
-            x, y = position[a, 0], position[a, 1]
-            if b < n:
-                d_x, d_y = position[b, 0] - x, position[b, 1] - y
-                reach = radius[a] + radius[b]
-                least = max(reach - slop, 0.0)  # circles smaller than the slop must not be drawn together
-                if d_x * d_x + d_y * d_y >= least * least:
-                    continue  # Nothing to correct; found without a square root, and most contacts end here.
-                distance = math.sqrt(d_x * d_x + d_y * d_y)
-                separation = distance - reach
-                push = min(BAUMGARTE * (least - distance), longest) / (mass[a] + mass[b])
-                if distance < SMALLEST_DISTANCE * reach:
-                    d_x, d_y = contacts.normal[i, 0], contacts.normal[i, 1]
-                else:
-                    push /= distance
-                position[b, 0] += push * mass[a] * d_x
-                position[b, 1] += push * mass[a] * d_y
-                position[a, 0] = x - push * mass[b] * d_x
-                position[a, 1] = y - push * mass[b] * d_y
-            else:
-                separation = wall_gap(x, y, box, b - n) - radius[a] - skin
-                push = max(0.0, min(-BAUMGARTE * (separation + slop), longest))
-                position[a, 0] = x - push * WALL_NORMALS[b - n, 0]
-                position[a, 1] = y - push * WALL_NORMALS[b - n, 1]
-            deepest = min(deepest, separation)
-        if deepest >= -POSITION_TOLERANCE * slop:
-            break
 
 
 def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:

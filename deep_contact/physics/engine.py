@@ -22,13 +22,13 @@ from deep_contact.physics.contact_solver import (
     Rows,
     apply_impulses,
     contact_rows,
-    correct_positions,
     integrate_positions,
     integrate_velocities,
     make_rows,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.position_correction import correct_positions, make_correction_room
 from deep_contact.physics.sleeping import advance_sleeping
 from deep_contact.physics.solvers import PRECISIONS, SoftSteps
 from deep_contact.physics.solvers.registry import (
@@ -54,32 +54,32 @@ _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
 _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance(given, options, workspace, log):
     """Do as many steps as the log has rows: the bodies move in place. Returns (contacts solved last, contacts found).
 
-    given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`, whose rows are those of the first step.
+    given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`.
     log: `StepLog`, filled.
     """
     bodies, contacts, friction, scales = given.bodies, given.contacts, given.friction, given.scales
-    rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
+    solver_bodies, theta = workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype, friction)
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
+    room = make_correction_room(n, 4 * n + 64)
     solved = contacts
     for k in range(log.contacts.shape[0]):
-        if k > 0:
-            integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-            rows, row_buffer = contact_rows(
-                bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
-            )
+        integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
+        rows, row_buffer = contact_rows(
+            bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
+        )
         apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
         integrate_positions(bodies, solver_bodies, given)
-        correct_positions(bodies, contacts, given.box, scales, options.position_sweeps)
+        room = correct_positions(bodies, contacts, given.box, scales, options.position_sweeps, room)
 
         solved = contacts
         contacts, back_buffer = next_contacts(
@@ -98,7 +98,7 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
     return sweeps
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def build_rows(given, solver_bodies):
     """Fill the solver bodies of a step, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
@@ -251,7 +251,7 @@ def for_solver(function, solver) -> Callable:
 
 @cache
 def _uncached(function, solver_type: type) -> Callable:
-    return njit(error_model="numpy")(function.py_func)
+    return njit(error_model="numpy", nogil=True)(function.py_func)
 
 
 def contacts_of(state: State) -> Contacts:
@@ -315,7 +315,7 @@ def _solve_by_stepping(state: State, solver, normal_start, tangent_start) -> Con
     state = state.replace(bodies=bodies, contacts=contacts)
     advance_softly, options = advance_of(solver)
     problem, log, theta = step_problem(state, solver), make_log(1), np.empty(solver.sweeps)
-    workspace = StepWorkspace(problem.rows, problem.solver_bodies, theta, np.empty(0))
+    workspace = StepWorkspace(problem.solver_bodies, theta, np.empty(0))
     solved, _ = advance_softly(step_input(state, options.settings), options, workspace, log)
     return ContactSolution(
         normal_impulses=solved.normal_impulse,

@@ -22,22 +22,22 @@ from deep_contact.physics.contact_solver import (
     INVERSE_MASS,
     apply_impulses,
     contact_rows,
-    correct_positions,
     integrate_positions,
     integrate_velocities,
     make_rows,
     store_impulses,
 )
 from deep_contact.physics.islands import root_of, unite
+from deep_contact.physics.position_correction import correct_positions, make_correction_room
 from deep_contact.physics.solvers.registry import make_workspace, relax
 from deep_contact.physics.step import log_step
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance_sleeping(given, options, workspace, log):
     """`engine.advance` with sleeping: same arguments and results; logs the contacts that are awake.
 
-    `workspace.still` goes on in place. The workspace's rows are built anew, from the contacts that are awake.
+    `workspace.still` goes on in place. Rows are built from the contacts that are awake.
     """
     bodies, contacts, friction, still = given.bodies, given.contacts, given.friction, workspace.still
     solver_bodies, theta, scales = workspace.solver_bodies, workspace.theta, given.scales
@@ -50,6 +50,7 @@ def advance_sleeping(given, options, workspace, log):
     )
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype, friction)
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
+    room = make_correction_room(n, 4 * n + 64)
     parent, shortest = np.empty(n, np.int64), np.empty(n)
     solved = contacts
     awake = (still < np.inf).sum()
@@ -69,7 +70,7 @@ def advance_sleeping(given, options, workspace, log):
         store_impulses(rows, active)
         store_awake_impulses(active, still, contacts)
         integrate_positions(bodies, solver_bodies, given)
-        correct_positions(bodies, active, given.box, scales, options.position_sweeps)
+        room = correct_positions(bodies, active, given.box, scales, options.position_sweeps, room)
 
         solved = contacts
         contacts, back_buffer = next_contacts(

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.contact_solver import Rows
 from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts
 
@@ -45,13 +44,12 @@ class StepOptions(NamedTuple):
 class StepWorkspace(NamedTuple):
     """Where the steps work.
 
-    rows: `Rows` of the first step, with the impulses to start from. solver_bodies: (n + 4, 4), after gravity, in the
-    precision of the sweeps (`contact_solver.integrate_velocities`). theta: buffer for the θ of one step's sweeps; its
-    length is the largest number of sweeps. still: time for which each circle has been still, (n,), s; infinite while it
-    sleeps; empty where nothing may sleep.
+    solver_bodies: (n + 4, 4), in the precision of the sweeps; each step fills them
+    (`contact_solver.integrate_velocities`). theta: buffer for the θ of one step's sweeps; its length is the largest
+    number of sweeps. still: time for which each circle has been still, (n,), s; infinite while it sleeps; empty where
+    nothing may sleep.
     """
 
-    rows: Rows
     solver_bodies: np.ndarray
     theta: np.ndarray
     still: np.ndarray

@@ -143,29 +143,30 @@ def methods(tolerance: float) -> tuple[dict[str, Callable], dict[str, str]]:
 def compare(
     problems: dict[str, ContactProblem], *, tolerance: float = 1e-5, repeats: int = 5, most: float = 20.0, progress=None
 ) -> dict:
-    """Time and error of every method on every problem, without a start, one run of each after the other.
+    """Processor time and error of every method on every problem, without a start, one run of each after the other.
 
-    repeats: times each is run, in turns; the least time counts. One that takes more than `most` seconds runs once.
+    repeats: times each is run, in turns; the least time counts. One that takes more than `most` seconds runs once, and
+    on no larger problem: time and error are None there.
     """
     solvers, missing = methods(tolerance)
     times: dict[str, dict[str, float]] = {}
     errors: dict[str, dict[str, float]] = {}
+    problems = dict(sorted(problems.items(), key=lambda item: item[1].friction.size))
+    slow: set[str] = set()
     for title, problem in problems.items():
-        slow: set[str] = set()
-        for turn in range(repeats + 1):  # the first compiles, and counts for the slow
+        times[title], errors[title] = dict.fromkeys(slow), dict.fromkeys(slow)
+        for turn in range(repeats + 1):  # the first compiles, and counts where no other follows
             for name, solve in solvers.items():
                 if name in slow:
                     continue
-                begin = time.perf_counter()
+                begin = time.process_time()
                 impulse = solve(problem, None)
-                seconds = time.perf_counter() - begin
-                errors.setdefault(title, {})[name] = finite_or_one(siconos_error(problem, impulse))
-                if turn and not seconds > times[title][name]:
+                seconds = time.process_time() - begin
+                errors[title][name] = finite_or_one(siconos_error(problem, impulse))
+                if turn < 2 or seconds < times[title][name]:
                     times[title][name] = seconds
-                elif not turn:
-                    times.setdefault(title, {})[name] = np.inf if seconds < 2.0 else seconds
-                    if seconds > most:
-                        slow.add(name)
+                if seconds > most:
+                    slow.add(name)
         if progress:
             progress(f"{title}: {problem.friction.size} contacts")
     return {
@@ -189,28 +190,29 @@ def profile(times: dict, errors: dict, tolerance: float) -> dict[str, list[float
     for name in {name for row in times.values() for name in row}:
         ratios = []
         for title, row in times.items():
-            solved = {other: row[other] for other in row if errors[title][other] <= tolerance}
+            solved = {other: row[other] for other in row if _is_solved(errors[title][other], tolerance)}
             ratios.append(row[name] / min(solved.values()) if name in solved else np.inf)
         found[name] = [float(np.mean(np.array(ratios) <= factor)) for factor in FACTORS]
     return dict(sorted(found.items()))
 
 
-def table(found: dict) -> str:
-    """Milliseconds and error of every method, Markdown; a time in brackets is of one that missed the tolerance."""
+def _is_solved(error: float | None, tolerance: float) -> bool:
+    return error is not None and error <= tolerance
+
+
+def table(found: dict) -> list[list[str]]:
+    """The results as rows, head first: milliseconds, in brackets with the error where that missed the tolerance."""
     titles = list(found["contacts"])
-    lines = ["| method | " + " | ".join(f"{t}, {found['contacts'][t]:,} contacts" for t in titles) + " |"]
-    lines.append("| --- " * (len(titles) + 1) + "|")
+    rows = [["method", *(f"{title}, {found['contacts'][title]:,} contacts" for title in titles)]]
     for name in found["seconds"][titles[0]]:
         cells = []
         for title in titles:
             seconds, error = found["seconds"][title][name], found["error"][title][name]
-            text = f"{1e3 * seconds:,.3g} ms"
-            cells.append(text if error <= found["tolerance"] else f"({text}; {error:.0e})")
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
-    lines += [
-        f"| {name} | left out: {reason} |" + " |" * (len(titles) - 1) for name, reason in found["missing"].items()
-    ]
-    return "\n".join(lines)
+            text = "–" if seconds is None else f"{1e3 * seconds:,.3g} ms"
+            missed = seconds is not None and not _is_solved(error, found["tolerance"])
+            cells.append(f"({text}, error {error:.0e})" if missed else text)
+        rows.append([name, *cells])
+    return rows + [[name, f"left out: {why}", *[""] * (len(titles) - 1)] for name, why in found["missing"].items()]
 
 
 def relaxation_errors(

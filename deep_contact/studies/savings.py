@@ -127,7 +127,7 @@ class _Asleep:
         )
         state = self._state.replace(bodies=bodies, contacts=contacts)
         problem = step_problem(state, STEP)
-        workspace = StepWorkspace(problem.rows, problem.solver_bodies, np.empty(STEP.sweeps), self._still.copy())
+        workspace = StepWorkspace(problem.solver_bodies, np.empty(STEP.sweeps), self._still.copy())
         self._arguments = step_input(state, self._options.settings), self._options, workspace, make_log(self._steps)
 
     def run(self) -> None:

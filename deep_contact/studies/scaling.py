@@ -17,7 +17,7 @@ from numba import njit
 
 from deep_contact.compiled.simd import WIDTH, lane, spread
 from deep_contact.constants import WALL_SKIN
-from deep_contact.physics import batches, collision, contact_solver, engine, metrics
+from deep_contact.physics import batches, collision, contact_solver, engine, metrics, position_correction
 from deep_contact.physics.solvers import PGS, BatchedPGS, batched
 from deep_contact.recommendation.steps import weight_impulse
 from deep_contact.simulation import simulate, solve_contacts
@@ -135,8 +135,9 @@ def stages(state: State, name: str, *, repeats: int) -> dict[str, float]:
         )
     else:
         calls["sweeps"] = lambda: contact_solver.sweep(rows, friction, solver_bodies)
-        calls["position correction"] = lambda: contact_solver.correct_positions(
-            moved, contacts, box, scales, position_sweeps
+        room = position_correction.make_correction_room(n, 4 * n + 64)
+        calls["position correction"] = lambda: position_correction.correct_positions(
+            moved, contacts, box, scales, position_sweeps, room
         )
     calls["new positions"] = move
     calls["contacts"] = lambda: collision.next_contacts(bodies, box, scales.wall_skin, cells, contacts, True, buffer)

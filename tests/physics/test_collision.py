@@ -43,6 +43,50 @@ def test_pairs_equal_brute_force(seed, n, spread, ratio):
     assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
 
 
+def crowd(n, seed, *, smallest, side=30.0):
+    """Many small circles, and a few large ones among them: the cells of one grid would each hold many."""
+    rng = np.random.default_rng(seed)
+    radius = np.exp(rng.uniform(np.log(smallest), np.log(40 * smallest), n))
+    radius[:: n // 3] = (6.0, 2.0, 0.5, 3.0)[: radius[:: n // 3].size]
+    return state_of(rng.uniform(0, side, (n, 2)) * (1.0, 0.4), radius, box=(0, 0, side, side))
+
+
+@pytest.mark.parametrize("smallest", [1e-5, 1e-3, 0.01])
+@pytest.mark.parametrize("seed", range(2))
+def test_pairs_of_all_sizes_equal_brute_force(seed, smallest):
+    n = 400
+    state = crowd(n, seed, smallest=smallest)
+    bodies, cells = state.bodies, make_cells(n)
+    found, _ = find_contacts(
+        bodies.position, bodies.radius, state.world.box, state.scales.wall_skin, cells, make_contacts(8 * n)
+    )
+    assert len(np.unique(cells.level)) > 1  # sorted by size
+    assert (found.body_a == 0).sum() > 40  # a long list of one circle is sorted as well
+    assert list(zip(found.body_a, found.body_b)) == brute_force_pairs(state)
+
+
+def test_pairs_of_all_sizes_that_do_not_fit_are_found_in_one_grid():
+    rng = np.random.default_rng(1)
+    state = state_of(rng.normal(15, 0.2, (200, 2)), np.exp(rng.uniform(np.log(0.01), 0, 200)))
+    contacts = contacts_of(state)
+    assert contacts.count > 8 * 200 + 40
+    assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
+
+
+def test_one_large_circle_crowds_no_cells():
+    # In one grid of cells as wide as it, every small circle would be compared with hundreds of others.
+    n = 2000
+    side = 80.0
+    position = np.random.default_rng(0).uniform(1, side - 1, (n, 2))
+    radius = np.full(n, 0.5)
+    radius[n // 2] = 30.0
+    cells = make_cells(n)
+    find_contacts(position, radius, (0, 0, side, side), 0.01, cells, make_contacts(8 * n))
+    columns, rows = cells.grid[1, 3:5]
+    assert columns * rows > n
+    np.testing.assert_array_equal(np.flatnonzero(cells.level == 0), [n // 2])
+
+
 def test_room_grows_when_everything_overlaps():
     n = 80  # 3160 pairs, where the room is made for 4 n
     contacts = contacts_of(state_of(np.full((n, 2), 15.0) + np.arange(n)[:, None] * 1e-3, 1.0))
@@ -139,3 +183,15 @@ def test_what_a_search_remembers_changes_no_pair():
             np.testing.assert_array_equal(one, other)
     assert not all(searched[:300])
     assert np.mean(searched[300:400]) > 0.9
+
+
+def test_what_a_search_by_size_remembers_changes_no_pair():
+    state, cells = crowd(300, 3, smallest=0.01), make_cells(300)
+    bodies, box, skin = state.bodies, state.world.box, state.scales.wall_skin
+    rng, lasted = np.random.default_rng(3), 0
+    for step in range(25):
+        bodies.position[:] += rng.normal(0, 1e-4 if step % 10 else 1e-2, bodies.position.shape)
+        lasted += cells.memory[0] >= 0
+        found, _ = find_contacts(bodies.position, bodies.radius, box, skin, cells, make_contacts(4000))
+        assert list(zip(found.body_a, found.body_b)) == brute_force_pairs(state)
+    assert lasted > 15

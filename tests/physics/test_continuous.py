@@ -9,7 +9,7 @@ import deep_contact as dc
 from deep_contact.physics.continuous import FAST
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World, make_bodies
-from deep_contact.studies.extremes import loaded_silo
+from deep_contact.studies.extremes import kinetic_energy, loaded_silo
 
 NO_GRAVITY = World(box=(0, 0, 60, 40), gravity=(0, 0))
 SOLVERS = {name: METHODS[name]() for name in METHODS} | {"colours": dc.BatchedPGS(order="colours")}
@@ -130,3 +130,24 @@ def test_what_begins_outside_comes_in_by_its_contact():
     after = dc.simulate(state, steps=1, solver=dc.PGS(position_sweeps=1)).state
     np.testing.assert_allclose(after.bodies.position[:, 0], [0.1, -2.8], atol=1e-9)
     assert inside(dc.simulate(after, steps=40, solver=dc.PGS()).state)
+
+
+def test_restitution_1_keeps_the_energy_of_ten_thousand_bounces_between_walls():
+    # One circle, without gravity and friction, across a box of 4 m on both axes.
+    world = World(box=(0, 0, 4, 4), gravity=(0, 0), restitution=1.0, friction=0.0)
+    state = scene([[1.7, 2.2]], [[47.0, 31.0]], world=world)
+    run = dc.simulate(state, steps=40_000, solver=dc.PGS(sweeps=20, tolerance=None))
+    assert (run.contacts > 0).sum() > 10_000
+    assert abs(kinetic_energy(run.state.bodies) / kinetic_energy(state.bodies) - 1) < 1e-6
+    assert inside(run.state)
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.2])
+def test_newtons_cradle_comes_out_as_newtons_law_says(gap):
+    # Touching balls meet all at once: the first contact alone approaches. With gaps the blows follow one another.
+    x = 5.0 + np.array([0.0, *(6.0 + (2.0 + gap) * np.arange(4))])
+    world = World(box=(0, 0, 60, 40), gravity=(0, 0), restitution=1.0, friction=0.0)
+    state = scene(np.column_stack([x, np.full(5, 20.0)]), [[5.0, 0.0]] + [[0.0, 0.0]] * 4, world=world)
+    state = dc.simulate(state, steps=150, solver=dc.PGS(sweeps=1000, tolerance=None)).state
+    speed = state.bodies.velocity[:, 0]
+    np.testing.assert_allclose(speed, [0, 0, 0, 0, 5] if gap else [-3, 2, 2, 2, 2], atol=1e-9)

@@ -43,7 +43,22 @@ def test_ours_are_compared(falling_states, tmp_path):
         assert found["error"]["pile"][f"ours, {name}"] <= 1e-4
         assert 0 < found["seconds"]["pile"][f"ours, {name}"] < 10
     assert set(found["missing"]) | set(found["seconds"]["pile"]) >= {f"Siconos {name}" for name in outside.SICONOS}
-    assert "| ours, NNCG |" in outside.table(found)
+    assert [row[0] for row in outside.table(found)][1:5] == [f"ours, {name}" for name in outside.OURS]
+
+
+def test_who_is_slow_is_left_out_of_larger_problems(falling_states, monkeypatch):
+    problems = {str(k): check_problem(contact_problem(falling_states[k])) for k in (12, 2)}
+    nothing = {"none": lambda problem, start: np.zeros(problem.b.size)}
+    monkeypatch.setattr(outside, "methods", lambda tolerance: (nothing, {"other": "no module"}))
+    found = outside.compare(problems, most=0.0)
+    assert (found["error"]["12"]["none"], found["seconds"]["12"]["none"]) == (None, None)
+    assert found["error"]["2"]["none"] > 0
+    small, large = (f"{k}, {problems[k].friction.size} contacts" for k in ("2", "12"))
+    head, row, last = outside.table(found)
+    assert head == ["method", small, large]
+    assert row[1].startswith("(")
+    assert (row[0], row[2]) == ("none", "–")
+    assert last == ["other", "left out: no module", ""]
 
 
 def test_energy_error_is_the_velocity_error(falling_states):

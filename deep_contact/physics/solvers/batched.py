@@ -17,19 +17,15 @@ from deep_contact.compiled.simd import (
     load,
     load_rows,
     most,
-    root,
     spread,
     store,
     store_rows,
-    where_less,
-    widened,
 )
 from deep_contact.compiled.threads import at_most_threads
-from deep_contact.constants import BAUMGARTE, POSITION_TOLERANCE
+from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics.batches import (
     BLOCKS,
     CIRCLES,
-    IDLE,
     PHASES,
     TILES,
     empty_tiles,
@@ -38,7 +34,7 @@ from deep_contact.physics.batches import (
     make_tiles,
     plan_batches,
 )
-from deep_contact.physics.collision import SMALLEST_DISTANCE, make_cells, make_contacts, next_contacts, own_contacts
+from deep_contact.physics.collision import make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -58,16 +54,13 @@ from deep_contact.physics.contact_solver import (
     store_impulses,
 )
 from deep_contact.physics.convergence import is_over, mark_divergence
+from deep_contact.physics.position_correction import correct_tiles, fill_centres, fill_ground, take_centres
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.physics.step import log_step
-from deep_contact.state import RIGHT, TOP
 
 ORDERS = ("levels", "colours")
 """Orders of the batches: see `physics.batches`."""
-
-_IDLE_RADIUS = 1e-200
-"""Of the body of idle lanes, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -146,34 +139,10 @@ def sweep_tiles(tiles, first, last, friction):
     return np.float64(largest)
 
 
-@njit(cache=True, fastmath=CONTRACT)
-def correct_tiles(tiles, first, last, scales):
-    """A sweep of `contact_solver.correct_positions` over some tiles, in place. Returns the deepest separation, m."""
-    body, data, centre = tiles.body, tiles.data, tiles.centre
-    none, tiny = spread(0.0), spread(SMALLEST_DISTANCE)
-    slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
-    deepest = none
-    for t in range(first, last):
-        a_x, a_y, r_a, w_a = load_rows(centre, body, 2 * t)
-        b_x, b_y, r_b, w_b = load_rows(centre, body, 2 * t + 1)
-        d_x, d_y, reach = b_x - a_x, b_y - a_y, r_a + r_b
-        distance = root(d_x * d_x + d_y * d_y)
-        # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
-        found_x, found_y = widened(load(data, 7 * t + N_X)), widened(load(data, 7 * t + N_Y))
-        n_x = where_less(distance, tiny * reach, found_x, d_x / distance)
-        n_y = where_less(distance, tiny * reach, found_y, d_y / distance)
-        # An inverse mass of 0 is a wall: its normal is given, and the distance behind it is negative.
-        n_x, n_y = where_less(none, w_b, n_x, found_x), where_less(none, w_b, n_y, found_y)
-        distance = where_less(none, w_b, distance, d_x * found_x + d_y * found_y)
-        overlap = most(most(reach - slop, none) - distance, none)
-        push = least(share * overlap, longest) / (w_a + w_b)
-        store_rows(centre, body, 2 * t, (a_x - push * w_a * n_x, a_y - push * w_a * n_y, r_a, w_a))
-        store_rows(centre, body, 2 * t + 1, (b_x + push * w_b * n_x, b_y + push * w_b * n_y, r_b, w_b))
-        deepest = least(deepest, distance - reach)
-    lowest = lane(deepest, 0)
-    for j in range(1, WIDTH):
-        lowest = min(lowest, lane(deepest, j))
-    return lowest
+@njit(cache=True)
+def correct_block(tiles, first, last, scales):
+    """A sweep of position correction over some tiles, in place. Returns the deepest separation, m."""
+    return correct_tiles(tiles.body, tiles.data, TARGET + 1, tiles.centre, first, last, scales)
 
 
 def sweep_batches(settings, plan, tiles, friction):
@@ -214,7 +183,7 @@ def _sweep_in_turn(settings, plan, tiles, friction):
 def _correct_in_turn(settings, plan, tiles, scales):
     deepest = 0.0
     for k in plan.order[: plan.count[BLOCKS]]:
-        deepest = min(deepest, correct_tiles(tiles, plan.first[k], plan.first[k + 1], scales))
+        deepest = min(deepest, correct_block(tiles, plan.first[k], plan.first[k + 1], scales))
     return deepest
 
 
@@ -247,7 +216,7 @@ def sweep_phase(blocks, first, theta, tiles, friction):
 def correct_phase(blocks, first, deepest, tiles, scales):
     """Position correction over these blocks, likewise; fills their deepest separations."""
     for i in prange(blocks.shape[0]):
-        deepest[blocks[i]] = correct_tiles(tiles, first[blocks[i]], first[blocks[i] + 1], scales)
+        deepest[blocks[i]] = correct_block(tiles, first[blocks[i]], first[blocks[i] + 1], scales)
 
 
 @njit(cache=True)
@@ -282,31 +251,22 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(settings, plan, tiles, bodies, box, scales, sweeps):
-    """`contact_solver.correct_positions` over the tiles of the plan: in place, with the same stop."""
+    """`position_correction.correct_positions` over the tiles of the plan: in place, with the same stop."""
     n = plan.count[CIRCLES]
-    centre = tiles.centre
-    for i in range(n):
-        centre[i, 0], centre[i, 1] = bodies.position[i, 0], bodies.position[i, 1]
-        centre[i, 2], centre[i, 3] = bodies.radius[i], 1.0 / bodies.mass[i]
+    fill_centres(bodies, tiles.centre)
     for k in range(plan.count[BLOCKS]):
-        ground = centre[n + 5 * k : n + 5 * k + 5]
-        for wall in range(4):
-            ground[wall, 0] = box[2] if wall == RIGHT or wall == TOP else box[0]
-            ground[wall, 1] = box[3] if wall == RIGHT or wall == TOP else box[1]
-            ground[wall, 2], ground[wall, 3] = scales.wall_skin, 0.0
-        ground[IDLE, :2], ground[IDLE, 2], ground[IDLE, 3] = 0.0, _IDLE_RADIUS, 1.0
+        fill_ground(box, scales, tiles.centre[n + 5 * k : n + 5 * k + 5])
     for _ in range(sweeps):
         if correct_batches(settings, plan, tiles, scales) >= -POSITION_TOLERANCE * scales.slop:
             break
-    for i in range(n):
-        bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]
+    take_centres(tiles.centre, bodies)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance_in_batches(given, options, workspace, log):
     """`engine.advance` for `BatchedPGS`: same arguments, same results; positions are corrected in batches as well."""
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
-    rows, solver_bodies, theta = workspace.rows, workspace.solver_bodies, workspace.theta
+    solver_bodies, theta = workspace.solver_bodies, workspace.theta
     scales = given.scales
     n = bodies.mass.shape[0]
     cells = make_cells(n)
@@ -315,11 +275,10 @@ def advance_in_batches(given, options, workspace, log):
     plan, tiles = make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, solver_bodies.dtype)
     solved = contacts
     for k in range(log.contacts.shape[0]):
-        if k > 0:
-            integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-            rows, row_buffer = contact_rows(
-                bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
-            )
+        integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
+        rows, row_buffer = contact_rows(
+            bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
+        )
         apply_impulses(rows, solver_bodies)
         plan = plan_batches(rows.body, n, settings.colours, plan)
         tiles = fill_tiles(rows, solver_bodies, plan, tiles)

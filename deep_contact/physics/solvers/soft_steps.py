@@ -111,12 +111,12 @@ class SoftSettings(NamedTuple):
     push_speed: float
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", nogil=True)
 def advance_softly(given, options, workspace, log):
     """`engine.advance` for `SoftSteps`: same arguments, same results; there are no position sweeps.
 
     Impulses of the contacts are those of a substep times the number of substeps, so that a start fits any division of
-    Δt. The workspace's rows are built anew, before gravity.
+    Δt. Rows are built before gravity.
     """
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
     solver_bodies, theta, scales = workspace.solver_bodies, workspace.theta, given.scales

@@ -1,0 +1,271 @@
+"""Position correction: what penetrates is pushed apart, without adding any speed.
+
+Nonlinear Gauss-Seidel as in Box2D 2.3: each contact, at the positions as they are by then, moves its bodies by a share
+of the penetration beyond the slop, by their inverse masses. For circles nothing turns.
+
+A sweep contact by contact waits: for a square root and two divisions of the contact before, and for a branch that
+nobody can predict. `correct_tiles` does eight contacts at a time that share no circle. Contacts are put into levels for
+it, each after all contacts before it that share a circle with it, so that every circle meets its contacts in the order
+of the list; and no product is fused with a sum. Both ways therefore compute the same bits, and `correct_positions`
+takes the one that costs less.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.compiled.simd import (
+    WIDTH,
+    lane,
+    least,
+    load,
+    load_rows,
+    most,
+    root,
+    spread,
+    store_rows,
+    times,
+    where_less,
+    widened,
+)
+from deep_contact.constants import BAUMGARTE, POSITION_TOLERANCE
+from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
+from deep_contact.state import RIGHT, TOP, WALL_NORMALS
+
+IDLE = 4
+"""The idle body among the five behind the circles, with which unused lanes are filled; 0 to 3 are the walls."""
+
+_IDLE_RADIUS = 1e-200
+"""Of the idle body, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
+
+_FEW = 2
+"""Sweeps for which levels do not pay: they cost about as much as two sweeps contact by contact."""
+
+_FILLED = 8
+"""Mean number of contacts in a level from which on tiles cost less: in a column each level is one contact."""
+
+_PATIENCE = 50
+"""Corrections contact by contact after levels were found too empty: a pile does not widen in a few steps."""
+
+SWEEPS, WAIT = range(2)
+"""Elements of `CorrectionRoom.memory`."""
+
+
+class CorrectionRoom(NamedTuple):
+    """Buffers of `correct_positions` for n circles and M contacts.
+
+    | field  | meaning                                                        | shape      |
+    |--------|----------------------------------------------------------------|------------|
+    | level  | of a circle: the first level that none of its contacts is in   | (n,)       |
+    | batch  | of a contact: its level                                        | (M,)       |
+    | fill   | of a level: contacts in it, then its next free place           | (M,)       |
+    | body   | a, b as rows of `centre`, eight contacts a tile                | (T, 2, 8)  |
+    | normal | of the contacts, likewise                                      | (T, 2, 8)  |
+    | centre | see `fill_ground`; first the circles                           | (n + 5, 4) |
+    | memory | sweeps of the last correction; corrections without levels left | (2,)       |
+    """
+
+    level: np.ndarray
+    batch: np.ndarray
+    fill: np.ndarray
+    body: np.ndarray
+    normal: np.ndarray
+    centre: np.ndarray
+    memory: np.ndarray
+
+
+@njit(cache=True)
+def make_correction_room(n, capacity):
+    """Buffers for so many circles and contacts."""
+    tiles = capacity // WIDTH + capacity // _FILLED + 1
+    return CorrectionRoom(
+        np.empty(n, np.int64), np.empty(capacity, np.int64), np.empty(capacity, np.int64),
+        np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 2, WIDTH)), np.empty((n + 5, 4)),
+        np.zeros(2, np.int64),
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def correct_positions(bodies, contacts, box, scales, sweeps, room):
+    """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
+
+    room: `CorrectionRoom`. What it remembers of the corrections before tells which way costs less; it changes no bit.
+    Returns the room, a larger one if needed.
+    """
+    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
+    if m > room.batch.shape[0]:
+        room = make_correction_room(n, m + m // 2)
+    memory, tiles, done = room.memory, 0, 0
+    begin = 0 if memory[SWEEPS] > _FEW else _FEW
+    if memory[WAIT] > 0 or sweeps - begin <= _FEW:
+        memory[WAIT], begin = max(memory[WAIT] - 1, 0), sweeps
+    while done < sweeps:
+        if done == begin:
+            tiles = fill_levels(contacts, n, room)
+            if tiles > 0:
+                fill_centres(bodies, room.centre)
+                fill_ground(box, scales, room.centre[n:])
+            else:
+                memory[WAIT] = _PATIENCE
+        if tiles > 0:
+            deepest = correct_tiles(room.body, room.normal, 2, room.centre, 0, tiles, scales)
+        else:
+            deepest = correct_in_turn(bodies, contacts, box, scales)
+        done += 1
+        if deepest >= -POSITION_TOLERANCE * scales.slop:
+            break
+    if tiles > 0:
+        take_centres(room.centre, bodies)
+    memory[SWEEPS] = done
+    return room
+
+
+@njit(cache=True, error_model="numpy")
+def correct_in_turn(bodies, contacts, box, scales):
+    """One sweep, contact by contact, in place. Returns the deepest separation, m, or 0."""
+    n = bodies.mass.shape[0]
+    position, radius, mass = bodies.position, bodies.radius, bodies.mass
+    slop, skin, longest = scales.slop, scales.wall_skin, scales.max_correction
+    deepest = 0.0
+    for i in range(contacts.body_a.shape[0]):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        x, y = position[a, 0], position[a, 1]
+        if b < n:
+            d_x, d_y = position[b, 0] - x, position[b, 1] - y
+            reach = radius[a] + radius[b]
+            wanted = max(reach - slop, 0.0)  # circles smaller than the slop must not be drawn together
+            if d_x * d_x + d_y * d_y >= wanted * wanted:
+                continue  # Nothing to correct; found without a square root.
+            distance = math.sqrt(d_x * d_x + d_y * d_y)
+            separation = distance - reach
+            push = min(BAUMGARTE * (wanted - distance), longest) / (mass[a] + mass[b])
+            if distance < SMALLEST_DISTANCE * reach:
+                d_x, d_y = contacts.normal[i, 0], contacts.normal[i, 1]
+            else:
+                push /= distance
+            position[b, 0] += push * mass[a] * d_x
+            position[b, 1] += push * mass[a] * d_y
+            position[a, 0] = x - push * mass[b] * d_x
+            position[a, 1] = y - push * mass[b] * d_y
+        else:
+            separation = wall_gap(x, y, box, b - n) - radius[a] - skin
+            push = max(0.0, min(-BAUMGARTE * (separation + slop), longest))
+            position[a, 0] = x - push * WALL_NORMALS[b - n, 0]
+            position[a, 1] = y - push * WALL_NORMALS[b - n, 1]
+        deepest = min(deepest, separation)
+    return deepest
+
+
+@njit(cache=True)
+def correct_tiles(body, normal, stride, centre, first, last, scales):
+    """`correct_in_turn` over the tiles from `first` to before `last`, in place: the same bits, eight at a time.
+
+    body: (T, 2, 8), rows of `centre`. normal: (T, stride, 8), the first two as they were found.
+    centre: see `fill_ground`.
+    """
+    none, tiny = spread(0.0), spread(SMALLEST_DISTANCE)
+    slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)
+    deepest = none
+    for t in range(first, last):
+        a_x, a_y, r_a, m_a = load_rows(centre, body, 2 * t)
+        b_x, b_y, r_b, m_b = load_rows(centre, body, 2 * t + 1)
+        d_x, d_y, reach = b_x - a_x, b_y - a_y, r_a + r_b
+        wanted = most(reach - slop, none)
+        square = times(d_x, d_x) + times(d_y, d_y)
+        distance = root(square)
+        push = least(times(share, wanted - distance), longest) / (m_a + m_b)
+        # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
+        found_x, found_y = widened(load(normal, stride * t)), widened(load(normal, stride * t + 1))
+        push = where_less(distance, times(tiny, reach), push, push / distance)
+        push = where_less(square, times(wanted, wanted), push, none)
+        n_x = where_less(distance, times(tiny, reach), found_x, d_x)
+        n_y = where_less(distance, times(tiny, reach), found_y, d_y)
+        depth = where_less(square, times(wanted, wanted), distance - reach, none)
+        # A mass of 0 is a wall's: its normal is given, and a alone moves.
+        behind = times(d_x, found_x) + times(d_y, found_y) - r_a - r_b
+        from_wall = most(none, least(times(none - share, behind + slop), longest))
+        n_x, n_y = where_less(none, m_b, n_x, found_x), where_less(none, m_b, n_y, found_y)
+        push_a = where_less(none, m_b, times(push, m_b), from_wall)
+        push_b = where_less(none, m_b, times(push, m_a), none)
+        store_rows(centre, body, 2 * t, (a_x - times(push_a, n_x), a_y - times(push_a, n_y), r_a, m_a))
+        store_rows(centre, body, 2 * t + 1, (b_x + times(push_b, n_x), b_y + times(push_b, n_y), r_b, m_b))
+        deepest = least(deepest, where_less(none, m_b, depth, behind))
+    lowest = lane(deepest, 0)
+    for j in range(1, WIDTH):
+        lowest = min(lowest, lane(deepest, j))
+    return lowest
+
+
+@njit(cache=True)
+def fill_levels(contacts, n, room):
+    """Put the contacts into tiles of the room, level after level. Returns the tiles; 0 where these would be too empty.
+
+    A contact goes into the first level after those of the contacts before it that share a circle with it.
+    """
+    level, batch, fill = room.level, room.batch, room.fill
+    m, levels = contacts.body_a.shape[0], 0
+    level[:] = 0
+    for i in range(m):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        found = level[a]
+        if b < n:
+            found = max(found, level[b])
+            level[b] = found + 1
+        level[a] = found + 1
+        if found == levels:
+            fill[found] = 0
+            levels += 1
+        batch[i] = found
+        fill[found] += 1
+    if m < _FILLED * levels or m == 0:
+        return 0
+    tiles = 0
+    for found in range(levels):
+        used, fill[found] = fill[found], tiles * WIDTH
+        tiles += (used + WIDTH - 1) // WIDTH
+        for place in range(fill[found] + used, tiles * WIDTH):
+            room.body[place // WIDTH, :, place % WIDTH] = n + IDLE
+            room.normal[place // WIDTH, :, place % WIDTH] = 0.0
+    for i in range(m):
+        place = fill[batch[i]]
+        fill[batch[i]] += 1
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        room.body[place // WIDTH, 0, place % WIDTH] = a
+        room.body[place // WIDTH, 1, place % WIDTH] = b
+        normal = contacts.normal[i] if b < n else WALL_NORMALS[b - n]
+        room.normal[place // WIDTH, 0, place % WIDTH] = normal[0]
+        room.normal[place // WIDTH, 1, place % WIDTH] = normal[1]
+    return tiles
+
+
+@njit(cache=True)
+def fill_centres(bodies, centre):
+    """Write x, y, radius and mass of the circles into the first rows."""
+    for i in range(bodies.mass.shape[0]):
+        centre[i, 0], centre[i, 1] = bodies.position[i, 0], bodies.position[i, 1]
+        centre[i, 2], centre[i, 3] = bodies.radius[i], bodies.mass[i]
+
+
+@njit(cache=True)
+def fill_ground(box, scales, ground):
+    """Write the five bodies that are not circles, (5, 4): four walls and the idle one.
+
+    Columns as of circles: x, y, radius, mass. A wall is a corner of the box that lies on it, with the skin as radius
+    and a mass of 0, by which it is known.
+    """
+    for wall in range(4):
+        ground[wall, 0] = box[2] if wall == RIGHT or wall == TOP else box[0]
+        ground[wall, 1] = box[3] if wall == RIGHT or wall == TOP else box[1]
+        ground[wall, 2], ground[wall, 3] = scales.wall_skin, 0.0
+    ground[IDLE, :2], ground[IDLE, 2], ground[IDLE, 3] = 0.0, _IDLE_RADIUS, 1.0
+
+
+@njit(cache=True)
+def take_centres(centre, bodies):
+    """Write the corrected positions into the bodies, in place."""
+    for i in range(bodies.mass.shape[0]):
+        bodies.position[i, 0], bodies.position[i, 1] = centre[i, 0], centre[i, 1]

@@ -1,0 +1,90 @@
+"""The step as a budget: time of each stage in the running step, a circle.
+
+    python scripts/benchmark_step.py [--quick] [--sizes 100,1000,10000,100000] [--repeats 30] [--json FILE]
+
+Steps of ten sweeps and three sweeps of position correction, contact by contact and in batches by colours, of piles that
+fall and that have settled (of `scripts/benchmark_engine.py`; from 100,000 circles on, packed piles of Figure 6.5, which
+do not have to fall first). Times are of the compiled steps alone, each stage's the least of the repeats. For how they
+are taken, and for the floor of a stage, see `deep_contact.studies.step_stages`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+from deep_contact.reporting import results
+from deep_contact.simulation import simulate
+from deep_contact.state import State
+from deep_contact.studies import engines, scaling, step_stages
+
+PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
+LARGE = 100_000
+"""Circles from which on piles are packed instead of dropped."""
+
+
+def pile_of(kind: str, n_bodies: int, seed: int) -> State:
+    """A stored pile a few steps later: with contacts that carry impulses."""
+    if n_bodies >= LARGE:
+        state = scaling.read_pile(scaling.stored_pile(PILES, n_bodies, seed=seed, steps=50))
+    else:
+        path = PILES / f"step_{kind}_{n_bodies}_seed_{seed}.npz"
+        state = engines.read_pile(engines.stored_pile(path, lambda: engines.dropped_pile(kind, n_bodies, seed)))
+    return simulate(state, steps=engines.WARM_UP, solver=scaling.solver_of("sequential", engines.FEW)).state
+
+
+def report(case: dict) -> None:
+    """Print the stages of one pile."""
+    print(f"\n{case['n_bodies']:,} circles, {case['kind']}, {case['engine']}: {case['ns']:.0f} ns a circle and step")
+    for stage, cost in case["stages"].items():
+        share = cost["ns"] / case["ns"]
+        print(f"  {stage:30s}{cost['ns']:8.1f} ns  {share:6.1%}   floor {cost['floor_ns']:6.1f} ns", flush=True)
+
+
+def main(arguments=None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--json", type=Path, help="write the numbers to this file")
+    parser.add_argument("--sizes", help="numbers of circles, with commas (100,1000,10000,100000; quick: 100,1000)")
+    parser.add_argument("--repeats", type=int, help="runs of each step on each pile (30; quick: 5)")
+    parser.add_argument("--seed", type=int, default=0, help="of the piles")
+    parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
+    given = parser.parse_args(arguments)
+    sizes = given.sizes or ("100,1000" if given.quick else "100,1000,10000,100000")
+    repeats = given.repeats or (5 if given.quick else 30)
+    try:
+        sizes = [int(size) for size in sizes.split(",")]
+    except ValueError:
+        parser.error(f"--sizes: expected integers with commas between, got {sizes!r}")
+    if min(sizes) < 1 or repeats < 1:
+        parser.error(f"expected sizes and repeats of at least 1, got {sizes} and {repeats}")
+
+    start = time.perf_counter()
+    timed, cases = step_stages.timed_steps(), []
+    for n_bodies in sizes:
+        steps = max(3, min(50, 50_000 // n_bodies))
+        for kind in ("packed",) if n_bodies >= LARGE else engines.KINDS:
+            state = pile_of(kind, n_bodies, given.seed)
+            for engine, step in timed.items():
+                solver = scaling.solver_of(engine, engines.FEW)
+                measured = step_stages.measure(state, solver, step, steps=steps, repeats=repeats)
+                cases.append({"n_bodies": n_bodies, "kind": kind, "engine": engine, "steps": steps, **measured})
+                report(cases[-1])
+    if given.json:
+        options = {
+            "sizes": sizes,
+            "repeats": repeats,
+            "quick": given.quick,
+            "dt": engines.TIME_STEP,
+            "sweeps": engines.FEW,
+            "position_sweeps": engines.POSITION_SWEEPS,
+        }
+        file = {"id": "B.2", "title": "Time of each stage in the running step", "options": options}
+        file["provenance"] = results.provenance(seed=given.seed, wall_s=time.perf_counter() - start)
+        results.write_results(given.json, file | {"claims": [], "data": {"cases": cases}})
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

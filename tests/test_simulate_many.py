@@ -1,0 +1,72 @@
+"""Many scenes at once: each as if it ran alone."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+
+SCENES = [dc.lattice_in_box(20 + 7 * k, seed=k, gap=0.05) for k in range(6)] + [dc.column(4), dc.single_body()]
+
+
+@pytest.mark.parametrize("threads", [1, 2, 5, None])
+def test_each_run_is_what_it_is_alone(threads):
+    options = {"steps": 60, "solver": dc.PGS(sweeps=15)}
+    for one, many in zip(
+        (dc.simulate(scene, **options) for scene in SCENES),
+        dc.simulate_many(SCENES, threads=threads, **options),
+        strict=True,
+    ):
+        assert one.state == many.state
+        assert one.contacts.max() > 0
+        for name in ("contacts", "sweeps", "theta", "relaxations"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"accuracy": "preview"},
+        {"dt": 0.005, "warm_start": None},
+        {"sleep": True, "record": 10, "solver": dc.PGS(sweeps=10)},
+        {"solver": dc.BatchedPGS(sweeps=10)},
+        {"solver": dc.SoftSteps()},
+    ],
+)
+def test_options_are_those_of_simulate(options):
+    many = dc.simulate_many(iter(SCENES[:3]), steps=25, **options)
+    for scene, run in zip(SCENES[:3], many, strict=True):
+        one = dc.simulate(scene, steps=25, **options)
+        assert one.state == run.state
+        assert (run.trajectory is None) == ("record" not in options)
+        if run.trajectory is not None:
+            np.testing.assert_array_equal(one.trajectory.positions, run.trajectory.positions)
+
+
+def test_no_scene_is_no_run():
+    assert dc.simulate_many([], steps=3) == []
+
+
+def test_an_error_names_the_state():
+    bad = SCENES[1].replace(dt=-1.0)
+    with pytest.raises(ValueError, match=r"^states\[2\]: dt: expected a finite number > 0, got -1.0$"):
+        dc.simulate_many([SCENES[0], SCENES[1], bad], steps=5)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"warm_start": "sph"}, "warm_start: expected 'builtin', 'none' or None for many scenes, got 'sph'"),
+        ({"threads": 0}, "threads: expected an integer >= 1, got 0"),
+        ({"steps": -1}, r"states\[0\]: steps: expected an integer >= 0, got -1"),
+        ({"solver": dc.BatchedPGS(order="colours", threads=2)}, "solver: expected one with threads=1 for many scenes"),
+    ],
+)
+def test_what_cannot_run_many_times_at_once_is_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        dc.simulate_many(SCENES[:2], **options)
+
+
+def test_what_is_no_state_is_refused():
+    with pytest.raises(ValueError, match="state: expected a State"):
+        dc.simulate_many([SCENES[0], "pile"], steps=1)
