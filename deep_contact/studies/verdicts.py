@@ -71,7 +71,7 @@ def intervals(
 def decided(found: np.ndarray, within: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
     """Where the whole interval lies within the range, and where the whole of it lies outside; (k,) each."""
     (_, low, high), (least, most) = found, within
-    return (low > least) & (high < most), (high <= least) | (low >= most)
+    return (low > least) & (high < most), (high < least) | (low > most)
 
 
 def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
