@@ -18,7 +18,7 @@ from pathlib import Path
 from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
-from deep_contact.studies import engines, scaling, step_stages
+from deep_contact.studies import engines, step_stages
 
 PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
 LARGE = 100_000
@@ -28,11 +28,12 @@ LARGE = 100_000
 def pile_of(kind: str, n_bodies: int, seed: int) -> State:
     """A stored pile a few steps later: with contacts that carry impulses."""
     if n_bodies >= LARGE:
-        state = scaling.read_pile(scaling.stored_pile(PILES, n_bodies, seed=seed, steps=50))
+        path = PILES / f"packed_{n_bodies}_seed_{seed}.npz"
+        engines.stored_pile(path, lambda: engines.packed_pile(n_bodies, seed=seed, steps=50))
     else:
         path = PILES / f"step_{kind}_{n_bodies}_seed_{seed}.npz"
-        state = engines.read_pile(engines.stored_pile(path, lambda: engines.dropped_pile(kind, n_bodies, seed)))
-    return simulate(state, steps=engines.WARM_UP, solver=scaling.solver_of("sequential", engines.FEW)).state
+        engines.stored_pile(path, lambda: engines.dropped_pile(kind, n_bodies, seed))
+    return simulate(engines.read_pile(path), steps=engines.WARM_UP, solver=engines.solver_of(engines.FEW)).state
 
 
 def report(case: dict) -> None:
@@ -67,7 +68,7 @@ def main(arguments=None) -> int:
         for kind in ("packed",) if n_bodies >= LARGE else engines.KINDS:
             state = pile_of(kind, n_bodies, given.seed)
             for engine, step in timed.items():
-                solver = scaling.solver_of(engine, engines.FEW)
+                solver = engines.solver_of(engines.FEW, step_stages.ENGINES[engine])
                 measured = step_stages.measure(state, solver, step, steps=steps, repeats=repeats)
                 cases.append({"n_bodies": n_bodies, "kind": kind, "engine": engine, "steps": steps, **measured})
                 report(cases[-1])

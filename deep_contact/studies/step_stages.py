@@ -13,6 +13,7 @@ import platform
 import textwrap
 import time
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from llvmlite import ir
@@ -20,11 +21,14 @@ from numba import njit, types
 from numba.extending import intrinsic
 
 from deep_contact.physics import collision, engine
-from deep_contact.physics.solvers import batched
+from deep_contact.physics.solvers import PGS, BatchedPGS, batched
 from deep_contact.physics.solvers.registry import for_state
 from deep_contact.physics.step import StepWorkspace, make_log
 from deep_contact.state import Bodies, Contacts, State
-from deep_contact.studies import scaling
+from deep_contact.studies import timing
+
+ENGINES = {"sequential": PGS, "colours": partial(BatchedPGS, order="colours")}
+"""Name -> method whose step is timed."""
 
 STAGES = {
     "integrate_velocities": (72, 0),
@@ -115,12 +119,28 @@ def _with_ticks(function: Callable, inner: dict[str, Callable], numbers: dict[st
     return njit(error_model="numpy")(names[function.__name__])
 
 
+@njit(cache=True, fastmath={"contract"})
+def _triad(a, b, c, times):
+    for k in range(times):
+        share = 1.0 + k
+        for i in range(a.shape[0]):
+            a[i] = b[i] + share * c[i]
+
+
+def bandwidth(size: int, repeats: int = 5) -> float:
+    """Bytes per second that one core moves in a ← b + s c over three arrays of `size` bytes together (McCalpin's STREAM
+    triad): from the cache that they fit into."""
+    a, b, c = np.zeros(max(size // 24, 64)), np.ones(max(size // 24, 64)), np.ones(max(size // 24, 64))
+    times = max(1, 20_000_000 // a.nbytes)
+    return times * 3 * a.nbytes / timing.fastest(lambda: _triad(a, b, c, times), repeats)
+
+
 def measure(state: State, solver, timed, *, steps: int, repeats: int) -> dict:
     """Nanoseconds a circle and step: of each stage with its floor, of all stages, and of the fastest whole run.
 
     The time of a stage is its least of the repeats, since other programs disturb one stage or another in every run.
     state: with contacts. timed: of `timed_step`. floor: from the bytes of `STAGES` at the bandwidth of the cache that
-    they fit into (`scaling.bandwidth`), with the contacts and sweeps of the run.
+    they fit into (`bandwidth`), with the contacts and sweeps of the run.
     """
     function, numbers, cycles = timed
     solver = for_state(solver, state)
@@ -144,19 +164,19 @@ def measure(state: State, solver, timed, *, steps: int, repeats: int) -> dict:
     seconds, spent, log = least
     n, contacts, sweeps = state.bodies.count, float(log.contacts.mean()), float(log.sweeps.mean())
     per_circle = 1e9 * seconds / (steps * n)
-    bandwidth = scaling.bandwidth(int(sum(n * of_n + contacts * of_m for of_n, of_m in STAGES.values())))
+    rate = bandwidth(int(sum(n * of_n + contacts * of_m for of_n, of_m in STAGES.values())))
     stages = {}
     for stage, k in numbers.items():
         of_n, of_m = STAGES[stage]
         times = sweeps if stage in SWEPT else 1.0
         stages[stage] = {
             "ns": per_circle * float(shortest[k] / spent),
-            "floor_ns": 1e9 * times * (of_n + of_m * contacts / n) / bandwidth,
+            "floor_ns": 1e9 * times * (of_n + of_m * contacts / n) / rate,
         }
     total = sum(cost["ns"] for cost in stages.values())
     return {"contacts": contacts, "sweeps": sweeps, "ns": total, "run_ns": per_circle, "stages": stages}
 
 
 def timed_steps() -> dict[str, tuple]:
-    """Name of one of `scaling.OURS` -> its timed step, sequential and by colours."""
+    """Name of one of `ENGINES` -> its timed step, sequential and by colours."""
     return {"sequential": timed_step(engine.advance), "colours": timed_step(batched.advance_in_batches)}

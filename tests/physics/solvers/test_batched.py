@@ -7,7 +7,7 @@ from conftest import momentum
 import deep_contact as dc
 from deep_contact.physics import batches, contact_solver, engine, position_correction
 from deep_contact.physics.solvers import batched
-from deep_contact.studies import scaling
+from deep_contact.studies import engines
 
 ORDERS = ("levels", "colours")
 
@@ -15,7 +15,7 @@ ORDERS = ("levels", "colours")
 @pytest.fixture(scope="module")
 def pile():
     """A pile of unlike circles that still moves, large enough for several blocks; with its contacts."""
-    return scaling.packed_pile(2500, seed=3, steps=10)
+    return engines.packed_pile(2500, seed=3, steps=10)
 
 
 def plan_of(state, order):
