@@ -42,8 +42,9 @@ IDLE = 4
 _IDLE_RADIUS = 1e-200
 """Of the idle body, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
 
-_FEW = 2
-"""Sweeps for which levels do not pay: they cost about as much as two sweeps contact by contact."""
+_FEW = 3
+"""Sweeps for which levels do not pay: they cost about as much as three sweeps contact by contact, most of which correct
+nothing in a pile that falls."""
 
 _FILLED = 8
 """Mean number of contacts in a level from which on tiles cost less: in a column each level is one contact."""
