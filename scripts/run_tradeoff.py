@@ -224,7 +224,10 @@ def table(data: dict, cpu: str) -> dict:
     found = []
     for name, entry in settings.items():
         errors = {
-            n: {key: float(f"{value:.3g}") for key, value in runs.worst_errors(mine).items()}
+            n: {
+                row["kind"]: {key: float(f"{value:.3g}") for key, value in runs.worst_errors([row]).items()}
+                for row in mine
+            }
             for n, mine in entry["rows"].items()
         }
         solver = runs.solver_of(entry["setting"])

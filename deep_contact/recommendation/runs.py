@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.constants import GRAVITY, TIME_STEP
+from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
 from deep_contact.physics.solvers import METHODS, PGS, describe
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.recommendation.steps import StepRecommendation, recommend_step
@@ -62,7 +62,7 @@ class Recommendation:
 
     accuracy: the preset that it keeps. solver: options of `physics.solvers`, substeps included. warm_start: name of
     the start. us: wall time of a step of the scene's Δt, μs, once the circles lie on one another, on the processor
-    `cpu`. errors: name -> the largest over the kinds of piles of the study, of the sizes next to the scene's.
+    `cpu`. errors: name -> the largest over the kinds of piles that the scene is like, of the sizes next to the scene's.
     tolerances: name -> that of the preset. reached: whether all errors are within them; if not, this is the setting
     nearest to it. outside: sentences on what of the scene the study did not measure; empty where it lies within.
     cheaper, better: what the presets next to it would be, and their cost; empty where there is none.
@@ -225,7 +225,8 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
 def _candidates(scene: State, study: Mapping) -> list[dict]:
     """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for the scene's size.
 
-    Errors are the larger ones of the two sizes around the scene's; times are interpolated between them by powers.
+    Errors are the largest of the two sizes around the scene's and of the kinds of piles that it is like; times are
+    interpolated between the sizes by powers.
     For a scene that is too stiff for the study there is one setting alone: see `recommendation.stiff`.
     """
     n, sizes = scene.bodies.count, study["sizes"]
@@ -235,8 +236,10 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
     for setting in study["settings"]:
         if low not in setting["us"] or high not in setting["us"]:
             continue  # Large piles were run with fewer settings.
-        both = [setting["errors"][size] for size in (low, high)]
-        errors = {name: max(one[name] for one in both if name in one) for name in both[0]}
+        by_kind = [setting["errors"][size] for size in (low, high)]
+        alike = [one[kind] for one in by_kind for kind in kinds_of(scene) if kind in one]
+        alike = alike or [errors for one in by_kind for errors in one.values()]  # a study of few kinds
+        errors = {name: max(one[name] for one in alike if name in one) for name in alike[0]}
         k = substeps_of(scene, setting["dt"])
         us = k * _us_at(n, {int(size): us for size, us in setting["us"].items()}) * setting["dt"] / TIME_STEP
         options = dict(setting["options"])
@@ -261,6 +264,15 @@ def _stiff_candidate(scene: State, candidates: list[dict], study: Mapping) -> li
     return [
         {"solver": solver, "start": "builtin", "us": each * solver.sweeps * solver.substeps, "errors": best["errors"]}
     ]
+
+
+def kinds_of(scene: State) -> list[str]:
+    """The kinds of piles of the study (`studies.runs.KINDS`) that a scene is like, or lies between."""
+    radius, friction = scene.bodies.radius, scene.world.friction
+    found = ["no friction"] if friction < FRICTION else []
+    if scene.bodies.count and radius.max() > 1.05 * radius.min():
+        return [*found, "mixed radii"]
+    return [*found, "plain"] if friction > 0 else found
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:

@@ -14,7 +14,8 @@ def entry(name, dt, us, share, **options):
     """A setting whose errors are `share` of the tolerances of "fast", at 100 and 1,000 circles."""
     errors = {error: share * most for error, most in PRESETS["fast"].items()}
     times = {"100": us, "1000": 10 * us}
-    return {"name": name, "options": options, "dt": dt, "us": times, "errors": {"100": errors, "1000": errors}}
+    by_size = {size: {"plain": errors} for size in times}
+    return {"name": name, "options": options, "dt": dt, "us": times, "errors": by_size}
 
 
 TABLE = {
@@ -170,3 +171,22 @@ def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():
     found = dc.recommend(dc.circles_in_box(100, seed=3))
     assert found.reached
     assert all(found.errors[name] <= most for name, most in found.tolerances.items() if name in found.errors)
+
+
+def test_a_preset_is_chosen_by_the_kinds_of_piles_that_a_scene_is_like():
+    plain, mixed = dc.circles_in_box(20, seed=1), dc.circles_in_box(20, seed=1, radius=(0.5, 1.0))
+    slippery, smooth = (dc.circles_in_box(20, seed=1, friction=friction) for friction in (0.1, 0.0))
+    assert [runs.kinds_of(scene) for scene in (plain, mixed, slippery, smooth)] == [
+        ["plain"],
+        ["mixed radii"],
+        ["no friction", "plain"],
+        ["no friction"],
+    ]
+    cheap, dear = (entry(name, 0.01, us, 0.5, method="PGS", sweeps=us) for name, us in (("cheap", 10), ("dear", 20)))
+    for of_size in cheap["errors"].values():
+        of_size["mixed radii"] = {name: 9 * value for name, value in of_size["plain"].items()}
+    study = {"cpu": "", "sizes": [100, 1000], "settings": [cheap, dear]}
+    assert dc.recommend(plain, table=study).solver.sweeps == 10
+    found = dc.recommend(mixed, table=study)
+    assert found.solver.sweeps == 20
+    assert found.reached
