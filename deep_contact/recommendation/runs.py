@@ -49,6 +49,9 @@ PRESETS = {
 sweeps changes; the forces of frictionless piles are tolerated loosely up to "accurate", since slop closes their gaps.
 """
 
+_NEARLY = 1.05
+"""A step that is longer by so much is not divided: radii drawn around 1 m have a mean that is not exactly 1 m."""
+
 MOST_SUBSTEPS = 64
 """A preset divides a step into so many at most."""
 
@@ -169,12 +172,12 @@ def longest_step(scene: State, dt: float) -> float:
 
 
 def substeps_of(scene: State, dt: float) -> int:
-    """Into how many the scene's Δt is divided so that none is longer: a power of two, which scales impulses exactly.
+    """Into how many the scene's Δt is divided so that none is much longer: a power of two, which scales impulses exactly.
 
     At most `MOST_SUBSTEPS`; beyond that the scene's Δt is too long to be mended unasked.
     """
     ratio = scene.dt / longest_step(scene, dt)
-    return 2 ** math.ceil(math.log2(min(ratio, MOST_SUBSTEPS)) - 1e-9) if ratio > 1 else 1
+    return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
 def _preset(scene: State, accuracy: str, candidates: list[dict], study: Mapping) -> Recommendation:
