@@ -172,7 +172,7 @@ def longest_step(scene: State, dt: float) -> float:
 
 
 def substeps_of(scene: State, dt: float) -> int:
-    """Into how many the scene's Δt is divided so that none is much longer: a power of two, which scales impulses exactly.
+    """Into how many the scene's Δt is divided so that none is much longer: a power of two scales impulses exactly.
 
     At most `MOST_SUBSTEPS`; beyond that the scene's Δt is too long to be mended unasked.
     """
