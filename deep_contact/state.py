@@ -41,7 +41,7 @@ LIMITS = {
     "contacts.tangent_impulse": (-1e60, 1e60, "N·s"),
     "contacts.normal_start": (-1e60, 1e60, "N·s"),
     "contacts.tangent_start": (-1e60, 1e60, "N·s"),
-    "world.box": (-1e11, 1e11, "m"),
+    "world.box": (-1e12, 1e12, "m"),
     "world.gravity": (-1e6, 1e6, "m/s²"),
     "world.friction": (0.0, 1e12, ""),
     "dt": (1e-9, 1.0, "s"),

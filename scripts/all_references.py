@@ -25,12 +25,16 @@ STUDIES = {
     "tradeoff": ["tradeoff.py", "--out"],
     "tradeoff_verify": ["tradeoff.py", "--verify", "--out"],
     "benchmark_engine": ["benchmark_engine.py", "--json"],
+    "benchmark_step": ["benchmark_step.py", "--json"],
     "benchmark_transfer": ["benchmark_transfer.py", "--json"],
     "benchmark_state_xml": ["benchmark_state_xml.py", "--json"],
     "fuzz_state_xml": ["fuzz_state_xml.py", "--inputs", "1000000", "--out"],
     "mutants": ["mutate.py", "--mutants", "100", "--out"],
 }
 """File of data/reference -> the script and options that write it; the path follows."""
+
+ELSEWHERE = ("benchmark_outside",)
+"""Files that need problems and solvers of others: docs/outside.md says which."""
 
 
 def is_of_this_commit(path, digits):

@@ -47,7 +47,7 @@ def soak(n, steps, preset, parts=20):
     energy and largest |Σ m v| / Σ m once settled, as a share of m g r̄ and in m/s; circles outside; growth of memory;
     same bits.
     """
-    began = time.time()
+    began = time.perf_counter()
     scene = dc.lattice_in_box(n, radius=(0.8, 1.0), seed=n)
     weight = float(scene.bodies.mass.sum() * np.hypot(*scene.world.gravity) * scene.bodies.radius.mean())
     x_min, y_min, x_max, y_max = scene.world.box
@@ -71,7 +71,7 @@ def soak(n, steps, preset, parts=20):
         outside += int((low | high).any(axis=1).sum())
     return {
         "circles": n, "steps": settle + parts * each, "preset": preset, "energy": rise, "momentum": momentum,
-        "outside": outside, "memory_mb": megabytes() - memory, "resumed": resumed, "seconds": time.time() - began,
+        "outside": outside, "memory_mb": megabytes() - memory, "resumed": resumed, "seconds": time.perf_counter() - began,
     }  # fmt: skip
 
 

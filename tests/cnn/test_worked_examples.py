@@ -186,8 +186,8 @@ def test_a_network_without_dropout_gets_one_after_each_hidden_convolution(keras)
 
 EXPECTED = {
     "figure_4_1": [True],
-    "figure_4_2": [True, True, True, False],  # Eq 4.2 lacks the rounding
-    "figure_4_4": [True, False, True],
+    "figure_4_2": [True] * 5,  # Eq 4.2 where the stride divides
+    "figure_4_4": [True, True, False],
     "figure_4_5": [True, True, True],
     # Eq 4.14 lacks its factor 2; Eq 4.18 needs the old output weights.
     "figure_4_7": [True, True, False, True, True, True, False, True],
@@ -226,6 +226,7 @@ def test_figures_of_a_network_take_the_model_they_are_given(keras, tmp_path, scr
     arguments = [part for setting in settings for part in ("--set", setting)]
     assert figures.main(load_script(script).FIGURE, [*arguments, "--quick", "--jobs", "1", "--out", str(tmp_path)]) == 0
     claims = results.read_results(tmp_path / f"{script}.json")["claims"]
-    # The first two of each do not depend on what a network has learned: kernels are as deep as their input and maps
-    # do not all get smaller; dropout drops its share, and in training only.
-    assert [claim["holds"] for claim in claims[:2]] == [True, script == "figure_4_6"]
+    # These do not depend on what a network has learned: kernels are as deep as their input; dropout drops its share, and
+    # in training only.
+    fixed = claims[: 2 if script == "figure_4_6" else 1]
+    assert all(claim["holds"] for claim in fixed)
