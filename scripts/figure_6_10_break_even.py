@@ -96,7 +96,7 @@ def draw(data, options):
     columns = max(len(counts), len(maps))
     figure, axes = plotting.subplots(2, columns, size=(3.4 * columns, 6.8))
     for axis, count in zip(axes[0], counts):
-        draw_errors(axis, data, count)
+        draw_errors(axis, data, options, count)
     axes[0, 0].legend(fontsize=7)
     for axis, (kind, start) in zip(axes[1], maps):
         draw_map(axis, data, kind, start)
@@ -105,10 +105,14 @@ def draw(data, options):
     return figure
 
 
-def draw_errors(axis, data, count):
+def draw_errors(axis, data, options, count):
     """Error against the median time to it: of the best classical setting, and of each learned start."""
-    # A pile of ten thousand may have no reference within reach.
-    kind = [pile for pile in piles_of(data, circles=count) if pile["errors"]][-1]["kind"]
+    solved = [pile for pile in piles_of(data, circles=count) if pile["errors"]]
+    if not solved:
+        axis.set_axis_off()
+        axis.set_title(f"{count:,} circles:\nno reference within {options['past_need']:,} sweeps")
+        return
+    kind = solved[-1]["kind"]
     errors = np.geomspace(1.0, 0.005, 40)
     groups = {"best classical": CLASSICAL} | {start: {start: solvers} for start, solvers in LEARNED.items()}
     styles = plotting.styles_of(list(groups))

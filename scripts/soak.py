@@ -71,7 +71,8 @@ def soak(n, steps, preset, parts=20):
         outside += int((low | high).any(axis=1).sum())
     return {
         "circles": n, "steps": settle + parts * each, "preset": preset, "energy": rise, "momentum": momentum,
-        "outside": outside, "memory_mb": megabytes() - memory, "resumed": resumed, "seconds": time.perf_counter() - began,
+        "outside": outside, "memory_mb": megabytes() - memory, "resumed": resumed,
+        "seconds": time.perf_counter() - began,
     }  # fmt: skip
 
 

@@ -226,7 +226,7 @@ def test_figures_of_a_network_take_the_model_they_are_given(keras, tmp_path, scr
     arguments = [part for setting in settings for part in ("--set", setting)]
     assert figures.main(load_script(script).FIGURE, [*arguments, "--quick", "--jobs", "1", "--out", str(tmp_path)]) == 0
     claims = results.read_results(tmp_path / f"{script}.json")["claims"]
-    # These do not depend on what a network has learned: kernels are as deep as their input; dropout drops its share, and
-    # in training only.
+    # These do not depend on what a network has learned: kernels are as deep as their input; dropout drops its share,
+    # and in training only.
     fixed = claims[: 2 if script == "figure_4_6" else 1]
     assert all(claim["holds"] for claim in fixed)
