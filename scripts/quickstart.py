@@ -86,7 +86,8 @@ def main(arguments=None):
     for figure in FIGURES if given.verbose else FIGURES[:1]:
         beside = results.reference(figure.stem) or {"claims": []}
         for claim in figure.claims(data):
-            print(f"  {figures.claim_line(claim._asdict(), beside, measured=given.verbose)}")
+            said = claim if given.verbose else claim._replace(thesis=None)  # a line of the screen, without its place
+            print(f"  {figures.claim_line(said._asdict(), beside, measured=given.verbose)}")
     if given.verbose:
         for line in figures.aligned([[figures.cell(v) for v in row] for row in comparison.table_of_starts(data)]):
             print(line)

@@ -200,8 +200,10 @@ def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
     not, or the reference run has no such claim, it is "too few states to tell". A number of circles may differ.
     """
     found = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
-    if beside is None or claim["holds"] is None:
+    if beside is None:
         return found
+    if claim["holds"] is None:
+        return OPEN
     others = {_of_any_size(other["text"]): other["holds"] for other in beside["claims"]}
     agree = others.get(_of_any_size(claim["text"])) == claim["holds"]
     return f"as in the reference run, {found}" if agree else OPEN
