@@ -239,15 +239,16 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
     n, sizes = scene.bodies.count, study["sizes"]
     low = str(max((size for size in sizes if size <= n), default=sizes[0]))
     high = str(min((size for size in sizes if size >= n), default=sizes[-1]))
-    found = []
+    found, kinds = [], kinds_of(scene)
+    divided = {dt: substeps_of(scene, dt) for dt in {setting["dt"] for setting in study["settings"]}}
     for setting in study["settings"]:
         if low not in setting["us"] or high not in setting["us"]:
             continue  # Large piles were run with fewer settings.
         by_kind = [setting["errors"][size] for size in (low, high)]
-        alike = [one[kind] for one in by_kind for kind in kinds_of(scene) if kind in one]
+        alike = [one[kind] for one in by_kind for kind in kinds if kind in one]
         alike = alike or [errors for one in by_kind for errors in one.values()]  # a study of few kinds
         errors = {name: max(one[name] for one in alike if name in one) for name in alike[0]}
-        k = substeps_of(scene, setting["dt"])
+        k = divided[setting["dt"]]
         us = k * _us_at(n, {int(size): us for size, us in setting["us"].items()}) * setting["dt"] / TIME_STEP
         options = dict(setting["options"])
         start = options.pop("start", "builtin")

@@ -45,6 +45,7 @@ def why_stiff(scene: State) -> str:
     high, wide = (
         float(np.ptp(bodies.position @ axis)) / diameter + 1.0 for axis in (down, np.array([-down[1], down[0]]))
     )
+    high = min(high, bodies.count)  # what falls from far above is no column
     return f"a column {high:.0f} circles high" if high > COLUMN and high > SLENDER * wide else ""
 
 

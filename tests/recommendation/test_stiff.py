@@ -55,8 +55,11 @@ def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_wh
         pyramid(60),
         silo(29),
         dc.State(name="one", world=dc.World(), bodies=dc.make_bodies([[5.0, 5.0]])),
+        dc.State(
+            name="two", world=dc.World(box=(0.0, 0.0, 9.0, 400.0)), bodies=dc.make_bodies([[5.0, 1.0], [5.0, 399.0]])
+        ),
     ],
-    ids=["pile", "mixed pile", "large pile", "pyramid", "short column", "one circle"],
+    ids=["pile", "mixed pile", "large pile", "pyramid", "short column", "one circle", "two far apart"],
 )
 def test_what_the_study_covers_is_left_to_it(scene):
     assert why_stiff(scene) == ""

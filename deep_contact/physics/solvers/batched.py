@@ -220,12 +220,6 @@ def correct_phase(blocks, first, deepest, tiles, scales):
 
 
 @njit(cache=True)
-def sweep_all(settings, plan, tiles, friction):
-    """`sweep_batches`, callable from Python."""
-    return sweep_batches(settings, plan, tiles, friction)
-
-
-@njit(cache=True)
 def relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta):
     """Projected Gauss-Seidel in batches, from and into the tiles, then the rows and velocities. Returns the sweeps."""
     sweeps = theta.shape[0]
