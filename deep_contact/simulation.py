@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact import notebook
+from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
     ContactSolution,
@@ -45,6 +46,9 @@ from deep_contact.warm_start import Builtin, NoStart, asked, fitting_impulses, w
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
 _CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 5
+
+_MANY = 3000
+"""Circles from which on memory is kept between two calls of compiled code."""
 
 _CHUNK = 2e7
 """Contacts times sweeps between two checks for an interrupt: about a fifth of a second."""
@@ -258,6 +262,8 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
     every = record or steps + 1
     advance, options = advance_of(solver, sleep)
+    if advance is engine.advance and steps > 1 and state.bodies.count >= _MANY:
+        advance = engine.AdvanceKeepingMemory()
     options = options._replace(carry=not isinstance(start, NoStart))
     if by_step and on_step is None and not sleep and _can_start_within(start, solver, state):
         options = options._replace(settings=start.within(options.settings))

@@ -123,6 +123,27 @@ def advance_with(memory, front_buffer, given, options, workspace, log):
     return solved, contacts
 
 
+class AdvanceKeepingMemory:
+    """`advance` for a run of several calls on many circles: the second call does not begin with new memory.
+
+    The first steps in new memory search contacts without a list of those that were near, and touch pages for the first
+    time: at 100,000 circles, with three steps a call, a fifth of all time. Handing it over costs some 20 µs a call.
+    """
+
+    def __init__(self):
+        self._memory: dict[bool, tuple] = {}
+
+    def __call__(self, given, options, workspace, log):
+        """As `advance`."""
+        with_tangents = given.friction is not None
+        if with_tangents not in self._memory:
+            n = given.bodies.count
+            memory = make_memory(n, workspace.solver_bodies.dtype, given.friction)
+            self._memory[with_tangents] = memory, make_contacts(4 * n + 64)
+        solved, found = advance_with(*self._memory[with_tangents], given, options, workspace, log)
+        return own_contacts(solved), own_contacts(found)
+
+
 @njit(cache=True, error_model="numpy")
 def solve_velocities(rows, friction, settings, solver_bodies, theta):
     """The velocity part of a step, in place on the rows' impulses and the solver bodies. Returns the sweeps."""
