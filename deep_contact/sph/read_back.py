@@ -1,0 +1,48 @@
+"""Two ways back from an image that the thesis's authors programmed and the thesis does not print."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from deep_contact.sph import kernels
+from deep_contact.sph.grid import Grid
+
+
+def read_by_spline(grid: Grid, image, position) -> np.ndarray:
+    """The bicubic spline through all nodes at (k, 2) positions, m: (k, c) of an image (n_y, n_x, c).
+
+    The authors' way back from the SPH image. Beyond the grid it reads the nearest point of the grid.
+    Raises ValueError where a side has fewer than four nodes.
+    """
+    from scipy.interpolate import RectBivariateSpline
+
+    if min(grid.shape) < 4:
+        raise ValueError(f"grid: expected at least 4 × 4 nodes for a cubic spline, got {grid.shape}")
+    x, y = grid.nodes
+    at = np.asarray(position, dtype=np.float64).reshape(-1, 2)
+    layers = np.moveaxis(np.asarray(image, dtype=np.float64), -1, 0)
+    return np.stack([RectBivariateSpline(y, x, layer).ev(at[:, 1], at[:, 0]) for layer in layers], axis=-1)
+
+
+def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -> np.ndarray:
+    """What each particle gets where every node shares its values out, by W, among the particles within h: (k, c).
+
+    The authors' way back from the network's image (n_y, n_x, c): the weights of a node sum to one, so nothing is lost.
+    Each particle that is the only one of its nodes gets back all that it gave; others get a mean. position: (k, 2), m;
+    beyond the grid its nearest point counts. h: support radius of the kernel, m.
+    """
+    from scipy.spatial import cKDTree
+
+    h = kernels.check_support_radius(h)
+    x_min, y_min, x_max, y_max = grid.box
+    at = np.clip(np.asarray(position, dtype=np.float64).reshape(-1, 2), (x_min, y_min), (x_max, y_max))
+    values = np.asarray(image, dtype=np.float64)
+    values = values.reshape(-1, values.shape[-1])
+    nodes = np.stack(np.meshgrid(*grid.nodes), axis=-1).reshape(-1, 2)
+    pairs = cKDTree(nodes).sparse_distance_matrix(cKDTree(at), h, output_type="ndarray")
+    weights = kernels.value(kernel, pairs["v"], h)
+    total = np.bincount(pairs["i"], weights, minlength=len(nodes))[pairs["i"]]
+    # A particle at exactly h from its only node has no weight there.
+    shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
+    given = shares[:, None] * values[pairs["i"]]
+    return np.stack([np.bincount(pairs["j"], part, minlength=len(at)) for part in given.T], axis=-1)
