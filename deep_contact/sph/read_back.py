@@ -31,18 +31,25 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     Each particle that is the only one of its nodes gets back all that it gave; others get a mean. position: (k, 2), m;
     beyond the grid its nearest point counts. h: support radius of the kernel, m.
     """
-    from scipy.spatial import cKDTree
-
     h = kernels.check_support_radius(h)
-    x_min, y_min, x_max, y_max = grid.box
-    at = np.clip(np.asarray(position, dtype=np.float64).reshape(-1, 2), (x_min, y_min), (x_max, y_max))
     values = np.asarray(image, dtype=np.float64)
     values = values.reshape(-1, values.shape[-1])
-    nodes = np.stack(np.meshgrid(*grid.nodes), axis=-1).reshape(-1, 2)
-    pairs = cKDTree(nodes).sparse_distance_matrix(cKDTree(at), h, output_type="ndarray")
-    weights = kernels.value(kernel, pairs["v"], h)
-    total = np.bincount(pairs["i"], weights, minlength=len(nodes))[pairs["i"]]
-    # A particle at exactly h from its only node has no weight there.
+    at = np.asarray(position, dtype=np.float64).reshape(-1, 2)
+    near, apart = [], []  # of the nodes around each particle, by axis: (k, s)
+    for k, (nodes, spacing) in enumerate(zip(grid.nodes, grid.spacing)):
+        x = np.clip(at[:, k], nodes[0], nodes[-1])
+        reach = int(np.ceil(h / spacing))
+        found = np.floor((x - nodes[0]) / spacing).astype(int)[:, None] + np.arange(-reach, reach + 2)
+        near.append(found)
+        # Beyond the grid there is no node, which is as far away as can be.
+        distance = x[:, None] - (nodes[0] + spacing * found)
+        apart.append(np.where((found < 0) | (found >= nodes.size), np.inf, distance))
+    distance = np.hypot(apart[1][:, :, None], apart[0][:, None, :])
+    rows, *place = np.nonzero(distance < h)
+    node = near[1][rows, place[0]] * grid.shape[1] + near[0][rows, place[1]]
+    weights = kernels.value(kernel, distance[rows, place[0], place[1]], h)
+    total = np.bincount(node, weights, minlength=len(values))[node]
+    # At almost h from its only node a particle may have no weight there.
     shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
-    given = shares[:, None] * values[pairs["i"]]
-    return np.stack([np.bincount(pairs["j"], part, minlength=len(at)) for part in given.T], axis=-1)
+    given = shares[:, None] * values[node]
+    return np.stack([np.bincount(rows, part, minlength=len(at)) for part in given.T], axis=-1)
