@@ -27,7 +27,7 @@ BESIDE, START, END = range(3)
 
 _ROUNDING = 1e-9
 """A path that crosses the line this far beyond an end, in lengths of the segment, crosses the segment: at a joint it
-must not slip between two."""
+must not slip between two. And how far from 1 the cosine of a normal across the segment may be."""
 
 
 def segments_of(world: World) -> np.ndarray:
@@ -49,16 +49,16 @@ def nearest_part(segment, x, y):
 def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
     """(distance, n_x, n_y) of a point from a segment, m, and the unit normal from the point to it.
 
-    h_x, h_y: a normal that was found before. Where the point lies beside the segment, it tells the side from which the
-    distance is measured, so that beyond the segment it is negative; without it that is the side of the point.
+    h_x, h_y: a normal that was found before. It tells the side from which the distance is measured, so that beyond the
+    segment it is negative; without it that is the side of the point. Across the segment, it keeps a point that has
+    passed an end since beside it, as in Box2D: at a joint nothing changes within a step.
     """
     e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
     length = math.sqrt(e_x * e_x + e_y * e_y)
     e_x, e_y = e_x / length, e_y / length
-    part = nearest_part(segment, x, y)
-    if part == BESIDE:
+    part, side = nearest_part(segment, x, y), h_x * e_y - h_y * e_x
+    if part == BESIDE or abs(side) > 1.0 - _ROUNDING:
         gap = e_x * (y - segment[1]) - e_y * (x - segment[0])
-        side = h_x * e_y - h_y * e_x
         if side < 0.0 or (side == 0.0 and gap < 0.0):
             return -gap, -e_y, e_x
         return gap, e_y, -e_x

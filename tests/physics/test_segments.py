@@ -155,10 +155,8 @@ def test_a_joint_is_not_felt(speed):
     many = state.replace(world=replace(state.world, segments=row))
     solver = dc.PGS(sweeps=200, tolerance=0.0)
     one, many = (dc.simulate(state, steps=steps, solver=solver, record=1).trajectory for state in (state, many))
-    # At 150 m/s positions are corrected once it is beyond the joint, by a part of what is corrected beside it.
-    off = 5e-4 if speed > 100 else 1e-9
-    np.testing.assert_allclose(many.positions, one.positions, rtol=0, atol=off)
-    np.testing.assert_allclose(many.velocities, one.velocities, rtol=0, atol=10 * off)
+    np.testing.assert_allclose(many.positions, one.positions, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(many.velocities, one.velocities, rtol=0, atol=1e-9)
     assert one.positions[-1, 0, 0] > 45
 
 

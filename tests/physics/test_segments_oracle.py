@@ -16,8 +16,8 @@ SEGMENTS = [((2, 24), (13, 14)), ((28, 24), (17, 14.5)), ((8, 9), (22, 6)), ((3,
 
 
 def test_contacts_and_impulses_equal_box2d():
-    # As in test_box2d_oracle: same start, same order, same sweeps; float32, in which velocities round. Box2D keeps contacts a little
-    # ahead of touch, so its gaps may be those that ours leave out.
+    # As in test_box2d_oracle: same start, same order, same sweeps; velocities round to float32. Whether there is a
+    # contact may differ only where the circle just touches.
     rng = np.random.default_rng(4)
     x, y = np.meshgrid(4.0 + 2.2 * np.arange(11), 25.6 + 2.2 * np.arange(5))
     position = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.05, 0.05, (55, 2))
