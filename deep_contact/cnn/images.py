@@ -14,7 +14,7 @@ The channels, by name (`CHANNELS`); the solver knows those of contacts before it
 | normal_x, normal_y        | contacts| n, whose sign depends on the numbers of the bodies                 | –     |
 | normal_xx, normal_xy      | contacts| n_x² − n_y², 2 n_x n_y, which do not                               | –     |
 | contact_density           | contacts| 1: the density D of the consistent transfer                        | –     |
-| approach                  | contacts| v_n after Δt of gravity, less what restitution asks for (row of b) | m/s   |
+| approach                  | contacts| v_n after Δt of gravity, less its target by restitution (row of b)  | m/s   |
 | slip                      | contacts| v_t of the surfaces after Δt of gravity (row of b)                 | m/s   |
 | effective_mass            | contacts| 1 / (J M⁻¹ Jᵀ) of the normal row                                   | kg    |
 | builtin_normal, builtin_tangent | contacts | impulses carried over from the step before                  | N·s   |

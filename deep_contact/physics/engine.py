@@ -1,7 +1,7 @@
 """The engine: what a step does.
 
-`advance` is the algorithm, which behaves as Box2D 2.3 does for circles, without continuous collision; with sleeping it
-is `sleeping.advance_sleeping`. `deep_contact.simulation` is the validated interface.
+`advance` is the algorithm, which behaves as Box2D 2.3 does for circles at e = 0, but for its own continuous collision;
+with sleeping it is `sleeping.advance_sleeping`. `deep_contact.simulation` is the validated interface.
 """
 
 from __future__ import annotations

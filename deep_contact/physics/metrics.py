@@ -94,9 +94,10 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
 
 
 def targets(state: State) -> np.ndarray:
-    """Normal velocities that the contacts are to part with, (m,), m/s: −e v_n⁻ where they meet fast, otherwise 0."""
-    meeting = row_velocities(state, *free_velocity(state))[0]
-    return np.where(meeting < -state.scales.restitution_threshold, -state.world.restitution * meeting, 0.0)
+    """Normal velocities that the contacts are to part with, (m,), m/s: see `contact_solver.write_targets`."""
+    before = row_velocities(state, state.bodies.velocity, state.bodies.spin)[0]
+    slow = (-state.scales.restitution_threshold <= before) & (before <= 0.0)
+    return np.where(slow, 0.0, -state.world.restitution * before)
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
