@@ -1,7 +1,7 @@
 """The engine: what a step does.
 
-`advance` is the algorithm, which behaves as Box2D 2.3 does for circles, without continuous collision; with sleeping it
-is `sleeping.advance_sleeping`. `deep_contact.simulation` is the validated interface.
+`advance` is the algorithm, which behaves as Box2D 2.3 does for circles at e = 0, but for its own continuous collision;
+with sleeping it is `sleeping.advance_sleeping`. `deep_contact.simulation` is the validated interface.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.position_correction import CorrectionRoom, correct_positions, make_correction_room
+from deep_contact.physics.segments import positions_before, segments_of
 from deep_contact.physics.sleeping import advance_sleeping
 from deep_contact.physics.solvers import PRECISIONS, SoftSteps
 from deep_contact.physics.solvers.registry import (
@@ -99,7 +100,7 @@ def make_memory(n, dtype, friction):
 def advance_with(memory, front_buffer, given, options, workspace, log):
     """`advance` with a `StepMemory`. The contacts that it returns lie in it or in `front_buffer`, like its contacts."""
     bodies, contacts, friction, scales = given.bodies, given.contacts, given.friction, given.scales
-    solver_bodies, theta = workspace.solver_bodies, workspace.theta
+    segments, solver_bodies, theta = given.segments, workspace.solver_bodies, workspace.theta
     cells, back_buffer, row_buffer, room = memory.cells, memory.contacts, memory.rows, memory.correction
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
     solved = contacts
@@ -111,12 +112,13 @@ def advance_with(memory, front_buffer, given, options, workspace, log):
         apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
+        before = positions_before(bodies, segments)
         integrate_positions(bodies, solver_bodies, given)
-        room = correct_positions(bodies, contacts, given.box, scales, options.position_sweeps, room)
+        room = correct_positions(bodies, contacts, given.box, segments, scales, options.position_sweeps, room)
 
         solved = contacts
         contacts, back_buffer = next_contacts(
-            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+            bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
         )
         front_buffer, back_buffer = back_buffer, front_buffer
         log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations)
@@ -165,9 +167,13 @@ def build_rows(given, solver_bodies):
 
 
 @njit(cache=True)
-def is_valid(bodies, contacts):
-    """Whether arrays of the right kind pass `check_state` and `check_limits`; those say what is wrong."""
+def is_valid(bodies, contacts, segments=0):
+    """Whether arrays of the right kind pass `check_state` and `check_limits`; those say what is wrong.
+
+    segments: how many the world has.
+    """
     n = bodies.mass.shape[0]
+    end = n + 4 + segments
     for values, limits in ((bodies.position, _POSITION), (bodies.velocity, _VELOCITY)):
         if values.shape[0] != n or values.shape[1] != 2 or not _within(values.reshape(-1), limits):
             return False
@@ -196,9 +202,9 @@ def is_valid(bodies, contacts):
         valid &= abs(n_x * n_x + n_y * n_y - 1) <= 1e-4
     a, b = contacts.body_a, contacts.body_b
     for i in range(m):
-        valid &= (a[i] >= 0) & (a[i] < n) & (b[i] > a[i]) & (b[i] < n + 4)
+        valid &= (a[i] >= 0) & (a[i] < n) & (b[i] > a[i]) & (b[i] < end)
     for i in range(1, m):
-        valid &= (a[i] - a[i - 1]) * (n + 4) + b[i] - b[i - 1] > 0
+        valid &= (a[i] - a[i - 1]) * end + b[i] - b[i - 1] > 0
     return valid
 
 
@@ -244,9 +250,9 @@ class StepProblem(NamedTuple):
 
 
 def world_arguments(state: State) -> tuple:
-    """(box, gravity, friction, restitution) of the state's world."""
+    """(box, segments, gravity, friction, restitution) of the state's world."""
     world = state.world
-    return world.box, world.gravity, world.friction, world.restitution
+    return world.box, segments_of(world), world.gravity, world.friction, world.restitution
 
 
 def leaves_tangents_out(state: State, settings: NamedTuple) -> bool:
@@ -256,10 +262,10 @@ def leaves_tangents_out(state: State, settings: NamedTuple) -> bool:
 
 def step_input(state: State, settings: NamedTuple, scales: ContactScales | None = None) -> StepInput:
     """What the next steps of a state read; it shares the state's arrays. scales: the state's, if they are at hand."""
-    box, gravity, friction, restitution = world_arguments(state)
+    box, segments, gravity, friction, restitution = world_arguments(state)
     friction = None if leaves_tangents_out(state, settings) else friction
     scales = state.scales if scales is None else scales
-    return StepInput(state.bodies, state.contacts, box, gravity, friction, restitution, state.dt, scales)
+    return StepInput(state.bodies, state.contacts, box, segments, gravity, friction, restitution, state.dt, scales)
 
 
 def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
@@ -307,11 +313,9 @@ def _uncached(function, solver_type: type) -> Callable:
 
 def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
-    bodies = native(state).bodies
-    buffer = make_contacts(4 * bodies.count + 64)
-    contacts, _ = find_contacts(
-        bodies.position, bodies.radius, state.world.box, state.scales.wall_skin, make_cells(bodies.count), buffer
-    )
+    bodies, world = native(state).bodies, state.world
+    where = bodies.position, bodies.radius, world.box, segments_of(world), state.scales.wall_skin
+    contacts, _ = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
     return own_contacts(contacts)
 
 

@@ -47,11 +47,13 @@ class _Room(NamedTuple):
     """What a step needs beside the state.
 
     sizes: masses and radii that the settings were made for, (2n,). constants: (16,), box, gravity, restitution, Δt and
-    `ContactScales`. friction: None for rows without tangents. settings: of the solver. memory: `engine.StepMemory`.
+    `ContactScales`. segments: (S, 4), m. friction: None for rows without tangents. settings: of the solver.
+    memory: `engine.StepMemory`.
     """
 
     sizes: np.ndarray
     constants: np.ndarray
+    segments: np.ndarray
     friction: float | None
     settings: NamedTuple
     position_sweeps: int
@@ -78,13 +80,13 @@ else:
 
 
 @njit(cache=True)
-def make_room(sizes, constants, friction, settings, sweeps, position_sweeps):
+def make_room(sizes, constants, segments, friction, settings, sweeps, position_sweeps):
     """A `Room` for steps of so many sweeps."""
     n = sizes.shape[0] // 2
     workspace = StepWorkspace(np.empty((n + 4, 4)), np.empty(sweeps), np.empty(0))
     log = StepLog(np.empty(1, np.int64), np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64))
     memory = make_memory(n, workspace.solver_bodies.dtype, friction)
-    return Room(sizes, constants, friction, settings, position_sweeps, memory, workspace, log)
+    return Room(sizes, constants, segments, friction, settings, position_sweeps, memory, workspace, log)
 
 
 @njit(cache=True)
@@ -113,7 +115,7 @@ def take_step(numbers, pairs, room):
     c, friction, sizes = room.constants, room.friction, room.sizes
     n, m = sizes.shape[0] // 2, pairs.shape[0] // 2
     contacts = contacts_in(numbers, pairs, n)
-    if differ(numbers[6 * n : 8 * n], sizes) or not is_valid(bodies_in(numbers, n), contacts):
+    if differ(numbers[6 * n : 8 * n], sizes) or not is_valid(bodies_in(numbers, n), contacts, room.segments.shape[0]):
         return numbers[:0], pairs[:0]
     if friction is None and contacts.tangent_start.any():
         return numbers[:0], pairs[:0]
@@ -124,7 +126,7 @@ def take_step(numbers, pairs, room):
             contacts.body_a, contacts.body_b, contacts.position, contacts.normal, contacts.separation,
             np.empty(m), np.empty(m), contacts.normal_start, contacts.tangent_start,
         ),
-        (c[0], c[1], c[2], c[3]), (c[4], c[5]), friction, c[6], c[7],
+        (c[0], c[1], c[2], c[3]), room.segments, (c[4], c[5]), friction, c[6], c[7],
         ContactScales(c[8], c[9], c[10], c[11], c[12], c[13], c[14], c[15]),
     )  # fmt: skip
     options = StepOptions(room.settings, room.position_sweeps, True)
@@ -174,7 +176,7 @@ class Stepper:
         given, settings = step_input(state, settings_of(solver)), settings_of(solver)
         sizes = np.concatenate([state.bodies.mass, state.bodies.radius])
         constants = np.array([*given.box, *given.gravity, given.restitution, given.dt, *given.scales])
-        self.given = (sizes, constants, given.friction, settings, solver.sweeps, solver.position_sweeps)
+        self.given = (sizes, constants, given.segments, given.friction, settings, solver.sweeps, solver.position_sweeps)
         # Rooms in which nothing is being done: several threads may do steps at a time.
         self.rooms: list[Room] = []
 

@@ -38,6 +38,16 @@ def test_a_loop_of_steps_is_a_run_to_the_last_bit(falling, solver, friction):
     assert one == dc.simulate(start, steps=20, solver=solver).state
 
 
+def test_a_loop_of_steps_among_segments_is_a_run(falling):
+    line = [(0.0, 4.0), (6.0, 2.0), (12.0, 3.0)]
+    world = dc.World(box=falling.world.box, segments=list(zip(line, line[1:])))
+    state = start = falling.replace(world=world, contacts=None)
+    for _ in range(20):
+        state = dc.step(state, solver=TEN)
+    assert (state.contacts.body_b >= state.bodies.count + 4).any()
+    assert state == dc.simulate(start, steps=20, solver=TEN).state
+
+
 def test_a_step_leaves_the_state_as_it_is(falling):
     state = dc.step(falling, solver=TEN)
     before = plain(state)
