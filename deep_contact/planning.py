@@ -16,7 +16,7 @@ import numpy as np
 from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import SoftSteps, describe
-from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, why_stiff
+from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, stiff_solver, why_stiff
 from deep_contact.reporting import results
 from deep_contact.simulation import checked_solver, ready, solver_and_start
 from deep_contact.state import State
@@ -86,6 +86,7 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     tangents = not leaves_tangents_out(scene, options.settings)
     choices = (
         _tangents(scene, solver, tangents, savings),
+        _segments(scene),
         _islands(scene, solver, savings),
         _sleeping(sleep, savings),
         _position_correction(solver, savings),
@@ -122,13 +123,19 @@ def _share(one: Mapping) -> str:
 
 
 def _stiffness(scene: State, solver) -> Choice:
-    why = why_stiff(scene) or "nothing is too stiff for a few sweeps"
+    why, wanted = why_stiff(scene), stiff_solver(scene)
     substeps = getattr(solver, "substeps", 1)
-    used = solver.tolerance is not None and solver.sweeps >= SWEEPS
-    if why_stiff(scene) and not used:
+    if wanted is None or wanted.tolerance is not None:
+        used = solver.tolerance is not None and solver.sweeps >= SWEEPS
+        saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"
+    else:
+        used = substeps >= wanted.substeps
+        saving = f"it costs {wanted.substeps} substeps of {wanted.sweeps} sweeps"
+    if why and not used:
         why += f", but {describe(solver)} was asked for"
-    saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"
-    return Choice(part="solving stiff piles", used=used, why=why, saving=saving)
+    return Choice(
+        part="solving stiff piles", used=used, why=why or "nothing is too stiff for a few sweeps", saving=saving
+    )
 
 
 def _tangents(scene: State, solver, used: bool, savings: Mapping) -> Choice:
@@ -142,6 +149,13 @@ def _tangents(scene: State, solver, used: bool, savings: Mapping) -> Choice:
         why = f"friction is 0, but {type(solver).__name__} has no rows without them"
     saving = f"without them a sweep costs {_share(savings['frictionless'])}"
     return Choice(part="tangent rows and spin", used=used, why=why, saving=saving)
+
+
+def _segments(scene: State) -> Choice:
+    count = len(scene.world.segments)
+    why = f"the world has {count}" if count else "the world has none"
+    saving = "each costs every circle a comparison a step, and positions are corrected contact by contact"
+    return Choice(part="static segments", used=count > 0, why=why, saving=saving)
 
 
 def _islands(scene: State, solver, savings: Mapping) -> Choice:

@@ -14,7 +14,7 @@ The channels, by name (`CHANNELS`); the solver knows those of contacts before it
 | normal_x, normal_y        | contacts| n, whose sign depends on the numbers of the bodies                 | –     |
 | normal_xx, normal_xy      | contacts| n_x² − n_y², 2 n_x n_y, which do not                               | –     |
 | contact_density           | contacts| 1: the density D of the consistent transfer                        | –     |
-| approach                  | contacts| v_n after Δt of gravity, less what restitution asks for (row of b) | m/s   |
+| approach                  | contacts| v_n after Δt of gravity, less its target by restitution (row of b)  | m/s   |
 | slip                      | contacts| v_t of the surfaces after Δt of gravity (row of b)                 | m/s   |
 | effective_mass            | contacts| 1 / (J M⁻¹ Jᵀ) of the normal row                                   | kg    |
 | builtin_normal, builtin_tangent | contacts | impulses carried over from the step before                  | N·s   |
@@ -345,7 +345,7 @@ def augment(inputs, labels, spec: ImageSpec, k: int) -> tuple[np.ndarray, np.nda
 
 
 def transform_state(state: State, k: int) -> State:
-    """The state turned and mirrored with its box and its gravity, by symmetry k (0 … 7).
+    """The state turned and mirrored with its box, segments and gravity, by symmetry k (0 … 7).
 
     k ≥ 4 mirrors x, then k mod 4 quarter turns counter-clockwise follow. The box keeps its lower left corner.
     """
@@ -371,20 +371,21 @@ def transform_state(state: State, k: int) -> State:
         spin=sign * state.bodies.spin,
     )
     gravity = tuple(m @ np.array(state.world.gravity))
-    world = replace(state.world, box=box, gravity=gravity)
+    segments = moved(np.reshape(state.world.segments, (-1, 2))).reshape(-1, 4)
+    world = replace(state.world, box=box, gravity=gravity, segments=segments)
     if state.contacts is None:
         return state.replace(world=world, bodies=bodies)
     contacts, n = state.contacts, state.bodies.count
     # Walls are numbered counter-clockwise from the bottom; the mirror swaps right and left.
     wall = ((-1 if mirrored else 1) * (contacts.body_b - n) + turns) % 4
     found = contacts._replace(
-        body_b=np.where(contacts.body_b < n, contacts.body_b, n + wall),
+        body_b=np.where((contacts.body_b < n) | (contacts.body_b >= n + 4), contacts.body_b, n + wall),
         position=moved(contacts.position),
         normal=contacts.normal @ m.T,
         tangent_impulse=sign * contacts.tangent_impulse,
         tangent_start=sign * contacts.tangent_start,
     )
-    return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies))
+    return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies, len(segments)))
 
 
 def _symmetry(k) -> tuple[bool, int]:

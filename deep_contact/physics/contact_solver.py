@@ -26,7 +26,7 @@ from deep_contact.physics.continuous import FAST, stop_fast
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
 
-The last four rows are the walls: at rest, with an inverse mass of 0.
+The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last one.
 """
 
 BODY_A, BODY_B = range(2)
@@ -88,31 +88,31 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 def contact_rows(bodies, contacts, solver_bodies, restitution, threshold, buffer, friction=0.0):
     """Rows of all contacts with their starting impulses. Returns (rows, buffer): views of the buffer, grown if needed.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). Target of a contact that approaches faster than the threshold, m/s: -e v_n.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). Targets: `write_targets`.
     """
     m = contacts.body_a.shape[0]
     if m > buffer.body.shape[0]:
         buffer = make_rows(m, buffer.data.dtype, friction)
     rows = Rows(buffer.body[:m], buffer.data[:m], buffer.impulse[:m])
     if friction is None:
-        write_normal_rows(contacts, solver_bodies, restitution, threshold, rows)
+        write_normal_rows(contacts, solver_bodies, rows)
     else:
-        write_rows(bodies, contacts, solver_bodies, restitution, threshold, rows)
+        write_rows(bodies, contacts, solver_bodies, rows)
+    write_targets(bodies.velocity, contacts, restitution, threshold, rows)
     return rows, buffer
 
 
 @njit(cache=True, error_model="numpy")
-def write_rows(bodies, contacts, solver_bodies, restitution, threshold, rows):
-    """Fill the rows of all contacts: see `contact_rows`."""
+def write_rows(bodies, contacts, solver_bodies, rows):
+    """Fill the rows of all contacts but for their targets: see `contact_rows`."""
     v = solver_bodies
     n = bodies.mass.shape[0]
     for i in range(contacts.body_a.shape[0]):
-        a, b = contacts.body_a[i], contacts.body_b[i]
+        a, b = contacts.body_a[i], min(contacts.body_b[i], n + 3)
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
         arm_a = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[a]
         arm_b = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[b] if b < n else 0.0
         w_a, w_b = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
-        v_n = (v[b, V_X] - v[a, V_X]) * n_x + (v[b, V_Y] - v[a, V_Y]) * n_y
         rows.body[i, BODY_A] = a
         rows.body[i, BODY_B] = b
         rows.data[i, N_X] = n_x
@@ -121,26 +121,47 @@ def write_rows(bodies, contacts, solver_bodies, restitution, threshold, rows):
         rows.data[i, TANGENT_MASS] = 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
         rows.data[i, ARM_A] = arm_a
         rows.data[i, ARM_B] = arm_b
-        rows.data[i, TARGET] = -restitution * v_n if v_n < -threshold else 0.0
         rows.impulse[i, NORMAL] = contacts.normal_start[i]
         rows.impulse[i, TANGENT] = contacts.tangent_start[i]
 
 
 @njit(cache=True, error_model="numpy")
-def write_normal_rows(contacts, solver_bodies, restitution, threshold, rows):
-    """Fill the rows of all contacts without friction: see `contact_rows`."""
+def write_normal_rows(contacts, solver_bodies, rows):
+    """Fill the rows of all contacts without friction but for their targets: see `contact_rows`."""
     v = solver_bodies
+    last = v.shape[0] - 1
     for i in range(contacts.body_a.shape[0]):
-        a, b = contacts.body_a[i], contacts.body_b[i]
+        a, b = contacts.body_a[i], min(contacts.body_b[i], last)
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
-        v_n = (v[b, V_X] - v[a, V_X]) * n_x + (v[b, V_Y] - v[a, V_Y]) * n_y
         rows.body[i, BODY_A] = a
         rows.body[i, BODY_B] = b
         rows.data[i, N_X] = n_x
         rows.data[i, N_Y] = n_y
         rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
-        rows.data[i, FRICTIONLESS_TARGET] = -restitution * v_n if v_n < -threshold else 0.0
         rows.impulse[i, NORMAL] = contacts.normal_start[i]
+
+
+@njit(cache=True)
+def write_targets(velocity, contacts, restitution, threshold, rows):
+    """Fill the targets of the rows, m/s: −e times v_n before the step, (n, 2), m/s, and before its gravity.
+
+    Newton's law for all contacts at once (Moreau 1988): λ_n ≥ 0, v_n⁺ + e v_n⁻ ≥ 0, and one of them is 0. Contacts that
+    part may be pressed as well, down to an approach of e v_n⁻. The energy changes by ½ Σ λ_n (v_n⁺ + v_n⁻) and the work
+    of gravity, and the sum is 0 for e = 1; with 0 in place of the negative targets, or with gravity in v_n⁻ (Box2D
+    does both), it is positive. Approaches up to the threshold end at 0, so that piles come to rest.
+    """
+    rows.data[:, -1] = 0.0
+    if restitution == 0.0:
+        return
+    n = velocity.shape[0]
+    for i in range(contacts.body_a.shape[0]):
+        a, b = contacts.body_a[i], contacts.body_b[i]
+        v_x, v_y = -velocity[a, 0], -velocity[a, 1]
+        if b < n:
+            v_x, v_y = v_x + velocity[b, 0], v_y + velocity[b, 1]
+        v_n = v_x * contacts.normal[i, 0] + v_y * contacts.normal[i, 1]
+        if v_n < -threshold or v_n > 0.0:
+            rows.data[i, -1] = -restitution * v_n
 
 
 @njit(cache=True)
@@ -311,7 +332,7 @@ def integrate_positions(bodies, solver_bodies, given):
         bodies.angle[i] += dt * spin
     if any_fast:
         start = bodies.position - dt * bodies.velocity
-        stop_fast(bodies, start, given.gravity, dt, given.box, given.scales)
+        stop_fast(bodies, start, given.gravity, dt, given.box, given.segments, given.scales)
 
 
 def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:

@@ -15,6 +15,7 @@ from numba import njit
 from scipy import sparse
 
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.metrics import targets
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 
@@ -168,9 +169,7 @@ def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
     index = (np.concatenate(rows), np.concatenate(columns))
     jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=shape))
     b = jacobian @ free
-    approach = b[:: len(directions)]
-    bouncing = approach < -state.scales.restitution_threshold
-    b[:: len(directions)] += np.where(bouncing, state.world.restitution * approach, 0.0)
+    b[:: len(directions)] -= targets(state)
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
     A.sort_indices()
     mu = np.full(m, state.world.friction) if friction else None

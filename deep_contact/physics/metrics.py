@@ -83,7 +83,7 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
     v = np.vstack([velocity, np.zeros((4, 2))])
     w = np.concatenate([spin, np.zeros(4)])
     radius = np.concatenate([bodies.radius, np.zeros(4)])
-    a, b = contacts.body_a, contacts.body_b
+    a, b = contacts.body_a, np.minimum(contacts.body_b, n + 3)
     apart = v[b] - v[a]
     normal = contacts.normal
     tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
@@ -94,9 +94,10 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
 
 
 def targets(state: State) -> np.ndarray:
-    """Normal velocities that the contacts are to part with, (m,), m/s: −e v_n⁻ where they meet fast, otherwise 0."""
-    meeting = row_velocities(state, *free_velocity(state))[0]
-    return np.where(meeting < -state.scales.restitution_threshold, -state.world.restitution * meeting, 0.0)
+    """Normal velocities that the contacts are to part with, (m,), m/s: see `contact_solver.write_targets`."""
+    before = row_velocities(state, state.bodies.velocity, state.bodies.spin)[0]
+    slow = (-state.scales.restitution_threshold <= before) & (before <= 0.0)
+    return np.where(slow, 0.0, -state.world.restitution * before)
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -106,7 +107,7 @@ def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
     zeros = np.zeros(4)
     w, i = np.concatenate([1 / bodies.mass, zeros]), np.concatenate([1 / bodies.inertia, zeros])
     radius = np.concatenate([bodies.radius, zeros])
-    a, b = contacts.body_a, contacts.body_b
+    a, b = contacts.body_a, np.minimum(contacts.body_b, n + 3)
     arm_a = radius[a] + 0.5 * contacts.separation
     arm_b = np.where(b < n, radius[b] + 0.5 * contacts.separation, 0.0)
     return 1 / (w[a] + w[b]), 1 / (w[a] + w[b] + arm_a**2 * i[a] + arm_b**2 * i[b])

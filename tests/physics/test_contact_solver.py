@@ -118,8 +118,10 @@ def test_solution_is_complementary_and_in_the_cone(falling_states):
 
 
 @settings(max_examples=25, deadline=None)
-@given(seed=st.integers(0, 10_000), friction=st.sampled_from([0.0, 0.3, 1.0]), restitution=st.sampled_from([0, 0.5]))
-def test_collisions_keep_momentum_and_make_no_energy(seed, friction, restitution):
+@given(seed=st.integers(0, 10_000), law=st.sampled_from([(0, 0), (0.3, 0), (1, 0), (0.3, 0.5), (1, 0.5), (0, 1)]))
+def test_collisions_keep_momentum_and_make_no_energy(seed, law):
+    # Not with friction and e = 1: Newton's law then gains energy where contacts are coupled (Kane and Levinson 1985).
+    friction, restitution = law
     scene = dc.drifting_circles(
         25, size=14.0, radius=(0.4, 1.2), speed=3.0, friction=friction, restitution=restitution, seed=seed
     )

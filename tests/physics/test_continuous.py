@@ -142,6 +142,39 @@ def test_restitution_1_keeps_the_energy_of_ten_thousand_bounces_between_walls():
     assert inside(run.state)
 
 
+def test_restitution_1_keeps_the_energy_of_ten_thousand_bounces_under_gravity():
+    # Symplectic Euler keeps ½ m v² + m g y − ½ Δt m g v of a fall, and a bounce at a step's end turns the fall back.
+    state = dc.single_body(height=0.3, restitution=1.0, friction=0.5)
+
+    def energy(bodies):
+        return 0.5 * bodies.velocity[0, 1] ** 2 + 9.81 * (bodies.position[0, 1] - 0.01 * bodies.velocity[0, 1])
+
+    run = dc.simulate(state, steps=255_000, dt=0.02, solver=dc.PGS(sweeps=2))
+    assert (run.contacts > 0).sum() > 10_000
+    assert abs(energy(run.state.bodies) / energy(state.bodies) - 1) < 1e-9
+
+
+def test_many_circles_at_restitution_1_keep_their_energy():
+    # A crowded box without friction: thousands of steps in which several contacts of a circle meet or part at once.
+    lattice = dc.lattice_in_box(12, radius=(0.6, 1.0), gap=0.05, seed=0)
+    velocity = 5.0 * np.random.default_rng(0).normal(size=(12, 2))
+    world = World(box=lattice.world.box, gravity=(0, 0), restitution=1.0, friction=0.0)
+    state = lattice.replace(world=world, bodies=lattice.bodies._replace(velocity=velocity), contacts=None)
+    run = dc.simulate(state, steps=12_000, solver=dc.PGS(sweeps=2000, tolerance=1e-12))
+    assert (run.contacts > 1).sum() > 3000
+    assert abs(kinetic_energy(run.state.bodies) / kinetic_energy(state.bodies) - 1) < 1e-6
+
+
+def test_a_circle_that_leaves_a_wall_may_be_struck_back_to_it():
+    # Moreau's law: v_n⁺ >= −e v_n⁻ at the wall, too. Asked to stay (0 in place of −1) it would send the other off with
+    # 4 m/s, and the energy from 10 to 16.
+    world = World(box=(0, 0, 30, 30), gravity=(0, 0), restitution=1.0, friction=0.0)
+    solution = dc.solve_contacts(
+        scene([[1.0, 15.0], [3.0, 15.0]], [[1.0, 0.0], [-3.0, 0.0]], world=world), solver=dc.PGS(sweeps=200)
+    )
+    np.testing.assert_allclose(solution.velocities[:, 0], [-1.0, 3.0], atol=1e-4)
+
+
 @pytest.mark.parametrize("gap", [0.0, 0.2])
 def test_newtons_cradle_comes_out_as_newtons_law_says(gap):
     # Touching balls meet all at once: the first contact alone approaches. With gaps the blows follow one another.

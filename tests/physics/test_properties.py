@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import deep_contact as dc
 from deep_contact.io.state_xml import format_state, parse_state
+from deep_contact.physics import metrics
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.simulation import ready
@@ -103,6 +104,23 @@ def test_without_restitution_a_step_gains_no_energy_but_by_position_correction(s
         before = mechanical_energy(state, state.bodies)
         assert mechanical_energy(state, after.bodies) - correction <= before + 1e-9 * max(1.0, abs(before))
         state = after
+
+
+@settings(max_examples=60, deadline=None)
+@given(crowds(), st.sampled_from([0.0, 0.3, 1.0]))
+def test_no_restitution_gains_energy_in_a_crowd(state, restitution):
+    # ½ Σ λ_n (v_n⁺ + v_n⁻) = ½ (1 − e) Σ λ_n v_n⁻ <= 0, and 0 for e = 1 (Moreau 1988), without friction and gravity.
+    world = World(box=state.world.box, gravity=(0, 0), friction=0.0, restitution=restitution)
+    state = ready(state.replace(world=world))
+    solution = dc.solve_contacts(state, solver=INELASTIC, start=None)
+    assume(solution.record.status != "max_sweeps")
+    after = state.bodies._replace(velocity=solution.velocities)
+    change = mechanical_energy(state, after) - mechanical_energy(state, state.bodies)
+    met = metrics.row_velocities(state, state.bodies.velocity, state.bodies.spin)[0]
+    expected = 0.5 * (1 - restitution) * solution.normal_impulses @ met
+    assert expected <= 1e-9 * (1 + mechanical_energy(state, state.bodies))
+    np.testing.assert_allclose(change, expected, rtol=1e-6, atol=1e-6)
+    assert metrics.residual(state, solution) < 1e-7
 
 
 @settings(max_examples=60, deadline=None)
