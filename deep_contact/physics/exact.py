@@ -22,8 +22,8 @@ references, not for the steps of a run.
 Where it fails. A proximal step has a solution and the path finds it where the problem is monotone, as it is without
 friction. With friction there is no such guarantee: ε may be too small against a negative mode, and a path can turn
 back for good. It is then given up and taken up elsewhere, with a larger ε, which has sufficed in piles of 1,000 so
-far and is no proof. Settling piles of 10,000 are not solved: 0.8e-3 to 1.8e-3 m/s are left after 6,000 pivots. Where solutions
-are many, which is found depends on the path, so on the start and these constants.
+far and is no proof. Settling piles of 10,000 are not solved: 0.8e-3 to 1.8e-3 m/s are left after 6,000 pivots. Where
+solutions are many, which is found depends on the path, so on the start and these constants.
 """
 
 from __future__ import annotations
