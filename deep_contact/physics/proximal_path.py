@@ -315,10 +315,9 @@ def _change(bodies, weight, friction, i, new, inverse):
 @njit(cache=True, fastmath={"contract"})
 def _subtract(v, c, share):
     """v ← v − share c, in place."""
-    for k in range(v.shape[0]):
-        v[k, 0] -= share * c[k, 0]
-        v[k, 1] -= share * c[k, 1]
-        v[k, 2] -= share * c[k, 2]
+    to, by = v.reshape(v.size), c.reshape(c.size)
+    for k in range(to.size):
+        to[k] -= share * by[k]
 
 
 @njit(cache=True, error_model="numpy")
@@ -354,7 +353,8 @@ def follow(bodies, diagonal, friction, epsilon, states, x, u, q, limit, inverse)
             x_n, x_t, u_n, u_t = _rates(bodies, weight, friction, state, q, dv, i)
             dx[i, 0], dx[i, 1], du[i, 0], du[i, 1] = x_n, x_t, u_n, u_t
             total += 0.0 * (u_n + u_t + x_n)
-            for to in range(4):
+            first = OPEN if state >= SLIP_UP else SLIP_UP
+            for to in (first, SLIP_DOWN if state == STICK else STICK):
                 if leads(state, to, mu):
                     rate = sign * slack(state, to, mu, x_n, x_t, u_n, u_t)
                     if rate < 0.0:

@@ -111,3 +111,21 @@ def test_the_scripts_run(tmp_path):
     file = folder / "step_0000.hdf5"
     assert "ours, NNCG" in run("scripts/benchmark_outside.py", file, "--piles", "--repeats", 1, "--out", tmp_path)
     assert (tmp_path / "benchmark_outside.json").exists()
+
+
+def test_errors_of_the_relaxation_are_those_of_what_it_returns(monkeypatch):
+    # Nothing done has an error of 1, the exact solution none.
+    monkeypatch.setattr(outside, "relaxed", lambda problem: np.zeros(problem.b.size))
+    rows = outside.relaxation_errors(["settling"], [20], [0.0, 0.5], states=2)
+    assert [(row["kind"], row["circles"], row["friction"], row["states"]) for row in rows] == [
+        ("settling", 20, 0.0, 2),
+        ("settling", 20, 0.5, 2),
+    ]
+    np.testing.assert_allclose([row["errors"] for row in rows], 1.0)
+    monkeypatch.setattr(outside, "relaxed", lambda problem: _impulse(solve_exactly(problem).solution))
+    (row,) = outside.relaxation_errors(["settling"], [20], [0.0], states=1)
+    assert row["errors"][0] < 1e-4
+
+
+def _impulse(solution):
+    return np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
