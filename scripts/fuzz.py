@@ -10,8 +10,9 @@
   in three a part of a simulation is of another shape, type, size or link, with a digest that fits.
 * api: functions of the public interface get arrays and numbers of the wrong type, shape, sign, order or size.
 
-The script fails on any other exception, above the limit of memory (1 GB; 5 GB for models, whose texts of variable length may claim 4 GB), or if one input takes longer
-than 10 s. The input that fails is kept as `crash-…` in the working directory. It stops after `--seconds`, too.
+The script fails on any other exception, above 1 GB of memory (5 GB for models, whose texts of variable length may claim
+4 GB), or if one input takes longer than 10 s. The input that fails is kept as `crash-…` in the working directory. It
+stops after `--seconds`, too.
 """
 
 import argparse
