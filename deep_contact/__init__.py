@@ -21,11 +21,14 @@ if TYPE_CHECKING:
     from deep_contact.io.state_xml import read_state, write_state
     from deep_contact.physics.exact import solve_exactly
     from deep_contact.physics.scenes import (
+        bench_disks,
         circles_in_box,
         column,
         drifting_circles,
+        hopper,
         lattice_in_box,
         single_body,
+        terrain,
         two_bodies,
     )
     from deep_contact.physics.solvers import APGD, NNCG, PGS, PSOR, BatchedPGS, NesterovPGS, SoftSteps, SymmetricPGS

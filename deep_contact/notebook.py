@@ -21,12 +21,14 @@ def shown(title: str, rows: Mapping[str, object], picture: str = "") -> str:
     return f'<div style="display:flex;gap:1em;align-items:flex-start">{text}{picture}</div>'
 
 
-def picture_of(box, position: np.ndarray, radius: np.ndarray, lines: np.ndarray, strength: np.ndarray) -> str:
+def picture_of(
+    box, position: np.ndarray, radius: np.ndarray, lines: np.ndarray, strength: np.ndarray, segments=()
+) -> str:
     """SVG of circles in their box, and of lines over them.
 
     box: (x_min, y_min, x_max, y_max), m. position: (n, 2), m. radius: (n,), m. lines: start and end, (m, 2, 2), m.
-    strength: of each line, (m,); the width is proportional to it. What is not finite is left out. Empty for more than
-    `MOST_CIRCLES` circles.
+    strength: of each line, (m,); the width is proportional to it. segments: static ones, (x_0, y_0, x_1, y_1) each, m.
+    What is not finite is left out. Empty for more than `MOST_CIRCLES` circles.
     """
     if len(radius) > MOST_CIRCLES:
         return ""
@@ -44,6 +46,10 @@ def picture_of(box, position: np.ndarray, radius: np.ndarray, lines: np.ndarray,
     parts = [
         f'<svg width="{width + 2:.0f}" height="{height + 2:.0f}" viewBox="-1 -1 {width + 2:.0f} {height + 2:.0f}">',
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="none" stroke="currentColor"/>',
+        *(
+            f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="currentColor"/>'
+            for x1, y1, x2, y2 in on_screen(np.reshape(segments, (-1, 2, 2))).reshape(-1, 4)
+        ),
         '<g fill="#CFE6F5" stroke="#333333" stroke-width="0.5">',
         *(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{r:.1f}"/>' for x, y, r in circles[np.isfinite(circles).all(axis=1)]),
         '</g><g stroke="#D55E00">',

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -333,7 +334,8 @@ def ready(state: State) -> StateWithContacts:
     number("time", state.time)
     number("dt", state.dt, above=0)
     integer("step", state.step)
-    if not (_has_engine_arrays(state) and is_valid(state.bodies, state.contacts)):
+    bodies, contacts, segments = state.bodies, state.contacts, len(state.world.segments)
+    if not (_has_engine_arrays(state) and is_valid(bodies, contacts, segments)):
         state = check_limits(check_state(state))
     if not _has_settings_within_limits(state):
         check_limits(state)
@@ -344,6 +346,8 @@ def _has_settings_within_limits(state: State) -> bool:
     """Whether the world and Δt are; the arrays are looked at by `is_valid`."""
     world = state.world
     found = {"dt": (state.dt,), "world.box": world.box, "world.gravity": world.gravity}
+    if world.segments:
+        found["world.segments"] = tuple(chain.from_iterable(world.segments))
     found["world.friction"] = (world.friction,)
     if world.scales is not None:
         found |= {f"scales.{name}": (getattr(world.scales, name),) for name in ("slop", "wall_skin", "max_correction")}

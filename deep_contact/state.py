@@ -4,7 +4,8 @@ Conventions, said once, here:
 
 * SI units; an impulse λ is in N·s. Physics is float64.
 * The n circles are bodies 0 … n-1. The box is one static body; its walls are numbered n + 0 (bottom),
-  n + 1 (right), n + 2 (top) and n + 3 (left), so that two contacts of one circle in a corner differ.
+  n + 1 (right), n + 2 (top) and n + 3 (left), so that two contacts of one circle in a corner differ. The static
+  segments of `World.segments` follow, from n + 4 on.
 * A contact joins `body_a` < `body_b`. Its unit normal points from a to b, its tangent is (n_y, -n_x); relative
   velocity is b minus a; a negative separation is penetration. The contact point lies in the middle of the overlap.
   The impulse on b is λ_n n + λ_t t, on a the opposite.
@@ -15,6 +16,7 @@ Conventions, said once, here:
 from __future__ import annotations
 
 import reprlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -43,6 +45,7 @@ LIMITS = {
     "contacts.normal_start": (-1e60, 1e60, "N·s"),
     "contacts.tangent_start": (-1e60, 1e60, "N·s"),
     "world.box": (-1e12, 1e12, "m"),
+    "world.segments": (-1e12, 1e12, "m"),
     "world.gravity": (-1e6, 1e6, "m/s²"),
     "world.friction": (0.0, 1e12, ""),
     "dt": (1e-9, 1.0, "s"),
@@ -70,6 +73,7 @@ SINGLE_LIMITS = LIMITS | {
     "contacts.separation": (-1e8, 1e8, "m"),
     **{name: (-1e15, 1e15, "N·s") for name in LIMITS if name.endswith(("impulse", "start"))},
     "world.box": (-1e6, 1e6, "m"),
+    "world.segments": (-1e6, 1e6, "m"),
     "world.friction": (0.0, 1e6, ""),
     "dt": (1e-6, 1.0, "s"),
 }
@@ -125,7 +129,7 @@ class Contacts(NamedTuple):
     | field           | meaning                                          | shape  | unit |
     |-----------------|--------------------------------------------------|--------|------|
     | body_a          | index of the first circle                        | (m,)   | –    |
-    | body_b          | index of the second circle, or n + wall          | (m,)   | –    |
+    | body_b          | second circle, n + wall, or n + 4 + segment      | (m,)   | –    |
     | position        | contact point, in the middle of the overlap      | (m, 2) | m    |
     | normal          | unit normal from a to b                          | (m, 2) | –    |
     | separation      | gap along the normal, negative is penetration    | (m,)   | m    |
@@ -166,6 +170,10 @@ class World:
     box: (x_min, y_min, x_max, y_max), m. gravity: (g_x, g_y), m/s². friction: Coulomb's μ. restitution: Newton's e,
     felt above the scales' threshold. scales: `ContactScales` that hold whatever the scene; by default None, they follow
     it (`State.scales`), and a circle more or less changes them by what it changes the mean radius.
+
+    segments: any number of ((x, y), (x, y)), m: static lines beside the box, felt from both sides and at their ends,
+    with the skin of the walls (edge shapes of Box2D). Those that share an end, to the last bit, are one line there: a
+    circle rolls over the joint as over a chain of Box2D. Kept as (x_0, y_0, x_1, y_1) each.
     """
 
     box: tuple[float, float, float, float] = (0.0, 0.0, 30.0, 30.0)
@@ -173,6 +181,7 @@ class World:
     friction: float = constants.FRICTION
     restitution: float = constants.RESTITUTION
     scales: ContactScales | None = None
+    segments: Sequence = ()
 
     def __post_init__(self):
         box, gravity, friction, restitution = (
@@ -188,6 +197,7 @@ class World:
             raise ValueError(f"restitution: expected a number from 0 to 1, got {self.restitution}")
         if self.scales is not None:
             object.__setattr__(self, "scales", _checked_scales(self.scales))
+        object.__setattr__(self, "segments", _checked_segments(self.segments))
         object.__setattr__(self, "box", box)
         object.__setattr__(self, "gravity", gravity)
         object.__setattr__(self, "friction", friction[0])
@@ -253,7 +263,8 @@ class State:
         between = contacts.body_b < bodies.count
         ends[between] = bodies.position[contacts.body_b[between]]
         lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
-        return notebook.picture_of(self.world.box, bodies.position, bodies.radius, lines, contacts.normal_impulse)
+        world, circles = self.world, (bodies.position, bodies.radius)
+        return notebook.picture_of(world.box, *circles, lines, contacts.normal_impulse, world.segments)
 
 
 if TYPE_CHECKING:
@@ -329,13 +340,15 @@ def check_bodies(bodies: Bodies) -> Bodies:
     return Bodies(**fields)
 
 
-def check_contacts(contacts: Contacts, bodies: Bodies) -> Contacts:
+def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
     """Own, contiguous copies of all fields in sweep order (by body_a, body_b), validated against the bodies.
 
+    segments: how many the world has.
     Raises ValueError naming the field, the contact and the value.
     """
     m = _length("contacts.body_a", contacts.body_a)
     n = bodies.count
+    end = n + 4 + segments
     columns = {"position": 2, "normal": 2}
     fields = {}
     for name, value in contacts._asdict().items():
@@ -351,13 +364,14 @@ def check_contacts(contacts: Contacts, bodies: Bodies) -> Contacts:
             fields[name] = _checked_array("contacts", name, value, shape)
     a, b = fields["body_a"], fields["body_b"]
     _refuse_where((a < 0) | (a >= n), "contacts", "body_a", a, f"a circle, 0 to {n - 1}")
-    _refuse_where((b <= a) | (b >= n + 4), "contacts", "body_b", b, f"a body after body_a, up to {n + 3} (walls)")
+    fixed = "walls, segments" if segments else "walls"
+    _refuse_where((b <= a) | (b >= end), "contacts", "body_b", b, f"a body after body_a, up to {end - 1} ({fixed})")
     length = np.hypot(*fields["normal"].T)
     _refuse_where(np.abs(length - 1) > 1e-4, "contacts", "normal", fields["normal"], "a unit vector")
     # A touching pair may carry no tensile impulse; starts are not judged here, they are hints.
     _refuse_where(fields["normal_impulse"] < 0, "contacts", "normal_impulse", fields["normal_impulse"], "a number >= 0")
     order = np.lexsort((b, a))
-    key = a[order] * (n + 4) + b[order]
+    key = a[order] * end + b[order]
     twice = np.flatnonzero(key[1:] == key[:-1])
     if twice.size:
         i = order[twice[0]]
@@ -372,7 +386,9 @@ def check_state(state: State) -> State:
     number("dt", state.dt, above=0)
     integer("step", state.step)
     bodies = check_bodies(state.bodies)
-    contacts = None if state.contacts is None else check_contacts(state.contacts, bodies)
+    contacts = state.contacts
+    if contacts is not None:
+        contacts = check_contacts(contacts, bodies, len(state.world.segments))
     return state.replace(bodies=bodies, contacts=contacts)
 
 
@@ -418,6 +434,19 @@ def native(state: State) -> State:
 def no_contacts() -> Contacts:
     """Contacts of a state that has none."""
     return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)
+
+
+def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
+    if not isinstance(segments, (Sequence, np.ndarray)) or isinstance(segments, str):
+        raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {segments!r}")
+    found = tuple(map(_numbers, segments))
+    for index, ends in enumerate(found):
+        # The squared length is what the engine divides by.
+        fits = len(ends) == 4 and np.isfinite(ends).all()
+        if not fits or (ends[2] - ends[0]) ** 2 + (ends[3] - ends[1]) ** 2 == 0.0:
+            expected = "two different points, ((x, y), (x, y)), of finite numbers"
+            raise ValueError(f"segments[{index}]: expected {expected}, got {segments[index]!r}")
+    return found
 
 
 def _checked_scales(scales) -> ContactScales:

@@ -17,6 +17,7 @@ from deep_contact.physics.contact_solver import NORMAL, TANGENT
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.line_search import best_share
 from deep_contact.state import State, StateWithContacts
+from deep_contact.validation import one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 
@@ -100,14 +101,19 @@ class Bad:
         return wrong, -np.sign(tangent) * state.world.friction * wrong
 
 
+TRANSFERS = ("thesis", "consistent", "spline", "shared")
+"""Ways to the image and back, see `Sph`."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Sph:
     """The solution after a round trip through a grid image (the thesis's SPH-Model, Algorithm 5).
 
-    spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: "thesis" spreads each impulse
-    by weights that sum to one (Appendix A) and reads it back bilinearly (Algorithm 4), which returns only a part of
-    it, and nothing of a contact that reaches no node; "consistent" divides what is read back by what a field of ones
-    returns. Raises ValueError on an unknown transfer; the rest is checked by `deep_contact.sph`.
+    spacing: d of the grid, m. support: h of the kernel, m; by default h = d. transfer: one of `TRANSFERS`. All spread
+    each impulse by weights that sum to one (Appendix A). "thesis" reads it back bilinearly (Algorithm 4), which returns
+    only a part of it, and nothing of a contact that reaches no node; "consistent" divides what is read back by what a
+    field of ones returns. The thesis's authors programmed "spline" for this start and "shared" for that of their
+    network (`sph.read_back`). Raises ValueError on an unknown transfer; the rest is checked by `deep_contact.sph`.
     """
 
     spacing: float = 0.5
@@ -116,8 +122,7 @@ class Sph:
     transfer: str = "consistent"
 
     def __post_init__(self):
-        if self.transfer not in ("thesis", "consistent"):
-            raise ValueError(f"transfer: expected 'thesis' or 'consistent', got {self.transfer!r}")
+        one_of("transfer", self.transfer, TRANSFERS)
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.round_trip(state, np.column_stack(solved_impulses(state, solver)))
@@ -140,10 +145,14 @@ class Sph:
             "h": h,
             "kernel": self.kernel,
             "outside": "clamp",
-            "unreached": "zero" if self.transfer == "thesis" else "nearest",
+            "unreached": "nearest" if self.transfer == "consistent" else "zero",
         }
         image = sph.splat(grid, points, impulses, normalization="particle", **options)
-        if self.transfer == "thesis":
+        if self.transfer == "spline":
+            back = sph.read_by_spline(grid, image, points)
+        elif self.transfer == "shared":
+            back = sph.share_out(grid, image, points, h=h, kernel=self.kernel)
+        elif self.transfer == "thesis":
             back = sph.gather(
                 grid, image, points, method=method, h=h, kernel=self.kernel, outside="clamp", unreached="zero"
             )

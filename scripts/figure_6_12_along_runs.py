@@ -154,14 +154,14 @@ FIGURE = Figure(
         "runs": {
             "1000": {
                 "scenes": 8,
-                "sweeps": [6, 10, 20, 50, 70],
+                "sweeps": [3, 6, 10, 20, 50, 70],
                 "settings": [
                     *(*CLASSICAL, "PSOR 1.5", "PSOR adaptive", "NNCG"),
                     *(f"{BASE}, {start}" for start in ("none", "scaled", "by need", "learned")),
                 ],
             },
-            "3000": {"scenes": 5, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED]},
-            "10000": {"scenes": 3, "sweeps": [6, 10, 20, 50], "settings": [*CLASSICAL, LEARNED]},
+            "3000": {"scenes": 8, "sweeps": [3, 6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED]},
+            "10000": {"scenes": 5, "sweeps": [3, 6, 10, 20, 50], "settings": [*CLASSICAL, LEARNED]},
         },
         "steps": 300,
         "every": 20,

@@ -17,9 +17,14 @@ SIBLING = {
 }
 """Mean loss of a contact impulse, N·s, in L. Engedal's thesis of 2018 (p. 39), for his own method and piles."""
 
-WAYS = {"thesis": ("thesis", "bilinear"), "SPH gather": ("thesis", "sph"), "consistent": ("consistent", "bilinear")}
-"""Name -> transfer, and how it reads back."""
-
+WAYS = {
+    "thesis": ("thesis", "bilinear"),
+    "SPH gather": ("thesis", "sph"),
+    "consistent": ("consistent", "bilinear"),
+    "authors' spline": ("spline", "bilinear"),
+    "authors' sharing": ("shared", "bilinear"),
+}
+"""Name -> transfer, and how the thesis's reads back."""
 
 SUPPORTS = (0.125, 0.25, 0.5)
 """h at d = 0.25 m: half of it, d, and twice d."""
@@ -50,8 +55,8 @@ def compute(options, seed, jobs, progress):
             rows.append(losses)
     by_spacing = {
         radii: {
-            transfer: [loss(states, spacing=d, transfer=transfer) for d in options["charted"]]
-            for transfer in ("thesis", "consistent")
+            name: [loss(states, by, spacing=d, transfer=way) for d in options["charted"]]
+            for name, (way, by) in WAYS.items()
         }
         for radii, states in piles.items()
     }
@@ -81,7 +86,7 @@ def piles_of(options, radius, seed):
 def claims(data):
     """How much the transfer loses, which part of it does, and how exact the consistent transfer is."""
     scenes = data["by scene"]
-    thesis, gather, consistent = (scenes[f"{name}, d = h = 0.5"] for name in WAYS)
+    thesis, gather, consistent, spline, sharing = (scenes[f"{name}, d = h = 0.5"] for name in WAYS)
     half, equal_h, twice = (scenes[f"d = 0.25, h = {h:g}"] for h in SUPPORTS)
     ones = [1.0] * len(thesis)
     isolated = max(row["isolated, consistent"] for row in data["rows"])
@@ -94,6 +99,9 @@ def claims(data):
         f"too {size} h loses information: at d = 0.25 m, h = {of} more than h = d"
         for size, of in (("small", "d / 2"), ("big", "2 d"))
     )
+    code = "the authors' code loses less than Algorithm 4: by a spline, for the SPH image"
+    network = "the authors' code loses less than Algorithm 4: each node shared out, for the network's image"
+    best = "the authors' sharing loses less than our consistent transfer"
     impulses = "under a tenth of the impulses is lost on the thesis's way through the image"
     found = [
         verdicts.judged_values(scenes["velocities of circles"], ones, image, "abstract", within=(0.0, 0.1)),
@@ -102,6 +110,9 @@ def claims(data):
         verdicts.judged_values(twice, equal_h, big, "section 3.2.3", within=verdicts.SLOWER),
         verdicts.judged_values(consistent, thesis, limits, "section 5.4", within=(0.1, np.inf)),
         verdicts.judged_values(thesis, ones, impulses, within=(0.0, 0.1)),
+        verdicts.judged_values(spline, thesis, code),
+        verdicts.judged_values(sharing, thesis, network),
+        verdicts.judged_values(sharing, consistent, best),
     ]
     text = "the consistent transfer returns an isolated contact exactly"
     found.append(Claim(text, None, isolated < 1e-12, {"worst": isolated}))
@@ -125,27 +136,34 @@ def table(data):
 
 def draw(data, options):
     """Left: relative error by h / d in a pile, for each way and spacing. Right: by d = h for equal and mixed radii."""
-    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.0))
-    looks = {"thesis": plotting.SKY, "SPH gather": plotting.ORANGE, "consistent": plotting.BLUE}
+    from matplotlib.lines import Line2D
+
+    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.4))
+    colours = (plotting.SKY, plotting.ORANGE, plotting.BLUE, plotting.GREEN, plotting.VERMILION)
+    looks = dict(zip(WAYS, colours))
     lines = dict(zip(options["spacings"], (":", "--", "-")))
     floor = 1e-6
     for name, colour in looks.items():
         for d, line in lines.items():
             found = [row for row in data["rows"] if row["kernel"] == "poly6" and row["d"] == d]
             error = np.maximum([row[f"pile, {name}"] for row in found], floor)
-            left.plot([row["h"] for row in found], error, line, color=colour, marker="o", label=f"{name}, d = {d:g} m")
+            left.plot([row["h"] for row in found], error, line, color=colour, marker="o")
     plotting.label_axes(left, "h", "relative error of λ", x_unit="m", title="a) pile of equal circles, poly6")
-    for radii, marker in (("equal", "o"), ("mixed", "s")):
-        for transfer, error in data["by spacing"][radii].items():
-            look = {"color": looks[transfer], "marker": marker, "label": f"{transfer}, {radii} radii"}
-            right.plot(data["charted"], np.maximum(error, floor), "-" if radii == "equal" else "--", **look)
+    left.legend(handles=[Line2D([], [], color="#222222", ls=line, label=f"d = {d:g} m") for d, line in lines.items()])
+    kinds = {"equal": {"marker": "o", "ls": "-"}, "mixed": {"marker": "s", "ls": "--"}}
+    for radii, look in kinds.items():
+        for name, error in data["by spacing"][radii].items():
+            right.plot(data["charted"], np.maximum(error, floor), color=looks[name], **look)
     plotting.label_axes(right, "d = h", "relative error of λ", x_unit="m", title="b) radii 1, and 0.5 to 2 mixed")
+    keys = [Line2D([], [], color="#222222", label=f"{radii} radii", **look) for radii, look in kinds.items()]
+    right.legend(handles=keys, loc="lower right")
     for ax in (left, right):
         ax.set_xscale("log", base=2)
         ax.set(yscale="log", ylim=(floor / 2, 2))
-        ax.legend(fontsize=7)
         ax.xaxis.set_major_formatter("{x:g}")
     left.text(0.01, 0.01, "errors below 1e-6 are drawn there", transform=left.transAxes, fontsize=7, va="bottom")
+    ways = [Line2D([], [], color=colour, label=name) for name, colour in looks.items()]
+    figure.legend(handles=ways, loc="outside lower center", ncols=len(ways))
     return figure
 
 
@@ -156,13 +174,13 @@ FIGURE = Figure(
         "n_bodies": 100,
         "every": 60,
         "scenes": 12,
-        "isolated": 1000,
+        "isolated": 100,
         "kernels": ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"],
         "spacings": [0.125, 0.25, 0.5],
         "supports": [0.125, 0.25, 0.5],
         "charted": [0.125, 0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0],
     },
-    quick={"every": 40, "scenes": 1, "isolated": 100},
+    quick={"every": 40, "scenes": 1, "isolated": 20},
     compute=compute,
     claims=claims,
     table=table,

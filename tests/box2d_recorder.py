@@ -102,10 +102,11 @@ def _listener(b2, n: int):
 def _pair(contact, n: int) -> tuple[tuple[int, int], float]:
     """Our (body_a, body_b) of a Box2D contact, and -1 where Box2D's normal points from our b to our a."""
     a, b = contact.fixtureA.userData, contact.fixtureB.userData
+    # User data are -1 for the box, whose child says which wall, and -1 less the number behind the circles for segments.
     if a < 0:
-        return (b, n + contact.childIndexA), -1.0
+        return (b, n - 1 - a + contact.childIndexA), -1.0
     if b < 0:
-        return (a, n + contact.childIndexB), 1.0
+        return (a, n - 1 - b + contact.childIndexB), 1.0
     return ((a, b), 1.0) if a < b else ((b, a), -1.0)
 
 

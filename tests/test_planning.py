@@ -128,5 +128,5 @@ def test_what_simulate_refuses_is_refused(options, message):
 
 
 def test_an_unknown_part_names_the_known_ones():
-    with pytest.raises(KeyError, match="expected one of tangent rows and spin, islands"):
+    with pytest.raises(KeyError, match="expected one of tangent rows and spin, static segments, islands"):
         plan(dc.column(2))["gravity"]

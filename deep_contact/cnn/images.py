@@ -345,7 +345,7 @@ def augment(inputs, labels, spec: ImageSpec, k: int) -> tuple[np.ndarray, np.nda
 
 
 def transform_state(state: State, k: int) -> State:
-    """The state turned and mirrored with its box and its gravity, by symmetry k (0 … 7).
+    """The state turned and mirrored with its box, segments and gravity, by symmetry k (0 … 7).
 
     k ≥ 4 mirrors x, then k mod 4 quarter turns counter-clockwise follow. The box keeps its lower left corner.
     """
@@ -371,20 +371,21 @@ def transform_state(state: State, k: int) -> State:
         spin=sign * state.bodies.spin,
     )
     gravity = tuple(m @ np.array(state.world.gravity))
-    world = replace(state.world, box=box, gravity=gravity)
+    segments = moved(np.reshape(state.world.segments, (-1, 2))).reshape(-1, 4)
+    world = replace(state.world, box=box, gravity=gravity, segments=segments)
     if state.contacts is None:
         return state.replace(world=world, bodies=bodies)
     contacts, n = state.contacts, state.bodies.count
     # Walls are numbered counter-clockwise from the bottom; the mirror swaps right and left.
     wall = ((-1 if mirrored else 1) * (contacts.body_b - n) + turns) % 4
     found = contacts._replace(
-        body_b=np.where(contacts.body_b < n, contacts.body_b, n + wall),
+        body_b=np.where((contacts.body_b < n) | (contacts.body_b >= n + 4), contacts.body_b, n + wall),
         position=moved(contacts.position),
         normal=contacts.normal @ m.T,
         tangent_impulse=sign * contacts.tangent_impulse,
         tangent_start=sign * contacts.tangent_start,
     )
-    return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies))
+    return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies, len(segments)))
 
 
 def _symmetry(k) -> tuple[bool, int]:

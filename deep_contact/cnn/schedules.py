@@ -22,6 +22,12 @@ def appendix_b(epoch: int) -> float:
     return 0.05 if epoch <= 100 else 0.02 if epoch <= 400 else 0.01
 
 
+def scaled_appendix_b(epochs: int) -> Schedule:
+    """`appendix_b` over so many epochs in place of its 1,000, so that a shorter run takes each of its rates."""
+    integer("epochs", epochs, 1)
+    return lambda epoch: appendix_b(epoch * 1000 // epochs)
+
+
 def cosine(epochs: int, rate: float = 2e-3, *, warm_up: int = 1, last: float = 0.01) -> Schedule:
     """Keras's `CosineDecay` by epoch, from `rate` to `last` times it in the last of `epochs`, after a linear warm-up.
 
@@ -46,12 +52,19 @@ def constant(rate: float) -> Schedule:
 _SCHEDULES = {
     "algorithm 6": lambda epochs, rate: algorithm_6,
     "appendix b": lambda epochs, rate: appendix_b,
+    "scaled appendix b": lambda epochs, rate: scaled_appendix_b(epochs),
     "cosine": cosine,
     "constant": lambda epochs, rate: constant(rate),
 }
 SCHEDULES = tuple(_SCHEDULES)
 
+BY_LENGTH = ("scaled appendix b", "cosine")
+"""Schedules whose rates depend on the number of epochs."""
+
 
 def schedule(name: str, *, epochs: int, rate: float) -> Schedule:
-    """The schedule of that name; "cosine" and "constant" use epochs or rate. Raises ValueError on another name."""
+    """The schedule of that name. The `BY_LENGTH` use epochs, "cosine" and "constant" the rate.
+
+    Raises ValueError on another name.
+    """
     return _SCHEDULES[one_of("schedule", name, SCHEDULES)](epochs, rate)

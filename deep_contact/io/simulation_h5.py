@@ -4,7 +4,8 @@ One file a simulation, `<folder>/sim_0000.h5`, holds every solved state exactly 
 of it later, for any grid, kernel and set of channels. With T states, n circles and M contacts in all:
 
 * attributes: format, version, name, dt, box, gravity, friction, restitution, solver, seed, options (the last three as
-  JSON), digest; and scales (8,), the fields of `ContactScales`, where the world sets them;
+  JSON), digest; and scales (8,), the fields of `ContactScales`, where the world sets them, and segments (4 S,), where
+  it has any;
 * of states: step, time, solved, sweeps, theta, each (T,); contact_offset (T + 1,): the contacts of state i are
   contact_offset[i] to contact_offset[i + 1];
 * of bodies: mass, radius (n,); position, velocity (T, n, 2); angle, spin (T, n);
@@ -19,6 +20,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+import itertools
 import json
 import math
 import stat
@@ -76,7 +78,11 @@ _ARRAYS = {
 _BODIES, _CONTACTS = ("position", "velocity", "angle", "spin"), tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _NUMBERS = {"version": 0, "dt": 0, "box": 4, "gravity": 2, "friction": 0, "restitution": 0}
-_OPTIONAL_NUMBERS = {"scales": len(ContactScales._fields)}
+_OPTIONAL_NUMBERS = {"scales": len(ContactScales._fields), "segments": None}
+"""None: four numbers for each segment."""
+
+_MOST_SEGMENTS = 2000
+"""An attribute of an HDF5 file has room for 64 KiB."""
 
 
 class DataFileError(ValueError):
@@ -258,6 +264,9 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
     one_of("compression", compression, ("gzip", "lzf", None))
     if simulation.bytes > MAX_BYTES:
         raise ValueError(f"states: expected at most {MAX_BYTES} bytes a file, got {simulation.bytes}")
+    segments = len(simulation.header["world"].segments)
+    if segments > _MOST_SEGMENTS:
+        raise ValueError(f"segments: expected at most {_MOST_SEGMENTS:,} in a file, got {segments:,}")
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         for name, value in (_attributes(simulation.header) | {"digest": simulation.digest}).items():
@@ -291,7 +300,7 @@ def read_simulation(path) -> StoredSimulation:
         header = _header(attributes)
         arrays = {name: file[name][...] for name in shapes}
         arrays |= {name: arrays[name].astype(np.int64) for name in ("body_a", "body_b")}
-        _check_arrays(arrays)
+        _check_arrays(arrays, len(header["world"].segments))
         digest = attributes.pop("digest")
         # Of the attributes as they are in the file: the header may hold options that are newer than the file.
         found = _digest(attributes, arrays)
@@ -384,6 +393,7 @@ def _attributes(header: dict) -> dict:
         "restitution": world.restitution,
         # Only where they are set, so that the digests of files without them stay.
         **({} if world.scales is None else {"scales": tuple(world.scales)}),
+        **({"segments": tuple(itertools.chain.from_iterable(world.segments))} if world.segments else {}),
         "solver": json.dumps(settings, sort_keys=True, default=lambda value: value.item()),
         "seed": json.dumps(header["seed"], sort_keys=True),
         "options": json.dumps(header["options"], sort_keys=True),
@@ -411,6 +421,8 @@ def _read_attributes(file: h5py.File) -> dict:
             found[name] = bytes(file.attrs[name]).decode()
         else:
             dtype, shape = "<i8" if name == "version" else "<f8", (sizes[name],) if sizes[name] else ()
+            if sizes[name] is None:
+                shape = (4 * max(1, min(math.prod(attribute.shape) // 4, _MOST_SEGMENTS)),)
             fits = attribute.dtype.str == dtype and attribute.shape == shape
             _expect(fits, f"{name}: expected {dtype}, shape {shape}, {got}")
             found[name] = tuple(file.attrs[name].tolist()) if shape else file.attrs[name].item()
@@ -425,6 +437,8 @@ def _header(attributes: dict) -> dict:
     world = {name: attributes[name] for name in ("box", "gravity", "friction", "restitution")}
     if "scales" in attributes:
         world["scales"] = ContactScales(*attributes["scales"])
+    if "segments" in attributes:
+        world["segments"] = np.reshape(attributes["segments"], (-1, 4)).tolist()
     header["world"] = World(**world)
     for name in ("solver", "seed", "options"):
         try:
@@ -473,8 +487,8 @@ def _memory(shapes: dict) -> int:
     return sum(8 * math.prod(shape) for shape in shapes.values())
 
 
-def _check_arrays(arrays: dict) -> None:
-    """What `check_state` asks of every state, for all at once."""
+def _check_arrays(arrays: dict, segments: int) -> None:
+    """What `check_state` asks of every state, for all at once. segments: how many the world has."""
 
     def refuse(bad, name, expected):
         if bad.any():
@@ -496,9 +510,10 @@ def _check_arrays(arrays: dict) -> None:
     first, last = offset[[0, -1]].tolist()
     _expect((first, last) == (0, a.size), f"contact_offset: expected 0 to {a.size}, got {first} to {last}")
     refuse((a < 0) | (a >= n), "body_a", f"a circle, 0 to {n - 1}")
-    refuse((b <= a) | (b >= n + 4), "body_b", f"a body after body_a, up to {n + 3}")
+    end = n + 4 + segments
+    refuse((b <= a) | (b >= end), "body_b", f"a body after body_a, up to {end - 1}")
     length = np.hypot(*arrays["normal"].T)
     refuse(np.stack([np.abs(length - 1) > 1e-4] * 2, axis=1), "normal", "a unit vector")
     state = np.repeat(np.arange(offset.size - 1), np.diff(offset))
-    key = (state * n + a) * (n + 4) + b
+    key = (state * n + a) * end + b
     refuse(np.diff(key, prepend=-1) <= 0, "body_b", "contacts in the order of (body_a, body_b), each pair once")

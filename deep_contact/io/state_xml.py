@@ -12,6 +12,7 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
         </body> …
         <body index type="fixed"> … <shape value="box"> <corner x y/> four times </shape> </body>
       </bodies>
+      <segments> <segment index x_0 y_0 x_1 y_1/> … </segments>
       <contacts>
         <contact index master slave separation>
           <position x y/> <normal x y/> <impulse n t/> <start n t/>
@@ -20,9 +21,10 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
     </configuration>
 
 * `master` and `slave` are `body_a` and `body_b` of `deep_contact.state`. The box is one fixed body, numbered after the
-  circles. A contact's normal tells which wall is meant: the one whose normal is nearest in direction.
-* `<solver>` is left out where `State.solver` is None, `<scales>` where `World.scales` is (they follow the scene), and
-  `<contacts>` where no contacts have been searched for yet.
+  circles. A contact's normal tells which wall is meant: the one whose normal is nearest in direction. Static segments
+  are numbered after the box.
+* `<solver>` is left out where `State.solver` is None, `<scales>` where `World.scales` is (they follow the scene),
+  `<segments>` where there are none, and `<contacts>` where no contacts have been searched for yet.
 * The inertia is written for other readers, and checked on reading: only solid discs, m r²/2, are modelled.
 
 Two older dialects are read as well, and the first is written by `write_state(…, dialect="pybox2d")`, for the readers of
@@ -90,6 +92,7 @@ _ROOT_ATTRIBUTES = {"name", "time", "dt", *_SETTINGS, "vel_iter", "pos_iter", "v
 _MOTION_TAGS = {"velocity", "orientation", "angle", "spin", "angular_velocity"}
 _MOTION_ATTRIBUTES = ("x", "y", "vx", "vy", "theta", "omega")
 _BODY_TAGS = {"mass", "position", "inertia", "shape", *_MOTION_TAGS}
+_ENDS = ("x_0", "y_0", "x_1", "y_1")
 _CONTACT_TAGS = {"position", "normal", "impulse", "start"}
 _CONTACT_ATTRIBUTES = {"index", "master", "slave", "separation", "master_shape", "slave_shape"}
 
@@ -115,6 +118,7 @@ _BODY_TEXT = """\
 """
 _CORNERS = '<shape value="box">\n' + 4 * '        <corner x="%r" y="%r"/>\n' + "      </shape>"
 _BOX_TEXT = _BODY_TEXT.replace("free", "fixed").replace('<shape value="circle" radius="%r"/>', _CORNERS)
+_SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"/>\n'
 _CONTACT_TEXT = """\
     <contact index="%d" master="%d" slave="%d" separation="%r">
       <position x="%r" y="%r"/>
@@ -207,6 +211,7 @@ def format_state(state: State) -> bytes:
             "  <bodies>\n",
             _format_bodies(bodies, world.box),
             "  </bodies>\n",
+            _format_segments(world.segments, bodies.count),
             "" if state.contacts is None else _format_contacts(state.contacts, bodies.count),
             "</configuration>\n",
         )
@@ -220,10 +225,13 @@ def format_pybox2d(state: State) -> bytes:
     """A solved state as the thesis's authors exported it (module docstring), UTF-8.
 
     That dialect has no gravity, friction, restitution, separations or starts, and reads the step off the file's name:
-    they are lost. Raises ValueError naming the field that cannot be stored: `solved`, where contacts have no solution.
+    they are lost. Raises ValueError naming the field that cannot be stored: `solved`, where contacts have no solution;
+    `segments`, where there are any.
     """
     state = check_state(state)
-    contacts, solver = state.contacts, state.solver
+    contacts, solver, segments = state.contacts, state.solver, state.world.segments
+    if segments:
+        raise ValueError(f"segments: expected none, since the dialect has no place for them, got {len(segments)}")
     if contacts is not None and contacts.count and not state.solved:
         raise ValueError("solved: expected True, since the dialect has no place for starts, got False")
     settings = ""
@@ -276,6 +284,9 @@ def _read_tree(root, source: str) -> State:
         expect(canonical, containers["scales"], "expected no scales in an old file")
         world["scales"] = _read_scales(containers["scales"])
     circles, box_body, rank = _number_bodies(bodies)
+    if "segments" in containers:
+        expect(canonical, containers["segments"], "expected no segments in an old file")
+        world["segments"] = _read_segments(containers["segments"], rank)
     printed = {} if canonical else _printed_shapes(contacts)
     bodies = _read_bodies(Rows(circles, _BODY_TAGS), printed)
     box = _read_box(root, box_body, bodies, printed, canonical)
@@ -292,7 +303,7 @@ def _read_tree(root, source: str) -> State:
 def _sort_elements(root):
     """Containers by tag, and all bodies and contacts, whether in containers or directly under the root."""
     others = (child for child in root if child.tag not in ("body", "contact"))
-    containers, sorted_elements = children(others, {"solver", "scales", "bodies", "contacts"}), []
+    containers, sorted_elements = children(others, {"solver", "scales", "bodies", "segments", "contacts"}), []
     for container, tag in (("bodies", "body"), ("contacts", "contact")):
         elements = root.findall(tag)
         if container in containers:
@@ -352,6 +363,19 @@ def _printed_solver(root) -> PGS:
 def _read_scales(element) -> ContactScales:
     refuse_attributes(element, set(ContactScales._fields))
     return ContactScales(*(read_number(element, name) for name in ContactScales._fields))
+
+
+def _read_segments(element, rank: dict) -> list[tuple]:
+    """Segments in the order of their indices, which are added to `rank`, behind circles and box."""
+    found = {}
+    for segment in element:
+        expect(segment.tag == "segment", segment, "expected a <segment> here", segment.tag)
+        refuse_attributes(segment, {"index", *_ENDS})
+        index = read_integer(segment, "index")
+        expect(index not in rank and index not in found, segment, "index: expected each once, got", str(index))
+        found[index] = tuple(read_number(segment, name) for name in _ENDS)
+    rank.update({index: len(rank) + k for k, index in enumerate(sorted(found))})
+    return [found[index] for index in sorted(found)]
 
 
 def _option_value(text: str):
@@ -539,6 +563,7 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, canonical: bool)
     normal = _read_normals(rows)
     normal = np.where((first > second)[:, None], -normal, normal)
     wall = b == n
+    b[b > n] += len(WALLS) - 1
     b[wall] += _nearest_wall(normal[wall])
     _refuse_twins(rows.elements, a, b, n)
     separation = _separations(a, b, bodies, box)
@@ -598,7 +623,7 @@ def _refuse_twins(elements, a, b, n: int) -> None:
     seen = {}
     for i, pair in enumerate(zip(a.tolist(), b.tolist())):
         if seen.setdefault(pair, i) != i:
-            wall = f" ({WALLS[pair[1] - n]} wall)" if pair[1] >= n else ""
+            wall = f" ({WALLS[pair[1] - n]} wall)" if n <= pair[1] < n + len(WALLS) else ""
             names = f"{elements[i].get('master')}, {elements[i].get('slave')}"
             first = elements[seen[pair]].get("index")
             raise fault(elements[i], f"expected no second contact of a pair, the first is {first}", names + wall)
@@ -607,7 +632,7 @@ def _refuse_twins(elements, a, b, n: int) -> None:
 def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
     """Gap between the surfaces of the pairs, m. As in the engine, walls begin a skin before the box.
 
-    For old files, which set no scales; the canonical form has separations.
+    For old files, which set no scales and have no segments; the canonical form has separations.
     """
     position, radius, n = bodies.position, bodies.radius, bodies.count
     x, y = position[a].T
@@ -615,7 +640,7 @@ def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
     with np.errstate(all="ignore"):
         skin = WALL_SKIN * mean(radius)
         to_walls = np.stack([y - box[1], box[2] - x, box[3] - y, x - box[0]])  # in the order BOTTOM … LEFT
-        to_wall = to_walls[np.maximum(b - n, 0), np.arange(a.size)] - radius[a] - skin
+        to_wall = to_walls[np.clip(b - n, 0, 3), np.arange(a.size)] - radius[a] - skin
         to_circle = np.hypot(*(position[other] - position[a]).T) - radius[a] - radius[other]
     return np.where(b < n, to_circle, to_wall)
 
@@ -653,15 +678,22 @@ def _format_bodies(bodies: Bodies, box) -> str:
     return circles + _BOX_TEXT % (bodies.count, *(0.0,) * len(columns), *itertools.chain(*_corners(box)))
 
 
+def _format_segments(segments, n: int) -> str:
+    lines = "".join(_SEGMENT_TEXT % (n + 1 + s, *segment) for s, segment in enumerate(segments))
+    return f"  <segments>\n{lines}  </segments>\n" if segments else ""
+
+
 def _format_contacts(contacts: Contacts, n: int) -> str:
-    wall = contacts.body_b >= n
+    behind = contacts.body_b - n
+    wall = (behind >= 0) & (behind < len(WALLS))
     told = _nearest_wall(contacts.normal[wall]) == contacts.body_b[wall] - n
     if not told.all():
         i = int(np.flatnonzero(wall)[np.argmin(told)])
         side = WALLS[contacts.body_b[i] - n]
         raise ValueError(f"contacts.normal[{i}]: expected one towards the {side} wall, got {contacts.normal[i]}")
     a, b, position, normal, separation, *impulses = contacts
-    columns = (range(contacts.count), a, np.minimum(b, n), separation, *position.T, *normal.T, *impulses)
+    slave = np.where(behind < len(WALLS), np.minimum(b, n), b - len(WALLS) + 1)
+    columns = (range(contacts.count), a, slave, separation, *position.T, *normal.T, *impulses)
     return f"  <contacts>\n{_fill(_CONTACT_TEXT, contacts.count, columns)}  </contacts>\n"
 
 

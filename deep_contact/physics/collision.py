@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deep_contact.physics.segments import hold_beside, insert_pairs, segment_gap
 from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
 SMALLEST_DISTANCE = 5e-13
@@ -435,24 +436,28 @@ def _sort_run(values, start, stop):
 
 
 @njit(cache=True, error_model="numpy")
-def find_contacts(position, radius, box, skin, cells, buffer):
+def find_contacts(position, radius, box, segments, skin, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. skin: of the walls, m.
-    cells, buffer: memory to use. Returns (contacts, buffer): views of the buffer, grown if needed.
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: (S, 4), m.
+    skin: of walls and segments, m. cells, buffer: memory to use. Returns (contacts, buffer): views of the buffer, grown
+    if needed.
     """
-    m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
-    while m < 0:
+    while True:
+        m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
+        if m >= 0 and segments.shape[0] > 0:
+            m = insert_pairs(position, radius, segments, skin, buffer.body_a, buffer.body_b, m)
+        if m >= 0:
+            break
         # Only a heap of overlapping circles has so many pairs.
         buffer = make_contacts(2 * buffer.body_a.shape[0] + 64)
-        m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
     contacts = first_contacts(buffer, m)
-    write_geometry(position, radius, box, skin, contacts)
+    write_geometry(position, radius, box, segments, skin, contacts)
     return contacts, buffer
 
 
 @njit(cache=True, error_model="numpy")
-def write_geometry(position, radius, box, skin, contacts):
+def write_geometry(position, radius, box, segments, skin, contacts):
     """Narrow phase's geometry: normal, separation and point of every contact, in place.
 
     The point lies in the middle of the overlap. Coinciding centres have the normal of `parting`.
@@ -469,9 +474,12 @@ def write_geometry(position, radius, box, skin, contacts):
                 n_x, n_y = parting(a, b)
             else:
                 n_x, n_y = n_x / distance, n_y / distance
-        else:
+        elif b < n + 4:
             separation = wall_gap(x, y, box, b - n) - radius[a] - skin
             n_x, n_y = WALL_NORMALS[b - n, 0], WALL_NORMALS[b - n, 1]
+        else:
+            separation, n_x, n_y = segment_gap(segments[b - n - 4], x, y)
+            separation = separation - radius[a] - skin
         arm = radius[a] + 0.5 * separation
         contacts.normal[i, 0] = n_x
         contacts.normal[i, 1] = n_y
@@ -550,7 +558,7 @@ def hold_inside(bodies, box, skin, solved):
     was_outside = np.zeros((n, 4), np.bool_)
     for k in range(solved.body_a.shape[0]):
         a, b = solved.body_a[k], solved.body_b[k]
-        if b >= n:
+        if n <= b < n + 4:
             was_outside[a, b - n] = solved.separation[k] < -(bodies.radius[a] + skin)
     for i in range(n):
         for wall in range(4):
@@ -562,14 +570,17 @@ def hold_inside(bodies, box, skin, solved):
 
 
 @njit(cache=True)
-def next_contacts(bodies, box, skin, cells, solved, warm, buffer):
+def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
-    warm: with the impulses that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
+    before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
+    that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
     if any_outside(bodies.position, box):
         hold_inside(bodies, box, skin, solved)
-    contacts, buffer = find_contacts(bodies.position, bodies.radius, box, skin, cells, buffer)
+    if segments.shape[0] > 0:
+        hold_beside(bodies, before, segments)
+    contacts, buffer = find_contacts(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
     carry_impulses(solved, contacts)
     if not warm:
         contacts.normal_start[:] = 0.0

@@ -26,7 +26,7 @@ from deep_contact.physics.continuous import FAST, stop_fast
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
 
-The last four rows are the walls: at rest, with an inverse mass of 0.
+The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last one.
 """
 
 BODY_A, BODY_B = range(2)
@@ -108,7 +108,7 @@ def write_rows(bodies, contacts, solver_bodies, rows):
     v = solver_bodies
     n = bodies.mass.shape[0]
     for i in range(contacts.body_a.shape[0]):
-        a, b = contacts.body_a[i], contacts.body_b[i]
+        a, b = contacts.body_a[i], min(contacts.body_b[i], n + 3)
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
         arm_a = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[a]
         arm_b = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[b] if b < n else 0.0
@@ -129,8 +129,9 @@ def write_rows(bodies, contacts, solver_bodies, rows):
 def write_normal_rows(contacts, solver_bodies, rows):
     """Fill the rows of all contacts without friction but for their targets: see `contact_rows`."""
     v = solver_bodies
+    last = v.shape[0] - 1
     for i in range(contacts.body_a.shape[0]):
-        a, b = contacts.body_a[i], contacts.body_b[i]
+        a, b = contacts.body_a[i], min(contacts.body_b[i], last)
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
         rows.body[i, BODY_A] = a
         rows.body[i, BODY_B] = b
@@ -331,7 +332,7 @@ def integrate_positions(bodies, solver_bodies, given):
         bodies.angle[i] += dt * spin
     if any_fast:
         start = bodies.position - dt * bodies.velocity
-        stop_fast(bodies, start, given.gravity, dt, given.box, given.scales)
+        stop_fast(bodies, start, given.gravity, dt, given.box, given.segments, given.scales)
 
 
 def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:

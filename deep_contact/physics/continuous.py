@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.collision import make_cells, sort_into_cells, wall_gap
+from deep_contact.physics.segments import BESIDE, segment_gap, shared_end, time_to_touch
 from deep_contact.state import WALL_NORMALS
 
 FAST = 0.5
@@ -41,10 +42,11 @@ def any_is_fast(bodies, start):
 
 
 @njit(cache=True, error_model="numpy")
-def stop_fast(bodies, start, gravity, dt, box, scales):
+def stop_fast(bodies, start, gravity, dt, box, segments, scales):
     """Take back, in place, what circles have moved beyond the first touch of a fast one, and the energy of its fall.
 
-    bodies: after their move of Δt, s. start: (n, 2), where they were, m. gravity, box, scales: of `StepInput`.
+    bodies: after their move of Δt, s. start: (n, 2), where they were, m. gravity, box, segments, scales: of
+    `StepInput`.
     """
     n = bodies.mass.shape[0]
     move = bodies.position - start
@@ -60,7 +62,7 @@ def stop_fast(bodies, start, gravity, dt, box, scales):
     grid = sort_into_cells(start, bodies.radius, cells, 2.0 * longest)
     stop = np.ones(n)
     when, partner = np.full(n, np.inf), np.full(n, NOTHING)
-    path = (start, move, stop, bodies.radius, box, scales)
+    path = (start, move, stop, bodies.radius, box, segments, scales)
     for i in range(n):
         if fast[i]:
             when[i], partner[i] = _first_touch(i, 0.0, path, cells, grid)
@@ -104,7 +106,7 @@ def take_back_fall(velocity, time, gravity):
 @njit(cache=True, error_model="numpy")
 def _first_touch(i, now, path, cells, grid):
     """(time, partner) of the first touch of a circle from a time on; (inf, NOTHING) without one. Time is in steps."""
-    start, move, _, radius, box, scales = path
+    start, move, _, radius, box, segments, scales = path
     n = radius.shape[0]
     first, partner = np.inf, NOTHING
     for wall in range(4):
@@ -116,6 +118,10 @@ def _first_touch(i, now, path, cells, grid):
             time = max(now, (gap - least) / speed)
             if time < first:
                 first, partner = time, n + wall
+    for s in range(segments.shape[0]):
+        time = max(now, _touch_segment(i, s, path))
+        if time < first:
+            first, partner = time, n + 4 + s
     columns, rows = grid
     row = cells.cell[i] // columns
     column = cells.cell[i] - row * columns
@@ -138,9 +144,25 @@ def _least(distance, reach, radius, scales):
 
 
 @njit(cache=True, error_model="numpy")
+def _touch_segment(i, s, path):
+    """Time of the first touch of a circle and a segment, in steps; inf without one."""
+    start, move, _, radius, _, segments, scales = path
+    x, y, reach = start[i, 0], start[i, 1], radius[i] + scales.wall_skin
+    least = _least(segment_gap(segments[s], x, y)[0], reach, radius[i], scales)
+    time, part = time_to_touch(segments[s], x, y, move[i, 0], move[i, 1], least)
+    if part != BESIDE and time <= 1.0:
+        # A joint is no nearer than the line: what slides along one segment does not stop at the next.
+        for k in range(segments.shape[0]):
+            if shared_end(segments, s, part, k) != BESIDE:
+                least = min(least, _least(segment_gap(segments[k], x, y)[0], reach, radius[i], scales))
+        time, _ = time_to_touch(segments[s], x, y, move[i, 0], move[i, 1], least)
+    return time
+
+
+@njit(cache=True, error_model="numpy")
 def _touch(i, k, now, path):
     """Time of the first touch of two circles from a time on, in steps; inf without one."""
-    start, move, stop, radius, _, scales = path
+    start, move, stop, radius, _, _, scales = path
     s_x, s_y = start[k, 0] - start[i, 0], start[k, 1] - start[i, 1]
     i_t, k_t = min(now, stop[i]), min(now, stop[k])
     p_x, p_y = s_x + k_t * move[k, 0] - i_t * move[i, 0], s_y + k_t * move[k, 1] - i_t * move[i, 1]

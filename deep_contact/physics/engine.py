@@ -29,6 +29,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.position_correction import correct_positions, make_correction_room
+from deep_contact.physics.segments import positions_before, segments_of
 from deep_contact.physics.sleeping import advance_sleeping
 from deep_contact.physics.solvers import PRECISIONS, SoftSteps
 from deep_contact.physics.solvers.registry import (
@@ -62,7 +63,7 @@ def advance(given, options, workspace, log):
     log: `StepLog`, filled.
     """
     bodies, contacts, friction, scales = given.bodies, given.contacts, given.friction, given.scales
-    solver_bodies, theta = workspace.solver_bodies, workspace.theta
+    segments, solver_bodies, theta = given.segments, workspace.solver_bodies, workspace.theta
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
@@ -78,12 +79,13 @@ def advance(given, options, workspace, log):
         apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
+        before = positions_before(bodies, segments)
         integrate_positions(bodies, solver_bodies, given)
-        room = correct_positions(bodies, contacts, given.box, scales, options.position_sweeps, room)
+        room = correct_positions(bodies, contacts, given.box, segments, scales, options.position_sweeps, room)
 
         solved = contacts
         contacts, back_buffer = next_contacts(
-            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+            bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
         )
         front_buffer, back_buffer = back_buffer, front_buffer
         log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations)
@@ -111,9 +113,13 @@ def build_rows(given, solver_bodies):
 
 
 @njit(cache=True)
-def is_valid(bodies, contacts):
-    """Whether arrays of the right kind pass `check_state` and `check_limits`; those say what is wrong."""
+def is_valid(bodies, contacts, segments=0):
+    """Whether arrays of the right kind pass `check_state` and `check_limits`; those say what is wrong.
+
+    segments: how many the world has.
+    """
     n = bodies.mass.shape[0]
+    end = n + 4 + segments
     for values, limits in ((bodies.position, _POSITION), (bodies.velocity, _VELOCITY)):
         if values.shape[0] != n or values.shape[1] != 2 or not _within(values, limits):
             return False
@@ -142,8 +148,8 @@ def is_valid(bodies, contacts):
     for i in range(m):
         a, b = contacts.body_a[i], contacts.body_b[i]
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
-        pair = a * (n + 4) + b
-        if a < 0 or b <= a or b >= n + 4 or a >= n or pair <= last or abs(n_x * n_x + n_y * n_y - 1) > 1e-4:
+        pair = a * end + b
+        if a < 0 or b <= a or b >= end or a >= n or pair <= last or abs(n_x * n_x + n_y * n_y - 1) > 1e-4:
             return False
         if contacts.normal_impulse[i] < 0:
             return False
@@ -193,9 +199,9 @@ class StepProblem(NamedTuple):
 
 
 def world_arguments(state: State) -> tuple:
-    """(box, gravity, friction, restitution) of the state's world."""
+    """(box, segments, gravity, friction, restitution) of the state's world."""
     world = state.world
-    return world.box, world.gravity, world.friction, world.restitution
+    return world.box, segments_of(world), world.gravity, world.friction, world.restitution
 
 
 def leaves_tangents_out(state: State, settings: NamedTuple) -> bool:
@@ -205,10 +211,10 @@ def leaves_tangents_out(state: State, settings: NamedTuple) -> bool:
 
 def step_input(state: State, settings: NamedTuple, scales: ContactScales | None = None) -> StepInput:
     """What the next steps of a state read; it shares the state's arrays. scales: the state's, if they are at hand."""
-    box, gravity, friction, restitution = world_arguments(state)
+    box, segments, gravity, friction, restitution = world_arguments(state)
     friction = None if leaves_tangents_out(state, settings) else friction
     scales = state.scales if scales is None else scales
-    return StepInput(state.bodies, state.contacts, box, gravity, friction, restitution, state.dt, scales)
+    return StepInput(state.bodies, state.contacts, box, segments, gravity, friction, restitution, state.dt, scales)
 
 
 def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
@@ -256,11 +262,9 @@ def _uncached(function, solver_type: type) -> Callable:
 
 def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
-    bodies = native(state).bodies
-    buffer = make_contacts(4 * bodies.count + 64)
-    contacts, _ = find_contacts(
-        bodies.position, bodies.radius, state.world.box, state.scales.wall_skin, make_cells(bodies.count), buffer
-    )
+    bodies, world = native(state).bodies, state.world
+    where = bodies.position, bodies.radius, world.box, segments_of(world), state.scales.wall_skin
+    contacts, _ = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
     return own_contacts(contacts)
 
 

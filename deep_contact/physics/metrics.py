@@ -83,7 +83,7 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
     v = np.vstack([velocity, np.zeros((4, 2))])
     w = np.concatenate([spin, np.zeros(4)])
     radius = np.concatenate([bodies.radius, np.zeros(4)])
-    a, b = contacts.body_a, contacts.body_b
+    a, b = contacts.body_a, np.minimum(contacts.body_b, n + 3)
     apart = v[b] - v[a]
     normal = contacts.normal
     tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
@@ -107,7 +107,7 @@ def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
     zeros = np.zeros(4)
     w, i = np.concatenate([1 / bodies.mass, zeros]), np.concatenate([1 / bodies.inertia, zeros])
     radius = np.concatenate([bodies.radius, zeros])
-    a, b = contacts.body_a, contacts.body_b
+    a, b = contacts.body_a, np.minimum(contacts.body_b, n + 3)
     arm_a = radius[a] + 0.5 * contacts.separation
     arm_b = np.where(b < n, radius[b] + 0.5 * contacts.separation, 0.0)
     return 1 / (w[a] + w[b]), 1 / (w[a] + w[b] + arm_a**2 * i[a] + arm_b**2 * i[b])

@@ -34,6 +34,7 @@ from deep_contact.compiled.simd import (
 )
 from deep_contact.constants import BAUMGARTE, POSITION_TOLERANCE
 from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
+from deep_contact.physics.segments import segment_gap
 from deep_contact.state import RIGHT, TOP, WALL_NORMALS
 
 IDLE = 4
@@ -91,10 +92,11 @@ def make_correction_room(n, capacity):
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions(bodies, contacts, box, scales, sweeps, room):
+def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
     """Push the circles apart, in place, until none penetrates deeper than three slops, or `sweeps` sweeps are done.
 
     room: `CorrectionRoom`. What it remembers of the corrections before tells which way costs less; it changes no bit.
+    Tiles know walls alone, so with segments it is always contact by contact.
     Returns the room, a larger one if needed.
     """
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
@@ -102,7 +104,9 @@ def correct_positions(bodies, contacts, box, scales, sweeps, room):
         room = make_correction_room(n, m + m // 2)
     memory, tiles, done = room.memory, 0, 0
     begin = 0 if memory[SWEEPS] > _FEW else _FEW
-    if memory[WAIT] > 0 or sweeps - begin <= _FEW:
+    if segments.shape[0] > 0:
+        begin = sweeps
+    elif memory[WAIT] > 0 or sweeps - begin <= _FEW:
         memory[WAIT], begin = max(memory[WAIT] - 1, 0), sweeps
     while done < sweeps:
         if done == begin:
@@ -115,7 +119,7 @@ def correct_positions(bodies, contacts, box, scales, sweeps, room):
         if tiles > 0:
             deepest = correct_tiles(room.body, room.normal, 2, room.centre, 0, tiles, scales)
         else:
-            deepest = correct_in_turn(bodies, contacts, box, scales)
+            deepest = correct_in_turn(bodies, contacts, box, segments, scales)
         done += 1
         if deepest >= -POSITION_TOLERANCE * scales.slop:
             break
@@ -126,7 +130,7 @@ def correct_positions(bodies, contacts, box, scales, sweeps, room):
 
 
 @njit(cache=True, error_model="numpy")
-def correct_in_turn(bodies, contacts, box, scales):
+def correct_in_turn(bodies, contacts, box, segments, scales):
     """One sweep, contact by contact, in place. Returns the deepest separation, m, or 0."""
     n = bodies.mass.shape[0]
     position, radius, mass = bodies.position, bodies.radius, bodies.mass
@@ -153,10 +157,16 @@ def correct_in_turn(bodies, contacts, box, scales):
             position[a, 0] = x - push * mass[b] * d_x
             position[a, 1] = y - push * mass[b] * d_y
         else:
-            separation = wall_gap(x, y, box, b - n) - radius[a] - skin
+            if b < n + 4:
+                separation = wall_gap(x, y, box, b - n) - radius[a] - skin
+                d_x, d_y = WALL_NORMALS[b - n, 0], WALL_NORMALS[b - n, 1]
+            else:
+                normal = contacts.normal[i]
+                separation, d_x, d_y = segment_gap(segments[b - n - 4], x, y, normal[0], normal[1])
+                separation = separation - radius[a] - skin
             push = max(0.0, min(-BAUMGARTE * (separation + slop), longest))
-            position[a, 0] = x - push * WALL_NORMALS[b - n, 0]
-            position[a, 1] = y - push * WALL_NORMALS[b - n, 1]
+            position[a, 0] = x - push * d_x
+            position[a, 1] = y - push * d_y
         deepest = min(deepest, separation)
     return deepest
 

@@ -6,6 +6,7 @@ Circles are placed by multiples of their mean radius, so that lengths times s ar
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -120,6 +121,81 @@ def column(
     box = (0, 0, width, 2 * radius * (n + 1))
     world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
     return State(name=f"column_{n}", world=world, bodies=make_bodies(centres, radius=radius, density=density))
+
+
+def bench_disks(side: int = 32) -> State:
+    """Siconos's bench-disks: side² discs slide down a ramp, over a longer slope, and come to rest on a level floor.
+
+    r = 1 m, 1 kg, μ = 0.5, e = 0, Δt = 0.005 s; its gravity is 9.81 m/s² times `side`, so that 2,000 steps show the
+    same fall at every size. Speeds grow with `side` as well, so a step's largest translation does here, to `side`
+    metres. Five segments stand in a box that nothing reaches. (siconos/siconos, bench-disks.)
+    """
+    n = integer("side", side, least=1)
+    unit = 2.0 * n
+    floor = [(-unit, 5 * unit), (0.0, 4 * unit), (9 * unit, 0.0), (11 * unit, 0.0)]
+    line = [(-unit, 7 * unit), *floor, (11 * unit, 7 * unit)]
+    column, row = np.divmod(np.arange(n * n), n)
+    bodies = make_bodies(np.column_stack([2 * column + 1 - unit, 2 * row + 1 + 5 * unit]), mass=1.0)
+    gravity = tuple(n * g for g in constants.GRAVITY)
+    world = World(
+        box=(-2 * unit, -unit, 12 * unit, 8 * unit), gravity=gravity, friction=0.5, segments=list(zip(line, line[1:]))
+    )
+    scene = State(name=f"bench_disks_{n}", world=world, bodies=bodies, dt=0.005)
+    scales = scene.scales._replace(max_translation=max(2.0, float(n)))
+    return scene.replace(world=replace(world, scales=scales))
+
+
+def hopper(
+    n_bodies: int = 400,
+    *,
+    opening: float = 8.0,
+    steepness: float = 60.0,
+    radius: tuple[float, float] = (0.8, 1.0),
+    density: float = 1.0,
+    friction: float = constants.FRICTION,
+    restitution: float = constants.RESTITUTION,
+    gravity: tuple[float, float] = constants.GRAVITY,
+    seed: int | np.random.Generator = 0,
+) -> State:
+    """Circles on a jittered lattice above a funnel with a hole in the middle, through which they fall onto the floor.
+
+    opening: width of the hole in largest radii; below about 8 arches of circles may block it. steepness: of the two
+    sides over the floor, degrees. The other arguments are those of `lattice_in_box`; the lattice is as wide as high.
+    """
+    _, high = _checked_radius(radius)
+    number("opening", opening, above=0)
+    angle = math.radians(number("steepness", steepness, low=5, high=85))
+    matter = {"density": density, "friction": friction, "restitution": restitution, "gravity": gravity}
+    heap = lattice_in_box(n_bodies, radius=radius, seed=seed, **matter)
+    _, _, width, height = heap.world.box
+    width = max(width, (opening + 4.0) * high)
+    hole = 0.5 * opening * high
+    # What falls through finds room below: a heap of all circles fills less than the height that they had.
+    foot, drop = height, math.tan(angle) * (0.5 * width - hole)
+    ends = [(0.0, foot + drop), (0.5 * width - hole, foot), (0.5 * width + hole, foot), (width, foot + drop)]
+    shift = (0.5 * (width - heap.world.box[2]), foot + drop + high)
+    world = replace(heap.world, box=(0, 0, width, shift[1] + height), segments=[(ends[0], ends[1]), (ends[2], ends[3])])
+    bodies = heap.bodies._replace(position=heap.bodies.position + shift)
+    return State(name=f"hopper_{n_bodies}", world=world, bodies=bodies)
+
+
+def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Generator = 0, **options) -> State:
+    """Circles on a jittered lattice above a line of slopes and valleys from wall to wall.
+
+    bumps: segments of the line; the heights of their joints are drawn, from 0 to the length of one. options: those of
+    `lattice_in_box`.
+    """
+    rng = np.random.default_rng(seed)
+    heap = lattice_in_box(n_bodies, seed=rng, **options)
+    _, _, width, height = heap.world.box
+    x = np.linspace(0.0, width, integer("bumps", bumps, least=1) + 1)
+    y = rng.uniform(0.0, x[1], x.size)
+    line = np.column_stack([x, y + heap.bodies.radius.max()])
+    lift = line[:, 1].max()
+    bodies = heap.bodies._replace(position=heap.bodies.position + np.array([0.0, lift]))
+    segments = np.stack([line[:-1], line[1:]], axis=1)
+    world = replace(heap.world, box=(0, 0, width, height + lift), segments=segments)
+    return State(name=f"terrain_{n_bodies}", world=world, bodies=bodies)
 
 
 def two_bodies(

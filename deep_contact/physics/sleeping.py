@@ -29,6 +29,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.islands import root_of, unite
 from deep_contact.physics.position_correction import correct_positions, make_correction_room
+from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.registry import make_workspace, relax
 from deep_contact.physics.step import log_step
 
@@ -41,6 +42,7 @@ def advance_sleeping(given, options, workspace, log):
     """
     bodies, contacts, friction, still = given.bodies, given.contacts, given.friction, workspace.still
     solver_bodies, theta, scales = workspace.solver_bodies, workspace.theta, given.scales
+    segments = given.segments
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     front_buffer, back_buffer, active_buffer = (
@@ -69,12 +71,13 @@ def advance_sleeping(given, options, workspace, log):
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, active)
         store_awake_impulses(active, still, contacts)
+        before = positions_before(bodies, segments)
         integrate_positions(bodies, solver_bodies, given)
-        room = correct_positions(bodies, active, given.box, scales, options.position_sweeps, room)
+        room = correct_positions(bodies, active, given.box, segments, scales, options.position_sweeps, room)
 
         solved = contacts
         contacts, back_buffer = next_contacts(
-            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+            bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
         )
         front_buffer, back_buffer = back_buffer, front_buffer
         awake = wake_and_put_to_sleep(bodies, contacts, given.dt, scales, parent, shortest, still)

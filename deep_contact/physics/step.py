@@ -16,12 +16,14 @@ class StepInput(NamedTuple):
 
     bodies: `Bodies`; they move in place. contacts: `Contacts` at their positions, with the impulses to start from.
     box, gravity, friction, restitution: of the `World`; friction None, in place of 0, leaves the tangent rows out.
+    segments: (S, 4), m (`segments.segments_of`).
     dt: s. scales: `ContactScales` of the state that the steps begin with.
     """
 
     bodies: Bodies
     contacts: Contacts
     box: tuple
+    segments: np.ndarray
     gravity: tuple
     friction: float | None
     restitution: float

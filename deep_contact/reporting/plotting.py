@@ -229,7 +229,7 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
     if colour_by == "speed":
         return np.hypot(*np.asarray(state.bodies.velocity).T), "speed (m/s)"
     if colour_by == "impulse":
-        total = np.zeros(state.bodies.count + 4)
+        total = np.zeros(state.bodies.count + 4 + len(state.world.segments))
         if state.contacts is not None:
             np.add.at(total, state.contacts.body_a, state.contacts.normal_impulse)
             np.add.at(total, state.contacts.body_b, state.contacts.normal_impulse)
@@ -241,6 +241,8 @@ def state_data(state) -> dict:
     """The part of a state that `draw_state` needs, for the data of a results file; `state_of` reads it back."""
     bodies, contacts, world = state.bodies, state.contacts, state.world
     data = {"name": state.name, "time": state.time, "box": list(world.box), "bodies": bodies._asdict()}
+    if world.segments:
+        data["segments"] = [list(segment) for segment in world.segments]
     return {**data, "contacts": None if contacts is None else contacts._asdict()}
 
 
@@ -255,7 +257,7 @@ def state_of(data: Mapping):
 
     bodies = Bodies(**arrays(data["bodies"]))
     contacts = None if data["contacts"] is None else Contacts(**arrays(data["contacts"]))
-    world = World(box=tuple(data["box"]))
+    world = World(box=tuple(data["box"]), segments=data.get("segments", ()))
     return State(name=data["name"], world=world, bodies=bodies, contacts=contacts, time=data["time"])
 
 
@@ -292,6 +294,9 @@ def draw_state(
         circles.set_cmap(COLOUR_MAP)
         circles.set_label(label)
     scene_axes(ax, state.world.box, walls=walls)
+    if walls and state.world.segments:
+        segments = np.reshape(state.world.segments, (-1, 2, 2))
+        ax.add_collection(LineCollection(segments, colors=BLACK, linewidths=1.5, capstyle="round"))
     ax.add_collection(circles)
 
     heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]

@@ -1,7 +1,8 @@
 """Smoothed particle hydrodynamics as a transfer between particles and grid images (the thesis's chapter 3).
 
 Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KERNELS`, and `register_kernel` adds one.
-Transfer: `Grid`, `splat`, `density`, `gather`. `deep_contact.sph.neighbours` has the slow reference, by k-d tree.
+Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' ways back, `read_by_spline` and
+`share_out`. `deep_contact.sph.neighbours` has the slow reference, by k-d tree.
 """
 
 from deep_contact.compiled import prepare_numba
@@ -10,6 +11,7 @@ prepare_numba()
 
 from deep_contact.sph.grid import Grid, density, gather, splat  # noqa: E402
 from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, register_kernel, value  # noqa: E402
+from deep_contact.sph.read_back import read_by_spline, share_out  # noqa: E402
 
 __all__ = [
     "KERNELS",
@@ -19,7 +21,9 @@ __all__ = [
     "gather",
     "gradient",
     "laplacian",
+    "read_by_spline",
     "register_kernel",
+    "share_out",
     "splat",
     "value",
 ]

@@ -65,8 +65,8 @@ class _Peer:
 class Box2D23(_Peer):
     """Box2D 2.3 through `pybox2d` 2.3.10, the engine of the thesis.
 
-    The box is one loop shape, as in the thesis; its edges have a skin of 0.01 m. Raises ImportError where
-    Box2D is not installed, ValueError for a bad state.
+    The box is one loop shape, as in the thesis; its edges have a skin of 0.01 m. Segments are edge shapes, each on its
+    own, so their joints are felt. Raises ImportError where Box2D is not installed, ValueError for a bad state.
     """
 
     name, package = "Box2D 2.3", "Box2D"
@@ -82,6 +82,9 @@ class Box2D23(_Peer):
         walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=_corners(world)), **material)
         # The child edge of a contact says which wall it is. They count as ours: bottom, right, top, left.
         self.world.CreateStaticBody(fixtures=walls).fixtures[0].userData = -1
+        for s, (x_0, y_0, x_1, y_1) in enumerate(world.segments):
+            edge = b2.b2FixtureDef(shape=b2.b2EdgeShape(vertices=[(x_0, y_0), (x_1, y_1)]), **material)
+            self.world.CreateStaticBody(fixtures=edge).fixtures[0].userData = -5 - s
         self._bodies = []
         for i, (position, velocity, angle, spin, mass, radius) in enumerate(self._circles()):
             body = self.world.CreateDynamicBody(
@@ -231,16 +234,21 @@ def _corners(world: World) -> list[tuple[float, float]]:
 
 
 def _edges(world: World) -> list[tuple]:
-    """The two ends of each wall, in the order of `_corners`."""
+    """The two ends of each wall, in the order of `_corners`, and of each segment."""
     corners = _corners(world)
-    return list(zip(corners, corners[1:] + corners[:1]))
+    return list(zip(corners, corners[1:] + corners[:1])) + [(ends[:2], ends[2:]) for ends in world.segments]
 
 
 def _wall_distances(position: np.ndarray, world: World) -> np.ndarray:
-    """Distance of the centres from the four walls, (n, 4)."""
+    """Distance of the centres from the four walls and the segments, (n, 4 + S)."""
     x_min, y_min, x_max, y_max = world.box
     x, y = position[:, 0], position[:, 1]
-    return np.stack([y - y_min, x_max - x, y_max - y, x - x_min], axis=1)
+    found = [y - y_min, x_max - x, y_max - y, x - x_min]
+    for ends in np.reshape(world.segments, (-1, 2, 2)):
+        along = ends[1] - ends[0]
+        share = np.clip((position - ends[0]) @ along / (along @ along), 0.0, 1.0)
+        found.append(np.hypot(*(ends[0] + share[:, None] * along - position).T))
+    return np.stack(found, axis=1)
 
 
 def _pairs_within(position: np.ndarray, state: State) -> int:

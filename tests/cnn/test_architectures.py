@@ -244,6 +244,13 @@ def test_scheduler_of_appendix_b(epoch, rate):
     assert schedules.schedule("appendix b", epochs=1, rate=1.0)(epoch) == rate
 
 
+@pytest.mark.parametrize("epochs", [7, 100, 1000])
+def test_scaled_scheduler_takes_each_rate_for_its_share(epochs):
+    rates = [schedules.schedule("scaled appendix b", epochs=epochs, rate=1.0)(epoch) for epoch in range(epochs)]
+    for rate, share in ((0.05, 0.1), (0.02, 0.3), (0.01, 0.6)):
+        assert rates.count(rate) / epochs == pytest.approx(share, abs=1 / epochs)
+
+
 def test_cosine_warms_up_falls_and_ends():
     rates = [schedules.cosine(10, 1.0, warm_up=2, last=0.1)(epoch) for epoch in range(10)]
     assert rates[:3] == pytest.approx([1 / 3, 2 / 3, 1.0])

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import keras
@@ -259,6 +260,27 @@ def test_thesis_network_trains_on_images(data, tmp_path):
     assert done.model.spec == ImageSpec()
 
 
+def test_half_precision_differs_by_its_rounding_alone(undisturbed, data, tmp_path):
+    # bfloat16 has 8 binary digits: 0.4 %.
+    before = keras.config.dtype_policy()
+    done = quietly(tiny(precision="mixed_bfloat16"), data, tmp_path)
+    assert keras.config.dtype_policy() == before
+    losses = [[line["validation_loss"] for line in run.history] for run in (done, undisturbed)]
+    assert losses[0] != losses[1]
+    np.testing.assert_allclose(*losses, rtol=0.02)
+    layers = done.model.network.layers
+    assert {layer.compute_dtype for layer in layers} == {"float32"}  # of the model file, as of any other
+    assert {str(weight.dtype) for layer in layers for weight in layer.weights} == {"float32"}
+
+
+def test_half_precision_goes_on_to_the_same_history(data, tmp_path):
+    config = tiny(precision="mixed_bfloat16", epochs=2, schedule="constant")
+    whole = quietly(config, data, tmp_path / "whole")
+    quietly(replace(config, epochs=1), data, tmp_path / "parts")
+    parts = quietly(config, data, tmp_path / "parts")
+    assert without_time(parts.history) == without_time(whole.history)
+
+
 def test_thesis_settings_are_those_of_table_5_2():
     config = thesis_config()
     assert (config.optimizer, config.rate, config.batch_size, config.epochs) == ("sgd", 5e-3, 200, 1000)
@@ -321,6 +343,7 @@ def test_event_files_are_written_on_request(data, tmp_path):
         ("rate", -1.0),
         ("momentum", 1.0),
         ("phases", ("flight",)),
+        ("precision", "float16"),
     ],
 )
 def test_bad_settings_are_named(field, value):

@@ -9,6 +9,7 @@ import deep_contact as dc
 from deep_contact.constants import WALL_SKIN
 from deep_contact.physics.collision import carry_impulses, find_contacts, make_cells, make_contacts, sort_into_cells
 from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.state import World, make_bodies
 
 
@@ -58,7 +59,13 @@ def test_pairs_of_all_sizes_equal_brute_force(seed, smallest):
     state = crowd(n, seed, smallest=smallest)
     bodies, cells = state.bodies, make_cells(n)
     found, _ = find_contacts(
-        bodies.position, bodies.radius, state.world.box, state.scales.wall_skin, cells, make_contacts(8 * n)
+        bodies.position,
+        bodies.radius,
+        state.world.box,
+        NO_SEGMENTS,
+        state.scales.wall_skin,
+        cells,
+        make_contacts(8 * n),
     )
     assert len(np.unique(cells.level)) > 1  # sorted by size
     assert (found.body_a == 0).sum() > 40  # a long list of one circle is sorted as well
@@ -81,7 +88,7 @@ def test_one_large_circle_crowds_no_cells():
     radius = np.full(n, 0.5)
     radius[n // 2] = 30.0
     cells = make_cells(n)
-    find_contacts(position, radius, (0, 0, side, side), 0.01, cells, make_contacts(8 * n))
+    find_contacts(position, radius, (0, 0, side, side), NO_SEGMENTS, 0.01, cells, make_contacts(8 * n))
     columns, rows = cells.grid[1, 3:5]
     assert columns * rows > n
     np.testing.assert_array_equal(np.flatnonzero(cells.level == 0), [n // 2])
@@ -176,8 +183,10 @@ def test_what_a_search_remembers_changes_no_pair():
             state.bodies.position[7] += 0.5
             state = state.replace(contacts=None)
         bodies, box, skin = state.bodies, state.world.box, state.scales.wall_skin
-        found, _ = find_contacts(bodies.position, bodies.radius, box, skin, cells, make_contacts(400))
-        fresh, _ = find_contacts(bodies.position, bodies.radius, box, skin, make_cells(60), make_contacts(400))
+        found, _ = find_contacts(bodies.position, bodies.radius, box, NO_SEGMENTS, skin, cells, make_contacts(400))
+        fresh, _ = find_contacts(
+            bodies.position, bodies.radius, box, NO_SEGMENTS, skin, make_cells(60), make_contacts(400)
+        )
         searched.append(cells.memory[1] >= 0)
         for one, other in zip(found, fresh):
             np.testing.assert_array_equal(one, other)
@@ -192,6 +201,6 @@ def test_what_a_search_by_size_remembers_changes_no_pair():
     for step in range(25):
         bodies.position[:] += rng.normal(0, 1e-4 if step % 10 else 1e-2, bodies.position.shape)
         lasted += cells.memory[0] >= 0
-        found, _ = find_contacts(bodies.position, bodies.radius, box, skin, cells, make_contacts(4000))
+        found, _ = find_contacts(bodies.position, bodies.radius, box, NO_SEGMENTS, skin, cells, make_contacts(4000))
         assert list(zip(found.body_a, found.body_b)) == brute_force_pairs(state)
     assert lasted > 15

@@ -13,6 +13,7 @@ from deep_contact.physics.position_correction import (
     fill_levels,
     make_correction_room,
 )
+from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.state import World, make_bodies
 
 SIDE = 20.0
@@ -32,7 +33,7 @@ def heap(n, seed, *, ratio=3.0):
 def corrected(state, sweeps, room):
     """Positions after a correction, and the room."""
     bodies = state.bodies._replace(position=state.bodies.position.copy())
-    room = correct_positions(bodies, state.contacts, state.world.box, state.scales, sweeps, room)
+    room = correct_positions(bodies, state.contacts, state.world.box, NO_SEGMENTS, state.scales, sweeps, room)
     return bodies.position, room
 
 
@@ -40,7 +41,7 @@ def in_turn(state, sweeps):
     """The same by sweeps contact by contact, with the rule for the end written out."""
     bodies = state.bodies._replace(position=state.bodies.position.copy())
     for _ in range(sweeps):
-        deepest = correct_in_turn(bodies, state.contacts, state.world.box, state.scales)
+        deepest = correct_in_turn(bodies, state.contacts, state.world.box, NO_SEGMENTS, state.scales)
         if deepest >= -3 * state.scales.slop:
             break
     return bodies.position

@@ -79,3 +79,48 @@ def test_drifting_circles_meet_without_gravity():
 def test_scenes_refuse_bad_arguments(make, message):
     with pytest.raises(ValueError, match=message):
         make()
+
+
+def test_bench_disks_are_siconos_s():
+    scene = dc.bench_disks(4)
+    assert scene.bodies.count == 16
+    assert scene.dt == 0.005
+    np.testing.assert_allclose(scene.bodies.mass, 1.0)
+    np.testing.assert_allclose(scene.bodies.inertia, 0.5)
+    assert (scene.world.friction, scene.world.restitution) == (0.5, 0.0)
+    np.testing.assert_allclose(scene.world.gravity, (0, -4 * 9.81))
+    expected = [(-8, 56, -8, 40), (-8, 40, 0, 32), (0, 32, 72, 0), (72, 0, 88, 0), (88, 0, 88, 56)]
+    assert scene.world.segments == tuple(expected)
+    assert abs(overlap(scene.bodies)) < 1e-12
+    np.testing.assert_allclose(scene.bodies.position.min(axis=0), (-7, 41))
+
+
+def test_bench_disks_come_to_rest_on_the_floor_of_the_ramp():
+    scene = dc.bench_disks(5)
+    end = dc.simulate(scene, steps=2000).state.bodies
+    assert (end.position[:, 1] > 0).all()
+    assert np.median(end.position[:, 0]) > 80
+    assert (end.position[:, 0] < 110).all()
+    assert np.hypot(*end.velocity.T).mean() < 0.05 * np.sqrt(2 * 49 * 50)
+
+
+def test_a_hopper_lets_circles_through_its_hole_alone():
+    scene = dc.hopper(80, opening=9.0, seed=2)
+    (x_0, foot), (x_1, _) = np.reshape(scene.world.segments, (-1, 2, 2))[[0, 1], [1, 0]]
+    assert x_1 - x_0 == 9.0
+    assert overlap(scene.bodies) < 0
+    run = dc.simulate(scene, steps=500, record=1)
+    y, x = run.trajectory.positions[..., 1], run.trajectory.positions[..., 0]
+    falls = (y[:-1] > foot) & (y[1:] <= foot)
+    assert falls.sum() > 40
+    assert ((x[1:] > x_0) & (x[1:] < x_1))[falls].all()
+
+
+def test_a_terrain_bears_its_circles():
+    scene = dc.terrain(60, seed=3)
+    line = np.reshape(scene.world.segments, (-1, 2, 2))
+    np.testing.assert_array_equal(line[1:, 0], line[:-1, 1])
+    end = dc.simulate(scene, steps=400).state
+    ground = np.interp(end.bodies.position[:, 0], [*line[:, 0, 0], line[-1, 1, 0]], [*line[:, 0, 1], line[-1, 1, 1]])
+    assert (end.bodies.position[:, 1] > ground).all()
+    assert (end.contacts.body_b >= 64).sum() > 5

@@ -32,16 +32,21 @@ CASES = {
     **{f"start {name}": {"solver": dc.PGS(sweeps=12), "warm_start": name} for name in (None, "copy", "scaled", "sph")},
     "start learned": {"solver": dc.PGS(sweeps=12), "warm_start": "learned"},
     "no friction": {"solver": dc.PGS(sweeps=12), "friction": 0.0},
+    "segments": {"solver": dc.PGS(sweeps=12), "steps": 60},
 }
 """Options of `simulate`, and the friction of the scene."""
 
 
 def simulated(name):
-    """Everything that a short run of nine falling circles computes, or one of a column that falls asleep."""
+    """Everything that a short run of nine falling circles computes, of a column that falls asleep, or of a terrain."""
     options = {"steps": 15, **CASES[name]}
     friction = options.pop("friction", 0.5)
     scene = dc.column(3) if "sleep" in options else dc.lattice_in_box(9, gap=0.01, friction=friction)
+    if name == "segments":
+        scene = dc.terrain(9, bumps=5, gap=0.01, seed=1)
+        scene.bodies.velocity[:3] = [0.0, -120.0]  # fast
     run = dc.simulate(scene, **options)
+    assert name != "segments" or (run.state.contacts.body_b >= 13).any()
     assert run.contacts.max() >= 3
     return [*run.state.bodies, *run.state.contacts, run.contacts, run.sweeps, run.theta]
 

@@ -21,6 +21,9 @@ LOSSES = ("appendix b", "velocity", "squared velocity", "impulse", *FAR_FIELD_LO
 
 OPTIMIZERS = ("sgd", "nesterov", "adam")
 
+PRECISIONS = ("float32", "mixed_bfloat16")
+"""Of the layers, by Keras's names. Weights, losses and model files are float32 with both."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
@@ -48,6 +51,7 @@ class TrainingConfig:
     | simulations                        | only the first so many, or None                                             |
     | fractions                          | of the simulations: train, validation, test                                 |
     | phases, augment                    | only these phases, None: all; turn and mirror the training states           |
+    | precision                          | one of `PRECISIONS`; images only                                            |
 
     Raises ValueError naming the field and the value.
     """
@@ -79,6 +83,7 @@ class TrainingConfig:
     sweeps: tuple[int, ...] = (3, 10, 30)
     inputs: str = "all"
     correction: bool = True
+    precision: str = "float32"
     seed: int = 0
 
     def __post_init__(self):
@@ -87,7 +92,8 @@ class TrainingConfig:
 
         phases = PHASES if self.phases is None else tuple(self.phases)
         known = {"architecture": ARCHITECTURES, "channels": CHANNEL_SETS, "loss": LOSSES}
-        for name, values in (known | {"optimizer": OPTIMIZERS, "schedule": SCHEDULES}).items():
+        known |= {"optimizer": OPTIMIZERS, "schedule": SCHEDULES, "precision": PRECISIONS}
+        for name, values in known.items():
             one_of(name, getattr(self, name), values)
         for name in ("epochs", "batch_size", "validation_states", "patience", "states_per_epoch", "simulations"):
             if getattr(self, name) is not None or name in ("epochs", "batch_size", "validation_states"):
@@ -100,6 +106,8 @@ class TrainingConfig:
         if self.is_far_field != (self.loss in FAR_FIELD_LOSSES):
             names = ", ".join(FAR_FIELD_LOSSES)
             raise ValueError(f"loss: expected {names} for the far-field network and it alone, got {self.loss!r}")
+        if self.is_far_field and self.precision != "float32":
+            raise ValueError(f"precision: expected float32 for the far-field network, got {self.precision!r}")
         sweeps = tuple(self.sweeps)
         if not sweeps or list(sweeps) != sorted(set(sweeps)) or sweeps[0] < 0:
             raise ValueError(f"sweeps: expected increasing integers >= 0, got {self.sweeps!r}")

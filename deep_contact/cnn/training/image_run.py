@@ -176,7 +176,8 @@ def _compiled_steps(run: ImageRun):
     model, (n_y, n_x), targets = run.model, run.shape, len(run.spec.targets)
 
     def forward(inputs, training):
-        images = ops.reshape(model(inputs, training=training), (-1, *inputs.shape[1:3], targets))
+        found = ops.cast(model(inputs, training=training), "float32")
+        images = ops.reshape(found, (-1, *inputs.shape[1:3], targets))
         return images[:, :n_y, :n_x]
 
     def loss_of(images, labels, contacts=None):

@@ -32,7 +32,7 @@ import math
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import nullcontext
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -98,7 +98,7 @@ def train(
     callbacks: of Keras. Their logs hold the columns of history.csv, and validation_loss by Keras's name val_loss too.
     The schedule sets the rate before each epoch. A run that goes on calls them only from there on.
     Raises ValueError where the run in `out` was started with other settings or data (`patience` may differ, and
-    `epochs` unless the schedule is "cosine"), and for devices that are not there or cannot share the batches;
+    `epochs` unless the rates depend on it), and for devices that are not there or cannot share the batches;
     FloatingPointError where the loss is not finite.
     """
     store = data if isinstance(data, Store) else Store(data)
@@ -114,7 +114,8 @@ def train(
     saved = read_checkpoint(out / "last.npz")
     if saved is not None:
         _check_settings(saved, settings, out)
-    run = _run_of(config, store, split, saved, from_model, strategy)
+    with _layers_in(config.precision):
+        run = _run_of(config, store, split, saved, from_model, strategy)
     history = saved.history if saved is not None else []
 
     def card(**more):
@@ -177,6 +178,17 @@ def _run_of(config, store, split, saved: Checkpoint | None, from_model, strategy
     return run
 
 
+@contextmanager
+def _layers_in(precision: str):
+    """Keras builds layers of that precision within; `keras.config` has no context of its own."""
+    before = keras.config.dtype_policy()
+    keras.config.set_dtype_policy(precision)
+    try:
+        yield
+    finally:
+        keras.config.set_dtype_policy(before)
+
+
 def _without_scales(spec):
     return spec.replace(scales=None, target_scales=None) if isinstance(spec, ImageSpec) else spec
 
@@ -184,7 +196,7 @@ def _without_scales(spec):
 def _check_settings(saved: Checkpoint, settings: dict, out: Path) -> None:
     """Raise ValueError if the run in `out` was started with other settings."""
     # The length of a run may change, unless the rates depend on it.
-    free = {"patience"} if settings["schedule"] == "cosine" else {"patience", "epochs"}
+    free = {"patience"} if settings["schedule"] in schedules.BY_LENGTH else {"patience", "epochs"}
     # A run from before a setting existed was started with its default.
     started_with = json.loads(json.dumps(asdict(TrainingConfig()))) | {"from_model": None} | saved.settings
     for name, value in settings.items():

@@ -54,7 +54,15 @@ from deep_contact.physics.contact_solver import (
     store_impulses,
 )
 from deep_contact.physics.convergence import is_over, mark_divergence
-from deep_contact.physics.position_correction import correct_tiles, fill_centres, fill_ground, take_centres
+from deep_contact.physics.position_correction import (
+    correct_positions,
+    correct_tiles,
+    fill_centres,
+    fill_ground,
+    make_correction_room,
+    take_centres,
+)
+from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.physics.step import log_step
@@ -261,12 +269,13 @@ def advance_in_batches(given, options, workspace, log):
     """`engine.advance` for `BatchedPGS`: same arguments, same results; positions are corrected in batches as well."""
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
     solver_bodies, theta = workspace.solver_bodies, workspace.theta
-    scales = given.scales
+    scales, segments = given.scales, given.segments
     n = bodies.mass.shape[0]
     cells = make_cells(n)
     front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
     row_buffer = make_rows(4 * n + 64, solver_bodies.dtype)
     plan, tiles = make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, solver_bodies.dtype)
+    room = make_correction_room(n, 0)
     solved = contacts
     for k in range(log.contacts.shape[0]):
         integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
@@ -279,12 +288,16 @@ def advance_in_batches(given, options, workspace, log):
         sweeps = relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta)
         mark_divergence(solver_bodies, theta, sweeps)
         store_impulses(rows, contacts)
+        before = positions_before(bodies, segments)
         integrate_positions(bodies, solver_bodies, given)
-        correct_positions_in_batches(settings, plan, tiles, bodies, given.box, scales, options.position_sweeps)
+        if segments.shape[0] > 0:
+            room = correct_positions(bodies, contacts, given.box, segments, scales, options.position_sweeps, room)
+        else:
+            correct_positions_in_batches(settings, plan, tiles, bodies, given.box, scales, options.position_sweeps)
 
         solved = contacts
         contacts, back_buffer = next_contacts(
-            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+            bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
         )
         front_buffer, back_buffer = back_buffer, front_buffer
         log_step(log, k, solved.body_a.shape[0], sweeps, theta, sweeps * solved.body_a.shape[0])

@@ -120,6 +120,7 @@ def advance_softly(given, options, workspace, log):
     """
     bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
     solver_bodies, theta, scales = workspace.solver_bodies, workspace.theta, given.scales
+    segments = given.segments
     n, substeps = bodies.mass.shape[0], settings.substeps
     h = given.dt / substeps
     cells = make_cells(n)
@@ -152,12 +153,12 @@ def advance_softly(given, options, workspace, log):
             bounce_back(rows, bounce, pressed, solver_bodies)
         store_velocities(bodies, solver_bodies, given.dt, scales.max_translation)
         if any_is_fast(bodies, origin):
-            stop_fast(bodies, origin, given.gravity, given.dt, given.box, scales)
+            stop_fast(bodies, origin, given.gravity, given.dt, given.box, segments, scales)
         store_whole_impulses(rows, contacts, substeps)
 
         solved = contacts
         contacts, back_buffer = next_contacts(
-            bodies, given.box, scales.wall_skin, cells, solved, options.carry, back_buffer
+            bodies, origin, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
         )
         front_buffer, back_buffer = back_buffer, front_buffer
         count = solved.body_a.shape[0]

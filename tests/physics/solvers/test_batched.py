@@ -6,6 +6,7 @@ from conftest import momentum
 
 import deep_contact as dc
 from deep_contact.physics import batches, contact_solver, engine, position_correction
+from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.physics.solvers import batched
 from deep_contact.studies import engines
 
@@ -147,7 +148,7 @@ def test_positions_are_corrected_as_contact_by_contact(pile):
     expected, found = (deep._replace(position=deep.position.copy()) for _ in range(2))
     plan, n = plan_of(state, "levels"), state.bodies.count
     room = position_correction.make_correction_room(n, state.contacts.count)
-    position_correction.correct_positions(expected, state.contacts, state.world.box, state.scales, 3, room)
+    position_correction.correct_positions(expected, state.contacts, state.world.box, NO_SEGMENTS, state.scales, 3, room)
     solver_bodies = np.zeros((n + 4, 4))
     rows, _ = contact_solver.contact_rows(
         deep, state.contacts, solver_bodies, 0.0, 1.0, contact_solver.make_rows(0, solver_bodies.dtype)

@@ -1,0 +1,18 @@
+"""Let a hopper run out.
+
+For users of granular media: a funnel of two static segments beside the box. How fast it empties follows the width of
+the hole; a narrow one is blocked by an arch (Beverloo's law has no flow below a few diameters).
+"""
+
+import deep_contact as dc
+
+figure, axes = dc.plotting.subplots(1, 3)
+for ax, opening in zip(axes, (3.0, 6.0, 10.0)):
+    scene = dc.hopper(150, opening=opening, seed=1)  # opening in largest radii
+    run = dc.simulate(scene, steps=600, record=100)
+    foot = min(y for segment in scene.world.segments for y in segment[1::2])
+    left = [int((y > foot).sum()) for y in run.trajectory.positions[:, :, 1]]
+    print(f"hole of {opening:g} radii: circles above it each second: {left}")
+    dc.plotting.draw_state(ax, run.state, contacts=False)
+    ax.set_title(f"hole of {opening:g} radii")
+dc.plotting.save(figure, "hopper.png")

@@ -1,0 +1,134 @@
+"""Worlds with static segments in files and pictures: round trips, and what damaged files say."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.cnn.images import SYMMETRIES, transform_state
+from deep_contact.io.simulation_h5 import DataFileError, write_simulation
+from deep_contact.io.state_xml import format_state, parse_state
+from deep_contact.io.xml_tree import StateFileError
+from deep_contact.reporting import plotting
+
+
+@pytest.fixture(scope="module")
+def run():
+    """A funnel in use: contacts with circles, walls and segments."""
+    found = dc.simulate(dc.hopper(60, opening=5.0, seed=1), steps=300, solver=dc.PGS(sweeps=20), record=50)
+    contacts = found.state.contacts
+    assert {0, 1} <= set(contacts.body_b[contacts.body_b >= 64] - 64)
+    assert ((contacts.body_b >= 60) & (contacts.body_b < 64)).any()
+    return found
+
+
+def test_a_state_survives_xml(run, tmp_path):
+    path = tmp_path / "funnel.xml"
+    dc.write_state(path, run.state)
+    again = dc.read_state(path)
+    assert again == run.state
+    assert format_state(again) == path.read_bytes()
+    on = [dc.simulate(state, steps=20).state for state in (run.state, again)]
+    assert on[0].bodies == on[1].bodies
+
+
+def test_a_state_without_segments_says_nothing_of_them(run):
+    assert b"segment" not in format_state(dc.column(2))
+
+
+def text_of(state):
+    return format_state(state).decode()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('<segment index="62"', '<segment index="61"', r"segment.*index: expected each once, got.*61"),
+        ('<segment index="62"', '<segment index="60"', r"index: expected each once"),
+        ('slave="62"', 'slave="63"', r"slave: expected the index of a body in the file.*63"),
+        ("<segment index", "<segment colour='red' index", "colour"),
+        ("<segments>", "<segments><line/>", "expected a <segment> here.*line"),
+        (r'(<segment index="61") .*/>', r'\1 x_0="1.0" y_0="1.0" x_1="1.0" y_1="1.0"/>', "two different points"),
+        (r'(<segment index="61") x_0="[^"]*"', r"\1", "x_0"),
+        (r"(?s)<segments>.*</segments>", "", "expected the index of a body"),
+    ],
+)
+def test_a_damaged_file_is_refused(run, old, new, message):
+    text = text_of(run.state)
+    damaged = re.sub(old, new, text, count=1)
+    assert damaged != text
+    with pytest.raises(StateFileError, match=f"(?s){message}"):
+        parse_state(damaged.encode(), "damaged.xml")
+
+
+def test_what_has_no_place_for_segments_refuses_them(run):
+    with pytest.raises(ValueError, match="segments: expected none, since the dialect has no place for them, got 2"):
+        dc.write_state("never.xml", run.trajectory[0], dialect="pybox2d")
+
+
+def test_a_trajectory_survives_hdf5(run, tmp_path):
+    run.trajectory.save(tmp_path / "funnel.h5")
+    again = dc.load_trajectory(tmp_path / "funnel.h5")
+    assert again.world == run.state.world
+    assert all(one == other for one, other in zip(run.trajectory, again, strict=True))
+    assert again[-1].contacts == run.state.contacts
+    many = [((x, 0.0), (x, 1.0)) for x in range(2001)]
+    state = run.state.replace(world=replace(run.state.world, segments=many))
+    with pytest.raises(ValueError, match="segments: expected at most 2,000 in a file, got 2,001"):
+        write_simulation(tmp_path / "many.h5", [state])
+    write_simulation(tmp_path / "some.h5", [state.replace(world=replace(state.world, segments=many[:2000]))])
+    assert len(dc.load_trajectory(tmp_path / "some.h5").world.segments) == 2000
+
+
+@pytest.mark.parametrize("value", [np.zeros(4), np.zeros(6), np.zeros((1, 4)), np.arange(8.0) * np.nan])
+def test_damaged_segments_of_a_trajectory_are_refused(run, tmp_path, value):
+    h5py = pytest.importorskip("h5py")
+    run.trajectory.save(tmp_path / "bad.h5")
+    with h5py.File(tmp_path / "bad.h5", "r+") as file:
+        file.attrs.create("segments", value)
+    with pytest.raises(DataFileError, match="segments"):
+        dc.load_trajectory(tmp_path / "bad.h5")
+
+
+def test_pictures_show_segments(run):
+    _, ax = plotting.subplots()
+    plotting.draw_state(ax, run.state)
+    drawn = [c for c in ax.collections if hasattr(c, "get_segments")]
+    wanted = np.reshape(run.state.world.segments, (-1, 2, 2))
+    assert any(np.array_equal(c.get_segments(), wanted) for c in drawn)
+    again = plotting.state_of(plotting.state_data(run.state))
+    assert again.world.segments == run.state.world.segments
+    plain = run.state.replace(world=replace(run.state.world, segments=()), contacts=None)
+    lines = [state._repr_html_().count("<line") for state in (plain, run.state.replace(contacts=None))]
+    assert np.diff(lines) == 2
+    plotting.body_values(run.state, "impulse")
+
+
+@pytest.mark.parametrize("k", SYMMETRIES)
+def test_symmetries_turn_segments_with_the_rest(run, k):
+    # A turned scene goes on as the turned run does.
+    turned = transform_state(run.state, k)
+    one = dc.simulate(transform_state(dc.simulate(run.state, steps=3).state, k), steps=0).state
+    other = dc.simulate(turned, steps=3).state
+    np.testing.assert_allclose(one.bodies.position, other.bodies.position, atol=1e-3)
+    gaps = [contacts.separation[contacts.body_b >= 64] for contacts in (run.state.contacts, turned.contacts)]
+    np.testing.assert_array_equal(gaps[0], gaps[1])
+    found = dc.simulate(turned.replace(contacts=None), steps=0).state.contacts
+    np.testing.assert_array_equal(found.body_b, turned.contacts.body_b)
+    np.testing.assert_allclose(found.normal, turned.contacts.normal, atol=1e-12)
+
+
+def test_plan_tells_of_segments(run):
+    assert dc.plan(run.state)["static segments"].why == "the world has 2"
+    assert not dc.plan(dc.column(2))["static segments"].used
+
+
+@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "learned", "cnn", "guarded"])
+def test_starts_take_contacts_with_segments_as_with_walls(run, start):
+    if start in ("cnn", "guarded"):
+        pytest.importorskip("tensorflow")
+    solution = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=3000, tolerance=1e-9), start=start)
+    plain = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=3000, tolerance=1e-9))
+    np.testing.assert_allclose(solution.velocities, plain.velocities, atol=1e-4)

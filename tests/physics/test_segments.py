@@ -1,0 +1,340 @@
+"""Static segments: closed forms, the box as segments, joints, ends, and that nothing passes through."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import deep_contact as dc
+from deep_contact.physics import metrics
+from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.lcp import contact_problem, natural_residual
+from deep_contact.physics.solvers import METHODS
+from deep_contact.state import State, World, make_bodies
+
+BOX = (0.0, 0.0, 60.0, 40.0)
+SOLVERS = {name: METHODS[name]() for name in METHODS} | {
+    "colours": dc.BatchedPGS(order="colours"),
+    "islands": dc.PGS(islands=True),
+}
+
+
+def scene(position, *segments, gravity=(0.0, -9.81), friction=0.3, restitution=0.0, dt=0.01, **bodies):
+    world = World(box=BOX, gravity=gravity, friction=friction, restitution=restitution, segments=segments)
+    return State(name="segments", world=world, bodies=make_bodies(position, **bodies), dt=dt)
+
+
+def frames(state, steps, **options):
+    """What `on_step` sees: solved states, the bodies before the step."""
+    found = []
+    dc.simulate(state, steps=steps, on_step=lambda solved, _: found.append(solved), **options)
+    return found
+
+
+def corners_as_segments(box):
+    x_min, y_min, x_max, y_max = box
+    corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
+    return list(zip(corners, corners[1:] + corners[:1]))
+
+
+def on_slope(theta, along=20.0, height=1.0):
+    """A slope that falls by θ to the right, and a point so far along it and above it."""
+    down, up = np.array([math.cos(theta), -math.sin(theta)]), np.array([math.sin(theta), math.cos(theta)])
+    top = np.array([2.0, 35.0])
+    return (tuple(top), tuple(top + 50 * down)), top + along * down + height * up, down
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize(("friction", "slides"), [(0.5, False), (0.1, True)])
+def test_a_disc_on_a_slope_rolls_or_slides_as_in_closed_form(friction, slides, mirrored):
+    # Rolling: a = g sin θ l² / (l² + r² / 2), 2/3 g sin θ for the arm l = r. It sticks while μ >= tan θ / 3.
+    theta, g = math.radians(25), 9.81
+    slope, position, down = on_slope(theta, along=5.0, height=1.005)
+    slope = slope[::-1] if mirrored else slope  # neither side is the front
+    run = frames(scene([position], slope, friction=friction), 100, solver=dc.PGS(sweeps=400, tolerance=0.0))
+    arm = 1 + 0.5 * run[-1].contacts.separation[0]
+    velocity = np.array([state.bodies.velocity[0] @ down for state in run[-40:]])
+    rolling, sliding = g * math.sin(theta) / (1 + 0.5 / arm**2), g * (math.sin(theta) - friction * math.cos(theta))
+    expected = sliding if slides else rolling
+    np.testing.assert_allclose(np.diff(velocity) / 0.01, expected, rtol=1e-6)
+    assert abs(rolling / (2 / 3 * g * math.sin(theta)) - 1) < 0.005
+    spin = np.array([state.bodies.spin[0] for state in run[-40:]])
+    turning = 2 * friction * g * math.cos(theta) * arm if slides else expected / arm
+    np.testing.assert_allclose(np.diff(spin) / 0.01, -turning, rtol=1e-6)
+    normal = math.pi * g * 0.01 * math.cos(theta)
+    np.testing.assert_allclose(run[-1].contacts.normal_impulse, normal, rtol=1e-6)
+
+
+def test_a_disc_in_a_v_presses_on_both_sides_as_in_closed_form():
+    # N₁ sin α = N₂ sin β and N₁ cos α + N₂ cos β = m g, without friction.
+    alpha, beta, foot = math.radians(30), math.radians(50), np.array([20.0, 5.0])
+    sides = foot + 10 * np.array([[-math.cos(alpha), math.sin(alpha)], [math.cos(beta), math.sin(beta)]])
+    # Centre at 1.005 m from both lines.
+    normals = np.array([[math.sin(alpha), math.cos(alpha)], [-math.sin(beta), math.cos(beta)]])
+    centre = foot + np.linalg.solve(normals, [1.005, 1.005])
+    state = scene([centre], (sides[0], foot), (foot, sides[1]), friction=0.0)
+    after = frames(state, 50, solver=dc.PGS(sweeps=2000, tolerance=0.0))[-1]
+    weight = math.pi * 9.81 * 0.01
+    expected = weight / math.sin(alpha + beta) * np.array([math.sin(beta), math.sin(alpha)])
+    np.testing.assert_array_equal(after.contacts.body_b, [5, 6])
+    np.testing.assert_allclose(after.contacts.normal_impulse, expected, rtol=1e-6)
+    np.testing.assert_allclose(after.bodies.position[0], centre, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_disc_bounces_off_an_end_as_off_a_point(name):
+    # Elastic, without friction: v − 2 (v · n) n, n from the centre to the end; the speed stays.
+    segment, matter = ((20.0, 10.0), (5.0, 10.0)), {"gravity": (0, 0), "friction": 0.0, "restitution": 1.0}
+    state = scene([[20.5, 14.0]], segment, velocity=[0.0, -10.0], **matter)
+    run = frames(state, 60, solver=SOLVERS[name])
+    hit = next(state for state in run if state.contacts.count)
+    to_end = np.array([20.0, 10.0]) - hit.bodies.position[0]
+    normal = to_end / np.linalg.norm(to_end)
+    np.testing.assert_allclose(hit.contacts.normal, [normal], rtol=1e-12)
+    np.testing.assert_allclose(hit.contacts.separation, np.linalg.norm(to_end) - 1 - hit.scales.wall_skin, atol=1e-12)
+    v = np.array([0.0, -10.0])
+    np.testing.assert_allclose(run[-1].bodies.velocity[0], v - 2 * (v @ normal) * normal, rtol=1e-5)
+    assert 0.3 < normal @ [-1.0, 0.0] < 0.6
+
+
+def funnel_scene(n=40, **options):
+    rng = np.random.default_rng(3)
+    x, y = np.meshgrid(np.arange(8) * 2.2, np.arange(-(-n // 8)) * 2.2)
+    position = np.column_stack([22.0 + x.ravel(), 26.0 + y.ravel()])[:n] + rng.uniform(-0.05, 0.05, (n, 2))
+    sides = ((15.0, 30.0), (27.0, 15.0)), ((45.0, 30.0), (32.0, 15.0)), ((20.0, 8.0), (38.0, 6.0))
+    return scene(position, *sides, radius=rng.uniform(0.7, 1.0, n), **options)
+
+
+def test_impulses_of_segments_are_what_the_circles_lose():
+    # m (v⁺ − v) = Δt m g − Σ λ_n n + λ_t t over walls and segments: what circles give each other cancels.
+    run = frames(funnel_scene(), 200)
+    felt = 0
+    for before, after in zip(run, run[1:]):
+        contacts, mass = before.contacts, before.bodies.mass
+        outside = contacts.body_b >= before.bodies.count
+        felt += (contacts.body_b >= before.bodies.count + 4).sum()
+        normal = contacts.normal[outside]
+        tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
+        pushed = contacts.normal_impulse[outside] @ normal + contacts.tangent_impulse[outside] @ tangent
+        gained = mass @ (after.bodies.velocity - before.bodies.velocity)
+        np.testing.assert_allclose(gained, before.dt * mass.sum() * np.array([0, -9.81]) - pushed, atol=1e-9)
+    assert felt > 500
+
+
+@pytest.mark.parametrize("name", sorted(SOLVERS.keys() - {"colours"}))  # which corrects positions in its own order
+def test_a_box_of_four_segments_is_the_box_to_the_last_bit(name):
+    inner = dc.lattice_in_box(60, radius=(0.6, 1.0), gap=0.2, seed=2, restitution=0.4)
+    x_min, y_min, x_max, y_max = box = inner.world.box
+    outer = replace(inner.world, box=(x_min - 9, y_min - 5, x_max + 7, y_max + 8), segments=corners_as_segments(box))
+    runs = [
+        dc.simulate(inner.replace(world=world), steps=150, solver=SOLVERS[name], sleep=name == "PGS", record=10)
+        for world in (inner.world, outer)
+    ]
+    walls, segments = runs
+    assert (walls.state.contacts.body_b >= 60).sum() > 5
+    for one, other in zip(walls.state.bodies, segments.state.bodies):
+        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(walls.trajectory.positions, segments.trajectory.positions)
+    np.testing.assert_array_equal(walls.trajectory.impulses, segments.trajectory.impulses)
+    np.testing.assert_array_equal(walls.theta, segments.theta)
+    wall = walls.state.contacts.body_b
+    np.testing.assert_array_equal(np.where(wall >= 60, wall + 4, wall), segments.state.contacts.body_b)
+
+
+@pytest.mark.parametrize("speed", [3.0, 20.0, 150.0])
+def test_a_joint_is_not_felt(speed):
+    # Over five segments in a row as over one; 150 m/s is beyond half a radius a step.
+    x = [2.0, 9.3, 17.1, 24.0, 39.7, 58.0]
+    row = [((a, 10.0), (b, 10.0)) for a, b in zip(x, x[1:])]
+    row[1] = row[1][::-1]
+    state = scene([[4.0, 11.004]], (row[0][0], row[-1][1]), friction=0.2, velocity=[speed, 0.0], spin=-speed)
+    steps = int(50 / speed / 0.01)
+    many = state.replace(world=replace(state.world, segments=row))
+    solver = dc.PGS(sweeps=200, tolerance=0.0)
+    one, many = (dc.simulate(state, steps=steps, solver=solver, record=1).trajectory for state in (state, many))
+    np.testing.assert_allclose(many.positions, one.positions, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(many.velocities, one.velocities, rtol=0, atol=1e-9)
+    assert one.positions[-1, 0, 0] > 45
+
+
+def nearest(segment, point):
+    """Distance of a point from a segment, m, by minimising over the segment."""
+    a, b = np.reshape(segment, (2, 2))
+    share = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+    return np.linalg.norm(a + share * (b - a) - point)
+
+
+def test_touching_segments_equal_brute_force():
+    # Free segments: all within reach are found, sorted, with the distance.
+    rng = np.random.default_rng(5)
+    position, radius = rng.uniform(5, 35, (80, 2)), rng.uniform(0.3, 3.0, 80)
+    segments = rng.uniform(5, 35, (25, 4))
+    state = scene(position, *segments, radius=radius)
+    contacts, skin = contacts_of(state), state.scales.wall_skin
+    expected = {
+        (i, 84 + s): nearest(segment, position[i]) - radius[i] - skin
+        for i in range(80)
+        for s, segment in enumerate(segments)
+        if nearest(segment, position[i]) <= radius[i] + skin
+    }
+    found = contacts.body_b >= 84
+    pairs = list(zip(contacts.body_a[found].tolist(), contacts.body_b[found].tolist()))
+    assert pairs == sorted(expected)
+    assert len(pairs) > 100
+    np.testing.assert_allclose(contacts.separation[found], [expected[pair] for pair in pairs], atol=1e-12)
+    order = list(zip(contacts.body_a.tolist(), contacts.body_b.tolist()))
+    assert order == sorted(order)
+
+
+@pytest.mark.parametrize(
+    ("segments", "point", "kept"),
+    [
+        ([((0, 0), (10, 10)), ((10, 10), (20, 0))], (10.0, 10.8), {0}),  # beyond the tip of both: the first
+        ([((0, 0), (10, 10)), ((10, 10), (20, 0))], (10.4, 10.0), {1}),  # beside the second alone
+        ([((0, 10), (10, 0)), ((20, 10), (10, 0))], (10.0, 0.7), {0, 1}),  # in a valley: both
+        ([((0, 0), (10, 0)), ((10, 5), (10, 0)), ((10, 0), (20, 0))], (9.5, 0.5), {0, 1}),  # in a corner of three
+        ([((0, 0), (10, 0)), ((10 + 1e-9, 0), (20, 0))], (10.1, 0.9), {0, 1}),  # ends that differ are two ends
+        ([((2, 2), (10, 10)), ((10, 10), (10.2, 9.8)), ((10.2, 9.8), (18, 2))], (10.5, 10.4), {1}),
+    ],
+)
+def test_an_end_that_segments_share_is_felt_once(segments, point, kept):
+    moved = [tuple(np.add(end, 10.0) for end in segment) for segment in segments]
+    contacts = contacts_of(scene([np.add(point, 10.0)], *moved))
+    assert {b - 5 for b in contacts.body_b} == kept
+
+
+def side_changes(before, after, segments):
+    """Number of centres whose straight way crosses a segment, by the signs of four areas."""
+
+    def area(p, q, r):
+        return (q[..., 0] - p[..., 0]) * (r[..., 1] - p[..., 1]) - (q[..., 1] - p[..., 1]) * (r[..., 0] - p[..., 0])
+
+    count = 0
+    for segment in segments:
+        a, b = np.reshape(segment, (2, 2))
+        across = area(a, b, before) * area(a, b, after) < 0
+        between = area(before, after, a) * area(before, after, b) < 0
+        count += int((across & between).sum())
+    return count
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 100_000),
+    speed=st.floats(0.0, 1e4),
+    name=st.sampled_from(["PGS", "SoftSteps", "BatchedPGS"]),
+    dt=st.sampled_from([1e-3, 0.01, 0.05]),
+)
+def test_nothing_passes_through_a_segment(seed, speed, name, dt):
+    rng = np.random.default_rng(seed)
+    joint = rng.uniform(10, 30, 2)
+    star = [(joint, rng.uniform(5, 35, 2)) for _ in range(3)]
+    loose = [tuple(rng.uniform(3, 37, (2, 2))) for _ in range(4)]
+    radius = rng.choice([0.05, 0.3, 1.0], 30)
+    state = scene(
+        rng.uniform(3, 37, (30, 2)), *star, *loose, radius=radius, velocity=speed * rng.uniform(-1, 1, (30, 2)),
+        restitution=float(rng.choice([0.0, 0.5, 1.0])), dt=dt,
+    )  # fmt: skip
+    positions = dc.simulate(state, steps=40, solver=METHODS[name](), record=1).trajectory.positions
+    for before, after in zip(positions, positions[1:]):
+        assert side_changes(before, after, state.world.segments) == 0
+
+
+def test_a_crowd_pressed_against_a_segment_stays_on_its_side():
+    # 40 weights of 1,000 kg on a line of circles of 1 kg, one sweep a step: far more than it can withstand.
+    x = np.arange(10.0, 30.0, 2.0)
+    light = np.column_stack([x, np.full(10, 11.01)])
+    heavy = np.column_stack([np.tile(x, 4), np.repeat([13.1, 15.2, 17.3, 19.4], 10)])
+    state = scene(
+        np.vstack([light, heavy]), ((0, 10), (60, 10)), ((9, 10), (9, 40)), ((29, 40), (29, 10)),
+        mass=[1.0] * 10 + [1000.0] * 40,
+    )  # fmt: skip
+    after = dc.simulate(state, steps=300, solver=dc.PGS(sweeps=1)).state
+    assert (after.bodies.position[:, 1] > 10).all()
+
+
+@pytest.mark.parametrize("name", SOLVERS)
+def test_a_fast_disc_stops_where_it_touches_and_hits_in_the_next_step(name):
+    # By hand: 1.9 m a step from x = 5 touches the line at x = 8.51 after 2.5 m, and the end at (8.51, 20).
+    for segment in (((8.51, 15.0), (8.51, 25.0)), ((8.51, 20.0), (15.0, 20.0))):
+        state = scene([[5.0, 20.0]], segment, gravity=(0, 0), velocity=[190.0, 0.0])
+        second = dc.simulate(state, steps=2, solver=SOLVERS[name]).state
+        np.testing.assert_allclose(second.bodies.position, [[7.5, 20.0]], atol=state.scales.slop)
+        np.testing.assert_allclose(second.bodies.velocity, [[190.0, 0.0]])
+        assert second.contacts.count == 1
+        third = dc.simulate(second, steps=1, solver=SOLVERS[name]).state
+        np.testing.assert_allclose(third.bodies.velocity, 0.0, atol=1e-6 * 190)
+
+
+def test_a_heap_on_segments_sleeps_until_it_is_hit():
+    # The third falls 18 m, for 1.9 s, onto the two that rest.
+    state = scene([[15.0, 11.005], [17.0, 11.005], [16.0, 31.0]], ((5.0, 10.0), (25.0, 10.0)), friction=0.5)
+    run = dc.simulate(state, steps=250, solver=dc.PGS(), sleep=True)
+    assert (run.contacts[:40] == 3).all()
+    assert (run.contacts[80:180] == 0).all()
+    assert run.contacts[180:].max() >= 4
+
+
+def test_matrices_and_solvers_agree_on_segments():
+    state = dc.simulate(funnel_scene(), steps=150).state
+    assert (state.contacts.body_b >= 44).sum() >= 3
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=20_000, tolerance=1e-12))
+    assert metrics.residual(state, solution) < 1e-8
+    problem = contact_problem(state)
+    impulse = np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
+    assert natural_residual(problem, impulse) < 1e-8
+    exact = dc.solve_exactly(state)
+    assert metrics.residual(state, exact.solution) < 1e-8
+
+
+def test_lengths_times_a_power_of_four_are_the_same_run_to_the_last_bit():
+    small, s = funnel_scene(), 64.0
+    bodies = small.bodies._replace(
+        position=s * small.bodies.position, radius=s * small.bodies.radius, mass=s**2 * small.bodies.mass
+    )
+    world = replace(
+        small.world, box=tuple(s * x for x in BOX), segments=[tuple(s * x for x in seg) for seg in small.world.segments]
+    )
+    large = small.replace(world=world, bodies=bodies, dt=math.sqrt(s) * small.dt)
+    one, other = dc.simulate(small, steps=150).state, dc.simulate(large, steps=150).state
+    np.testing.assert_array_equal(s * one.bodies.position, other.bodies.position)
+    np.testing.assert_array_equal(s**2.5 * one.contacts.normal_impulse, other.contacts.normal_impulse)
+
+
+def test_impulses_are_carried_from_step_to_step():
+    run = frames(funnel_scene(), 120)
+    before, after = run[-2].contacts, run[-1].contacts
+    solved = dict(zip(zip(before.body_a.tolist(), before.body_b.tolist()), before.normal_impulse))
+    wanted = [solved.get(pair, 0.0) for pair in zip(after.body_a.tolist(), after.body_b.tolist())]
+    np.testing.assert_array_equal(after.normal_start, wanted)
+    assert np.max(after.normal_start[after.body_b >= 44], initial=0.0) > 0
+
+
+@pytest.mark.parametrize(
+    ("segments", "message"),
+    [
+        ([((1, 1), (1, 1))], r"segments\[0\]: expected two different points"),
+        ([((0, 0), (1, 1)), ((0, 0), (1, math.inf))], r"segments\[1\]: expected two different points.*inf"),
+        (((0, 0), (1, 1)), r"segments\[0\]: expected two different points, .*, got \(0, 0\)"),
+        ([((0, 0), "x")], r"segments\[0\]: expected two different points"),
+        (5, r"segments: expected a list of \(\(x, y\), \(x, y\)\), got 5"),
+        ("ab", r"segments: expected a list"),
+    ],
+)
+def test_bad_segments_are_refused_by_name(segments, message):
+    with pytest.raises(ValueError, match=message):
+        World(segments=segments)
+
+
+def test_what_is_beyond_the_limits_is_refused_by_name():
+    with pytest.raises(
+        ValueError, match=r"world.segments\[0, 2\]: expected -1e\+12 to 1e\+12 m, got 10000000000000\.0"
+    ):
+        dc.simulate(scene([[5.0, 5.0]], ((0.0, 0.0), (1e13, 0.0))), steps=1)
+    state = dc.simulate(funnel_scene(), steps=100).state
+    fewer = state.replace(world=replace(state.world, segments=state.world.segments[:1]))
+    with pytest.raises(ValueError, match=r"contacts.body_b.*up to 44 \(walls, segments\), got"):
+        dc.simulate(fewer, steps=1)

@@ -1,0 +1,73 @@
+"""The authors' ways back from an image: a spline, and each node sharing out what it has."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact import sph
+from deep_contact.sph import kernels
+from deep_contact.studies import comparison
+from deep_contact.warm_start import TRANSFERS, Sph
+
+GRID = sph.Grid.over_box((0.0, 0.0, 4.0, 3.0), 0.5)
+
+
+def test_a_spline_returns_a_cubic():
+    # Bicubic splines contain all cubics.
+    x, y = np.meshgrid(*GRID.nodes)
+    at = np.random.default_rng(0).uniform((0, 0), (4, 3), (50, 2))
+
+    def cubic(x, y):
+        return 1.0 + x - 2.0 * y + 0.3 * x * y**2 - 0.1 * x**3 + 0.05 * x**2 * y
+
+    image = np.stack([cubic(x, y), -x], axis=-1)
+    back = sph.read_by_spline(GRID, image, at)
+    np.testing.assert_allclose(back, np.stack([cubic(*at.T), -at[:, 0]], axis=-1), atol=1e-12)
+    beyond = sph.read_by_spline(GRID, image, [[4.1, -0.2]])
+    np.testing.assert_allclose(beyond[0], image[0, -1], atol=1e-12)
+
+
+def test_a_spline_needs_four_nodes():
+    small = sph.Grid.over_box((0.0, 0.0, 1.0, 3.0), 0.5)
+    with pytest.raises(ValueError, match=r"4 × 4 nodes .* got \(7, 3\)"):
+        sph.read_by_spline(small, np.zeros((7, 3, 1)), [[0.5, 0.5]])
+
+
+@pytest.mark.parametrize("kernel", ["poly6", "spiky"])
+@pytest.mark.parametrize("h", [0.5, 0.8])
+def test_sharing_is_what_the_sums_say(kernel, h):
+    rng = np.random.default_rng(1)
+    at, image = rng.uniform((-0.05, 0), (4, 3), (30, 2)), rng.normal(size=(*GRID.shape, 2))
+    nodes = np.stack(np.meshgrid(*GRID.nodes), axis=-1)
+    inside = np.clip(at, 0.0, (4.0, 3.0))
+    distance = np.linalg.norm(nodes[:, :, None] - inside, axis=-1)
+    weights = np.where(distance < h, kernels.value(kernel, distance, h), 0.0)
+    total = weights.sum(axis=2, keepdims=True)
+    shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0)
+    found = sph.share_out(GRID, image, at, h=h, kernel=kernel)
+    np.testing.assert_allclose(found, np.einsum("yxk,yxc->kc", shares, image), atol=1e-12)
+
+
+def test_sharing_loses_nothing():
+    state = comparison.solved_states(dc.circles_in_box(60, seed=3), steps=200, every=190)[-1]
+    given = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
+    for h in (0.5, 1.0):
+        back = np.column_stack(Sph(transfer="shared", support=h).round_trip(state, given))
+        np.testing.assert_allclose(back.sum(axis=0), given.sum(axis=0), rtol=1e-12)
+    alone = comparison.isolated_contacts(20, seed=0)
+    assert comparison.transfer_loss(alone, Sph(transfer="shared"))["relative error"] < 1e-12
+    assert comparison.transfer_loss(alone, Sph(transfer="thesis"))["relative error"] > 0.1
+
+
+def test_transfers_by_name():
+    state = comparison.solved_states(dc.circles_in_box(40, seed=0), steps=200, every=190)[-1]
+    given = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
+    found = {name: np.column_stack(Sph(transfer=name).round_trip(state, given)) for name in TRANSFERS}
+    grid = sph.Grid.over_box(state.world.box, 0.5)
+    image = sph.splat(
+        grid, state.contacts.position, given, h=0.5, normalization="particle", outside="clamp", unreached="zero"
+    )
+    np.testing.assert_array_equal(found["spline"], sph.read_by_spline(grid, image, state.contacts.position))
+    np.testing.assert_array_equal(found["shared"], sph.share_out(grid, image, state.contacts.position, h=0.5))
+    with pytest.raises(ValueError, match="transfer: expected one of thesis, consistent, spline, shared, got 'cubic'"):
+        Sph(transfer="cubic")
