@@ -24,7 +24,7 @@ import numpy as np
 
 from deep_contact import constants, notebook
 from deep_contact.scales import ContactScales, contact_scales
-from deep_contact.validation import integer, number
+from deep_contact.validation import flag, integer, number
 
 S = TypeVar("S", bound="State")
 
@@ -385,6 +385,7 @@ def check_state(state: State) -> State:
     number("time", state.time)
     number("dt", state.dt, above=0)
     integer("step", state.step)
+    flag("solved", state.solved)
     bodies = check_bodies(state.bodies)
     contacts = state.contacts
     if contacts is not None:

@@ -108,6 +108,11 @@ def test_parts_of_the_wrong_type_are_named_by_all_that_take_a_state(change, mess
             use(state)
 
 
+def test_solved_is_a_bool():
+    with pytest.raises(ValueError, match="solved: expected True or False, got 1j"):
+        check_state(dc.column(3).replace(solved=1j))
+
+
 @pytest.mark.parametrize(("field", "value"), [("mass", 1j), ("position", [[1], [1, 2]]), ("spin", object())])
 def test_bodies_that_are_no_numbers_are_named(field, value):
     state = dc.column(3)
