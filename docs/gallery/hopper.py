@@ -10,6 +10,7 @@ figure, axes = dc.plotting.subplots(1, 3)
 for ax, opening in zip(axes, (3.0, 6.0, 10.0)):
     scene = dc.hopper(150, opening=opening, seed=1)  # opening in largest radii
     run = dc.simulate(scene, steps=600, record=100)
+    assert run.trajectory is not None
     foot = min(y for segment in scene.world.segments for y in segment[1::2])
     left = [int((y > foot).sum()) for y in run.trajectory.positions[:, :, 1]]
     print(f"hole of {opening:g} radii: circles above it each second: {left}")

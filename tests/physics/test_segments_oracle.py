@@ -68,7 +68,7 @@ def test_contacts_and_impulses_equal_box2d():
     ],
 )
 def test_one_circle_moves_as_in_box2d(position, velocity):
-    world = World(box=(0, 0, 30, 40), scales=dc.BOX2D, segments=SEGMENTS, friction=0.2, restitution=0.3)
+    world = World(box=(0, 0, 30, 40), scales=dc.BOX2D, segments=SEGMENTS, friction=0.2)
     scene = State(name="one", world=world, bodies=make_bodies([position], velocity=velocity))
     solver = dc.PGS(sweeps=30, tolerance=None, position_sweeps=10)
     ours = dc.simulate(scene, steps=250, solver=solver, record=1).trajectory
