@@ -30,7 +30,11 @@ def with_value(name, value):
     if not owner:
         return scene.replace(dt=value)
     if owner == "world":
-        value = {"gravity": (0.0, value), "box": (0.0, 0.0, 2.02, value)}.get(field, value)
+        value = {
+            "gravity": (0.0, value),
+            "box": (0.0, 0.0, 2.02, value),
+            "segments": [((-3.0, 0.0), (-3.0, value))],
+        }.get(field, value)
         return scene.replace(world=World(**{"box": scene.world.box, field: value}))
     if owner == "scales":
         return scene.replace(world=replace(scene.world, scales=dc.BOX2D._replace(**{field: value})))
