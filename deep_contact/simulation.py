@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact import notebook
+from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
     ContactSolution,
@@ -25,6 +26,7 @@ from deep_contact.physics.engine import (
 from deep_contact.physics.solvers import PGS, PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, StepWorkspace, make_log
+from deep_contact.physics.stepper import Stepper, can_step
 from deep_contact.state import (
     LARGEST_SINGLE_START,
     LARGEST_START,
@@ -38,12 +40,15 @@ from deep_contact.state import (
     check_types,
 )
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import integer, number
+from deep_contact.validation import integer, is_text, number
 from deep_contact.warm_start import Builtin, NoStart, asked, fitting_impulses, warm_start_of
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
 _CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 5
+
+_MANY = 3000
+"""Circles from which on memory is kept between two calls of compiled code."""
 
 _CHUNK = 2e7
 """Contacts times sweeps between two checks for an interrupt: about a fifth of a second."""
@@ -114,8 +119,34 @@ def step(state: State, *, solver=None, warm_start="builtin") -> StateWithContact
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
     For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`.
+    In a loop, state = step(state), the first step resolves what all of them need (`physics.stepper`).
     """
-    return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
+    found = _stepped(state, solver) if is_text(warm_start, "builtin") else None
+    return simulate(state, steps=1, solver=solver, warm_start=warm_start).state if found is None else found
+
+
+def _stepped(state: State, solver) -> State | None:
+    """The state after one step by a `Stepper`: its own, or one for it; None where `simulate` has to do it."""
+    stepper = getattr(state, "__dict__", {}).get("_stepper")
+    if stepper is not None and stepper.solves_with(solver):
+        if "_packed" in state.__dict__:
+            return stepper.step(state)
+    else:
+        stepper = None
+    asked = solver if solver is not None else _checked_type(state).solver
+    if asked is not None and not can_step(asked):
+        return None
+    state = ready(state)
+    if state.world.friction == 0 and state.contacts.tangent_start.any():
+        return None  # only the steps after this one need no tangents
+    if stepper is None or stepper.n_bodies != state.bodies.count:
+        if asked is None:
+            asked, _ = solver_and_start(state)
+        resolved = checked_solver(asked, state)
+        if not can_step(resolved):
+            return None
+        stepper = Stepper(state, asked, resolved)
+    return stepper.step(state)
 
 
 def simulate(
@@ -231,6 +262,8 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
     every = record or steps + 1
     advance, options = advance_of(solver, sleep)
+    if advance is engine.advance and steps > 1 and state.bodies.count >= _MANY:
+        advance = engine.AdvanceKeepingMemory()
     options = options._replace(carry=not isinstance(start, NoStart))
     if by_step and on_step is None and not sleep and _can_start_within(start, solver, state):
         options = options._replace(settings=start.within(options.settings))

@@ -105,6 +105,22 @@ def engine() -> list[list]:
     return rows
 
 
+def stages() -> list[list]:
+    """Time of each stage of a step contact by contact, ns a circle, on piles of three sizes; its floor in brackets."""
+    piles = {}
+    for case in stored("benchmark_step")["data"]["cases"]:
+        if case["n_bodies"] in (100, 10_000, 100_000) and case["kind"] != "falling":
+            piles.setdefault((case["n_bodies"], case["kind"]), {})[case["engine"]] = case
+    cases = list(piles.values())
+    rows = [["stage, ns a circle (floor)", *(f"{n_bodies:,} {kind}" for n_bodies, kind in piles)]]
+    for stage in cases[0]["sequential"]["stages"]:
+        costs = [case["sequential"]["stages"][stage] for case in cases]
+        rows.append([f"`{stage}`", *(f"{cost['ns']:.1f} ({cost['floor_ns']:.1f})" for cost in costs)])
+    for name, engine in (("all", "sequential"), ("all, in batches by colours", "colours")):
+        rows.append([name, *(f"{case[engine]['ns']:.0f}" for case in cases)])
+    return rows
+
+
 def outside() -> list[list]:
     """Every method on every problem of others."""
     return others.table(stored("benchmark_outside"))
@@ -169,7 +185,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-TABLES = {table.__name__: table for table in (learned, engine, outside, transfer, tried, presets, figures)} | {
+TABLES = {table.__name__: table for table in (learned, engine, stages, outside, transfer, tried, presets, figures)} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
     "errata": lambda: errata.rows(errata.ERRATA),

@@ -233,7 +233,7 @@ def test_a_solver_that_diverges_ends_with_1(monkeypatch, capsys):
     def diverge(state, **options):
         raise FloatingPointError("up to step 3: circle 0")
 
-    monkeypatch.setattr("deep_contact.simulation.simulate", diverge)
+    monkeypatch.setattr("deep_contact.simulate", diverge)
     assert main(["simulate"]) == 1
     assert "simulate: up to step 3: circle 0" in capsys.readouterr().err
 
@@ -242,7 +242,7 @@ def test_ctrl_c_ends_with_130(monkeypatch):
     def interrupt(state, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("deep_contact.simulation.simulate", interrupt)
+    monkeypatch.setattr("deep_contact.simulate", interrupt)
     assert main(["simulate"]) == 130
 
 

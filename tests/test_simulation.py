@@ -110,3 +110,16 @@ def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):
     contacts = scene.contacts.count
     assert sum(calls) == 1200
     assert max(calls) * contacts * solver.sweeps <= simulation._CHUNK
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_memory_kept_between_calls_changes_no_bit(monkeypatch, friction):
+    # From the second call on, a run without friction has no tangents left to sweep, and other memory.
+    scene = dc.simulate(dc.lattice_in_box(60, seed=1), steps=60, solver=dc.PGS(sweeps=10)).state
+    scene = scene.replace(world=dc.World(box=scene.world.box, friction=friction))
+    monkeypatch.setattr(simulation, "_CHUNK", 0)  # every step is a call
+    expected = dc.simulate(scene, steps=12)
+    monkeypatch.setattr(simulation, "_MANY", 1)
+    found = dc.simulate(scene, steps=12)
+    assert found.state == expected.state
+    np.testing.assert_array_equal(found.theta, expected.theta)

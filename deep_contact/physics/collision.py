@@ -168,24 +168,22 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     Returns the number of pairs, or -1 if they do not fit.
     """
     n = position.shape[0]
-    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
-    if n == 0 or not math.isfinite(position.sum()):
+    if n == 0:
         return 0
-    smallest = radius[0]
-    for i in range(n):
-        smallest = min(smallest, radius[i])
-    gap = NEAR * smallest
-    memory = cells.memory
+    gap, memory, lasts = NEAR * smallest_of(radius), cells.memory, False
     if memory[SEARCHES] >= 0:
         memory[SEARCHES] += 1
         lasts = moves_within(position, cells.anchor, 0.49 * gap)
         if lasts and memory[PAIRS] >= 0:
             return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
-        # A list costs about a search: it is made where nothing went far in one step, or where the last one lasted.
-        if (lasts and moves_within(position, cells.anchor, 0.1 * gap)) or memory[SEARCHES] > 4:
-            find_near(position, radius, gap, cells)
-            if memory[PAIRS] >= 0:
-                return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
+    if not math.isfinite(position.sum()):
+        return 0
+    # A list costs about a search: it is made where nothing went far in one step, or where the last one lasted.
+    if (lasts and moves_within(position, cells.anchor, 0.1 * gap)) or memory[SEARCHES] > 4:
+        find_near(position, radius, gap, cells)
+        if memory[PAIRS] >= 0:
+            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
     memory[SEARCHES], memory[PAIRS] = 0, -1
     cells.anchor[:] = position
     columns, rows = sort_into_cells(position, radius, cells)
@@ -221,12 +219,21 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
 
 @njit(cache=True)
 def moves_within(position, anchor, distance):
-    """Whether every circle is within this distance of where it was, m."""
-    farthest = 0.0
+    """Whether every circle is within this distance of where it was, m. One without a position is not."""
+    within, square = True, distance * distance
     for i in range(position.shape[0]):
         dx, dy = position[i, 0] - anchor[i, 0], position[i, 1] - anchor[i, 1]
-        farthest = max(farthest, dx * dx + dy * dy)
-    return farthest <= distance * distance
+        within &= dx * dx + dy * dy <= square
+    return within
+
+
+@njit(cache=True, fastmath={"nnan", "nsz"})
+def smallest_of(values):
+    """The least of some numbers. With these flags several are compared at a time."""
+    smallest = values[0]
+    for i in range(values.shape[0]):
+        smallest = min(smallest, values[i])
+    return smallest
 
 
 @njit(cache=True, error_model="numpy")

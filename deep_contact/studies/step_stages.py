@@ -66,7 +66,7 @@ def timed_step(advance: Callable) -> tuple[Callable, dict[str, int], np.ndarray]
     cycles = np.zeros(len(STAGES), np.int64)
     tick = _ticker(cycles.ctypes.data)
     inner: dict[str, Callable] = {"_tick": tick}
-    for function in (collision.find_contacts, collision.next_contacts, advance):
+    for function in (collision.find_contacts, collision.next_contacts, engine.advance_with, advance):
         inner[function.py_func.__name__] = timed = _with_ticks(function.py_func, inner, numbers)
     return timed, numbers, cycles
 
