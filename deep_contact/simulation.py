@@ -133,7 +133,7 @@ def _stepped(state: State, solver) -> State | None:
             return stepper.step(state)
     else:
         stepper = None
-    asked = solver if solver is not None else _checked_type(state).solver
+    asked = solver if solver is not None else check_types(state).solver
     if asked is not None and not can_step(asked):
         return None
     state = ready(state)
