@@ -33,12 +33,11 @@ from deep_contact.state import (
     LIMITS,
     SINGLE_LIMITS,
     Bodies,
-    Contacts,
     State,
     StateWithContacts,
-    World,
     check_limits,
     check_state,
+    check_types,
 )
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import integer, is_text, number
@@ -134,7 +133,7 @@ def _stepped(state: State, solver) -> State | None:
             return stepper.step(state)
     else:
         stepper = None
-    asked = solver if solver is not None else _checked_type(state).solver
+    asked = solver if solver is not None else check_types(state).solver
     if asked is not None and not can_step(asked):
         return None
     state = ready(state)
@@ -230,7 +229,7 @@ def simulate_many(
     if not isinstance(start, (Builtin, NoStart)):
         raise ValueError(f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
     options = {"steps": steps, "dt": dt, "warm_start": start, "accuracy": accuracy, "sleep": sleep, "record": record}
-    states = [_checked_type(state) for state in states]
+    states = [check_types(state) for state in states]
     for one in (solver, *(state.solver for state in states)):
         if getattr(one, "threads", 1) > 1:
             # Numba's own threads must not be started from several threads at once.
@@ -342,7 +341,7 @@ def with_time_step(state: State, dt: float) -> State:
 
     Without the scaling a change of Δt kicks a pile at rest, whose impulses are m g Δt (Box2D 2.3 scales by `dtRatio`).
     """
-    contacts = _checked_type(state).contacts
+    contacts = check_types(state).contacts
     if contacts is not None and number("dt", dt, above=0) != state.dt:
         ratio, names = dt / state.dt, ["normal_start", "tangent_start"]
         if not state.solved:  # whose impulses are the starts
@@ -364,25 +363,16 @@ def ready(state: State) -> StateWithContacts:
 
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
     """
-    _checked_type(state)
+    check_types(state)
+    number("time", state.time)
+    number("dt", state.dt, above=0)
+    integer("step", state.step)
     bodies, contacts, segments = state.bodies, state.contacts, len(state.world.segments)
-    if not (_has_engine_arrays(state) and np.isfinite(state.time) and is_valid(bodies, contacts, segments)):
+    if not (_has_engine_arrays(state) and is_valid(bodies, contacts, segments)):
         state = check_limits(check_state(state))
-    if not 0 < state.dt < np.inf:
-        raise ValueError(f"dt: expected a finite number > 0, got {state.dt}")
     if not _has_settings_within_limits(state):
         check_limits(state)
     return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
-
-
-def _checked_type(state) -> State:
-    if not isinstance(state, State):
-        raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
-    for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
-        value = getattr(state, name)
-        if not (isinstance(value, kind) or (value is None and kind is Contacts)):
-            raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
-    return state
 
 
 def _has_settings_within_limits(state: State) -> bool:

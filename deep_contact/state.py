@@ -15,6 +15,7 @@ Conventions, said once, here:
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
@@ -23,7 +24,7 @@ import numpy as np
 
 from deep_contact import constants, notebook
 from deep_contact.scales import ContactScales, contact_scales
-from deep_contact.validation import number
+from deep_contact.validation import flag, integer, number
 
 S = TypeVar("S", bound="State")
 
@@ -349,7 +350,7 @@ def check_bodies(bodies: Bodies) -> Bodies:
 
     Raises ValueError naming the field, the body and the value.
     """
-    n = np.shape(bodies.mass)[0] if np.ndim(bodies.mass) == 1 else -1
+    n = _length("bodies.mass", bodies.mass)
     columns = {"position": 2, "velocity": 2}
     fields = {}
     # The radius first: a mass made from it would take the blame.
@@ -367,7 +368,7 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
     segments: how many the world has.
     Raises ValueError naming the field, the contact and the value.
     """
-    m = np.shape(contacts.body_a)[0] if np.ndim(contacts.body_a) == 1 else -1
+    m = _length("contacts.body_a", contacts.body_a)
     n = bodies.count
     end = n + 4 + segments
     columns = {"position": 2, "normal": 2}
@@ -402,17 +403,29 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 
 def check_state(state: State) -> State:
     """The state with all arrays validated and owned. Raises ValueError naming the field and the value."""
-    for name in ("time", "dt"):
-        value = getattr(state, name)
-        if not np.isfinite(value) or (name == "dt" and value <= 0):
-            raise ValueError(f"{name}: expected a finite number{' > 0' if name == 'dt' else ''}, got {value}")
-    if state.step < 0:
-        raise ValueError(f"step: expected an integer >= 0, got {state.step}")
+    check_types(state)
+    number("time", state.time)
+    number("dt", state.dt, above=0)
+    integer("step", state.step)
+    flag("solved", state.solved)
     bodies = check_bodies(state.bodies)
     contacts = state.contacts
     if contacts is not None:
         contacts = check_contacts(contacts, bodies, len(state.world.segments))
     return state.replace(bodies=bodies, contacts=contacts)
+
+
+def check_types(state) -> State:
+    """The state itself, if it and its parts are of their types. Raises ValueError naming the part."""
+    if not isinstance(state, State):
+        raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+    for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
+        value = getattr(state, name)
+        if not (isinstance(value, kind) or (value is None and kind is Contacts)):
+            raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
+    if not isinstance(state.name, str):
+        raise ValueError(f"name: expected a text, got {state.name!r}")
+    return state
 
 
 def check_limits(state: State, limits: dict = LIMITS) -> State:
@@ -471,8 +484,24 @@ def _checked_scales(scales) -> ContactScales:
     )
 
 
+def _length(name: str, values) -> int:
+    """Length of a row of numbers."""
+    try:
+        shape = np.shape(values)
+    except ValueError:  # rows of unlike lengths
+        shape = ()
+    if len(shape) != 1:
+        raise ValueError(f"{name}: expected an array of one dimension, got {reprlib.repr(values)}")
+    return shape[0]
+
+
 def _checked_array(owner: str, name: str, value, shape: tuple[int, ...]) -> np.ndarray:
-    array = np.array(value, dtype=np.float64, order="C")
+    try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex")  # which NumPy would cut
+        array = np.array(value, dtype=np.float64, order="C")
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(f"{owner}.{name}: expected numbers of shape {shape}, got {reprlib.repr(value)}") from None
     if array.shape != shape:
         raise ValueError(f"{owner}.{name}: expected shape {shape}, got {array.shape}")
     _refuse_where(~np.isfinite(array), owner, name, array, "a finite number")

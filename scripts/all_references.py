@@ -28,13 +28,13 @@ STUDIES = {
     "benchmark_step": ["benchmark_step.py", "--json"],
     "benchmark_transfer": ["benchmark_transfer.py", "--json"],
     "benchmark_state_xml": ["benchmark_state_xml.py", "--json"],
-    "fuzz_state_xml": ["fuzz_state_xml.py", "--inputs", "1000000", "--out"],
+    "soak": ["soak.py", "--out"],
     "mutants": ["mutate.py", "--mutants", "100", "--out"],
 }
 """File of data/reference -> the script and options that write it; the path follows."""
 
-ELSEWHERE = ("benchmark_outside",)
-"""Files that need problems and solvers of others: docs/outside.md says which."""
+ELSEWHERE = ("benchmark_outside", "fuzz")
+"""Files that need problems and solvers of others (docs/outside.md says which), and one that several runs fill."""
 
 
 def is_of_this_commit(path, digits):

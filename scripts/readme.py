@@ -138,12 +138,15 @@ def transfer() -> list[list]:
 
 def tried() -> list[list]:
     """What was done to find what the tests overlook."""
-    mutants, fuzz = stored("mutants"), stored("fuzz_state_xml")
+    mutants, fuzz = stored("mutants"), stored("fuzz")["targets"]
     explained = sum(found["explained"] is not None for found in mutants["mutants"].values())
     return [
         ["tried", "how many", "found", "change nothing"],
         ["mutants of `physics/` and `sph/`", mutants["tried"], mutants["killed"], explained],
-        ["damaged state files: crashes or hangs", f"{fuzz['inputs']:,}", len(fuzz["faults"]), None],
+        *(
+            [f"fuzzing, {name}: crashes or hangs", f"{one['inputs']:,}", len(one["faults"]), None]
+            for name, one in fuzz.items()
+        ),
     ]
 
 

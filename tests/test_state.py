@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact.io.state_xml import format_state
 from deep_contact.state import check_state
 
 
@@ -87,3 +88,42 @@ def test_what_is_easily_given_wrongly_gets_a_sentence(make, message):
 def test_inertia_is_a_solid_discs():
     bodies = dc.make_bodies([[1.0, 1.0]], radius=2.0, mass=3.0)
     np.testing.assert_allclose(bodies.inertia, 0.5 * 3.0 * 2.0**2)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"world": []}, "world: expected World, got list"),
+        ({"dt": [[1], [1, 2]]}, r"dt: expected a finite number > 0, got \[\[1"),
+        ({"time": 1j}, "time: expected a finite number, got 1j"),
+        ({"step": 1.5}, "step: expected an integer >= 0, got 1.5"),
+        ({"name": True}, "name: expected a text, got True"),
+    ],
+)
+def test_parts_of_the_wrong_type_are_named_by_all_that_take_a_state(change, message):
+    # Found by scripts/fuzz.py: they came back as NumPy's or Python's own errors.
+    state = dc.step(dc.column(3)).replace(**change)
+    for use in (dc.step, dc.solve_contacts, dc.solve_exactly, format_state):
+        with pytest.raises(ValueError, match=message):
+            use(state)
+
+
+def test_solved_is_a_bool():
+    with pytest.raises(ValueError, match="solved: expected True or False, got 1j"):
+        check_state(dc.column(3).replace(solved=1j))
+
+
+@pytest.mark.parametrize(("field", "value"), [("mass", 1j), ("position", [[1], [1, 2]]), ("spin", object())])
+def test_bodies_that_are_no_numbers_are_named(field, value):
+    state = dc.column(3)
+    with pytest.raises(ValueError, match=f"bodies.{field}: expected"):
+        dc.step(state.replace(bodies=state.bodies._replace(**{field: value})))
+
+
+@pytest.mark.parametrize(
+    "options", [{"radius": 1j}, {"radius": object()}, {"size": "x"}, {"seed": [1.5]}, {"size": [1, 2, 3]}]
+)
+def test_a_scene_names_what_is_no_number(options):
+    (name,) = options
+    with pytest.raises(ValueError, match=f"{name}: expected"):
+        dc.circles_in_box(5, **options)

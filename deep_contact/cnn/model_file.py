@@ -24,6 +24,7 @@ from __future__ import annotations
 import hashlib
 import io
 import json
+import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,7 +34,7 @@ import numpy as np
 from deep_contact.cnn.convolution import dimensions
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.io.files import replacing
+from deep_contact.io.files import damaged_heap, replacing
 
 FORMAT = 1
 METADATA = "deep_contact"
@@ -217,11 +218,11 @@ def _read(path: Path) -> tuple[StoredNetwork, dict]:
     # To open a named pipe or a terminal would wait for somebody to write into it.
     if not path.is_file():
         raise ModelFileError(f"{path}: expected a regular file, got a folder, a pipe or a device")
+    if damage := damaged_heap(path):
+        raise ModelFileError(f"{path}: expected a complete HDF5 file, got {damage}")
     try:
         with h5py.File(path, "r") as file:
-            given = file.attrs.get("model_config")
-            if given is None:
-                raise ModelFileError(f"{path}: model_config: expected a Keras network, got none")
+            given = _attribute(file, "model_config", path)
             config = portable(_parsed(given, path, "model_config"), path)
             if not isinstance(file.get("model_weights", getlink=True), h5py.HardLink):
                 raise ModelFileError(f"{path}: model_weights: expected the network's weights, got none")
@@ -234,7 +235,9 @@ def _read(path: Path) -> tuple[StoredNetwork, dict]:
                 )
             weights = {}
             for layer in group:
-                names = [n.decode() if isinstance(n, bytes) else n for n in group[layer].attrs["weight_names"]]
+                names = [
+                    n.decode() if isinstance(n, bytes) else n for n in _attribute(group[layer], "weight_names", path)
+                ]
                 if names:
                     weights[layer] = [np.asarray(datasets[f"{layer}/{n}"], np.float32) for n in names]
     except ModelFileError:
@@ -252,9 +255,21 @@ def _parsed(text, path, name):
         raise ModelFileError(f"{path}: {name}: expected JSON, got {str(text)[:60]!r}") from error
 
 
+def _attribute(item, name: str, path):
+    """An attribute that is there and no larger than the file: damaged, it may claim to be of any size."""
+    if name not in item.attrs:
+        raise ModelFileError(f"{path}: {name}: expected a Keras network, got none")
+    found = item.attrs.get_id(name)
+    if math.prod(found.shape) * found.dtype.itemsize > item.file.id.get_filesize():
+        raise ModelFileError(f"{path}: {name}: expected an attribute that lies in the file, got shape {found.shape}")
+    return item.attrs[name]
+
+
 def _metadata(file, path) -> dict:
     if not isinstance(file.get(METADATA, getlink=True), h5py.HardLink):
         raise ModelFileError(f"{path}: {METADATA}: expected our metadata, got none; it is another Keras file")
+    if file[METADATA].nbytes > file.id.get_filesize():
+        raise ModelFileError(f"{path}: {METADATA}: expected a text that lies in the file, got more than it holds")
     metadata = _parsed(file[METADATA][()], path, METADATA)
     if not isinstance(metadata, dict) or set(metadata) != set(_FIELDS):
         got = sorted(metadata) if isinstance(metadata, dict) else type(metadata).__name__

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from deep_contact.io.files import replacing
+from deep_contact.io.files import damaged_heap, replacing
 from deep_contact.physics.solvers import METHODS
 from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts, State, World, check_state
@@ -340,8 +340,9 @@ def _opened(path: Path) -> Iterator[h5py.File]:
     """A file, open for reading. Every fault that its contents cause in the block becomes a DataFileError naming it."""
     if not stat.S_ISREG(path.stat().st_mode):
         raise DataFileError(f"{path}: expected a file, got a folder, pipe or device")
-    with open(path, "rb"):
-        pass  # a file that may not be read is an OSError, not a fault of its contents
+    # A file that may not be read is an OSError, not a fault of its contents.
+    if damage := damaged_heap(path):
+        raise DataFileError(f"{path}: expected an HDF5 file of a simulation, whole and undamaged, got {damage}")
     try:
         with h5py.File(path, "r", locking=False) as file:
             yield file

@@ -39,7 +39,7 @@ def circles_in_box(
     of the radii, the thesis's 1 m.
     density: kg/m². Raises ValueError if the circles do not fit, saying how many did.
     """
-    rng = np.random.default_rng(seed)
+    rng = _generator(seed)
     n = integer("n_bodies", n_bodies, least=1)
     extent = _checked_size(size)
     low, high = _checked_radius(radius)
@@ -86,7 +86,7 @@ def lattice_in_box(
     gap: between the largest neighbours, as a share of their diameter; each circle is moved by up to half of it.
     The box is as wide as the lattice and as high, so that nothing overlaps at the start.
     """
-    rng = np.random.default_rng(seed)
+    rng = _generator(seed)
     n = integer("n_bodies", n_bodies, least=1)
     columns = math.ceil(math.sqrt(n)) if columns is None else integer("columns", columns, least=1)
     low, high = _checked_radius(radius)
@@ -234,7 +234,7 @@ def drifting_circles(
 
     speed: standard deviation of each velocity component, m/s. options: those of `circles_in_box`.
     """
-    rng = np.random.default_rng(seed)
+    rng = _generator(seed)
     number("speed", speed, low=0)
     scene = circles_in_box(n_bodies, **({"gravity": (0.0, 0.0)} | options), seed=rng)
     velocity = rng.normal(0.0, speed, (n_bodies, 2))
@@ -242,16 +242,31 @@ def drifting_circles(
 
 
 def _checked_size(size) -> np.ndarray:
-    extent = np.broadcast_to(np.asarray(size, dtype=np.float64), 2)
-    if not (np.isfinite(extent).all() and (extent > 0).all()):
-        raise ValueError(f"size: expected finite numbers > 0, got {size}")
-    return extent
+    extent = _floats(size)
+    if extent.shape not in ((), (2,)) or not (np.isfinite(extent).all() and (extent > 0).all()):
+        raise ValueError(f"size: expected finite numbers > 0, got {size!r}")
+    return np.broadcast_to(extent, 2)
+
+
+def _floats(values) -> np.ndarray:
+    """As float64; NaN where they are no real numbers."""
+    try:
+        return np.full((), np.nan) if np.iscomplexobj(values) else np.asarray(values, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        return np.full((), np.nan)
+
+
+def _generator(seed) -> np.random.Generator:
+    try:
+        return np.random.default_rng(seed)
+    except (ValueError, TypeError) as error:
+        raise ValueError(f"seed: expected an integer >= 0 or a numpy.random.Generator, got {seed!r}") from error
 
 
 def _checked_radius(radius) -> tuple[float, float]:
-    pair = np.asarray(radius, dtype=np.float64)
+    pair = _floats(radius)
     if pair.shape != (2,) or not (np.isfinite(pair).all() and 0 < pair[0] <= pair[1]):
-        raise ValueError(f"radius: expected finite 0 < smallest <= largest, such as (1.0, 1.0), got {radius}")
+        raise ValueError(f"radius: expected finite 0 < smallest <= largest, such as (1.0, 1.0), got {radius!r}")
     return float(pair[0]), float(pair[1])
 
 

@@ -516,13 +516,12 @@ def run_case(case: dict) -> dict:
 SOLVERS = (
     *(f"method {name}, {precision}" for name in METHODS for precision in PRECISIONS),
     *(f"start {name}" for name in STARTS),
-    "start bad, 1e-9 N·s",
 )
-"""Every method in both precisions and every start, for `run_solver`; the misleading one also to a tight tolerance."""
+"""Every method in both precisions and every start, for `run_solver`."""
 
 
 def run_solver(name: str, steps: int = 600) -> dict:
-    """`measure` of `small_pile` by one of `SOLVERS`; {"name": …, …}. A start without its network is absent."""
+    """`measure` of `small_pile` by one of `SOLVERS`, or "start …, 1e-9 N·s". A start without its network is absent."""
     kind, _, name_of_kind = name.partition(" ")
     what, _, how = name_of_kind.partition(", ")
     if kind == "method":

@@ -637,9 +637,9 @@ def test_state_path_refuses(name, step):
 
 
 def test_two_thousand_damaged_files_only_raise_state_file_errors():
-    """The whole run is `fuzz_state_xml.py --inputs 1000000`."""
+    """The whole run is `fuzz.py xml --inputs 1000000`."""
     pytest.importorskip("atheris")
-    command = [sys.executable, SCRIPTS / "fuzz_state_xml.py", "--inputs", "2000", "--seed", "1"]
+    command = [sys.executable, SCRIPTS / "fuzz.py", "xml", "--inputs", "2000", "--seed", "1"]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "'read'" in result.stdout

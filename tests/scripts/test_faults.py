@@ -340,9 +340,9 @@ def test_a_clock_set_back_during_a_figure_makes_no_negative_time(tmp_path, monke
 
 
 def test_the_fuzzer_notices_files_and_connections_above_and_below_python(tmp_path):
-    # Its million inputs raise no alarm (data/reference/fuzz_state_xml.json); this shows that they could.
+    # Its million inputs raise no alarm (data/reference/fuzz.json); this shows that they could.
     pytest.importorskip("atheris")
-    fuzz = load_script("fuzz_state_xml")
+    fuzz = load_script("fuzz")
     watch = fuzz.Watch(tmp_path)
     watch.read(fuzz.seed_files()[0])
     assert watch.caught() == {}

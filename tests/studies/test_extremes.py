@@ -30,7 +30,11 @@ def with_value(name, value):
     if not owner:
         return scene.replace(dt=value)
     if owner == "world":
-        value = {"gravity": (0.0, value), "box": (0.0, 0.0, 2.02, value)}.get(field, value)
+        value = {
+            "gravity": (0.0, value),
+            "box": (0.0, 0.0, 2.02, value),
+            "segments": [((-3.0, 0.0), (-3.0, value))],
+        }.get(field, value)
         return scene.replace(world=World(**{"box": scene.world.box, field: value}))
     if owner == "scales":
         return scene.replace(world=replace(scene.world, scales=dc.BOX2D._replace(**{field: value})))
@@ -446,3 +450,9 @@ def test_the_figure_reports_a_method_that_is_not_safe(script):
     data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": solvers}
     broken = [claim for claim in script.claims(data) if not claim.holds]
     assert [claim.measured["not safe"] for claim in broken] == [["method A: degraded"]]
+
+
+@pytest.mark.slow
+def test_a_misleading_start_is_safe_to_a_tight_tolerance():
+    # At the usual θ it ends far from the solution, and the energy rises 30 times (Figure 6.6).
+    assert extremes.run_solver("start bad, 1e-9 N·s", steps=300)["energy"] <= 0.0
