@@ -11,10 +11,11 @@ of the processor: set OPENBLAS_NUM_THREADS=1, for several threads would count se
 from __future__ import annotations
 
 import argparse
-import platform
+import time
 from pathlib import Path
 
 from deep_contact.io.files import write_json
+from deep_contact.reporting import plotting, results
 from deep_contact.studies import outside
 from deep_contact.studies.tradeoff import KINDS
 
@@ -32,6 +33,7 @@ def main() -> None:
     parser.add_argument("--most", type=float, default=20.0, help="s; who takes more runs once, and on nothing larger")
     parser.add_argument("--relaxed", type=int, default=0, metavar="STATES", help="also the convex relaxation's errors")
     arguments = parser.parse_args()
+    begin = time.perf_counter()
     problems = outside.read_problems(arguments.files) | outside.own_problems(arguments.piles)
     limits = {"tolerance": arguments.tolerance, "repeats": arguments.repeats, "most": arguments.most}
     found = outside.compare(problems, **limits, progress=lambda line: print(line, flush=True))
@@ -40,13 +42,13 @@ def main() -> None:
             found["relaxation"] = outside.relaxation_errors(KINDS, arguments.piles, FRICTIONS, states=arguments.relaxed)
         except ImportError as error:
             found["missing"]["convex relaxation"] = str(error)
-    found["machine"] = platform.processor() or platform.machine()
+    found["provenance"] = results.provenance(seed=0, wall_s=time.perf_counter() - begin)
     path = write_json(arguments.out / "benchmark_outside.json", found)
+    plotting.save(outside.draw_profile(found), arguments.out / "benchmark_outside.png")
     for row in outside.table(found):
         print("| " + " | ".join(row) + " |")
-    for row in found.get("relaxation", []):
-        errors = ", ".join(f"{error:.2g}" for error in row["errors"])
-        print(f"relaxed: {row['kind']} {row['circles']}, μ {row['friction']:g}: {errors} of {row['states']} states")
+    for row in outside.relaxation_table(found)[1:]:
+        print("| " + " | ".join(row) + " |")
     print(f"written: {path}")
 
 

@@ -126,6 +126,11 @@ def outside() -> list[list]:
     return others.table(stored("benchmark_outside"))
 
 
+def relaxation() -> list[list]:
+    """Errors of the convex relaxation, by pile and μ."""
+    return others.relaxation_table(stored("benchmark_outside"))
+
+
 def transfer() -> list[list]:
     """Times of the transfer and of state files."""
     case, files = stored("benchmark_transfer"), stored("benchmark_state_xml")
@@ -185,7 +190,9 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-TABLES = {table.__name__: table for table in (learned, engine, stages, outside, transfer, tried, presets, figures)} | {
+_MADE = (learned, engine, stages, outside, relaxation, transfer, tried, presets, figures)
+
+TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
     "errata": lambda: errata.rows(errata.ERRATA),

@@ -215,6 +215,38 @@ def table(found: dict) -> list[list[str]]:
     return rows + [[name, f"left out: {why}", *[""] * (len(titles) - 1)] for name, why in found["missing"].items()]
 
 
+def draw_profile(found: dict):
+    """The performance profile as a matplotlib figure: share of problems by times of the fastest."""
+    from deep_contact.reporting import plotting
+
+    figure, ax = plotting.subplots()
+    for name, shares in found["profile"].items():
+        ax.plot(FACTORS, shares, "-" if name.startswith("ours") else "--", marker="o", label=name)
+    title = f"{len(found['contacts'])} problems to an error of {found['tolerance']:g}"
+    plotting.label_axes(ax, "time over the fastest's", "share of problems solved", title=title)
+    ax.set(xscale="log", ylim=(-0.02, 1.02), xticks=FACTORS, xticklabels=[f"{factor:g}" for factor in FACTORS])
+    ax.minorticks_off()
+    ax.legend()
+    return figure
+
+
+def relaxation_table(found: dict) -> list[list[str]]:
+    """The errors of the convex relaxation as rows, head first: median, largest, by pile and μ."""
+    rows = found.get("relaxation", [])
+    frictions = sorted({row["friction"] for row in rows})
+    cells = {(row["circles"], row["kind"], row["friction"]): row for row in rows}
+    table = [["pile", *(f"μ = {friction:g}" for friction in frictions)]]
+    for circles, kind in dict.fromkeys((row["circles"], row["kind"]) for row in rows):
+        line = [f"{circles:,} {kind}"]
+        for friction in frictions:
+            row = cells[circles, kind, friction]
+            errors = row["errors"]
+            text = f"{np.median(errors):.2f}, {max(errors):.2f}" if errors else "–"
+            line.append(text if len(errors) == row["states"] else f"{text} ({len(errors)} of {row['states']})")
+        table.append(line)
+    return table
+
+
 def relaxation_errors(
     kinds: Sequence[str], counts: Sequence[int], frictions: Sequence[float], *, states: int = 4, seed: int = 0
 ) -> list[dict]:

@@ -111,6 +111,7 @@ def test_the_scripts_run(tmp_path):
     file = folder / "step_0000.hdf5"
     assert "ours, NNCG" in run("scripts/benchmark_outside.py", file, "--piles", "--repeats", 1, "--out", tmp_path)
     assert (tmp_path / "benchmark_outside.json").exists()
+    assert (tmp_path / "benchmark_outside.png").stat().st_size > 10_000
 
 
 def test_errors_of_the_relaxation_are_those_of_what_it_returns(monkeypatch):
@@ -122,6 +123,9 @@ def test_errors_of_the_relaxation_are_those_of_what_it_returns(monkeypatch):
         ("settling", 20, 0.5, 2),
     ]
     np.testing.assert_allclose([row["errors"] for row in rows], 1.0)
+    table = [["pile", "μ = 0", "μ = 0.5"], ["20 settling", "1.00, 1.00", "1.00, 1.00"]]
+    assert outside.relaxation_table({"relaxation": rows}) == table
+    assert outside.relaxation_table({"relaxation": [rows[0] | {"errors": [0.5]}]})[1][1] == "0.50, 0.50 (1 of 2)"
     monkeypatch.setattr(outside, "relaxed", lambda problem: _impulse(solve_exactly(problem).solution))
     (row,) = outside.relaxation_errors(["settling"], [20], [0.0], states=1)
     assert row["errors"][0] < 1e-4
