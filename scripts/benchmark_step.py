@@ -64,7 +64,7 @@ def main(arguments=None) -> int:
     start = time.perf_counter()
     timed, cases = step_stages.timed_steps(), []
     for n_bodies in sizes:
-        steps = max(3, min(50, 50_000 // n_bodies))
+        steps = max(10, min(50, 500_000 // n_bodies))  # the first of a run have new memory and no list of pairs
         for kind in ("packed",) if n_bodies >= LARGE else engines.KINDS:
             state = pile_of(kind, n_bodies, given.seed)
             for engine, step in timed.items():

@@ -13,6 +13,7 @@ circle. (Box2D 2.3 does this for walls and bullets, `b2World::SolveTOI`, and sol
 from __future__ import annotations
 
 import math
+from heapq import heappop, heappush
 
 import numpy as np
 from numba import njit
@@ -61,24 +62,27 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
     cells = make_cells(n)
     grid = sort_into_cells(start, bodies.radius, cells, 2.0 * longest)
     stop = np.ones(n)
-    when, partner = np.full(n, np.inf), np.full(n, NOTHING)
+    when = np.full(n, np.inf)
     path = (start, move, stop, bodies.radius, box, segments, scales)
+    queue = [(np.inf, NOTHING)]  # of (time, circle); one whose time has changed since is passed over
     for i in range(n):
         if fast[i]:
-            when[i], partner[i] = _first_touch(i, 0.0, path, cells, grid)
-    while True:
-        i = np.argmin(when)
-        if not when[i] <= 1.0:
-            break
+            when[i], _ = _first_touch(i, 0.0, path, cells, grid)
+            heappush(queue, (when[i], i))
+    while queue[0][0] <= 1.0:
+        expected, i = heappop(queue)
+        if when[i] != expected:
+            continue
         # Others may have stopped since this was found: it is looked for again, and later if it is not the same.
         time, other = _first_touch(i, when[i], path, cells, grid)
         if time > when[i] + 1e-12:
-            when[i], partner[i] = time, other
+            when[i] = time
+            heappush(queue, (time, i))
             continue
         for k in (i, other):
             if 0 <= k < n and stop[k] == 1.0:
                 stop[k], when[k] = time, np.inf
-                _tell_neighbours(k, time, path, cells, grid, fast, when, partner)
+                _tell_neighbours(k, time, path, cells, grid, fast, when, queue)
     for i in range(n):
         if stop[i] < 1.0:
             for axis in range(2):
@@ -184,8 +188,8 @@ def _touch(i, k, now, path):
 
 
 @njit(cache=True, error_model="numpy")
-def _tell_neighbours(k, now, path, cells, grid, fast, when, partner):
-    """Let fast circles that still move know, in `when` and `partner`, that this one has stopped."""
+def _tell_neighbours(k, now, path, cells, grid, fast, when, queue):
+    """Let fast circles that still move know, in `when` and the queue, that this one has stopped."""
     columns, rows = grid
     row = cells.cell[k] // columns
     column = cells.cell[k] - row * columns
@@ -197,4 +201,5 @@ def _tell_neighbours(k, now, path, cells, grid, fast, when, partner):
             if i != k and fast[i] and stop[i] == 1.0:
                 time = _touch(i, k, now, path)
                 if time < when[i]:
-                    when[i], partner[i] = time, k
+                    when[i] = time
+                    heappush(queue, (time, i))
