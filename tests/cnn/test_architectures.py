@@ -248,7 +248,7 @@ def test_scheduler_of_appendix_b(epoch, rate):
 def test_scaled_scheduler_takes_each_rate_for_its_share(epochs):
     rates = [schedules.schedule("scaled appendix b", epochs=epochs, rate=1.0)(epoch) for epoch in range(epochs)]
     for rate, share in ((0.05, 0.1), (0.02, 0.3), (0.01, 0.6)):
-        assert rates.count(rate) / epochs == pytest.approx(share, abs=1 / epochs)
+        assert rates.count(rate) / epochs == pytest.approx(share, abs=1.5 / epochs)  # 101, 300 and 599 of 1,000
 
 
 def test_cosine_warms_up_falls_and_ends():
