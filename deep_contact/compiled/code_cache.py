@@ -4,15 +4,18 @@ Numba compiles a function again when its own file has changed, but not when a fu
 was compiled into it from another file. Here cached code is stale once any file of this package has changed that its
 file imports, directly or not. A file that must not import what is compiled into it names that in a comment,
 `# compiled in: deep_contact.…`. Numba also trusts the bytes of its cache, and damaged ones end the process; here they
-carry a checksum, and what is damaged is compiled again.
+carry a checksum, and what is damaged is compiled again. And it keeps code by the names of the argument types: code for
+a class of another package would outlive a change of that class, and no process without that class could read what lies
+beside it. Here such code is not kept.
 
-Both replace details of `numba.core.caching`, and hold for everything that the process compiles.
+All replace details of `numba.core.caching`, and hold for everything that the process compiles.
 """
 
 from __future__ import annotations
 
 import hashlib
 import io
+import pickle
 import re
 from contextlib import contextmanager
 from functools import cache
@@ -25,6 +28,9 @@ _IMPORT = re.compile(
     rb"^(?:from (deep_contact[\w.]*) import (\([^)]*\)|.*)|(?:import|# compiled in:) (deep_contact[\w.]*))",
     re.MULTILINE,
 )
+_KNOWN = {"builtins", "copyreg", "deep_contact", "numba", "numpy"}
+"""Packages whose types compiled code is kept for."""
+
 _stamp_of_one_file = caching._SourceFileBackedLocatorMixin.get_source_stamp
 
 
@@ -76,6 +82,10 @@ class _CheckedFile(caching.IndexDataCacheFile):
         with super()._open_for_write(path) as file:
             file.write(content.getvalue() + _checksum(content.getvalue()))
 
+    def save(self, key, data) -> None:
+        if _modules_in(self._dump(key)) <= _KNOWN:
+            super().save(key, data)
+
     def _load_index(self) -> dict:
         return super()._load_index() if _is_whole(self._index_path) else {}
 
@@ -83,6 +93,19 @@ class _CheckedFile(caching.IndexDataCacheFile):
         if not _is_whole(self._data_path(name)):
             raise OSError(f"{name}: expected the checksum of its contents")  # which Numba takes for a missing file
         return super()._load_data(name)
+
+
+def _modules_in(pickled: bytes) -> set[str]:
+    """The packages of the classes and functions that are named in pickled bytes."""
+    found = set()
+
+    class Reader(pickle.Unpickler):
+        def find_class(self, module, name):
+            found.add(module.partition(".")[0])
+            return super().find_class(module, name)
+
+    Reader(io.BytesIO(pickled)).load()
+    return found
 
 
 def _is_whole(path: str) -> bool:

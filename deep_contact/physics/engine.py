@@ -7,11 +7,10 @@ with sleeping it is `sleeping.advance_sleeping`. `deep_contact.simulation` is th
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
-from numba import config, njit
+from numba import njit
 
 from deep_contact.physics.collision import (
     Cells,
@@ -293,22 +292,7 @@ def advance_of(solver, sleep: bool = False) -> tuple[Callable, StepOptions]:
     options = StepOptions(entry.settings(solver), solver.position_sweeps, carry=True)
     if entry.advance is not None:
         return entry.advance(solver), options
-    return for_solver(advance_sleeping if sleep else advance, solver), options
-
-
-def for_solver(function, solver) -> Callable:
-    """The compiled function; for a solver from outside this package, compiled anew in this process.
-
-    Numba keeps compiled code on disk by the names of the argument types. A change of a solver outside the package
-    changes no name, so the old code would run.
-    """
-    inside = type(solver).__module__.startswith("deep_contact.")
-    return function if inside or config.DISABLE_JIT else _uncached(function, type(solver))
-
-
-@cache
-def _uncached(function, solver_type: type) -> Callable:
-    return njit(error_model="numpy", nogil=True)(function.py_func)
+    return (advance_sleeping if sleep else advance), options
 
 
 def contacts_of(state: State) -> Contacts:
@@ -339,7 +323,7 @@ def solve(
         rows, solver_bodies = copy_rows(problem.rows), problem.solver_bodies.copy()
         set_impulses(rows, normal_start, tangent_start)
     theta = np.empty(solver.sweeps)
-    sweeps = for_solver(solve_velocities, solver)(rows, problem.friction, settings, solver_bodies, theta)
+    sweeps = solve_velocities(rows, problem.friction, settings, solver_bodies, theta)
     impulse = rows.impulse.astype(np.float64)
     return ContactSolution(
         normal_impulses=impulse[:, NORMAL].copy(),

@@ -16,7 +16,7 @@ import numpy as np
 from numba import config, njit, types
 from numba.experimental import structref
 
-from deep_contact.physics.engine import advance_with, for_solver, is_valid, make_memory, step_input
+from deep_contact.physics.engine import advance_with, is_valid, make_memory, step_input
 from deep_contact.physics.solvers.registry import entry_of, settings_of
 from deep_contact.physics.step import StepInput, StepLog, StepOptions, StepWorkspace
 from deep_contact.scales import ContactScales
@@ -168,11 +168,10 @@ class Stepper:
     state: valid, with contacts. asked: the solver that was asked for. solver: the same for this state (`for_state`).
     """
 
-    __slots__ = ("asked", "function", "given", "n_bodies", "rooms", "solver")
+    __slots__ = ("asked", "given", "n_bodies", "rooms", "solver")
 
     def __init__(self, state: State, asked, solver):
         self.asked, self.solver, self.n_bodies = asked, solver, state.bodies.count
-        self.function = for_solver(take_step, solver)
         given, settings = step_input(state, settings_of(solver)), settings_of(solver)
         sizes = np.concatenate([state.bodies.mass, state.bodies.radius])
         constants = np.array([*given.box, *given.gravity, given.restitution, given.dt, *given.scales])
@@ -194,7 +193,7 @@ class Stepper:
             room = self.rooms.pop()
         except IndexError:
             room = make_room(*self.given)
-        numbers, pairs = self.function(numbers, pairs, room)
+        numbers, pairs = take_step(numbers, pairs, room)
         self.rooms.append(room)
         if not numbers.size:
             return None

@@ -98,6 +98,21 @@ def test_a_users_function_is_stale_once_the_package_changed(tmp_path, monkeypatc
     assert found != source_stamp(tmp_path / "of_a_user.py", tmp_path)  # where no deep_contact is
 
 
+def test_code_for_classes_of_other_packages_is_not_kept(tmp_path, monkeypatch):
+    (tmp_path / "of_a_solver.py").write_text(
+        "from typing import NamedTuple\nfrom numba import njit\nfrom deep_contact.state import Bodies\n"
+        "class Mine(NamedTuple):\n    x: float\n@njit(cache=True)\ndef f(a):\n    return a[0]\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    compiled.prepare_numba()
+    module = importlib.import_module("of_a_solver")
+    assert module.f(module.Mine(2.0)) == 2.0
+    assert not list(tmp_path.rglob("*.nbi"))
+    bodies = module.Bodies(*(np.ones(1),) * len(module.Bodies._fields))
+    assert module.f(bodies) == module.f((1.0, 2.0)) == 1.0
+    assert len(list(tmp_path.rglob("*.nbc"))) == 2
+
+
 def test_numba_compiles_what_needs_blas_without_importing_it_before():
     from numba import njit
 
