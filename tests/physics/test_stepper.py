@@ -91,10 +91,12 @@ def test_what_somebody_wrote_into_the_arrays_is_looked_at(falling, part, field):
         dc.step(state)
 
 
-def test_where_a_step_comes_to_no_position_simulate_is_asked(falling):
+def test_where_a_step_comes_to_no_position_simulate_is_asked(falling, monkeypatch):
     state = dc.step(falling, solver=TEN)
-    function, made = state._stepper.function, []
-    state._stepper.function = lambda numbers, *others: made.append(numbers) or function(np.nan * numbers, *others)
+    function, made = stepper.take_step, []
+    monkeypatch.setattr(
+        stepper, "take_step", lambda numbers, *others: made.append(numbers) or function(np.nan * numbers, *others)
+    )
     assert dc.step(state) == dc.simulate(plain(state), steps=1).state
     assert len(made) == 1
 
