@@ -2,7 +2,7 @@
 
 Studies and benchmarks first, since figures are drawn from some of them; then all figures and tables, and the tables of
 the pages. It takes some hours, on a machine that does nothing else. A file that this commit made is kept, so the
-command goes on where it was stopped; results do not count as changes of the checkout. Figure 6.6 is a quick run.
+command goes on where it was stopped; results do not count as changes of the checkout.
 Exit status: 0, 1 if a command failed, 130 after Ctrl-C.
 """
 
@@ -17,7 +17,6 @@ from deep_contact.reporting.scripts import find
 
 HERE = Path(__file__).resolve().parent
 REFERENCE = HERE.parent / "data" / "reference"
-QUICK = "6.6"
 
 STUDIES = {
     "run_tradeoff": ["run_tradeoff.py", "--out"],
@@ -33,7 +32,7 @@ STUDIES = {
 }
 """File of data/reference -> the script and options that write it; the path follows."""
 
-ELSEWHERE = ("benchmark_outside", "fuzz")
+ELSEWHERE = ("benchmark_disks", "benchmark_outside", "fuzz")
 """Files that need problems and solvers of others (docs/outside.md says which), and one that several runs fill."""
 
 
@@ -53,9 +52,7 @@ def commands(jobs=None):
         if not is_of_this_commit(path, digits):
             wanted.append([str(HERE / script), *options, str(path)])
     figures = [str(HERE / "all_figures.py"), "--out", str(REFERENCE), "--resume", *passed, "--only"]
-    wanted.append([*figures, ",".join(name for name in find(HERE) if name != QUICK)])
-    wanted.append([*figures, QUICK, "--quick"])
-    return [*wanted, [str(HERE / "readme.py")]]
+    return [*wanted, [*figures, ",".join(find(HERE))], [str(HERE / "readme.py")]]
 
 
 def main(arguments=None):

@@ -34,9 +34,6 @@ def by_id(folder):
 STORED = {id: results.read_results(path) for id, path in by_id(ROOT / "data" / "reference").items()}
 SCRIPTS = by_id(ROOT / "scripts")
 
-MADE_BY_QUICK_RUNS = {"6.6"}
-"""README says so: the full ones take hours."""
-
 
 @cache
 def figure_of(id):
@@ -69,8 +66,7 @@ def verdicts(entry):
 @pytest.mark.parametrize("id", STORED)
 def test_the_stored_run_is_a_full_one_of_the_script_as_it_is(id):
     figure, entry = figure_of(id), STORED[id]
-    made = figure.options | (figure.quick if id in MADE_BY_QUICK_RUNS else {})
-    assert entry["options"] == results.plain(made)
+    assert entry["options"] == results.plain(figure.options)
     assert entry["title"] == figure.title
     assert entry["provenance"]["seed"] == figure.seed
 
