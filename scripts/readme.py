@@ -126,6 +126,17 @@ def outside() -> list[list]:
     return others.table(stored("benchmark_outside"))
 
 
+def disks() -> list[list]:
+    """A step of Siconos's bench-disks: ours whole, and Siconos's solver alone."""
+    rows = [["discs", "step", "contacts", "ours, ms", "Siconos, ms", "velocity error, ours", "Siconos"]]
+    for side, states in stored("benchmark_disks")["sides"].items():
+        for state in states:
+            times = [1e3 * state["seconds"][name] for name in ("ours", "Siconos")]
+            errors = [state["velocity_error"][name] for name in ("ours", "Siconos")]
+            rows.append([f"{side}²", state["step"], f"{state['contacts']:,}", *times, *(f"{e:.2g}" for e in errors)])
+    return rows
+
+
 def relaxation() -> list[list]:
     """Errors of the convex relaxation, by pile and μ."""
     return others.relaxation_table(stored("benchmark_outside"))
@@ -190,7 +201,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-_MADE = (learned, engine, stages, outside, relaxation, transfer, tried, presets, figures)
+_MADE = (learned, engine, stages, outside, disks, relaxation, transfer, tried, presets, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True),

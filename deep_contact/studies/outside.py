@@ -219,14 +219,14 @@ def draw_profile(found: dict):
     """The performance profile as a matplotlib figure: share of problems by times of the fastest."""
     from deep_contact.reporting import plotting
 
-    figure, ax = plotting.subplots()
+    figure, ax = plotting.subplots(size=(7.5, 3.8))
     for name, shares in found["profile"].items():
         ax.plot(FACTORS, shares, "-" if name.startswith("ours") else "--", marker="o", label=name)
     title = f"{len(found['contacts'])} problems to an error of {found['tolerance']:g}"
     plotting.label_axes(ax, "time over the fastest's", "share of problems solved", title=title)
     ax.set(xscale="log", ylim=(-0.02, 1.02), xticks=FACTORS, xticklabels=[f"{factor:g}" for factor in FACTORS])
     ax.minorticks_off()
-    ax.legend()
+    ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0))
     return figure
 
 
