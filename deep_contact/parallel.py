@@ -17,6 +17,7 @@ set the number of Numba's threads, and to prevent that takes more code than the 
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import multiprocessing
 import os
@@ -108,13 +109,18 @@ def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
             f"scheduler: expected the package `distributed` to be installed for {address}, got none: "
             "it comes with the extra `cluster`, pip install 'deep-contact[cluster]'"
         ) from None
+    client, reason = None, ""
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except Exception as error:  # OSError, ValueError, TypeError and others, depending on what is wrong with the address
+        reason = str(error) or type(error).__name__
+    if client is None:
+        # The client that came to nothing closes itself here. Left to the garbage collector it may do so while another
+        # one starts, and both wait for each other for ever.
+        gc.collect()
         raise ClusterError(
-            f"scheduler: expected a Dask scheduler that answers at {address} within {timeout:g} s, got none: "
-            f"{str(error) or type(error).__name__}"
-        ) from error
+            f"scheduler: expected a Dask scheduler that answers at {address} within {timeout:g} s, got none: {reason}"
+        )
     with client:
         try:
             yield _Cluster(client)

@@ -1,6 +1,7 @@
 """`deep_contact.parallel` on a real Dask cluster of two processes of this machine: the same bits as without it, also
 where a worker dies, and errors that say what is wrong."""
 
+import gc
 import os
 import signal
 import socket
@@ -174,6 +175,10 @@ def test_a_scheduler_that_does_not_answer_is_named(address):
         with pytest.raises(parallel.ClusterError, match=f"answers at {address} within 0.5 s, got none"):
             with parallel.cluster(address, timeout=0.5):
                 pass
+    # One that is left would close itself whenever it is collected, and may hang the start of the next.
+    from distributed import Client
+
+    assert not [found for found in gc.get_objects() if type(found) is Client and found.status != "closed"]
 
 
 def test_a_script_reports_it_without_a_traceback(tmp_path, capsys, monkeypatch):
