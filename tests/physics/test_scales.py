@@ -141,8 +141,8 @@ def test_without_gravity_too(solver, s):
 )
 def test_any_other_factor_differs_by_rounding(exponent, radius, friction, method):
     # Two dozen steps with impacts, before rounding grows to what decides a contact. Soft contacts are left out: they
-    # close a gap to exactly 0, where rounding decides at once whether it is a spring. So is restitution, of which
-    # equal circles that fall together ask at relative velocities of nothing but rounding: 4 of 122 runs part at e = 0.3.
+    # close a gap to exactly 0, where rounding decides at once whether it is a spring. So is restitution: equal circles
+    # that fall together have relative velocities of nothing but rounding, and 4 of 122 runs part at e = 0.3.
     scene = falling(radius, friction=friction, restitution=0.0)
     scene = scene.replace(bodies=scene.bodies._replace(velocity=np.full((30, 2), (1.0, -4.0))))
     assert_same_run(scene, 10.0**exponent, steps=25, rtol=1e-7, solver=method)
