@@ -191,9 +191,10 @@ def _processes(count: int) -> Iterator[Executor]:
         try:
             yield executor
         except BaseException:
-            executor.shutdown(wait=False, cancel_futures=True)
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
+            # Waits for the pool's own thread: the end of the interpreter would write to the pipe that it is closing.
+            executor.shutdown(wait=True, cancel_futures=True)
             raise
 
 
