@@ -16,7 +16,7 @@ import numpy as np
 from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import SoftSteps, describe
-from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, stiff_solver, why_stiff
+from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, stiffness
 from deep_contact.reporting import results
 from deep_contact.simulation import checked_solver, ready, solver_and_start
 from deep_contact.state import State
@@ -123,19 +123,18 @@ def _share(one: Mapping) -> str:
 
 
 def _stiffness(scene: State, solver) -> Choice:
-    why, wanted = why_stiff(scene), stiff_solver(scene)
+    found = stiffness(scene)
     substeps = getattr(solver, "substeps", 1)
-    if wanted is None or wanted.tolerance is not None:
+    if found is None or found.solver.tolerance is not None:
         used = solver.tolerance is not None and solver.sweeps >= SWEEPS
         saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"
     else:
-        used = substeps >= wanted.substeps
-        saving = f"it costs {wanted.substeps} substeps of {wanted.sweeps} sweeps"
-    if why and not used:
+        used = substeps >= found.solver.substeps
+        saving = f"it costs {found.solver.substeps} substeps of {found.solver.sweeps} sweeps"
+    why = found.why if found else "nothing is too stiff for a few sweeps"
+    if found and not used:
         why += f", but {describe(solver)} was asked for"
-    return Choice(
-        part="solving stiff piles", used=used, why=why or "nothing is too stiff for a few sweeps", saving=saving
-    )
+    return Choice(part="solving stiff piles", used=used, why=why, saving=saving)
 
 
 def _tangents(scene: State, solver, used: bool, savings: Mapping) -> Choice:

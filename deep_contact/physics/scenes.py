@@ -151,22 +151,17 @@ def hopper(
     opening: float = 8.0,
     steepness: float = 60.0,
     radius: tuple[float, float] = (0.8, 1.0),
-    density: float = 1.0,
-    friction: float = constants.FRICTION,
-    restitution: float = constants.RESTITUTION,
-    gravity: tuple[float, float] = constants.GRAVITY,
-    seed: int | np.random.Generator = 0,
+    **options,
 ) -> State:
     """Circles on a jittered lattice above a funnel with a hole in the middle, through which they fall onto the floor.
 
     opening: width of the hole in largest radii; below about 8 arches of circles may block it. steepness: of the two
-    sides over the floor, degrees. The other arguments are those of `lattice_in_box`; the lattice is as wide as high.
+    sides over the floor, degrees. radius, options: those of `lattice_in_box`.
     """
     _, high = _checked_radius(radius)
     number("opening", opening, above=0)
     angle = math.radians(number("steepness", steepness, low=5, high=85))
-    matter = {"density": density, "friction": friction, "restitution": restitution, "gravity": gravity}
-    heap = lattice_in_box(n_bodies, radius=radius, seed=seed, **matter)
+    heap = lattice_in_box(n_bodies, radius=radius, **options)
     _, _, width, height = heap.world.box
     width = max(width, (opening + 4.0) * high)
     hole = 0.5 * opening * high

@@ -24,7 +24,7 @@ from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
 from deep_contact.physics.solvers import METHODS, PGS, describe
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.recommendation.steps import StepRecommendation, recommend_step
-from deep_contact.recommendation.stiff import stiff_solver, why_stiff
+from deep_contact.recommendation.stiff import stiffness
 from deep_contact.state import State
 from deep_contact.validation import number, one_of
 
@@ -264,9 +264,10 @@ def _stiff_candidate(scene: State, candidates: list[dict], study: Mapping) -> li
 
     us: at most, with all its sweeps, each at the price of one of the study's cheapest. errors: of the study's best.
     """
-    solver = stiff_solver(scene, substeps_of(scene, TIME_STEP))
-    if solver is None:
+    stiff = stiffness(scene, substeps_of(scene, TIME_STEP))
+    if stiff is None:
         return []
+    solver = stiff.solver
     best = min(candidates, key=lambda found: _excess(found, "reference"))
     each = min(found["us"] / (found["solver"].sweeps * getattr(found["solver"], "substeps", 1)) for found in candidates)
     return [
@@ -311,9 +312,9 @@ def outside(scene: State, study: Mapping) -> list[str]:
         found.append(f"friction {world.friction:g}; it has 0 and 0.5")
     if world.restitution > 0:
         found.append(f"restitution {world.restitution:g}; it has 0")
-    if why_stiff(scene):
+    if stiff := stiffness(scene):
         found.append(
-            f"{why_stiff(scene)}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
+            f"{stiff.why}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
             "at rest needs few, and the errors are those of the study's best setting"
         )
     needed = scene.dt / longest_step(scene, max(setting["dt"] for setting in study["settings"]))

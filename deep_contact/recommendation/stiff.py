@@ -2,7 +2,7 @@
 
 A sweep carries information one contact further, and a light circle under a heavy one gives way by the ratio of their
 masses: Projected Gauss-Seidel needs about L² R sweeps for L circles on one another whose masses differ R times. The
-study of runs has neither, so its settings do not hold there. `stiff_solver` recognises such scenes and takes conjugate
+study of runs has neither, so its settings do not hold there. `stiffness` recognises such scenes and takes conjugate
 gradients to a tolerance that the lightest circle can feel, in substeps, which a ratio of 1e8 needs (Figure 6.6).
 
 A pyramid of more than 60 rows creeps apart at one step of 10 ms, with 10 sweeps as with 2000: what position correction
@@ -12,6 +12,7 @@ pushes out of each other in one step, the next solve does not expect. Substeps a
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,18 +41,40 @@ SHARE = 1e-6
 """Tolerance, as a share of the impulse that carries the lightest circle for Δt."""
 
 
-def why_stiff(scene: State) -> str:
-    """What makes a scene too stiff for a few sweeps, in words; empty where nothing does."""
+class Stiffness(NamedTuple):
+    """Of a scene that a few sweeps cannot solve."""
+
+    why: str
+    """What makes it so, in words."""
+    solver: PGS
+    """What is taken for it."""
+
+
+def stiffness(scene: State, substeps: int = 1) -> Stiffness | None:
+    """What makes a scene too stiff for a few sweeps, and the solver for it; None where nothing does.
+
+    substeps: that the scene needs for its Δt (`runs.substeps_of`); a solver to a tolerance takes at least `SUBSTEPS`.
+    """
     bodies = scene.bodies
     if bodies.count < 2:
-        return ""
+        return None
     ratio = float(bodies.mass.max() / bodies.mass.min())
     if ratio > MASS_RATIO:
-        return f"masses differ {ratio:.3g} times"
+        return Stiffness(f"masses differ {ratio:.3g} times", _to_tolerance(scene, substeps))
     high, wide = _height_and_width(scene)
     if high > COLUMN and high > SLENDER * wide:
-        return f"a column {high:.0f} circles high"
-    return f"a heap with slopes {high:.0f} circles high" if _is_heap(scene) else ""
+        return Stiffness(f"a column {high:.0f} circles high", _to_tolerance(scene, substeps))
+    if not _is_heap(scene, high, wide):
+        return None
+    parts = substeps * 2 ** math.ceil(math.log2(high / HEAP_ROWS))
+    return Stiffness(f"a heap with slopes {high:.0f} circles high", PGS(sweeps=2, tolerance=None, substeps=parts))
+
+
+def _to_tolerance(scene: State, substeps: int) -> NNCG:
+    substeps = max(SUBSTEPS, substeps)
+    lightest = float(scene.bodies.mass.min()) * math.hypot(*scene.world.gravity) * scene.dt
+    tolerance = SHARE * lightest / substeps if lightest > 0.0 else FOLLOWS_SCENE
+    return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
 
 
 def _height_and_width(scene: State) -> tuple[float, float]:
@@ -68,25 +91,8 @@ def _height_and_width(scene: State) -> tuple[float, float]:
     return min(high, bodies.count), wide  # what falls from far above is no column
 
 
-def _is_heap(scene: State) -> bool:
-    high, wide = _height_and_width(scene)
+def _is_heap(scene: State, high: float, wide: float) -> bool:
     if high <= HEAP or math.sqrt(0.75) * scene.bodies.count >= FILLED * high * wide:
         return False
     found = scene.contacts if scene.contacts is not None else contacts_of(scene)
     return found.count > TOUCHING * scene.bodies.count
-
-
-def stiff_solver(scene: State, substeps: int = 1) -> PGS | None:
-    """The solver for a scene that is too stiff for a few sweeps; None for one that is not.
-
-    substeps: that the scene needs for its Δt (`runs.substeps_of`); at least `SUBSTEPS` are taken.
-    """
-    why = why_stiff(scene)
-    if not why:
-        return None
-    if why.startswith("a heap"):
-        rows = _height_and_width(scene)[0]
-        return PGS(sweeps=2, tolerance=None, substeps=substeps * 2 ** math.ceil(math.log2(rows / HEAP_ROWS)))
-    lightest = float(scene.bodies.mass.min()) * math.hypot(*scene.world.gravity) * scene.dt
-    tolerance = SHARE * lightest / max(SUBSTEPS, substeps) if lightest > 0.0 else FOLLOWS_SCENE
-    return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=max(SUBSTEPS, substeps))

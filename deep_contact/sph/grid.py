@@ -351,7 +351,7 @@ def splat(
     """
     chosen, h = kernel_number(kernel), check_support_radius(h)
     codes = _code("normalization", normalization), _code("unreached", unreached), _code("outside", outside)
-    position = _positions(position)
+    position = positions(position)
     given = as_floats("values", values)
     columns = given.reshape(-1, 1) if given.ndim == 1 else given
     if columns.ndim != 2 or columns.shape[0] != position.shape[0]:
@@ -377,7 +377,7 @@ def density(
 
     Needs positions only. Arguments and errors as for `splat`, with the same values as the splat of the image.
     """
-    position = _positions(position)
+    position = positions(position)
     options = {"normalization": "consistent", "unreached": unreached, "outside": outside}
     return splat(grid, position, np.ones(position.shape[0]), h=h, kernel=kernel, **options)
 
@@ -419,11 +419,8 @@ def gather(
         h = check_support_radius(h)
     elif method == "sph" or (consistent and density is None):
         raise ValueError("h: expected the support radius, for method 'sph' or to make the density, got None")
-    position = _positions(position)
-    given = as_floats("image", image)
-    if given.ndim not in (2, 3) or given.shape[:2] != grid.shape:
-        raise ValueError(f"image: expected shape {(*grid.shape, 'channels')}, got {given.shape}")
-    layers = given if given.ndim == 3 else given.reshape(*grid.shape, 1)
+    position = positions(position)
+    layers = image_of(grid, image)
     if not consistent:
         if density is not None:
             raise ValueError(f"density: only for the normalization 'consistent', not {normalization!r}")
@@ -439,7 +436,7 @@ def gather(
     code, k = core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
     if code != _DONE:
         raise _error(code, k, grid, position, h, {})
-    return out if given.ndim == 3 else out.reshape(-1)
+    return out if np.ndim(image) == 3 else out.reshape(-1)
 
 
 def _pair(name, given):
@@ -457,7 +454,16 @@ def _spacing(given):
     return spacing
 
 
-def _positions(given):
+def image_of(grid: Grid, given) -> np.ndarray:
+    """An image as (n_y, n_x, c), float64. Raises ValueError unless it has the nodes of the grid."""
+    image = as_floats("image", given)
+    if image.ndim not in (2, 3) or image.shape[:2] != grid.shape:
+        raise ValueError(f"image: expected shape {(*grid.shape, 'channels')}, got {image.shape}")
+    return image if image.ndim == 3 else image.reshape(*grid.shape, 1)
+
+
+def positions(given) -> np.ndarray:
+    """Positions as (k, 2), float64. Raises ValueError for other shapes."""
     position = as_floats("position", given)
     if position.size == 0 and position.ndim == 1:
         position = position.reshape(0, 2)

@@ -5,22 +5,21 @@ from __future__ import annotations
 import numpy as np
 
 from deep_contact.sph import kernels
-from deep_contact.sph.grid import Grid
+from deep_contact.sph.grid import Grid, image_of, positions
 
 
 def read_by_spline(grid: Grid, image, position) -> np.ndarray:
     """The bicubic spline through all nodes at (k, 2) positions, m: (k, c) of an image (n_y, n_x, c).
 
     The authors' way back from the SPH image. Beyond the grid it reads the nearest point of the grid.
-    Raises ValueError where a side has fewer than four nodes.
+    Raises ValueError naming the argument and the value, also where a side has fewer than four nodes.
     """
     from scipy.interpolate import RectBivariateSpline
 
     if min(grid.shape) < 4:
         raise ValueError(f"grid: expected at least 4 × 4 nodes for a cubic spline, got {grid.shape}")
     x, y = grid.nodes
-    at = np.asarray(position, dtype=np.float64).reshape(-1, 2)
-    layers = np.moveaxis(np.asarray(image, dtype=np.float64), -1, 0)
+    at, layers = _finite("position", positions(position)), np.moveaxis(_finite("image", image_of(grid, image)), -1, 0)
     return np.stack([RectBivariateSpline(y, x, layer).ev(at[:, 1], at[:, 0]) for layer in layers], axis=-1)
 
 
@@ -30,11 +29,12 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     The authors' way back from the network's image (n_y, n_x, c): the weights of a node sum to one, so nothing is lost.
     Each particle that is the only one of its nodes gets back all that it gave; others get a mean. position: (k, 2), m;
     beyond the grid its nearest point counts. h: support radius of the kernel, m.
+    Raises ValueError naming the argument and the value.
     """
     h = kernels.check_support_radius(h)
-    values = np.asarray(image, dtype=np.float64)
+    values = _finite("image", image_of(grid, image))
     values = values.reshape(-1, values.shape[-1])
-    at = np.asarray(position, dtype=np.float64).reshape(-1, 2)
+    at = _finite("position", positions(position))
     near, apart = [], []  # of the nodes around each particle, by axis: (k, s)
     for k, (nodes, spacing) in enumerate(zip(grid.nodes, grid.spacing)):
         x = np.clip(at[:, k], nodes[0], nodes[-1])
@@ -53,3 +53,9 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
     given = shares[:, None] * values[node]
     return np.stack([np.bincount(rows, part, minlength=len(at)) for part in given.T], axis=-1)
+
+
+def _finite(name: str, array: np.ndarray) -> np.ndarray:
+    if not np.isfinite(array).all():
+        raise ValueError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+    return array

@@ -25,7 +25,7 @@ from deep_contact.physics import metrics
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
-from deep_contact.recommendation.stiff import stiff_solver
+from deep_contact.recommendation.stiff import stiffness
 from deep_contact.scales import mean
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
@@ -219,7 +219,8 @@ def _finite(value: float) -> float | None:
 
 def _run_ours(trial: Trial, watch: _Watch) -> Iterator[Bodies]:
     state = ready(trial.scene)
-    solver = (stiff_solver(state) if trial.recognised else None) or trial.solver
+    stiff = stiffness(state) if trial.recognised else None
+    solver = stiff.solver if stiff else trial.solver
     for _ in range(trial.steps):
         before = state.bodies
         state = simulate(state, steps=1, solver=solver, warm_start=trial.warm_start).state

@@ -6,7 +6,7 @@ import pytest
 import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.recommendation import PRESETS
-from deep_contact.recommendation.stiff import stiff_solver, why_stiff
+from deep_contact.recommendation.stiff import stiffness
 from deep_contact.studies.extremes import leaning_silo, loaded_silo, pyramid, silo
 
 STIFF = {
@@ -35,11 +35,11 @@ def test_what_is_stiff_rests_within_a_slop_and_without_speed(name):
 def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_why(name):
     scene = STIFF[name]
     for accuracy in PRESETS:
-        assert dc.recommend(scene, accuracy=accuracy).solver == stiff_solver(scene)
+        assert dc.recommend(scene, accuracy=accuracy).solver == stiffness(scene).solver
     plan = dc.plan(scene)
-    assert plan.solver == stiff_solver(scene)
+    assert plan.solver == stiffness(scene).solver
     assert plan["solving stiff piles"].used
-    assert plan["solving stiff piles"].why == why_stiff(scene) != ""
+    assert plan["solving stiff piles"].why == stiffness(scene).why
     assert "20,000 sweeps" in plan["solving stiff piles"].saving
     told = dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"]
     assert not told.used
@@ -63,15 +63,14 @@ def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_wh
     ids=["pile", "mixed pile", "large pile", "pyramid", "cloud", "short column", "one circle", "two far apart"],
 )
 def test_what_the_study_covers_is_left_to_it(scene):
-    assert why_stiff(scene) == ""
-    assert stiff_solver(scene) is None
+    assert stiffness(scene) is None
     assert not dc.plan(scene)["solving stiff piles"].used
 
 
 def test_a_pyramid_of_a_hundred_rows_stands_by_the_substeps_that_are_taken_for_it():
     # With 10 sweeps, with 50, or with NNCG to a tolerance at whole steps its circles leave at 10 m/s after 300 steps.
     scene = pyramid(100)
-    assert why_stiff(scene) == "a heap with slopes 87 circles high"
+    assert stiffness(scene).why == "a heap with slopes 87 circles high"
     choice = dc.plan(scene)["solving stiff piles"]
     assert choice.used
     assert choice.saving == "it costs 8 substeps of 2 sweeps"

@@ -33,6 +33,22 @@ def test_a_spline_needs_four_nodes():
         sph.read_by_spline(small, np.zeros((7, 3, 1)), [[0.5, 0.5]])
 
 
+@pytest.mark.parametrize("read", [sph.read_by_spline, lambda *given: sph.share_out(*given, h=0.5)])
+@pytest.mark.parametrize(
+    ("image", "position", "message"),
+    [
+        (np.zeros((9, 7, 1)), [[0.5, 0.5]], r"image: expected shape \(7, 9, 'channels'\), got \(9, 7, 1\)"),
+        (np.full((7, 9, 1), np.nan), [[0.5, 0.5]], "image: expected finite numbers, got nan"),
+        (np.zeros((7, 9, 1)), [0.5, 0.5], r"position: expected shape \(k, 2\), got \(2,\)"),
+        (np.zeros((7, 9, 1)), [[0.5, np.inf]], "position: expected finite numbers, got inf"),
+        (np.zeros((7, 9, 1)), [["a", "b"]], "position: expected an array of real numbers"),
+    ],
+)
+def test_what_cannot_be_read_is_named(read, image, position, message):
+    with pytest.raises(ValueError, match=message):
+        read(GRID, image, position)
+
+
 @pytest.mark.parametrize("kernel", ["poly6", "spiky"])
 @pytest.mark.parametrize("h", [0.5, 0.8])
 def test_sharing_is_what_the_sums_say(kernel, h):
