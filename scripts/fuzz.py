@@ -327,7 +327,10 @@ def api_call(whole: State):
             if rng.random() < 0.5:
                 value = hostile(rng)
             return f"{name} of {value!r}"[:500], lambda: numbers[name](value)
+        # The exact solver checks as the others do, and takes a second for some masses that it accepts.
         name, (told, build) = list(uses)[rng.integers(0, len(uses))], damaged_state(rng, whole)
+        if name == "solve_exactly" and rng.random() > 0.02:
+            name = "simulate"
         return f"{name} with {told}", lambda: uses[name](build(), rng)
 
     return make
