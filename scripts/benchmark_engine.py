@@ -5,9 +5,10 @@
 Our engine makes each pile, and every engine gets its circles. "falling" is the moment when there are as many contacts
 as circles, about half of the final number; "settled" is the pile at rest. Each engine steps it with 3 sweeps of
 position correction, where it has them (ours, Box2D 2.3), in four blocks of steps: of 10, 100, 100 and 10 velocity
-sweeps. Ours is timed as users run it, one `dc.simulate` per block, and once more by one `dc.step` per step; the others
-by their step functions. Repeats are interleaved, and the fastest of each block counts. For the model, and what a sweep
-is in each engine, see `deep_contact.studies.engines`. "Whole step" is the mean step of 10 sweeps.
+sweeps. Ours is timed as users run it, one `dc.simulate` per block, once more in batches by colours (`BatchedPGS`, as
+Box2D v3 does), and once by one `dc.step` per step; the others by their step functions. Repeats are interleaved, and the
+fastest of each block counts. For the model, and what a sweep is in each engine, see `deep_contact.studies.engines`.
+"Whole step" is the mean step of 10 sweeps.
 """
 
 from __future__ import annotations

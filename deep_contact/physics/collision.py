@@ -22,8 +22,16 @@ SMALLEST_DISTANCE = 5e-13
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """rad"""
 
-NEAR = 0.2
-"""Gap below which pairs are kept as near, in smallest radii. In a packing it is too small for second neighbours."""
+LEAST_NEAR, MOST_NEAR = 0.1, 1.0
+"""Gap below which pairs are kept as near, in smallest radii. At the most, a packing has few second neighbours there, and
+the list takes a tenth longer to read than at the least."""
+
+NEAR_BY_MOTION = 5.0
+"""Gap by the root of what circles move apart in a step, both in smallest radii. A wider one lasts for more steps, and
+takes longer to make and to read: measured at 1,000 to 100,000 circles."""
+
+LASTING = 3
+"""Steps from which on a list pays. To make one takes 1.1 to 1.6 times a search, and to read it a quarter."""
 
 
 CROWDED = 8
@@ -43,8 +51,9 @@ SEARCHES, PAIRS = range(2)
 class Cells(NamedTuple):
     """Buffers of the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
 
-    As long as no circle has moved by more than half of what near means, pairs that touch are among those. A pile at
-    rest is sorted into cells once, then, and a list is not made where it would not last.
+    As long as no circle has moved by more than half of what near means, beside what all have moved together, pairs that
+    touch are among those. A pile at rest, or one that falls as a whole, is sorted into cells once, then, and a list is
+    not made where it would not last.
 
     | field  | meaning                                                                       | shape        |
     |--------|-------------------------------------------------------------------------------|--------------|
@@ -59,6 +68,7 @@ class Cells(NamedTuple):
     | level  | of each circle, if they are sorted by size: 0 holds the largest                | (n,)         |
     | grid   | of a level: corner, m, cells per metre, columns, rows, first cell in `start`   | (16, 6)      |
     | pair   | near pairs as they were found, the lesser index first                          | (8n + 40, 2) |
+    | gap    | below which a pair is near, m                                                  | (1,)         |
     """
 
     start: np.ndarray
@@ -72,6 +82,7 @@ class Cells(NamedTuple):
     level: np.ndarray
     grid: np.ndarray
     pair: np.ndarray
+    gap: np.ndarray
 
 
 @njit(cache=True)
@@ -80,7 +91,7 @@ def make_cells(n):
     return Cells(
         np.empty(8 * n + 1000, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
         np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int64), np.full(2, -1),
-        np.empty(n, np.int64), np.empty((LEVELS, 6)), np.empty((8 * n + 40, 2), np.int64),
+        np.empty(n, np.int64), np.empty((LEVELS, 6)), np.empty((8 * n + 40, 2), np.int64), np.empty(1),
     )  # fmt: skip
 
 
@@ -170,22 +181,26 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     n = position.shape[0]
     if n == 0:
         return 0
-    gap, memory, lasts = NEAR * smallest_of(radius), cells.memory, False
+    memory, half, x, y, apart = cells.memory, 0.49 * cells.gap[0], 0.0, 0.0, math.inf
     if memory[SEARCHES] >= 0:
         memory[SEARCHES] += 1
-        lasts = moves_within(position, cells.anchor, 0.49 * gap)
-        if lasts and memory[PAIRS] >= 0:
+        if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
+            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+        x, y, apart = common_motion(position, cells.anchor)
+        if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
             return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
     if not math.isfinite(position.sum()):
         return 0
-    # A list costs about a search: it is made where nothing went far in one step, or where the last one lasted.
-    if (lasts and moves_within(position, cells.anchor, 0.1 * gap)) or memory[SEARCHES] > 4:
+    smallest = smallest_of(radius)
+    gap, apart = MOST_NEAR * smallest, apart / max(memory[SEARCHES], 1)
+    if LASTING * apart <= gap:
+        gap = min(gap, smallest * max(LEAST_NEAR, NEAR_BY_MOTION * math.sqrt(apart / smallest)))
         find_near(position, radius, gap, cells)
         if memory[PAIRS] >= 0:
             return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
     memory[SEARCHES], memory[PAIRS] = 0, -1
-    cells.anchor[:] = position
+    cells.anchor[:], cells.gap[0] = position, gap
     columns, rows = sort_into_cells(position, radius, cells)
     if is_crowded(cells, n, columns * rows):
         if find_near_by_levels(position, radius, gap, cells):
@@ -218,13 +233,24 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
 
 
 @njit(cache=True)
-def moves_within(position, anchor, distance):
-    """Whether every circle is within this distance of where it was, m. One without a position is not."""
+def moves_within(position, anchor, x, y, distance):
+    """Whether every circle is within this distance of (x, y) from where it was, m. One without a position is not."""
     within, square = True, distance * distance
     for i in range(position.shape[0]):
-        dx, dy = position[i, 0] - anchor[i, 0], position[i, 1] - anchor[i, 1]
+        dx, dy = position[i, 0] - anchor[i, 0] - x, position[i, 1] - anchor[i, 1] - y
         within &= dx * dx + dy * dy <= square
     return within
+
+
+@njit(cache=True, fastmath={"nnan", "nsz"})
+def common_motion(position, anchor):
+    """(x, y, apart): the middle of what circles have moved, and no less than what any two have moved apart, m."""
+    x_min = x_max = position[0, 0] - anchor[0, 0]
+    y_min = y_max = position[0, 1] - anchor[0, 1]
+    for i in range(position.shape[0]):
+        dx, dy = position[i, 0] - anchor[i, 0], position[i, 1] - anchor[i, 1]
+        x_min, x_max, y_min, y_max = min(x_min, dx), max(x_max, dx), min(y_min, dy), max(y_max, dy)
+    return 0.5 * (x_min + x_max), 0.5 * (y_min + y_max), math.hypot(x_max - x_min, y_max - y_min)
 
 
 @njit(cache=True, fastmath={"nnan", "nsz"})
@@ -242,7 +268,7 @@ def find_near(position, radius, gap, cells):
     n = position.shape[0]
     columns, rows = sort_into_cells(position, radius, cells, gap)
     circle, order, near = cells.circle, cells.order, cells.near
-    cells.anchor[:] = position
+    cells.anchor[:], cells.gap[0] = position, gap
     cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
     if is_crowded(cells, n, columns * rows):
         if find_near_by_levels(position, radius, gap, cells):

@@ -194,6 +194,30 @@ def test_what_a_search_remembers_changes_no_pair():
     assert np.mean(searched[300:400]) > 0.9
 
 
+@pytest.mark.parametrize("drift", [0.0, 0.4])
+@pytest.mark.parametrize("smallest", [1.0, 0.4])
+@pytest.mark.parametrize("move", [1e-3, 0.02, 0.1, 0.5])
+def test_pairs_are_those_of_a_fresh_search_however_circles_move(move, smallest, drift):
+    """And what all have moved together makes no list end."""
+    rng = np.random.default_rng(5)
+    radius = rng.uniform(smallest, 1.0, 120)
+    position, cells, made = rng.uniform(0, 22, (120, 2)), make_cells(120), 0
+    way = rng.normal(size=position.shape)
+    for step in range(60):
+        position += move * way / np.linalg.norm(way, axis=1).max() + (drift, -drift)
+        if step % 20 == 0:
+            way = rng.normal(size=position.shape)
+        found, fresh = (
+            find_contacts(position, radius, (0, 0, 22, 22), NO_SEGMENTS, 0.01, of, make_contacts(4000))[0]
+            for of in (cells, make_cells(120))
+        )
+        made += cells.memory[0] == 0
+        for one, other in zip(found, fresh):
+            np.testing.assert_array_equal(one, other)
+    assert (made == 60) == (move * 2 > smallest / 3)
+    assert move > 0.01 or made <= 4
+
+
 def test_what_a_search_by_size_remembers_changes_no_pair():
     state, cells = crowd(300, 3, smallest=0.01), make_cells(300)
     bodies, box, skin = state.bodies, state.world.box, state.scales.wall_skin
