@@ -21,10 +21,12 @@ if TYPE_CHECKING:
     from deep_contact.io.state_xml import read_state, write_state
     from deep_contact.physics.exact import solve_exactly
     from deep_contact.physics.scenes import (
+        barrel,
         bench_disks,
         circles_in_box,
         column,
         drifting_circles,
+        drum,
         hopper,
         lattice_in_box,
         single_body,

@@ -153,6 +153,8 @@ def _tangents(scene: State, solver, used: bool, savings: Mapping) -> Choice:
 def _segments(scene: State) -> Choice:
     count = len(scene.world.segments)
     why = f"the world has {count}" if count else "the world has none"
+    if moving := np.count_nonzero(scene.world.surface_speeds):
+        why += f", and {moving} surfaces move"
     saving = "each costs every circle a comparison a step, and positions are corrected contact by contact"
     return Choice(part="static segments", used=count > 0, why=why, saving=saving)
 

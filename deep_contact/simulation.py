@@ -381,6 +381,8 @@ def _has_settings_within_limits(state: State) -> bool:
     found = {"dt": (state.dt,), "world.box": world.box, "world.gravity": world.gravity}
     if world.segments:
         found["world.segments"] = tuple(chain.from_iterable(world.segments))
+    if world.surface_speeds:
+        found["world.surface_speeds"] = world.surface_speeds
     found["world.friction"] = (world.friction,)
     if world.scales is not None:
         found |= {f"scales.{name}": (getattr(world.scales, name),) for name in ("slop", "wall_skin", "max_correction")}

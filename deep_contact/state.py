@@ -46,6 +46,7 @@ LIMITS = {
     "contacts.tangent_start": (-1e60, 1e60, "N·s"),
     "world.box": (-1e12, 1e12, "m"),
     "world.segments": (-1e12, 1e12, "m"),
+    "world.surface_speeds": (-1e10, 1e10, "m/s"),
     "world.gravity": (-1e6, 1e6, "m/s²"),
     "world.friction": (0.0, 1e12, ""),
     "dt": (1e-9, 1.0, "s"),
@@ -74,6 +75,7 @@ SINGLE_LIMITS = LIMITS | {
     **{name: (-1e15, 1e15, "N·s") for name in LIMITS if name.endswith(("impulse", "start"))},
     "world.box": (-1e6, 1e6, "m"),
     "world.segments": (-1e6, 1e6, "m"),
+    "world.surface_speeds": (-1e7, 1e7, "m/s"),
     "world.friction": (0.0, 1e6, ""),
     "dt": (1e-6, 1.0, "s"),
 }
@@ -174,6 +176,9 @@ class World:
     segments: any number of ((x, y), (x, y)), m: static lines beside the box, felt from both sides and at their ends,
     with the skin of the walls (edge shapes of Box2D). Those that share an end, to the last bit, are one line there: a
     circle rolls over the joint as over a chain of Box2D. Kept as (x_0, y_0, x_1, y_1) each.
+
+    surface_speeds: of the segments, m/s each, towards their second ends: a belt, or the wall of a drum that turns. The
+    segment stays where it is, and friction drags what touches it. () where all surfaces rest.
     """
 
     box: tuple[float, float, float, float] = (0.0, 0.0, 30.0, 30.0)
@@ -182,6 +187,7 @@ class World:
     restitution: float = constants.RESTITUTION
     scales: ContactScales | None = None
     segments: Sequence = ()
+    surface_speeds: Sequence = ()
 
     def __post_init__(self):
         box, gravity, friction, restitution = (
@@ -198,6 +204,7 @@ class World:
         if self.scales is not None:
             object.__setattr__(self, "scales", _checked_scales(self.scales))
         object.__setattr__(self, "segments", _checked_segments(self.segments))
+        object.__setattr__(self, "surface_speeds", _checked_speeds(self.surface_speeds, len(self.segments)))
         object.__setattr__(self, "box", box)
         object.__setattr__(self, "gravity", gravity)
         object.__setattr__(self, "friction", friction[0])
@@ -470,6 +477,15 @@ def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
             expected = "two different points, ((x, y), (x, y)), of finite numbers"
             raise ValueError(f"segments[{index}]: expected {expected}, got {segments[index]!r}")
     return found
+
+
+def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
+    if not isinstance(speeds, (Sequence, np.ndarray)) or isinstance(speeds, str):
+        raise ValueError(f"surface_speeds: expected a number for each segment, m/s, got {speeds!r}")
+    found = _numbers(speeds)
+    if len(found) not in (0, count) or not np.isfinite(found).all():
+        raise ValueError(f"surface_speeds: expected {count} finite numbers, one for each segment, got {speeds!r}")
+    return found if any(found) else ()
 
 
 def _checked_scales(scales) -> ContactScales:

@@ -273,7 +273,7 @@ def damaged_state(rng, whole: State) -> tuple[str, State]:
             value = hostile(rng, getattr(parts[part], name))
             parts[part] = changes[part] = parts[part]._replace(**{name: value})
         else:
-            names = ("box", "gravity", "friction", "restitution", "scales")
+            names = ("box", "gravity", "friction", "restitution", "scales", "segments", "surface_speeds")
             if part == "state":
                 names = ("dt", "time", "step", "solver", "contacts", "bodies", "world", "solved", "name")
             name = names[rng.integers(0, len(names))]

@@ -4,8 +4,8 @@ One file a simulation, `<folder>/sim_0000.h5`, holds every solved state exactly 
 of it later, for any grid, kernel and set of channels. With T states, n circles and M contacts in all:
 
 * attributes: format, version, name, dt, box, gravity, friction, restitution, solver, seed, options (the last three as
-  JSON), digest; and scales (8,), the fields of `ContactScales`, where the world sets them, and segments (4 S,), where
-  it has any;
+  JSON), digest; and scales (8,), the fields of `ContactScales`, segments (4 S,) and surface_speeds (S,), where the
+  world has any;
 * of states: step, time, solved, sweeps, theta, each (T,); contact_offset (T + 1,): the contacts of state i are
   contact_offset[i] to contact_offset[i + 1];
 * of bodies: mass, radius (n,); position, velocity (T, n, 2); angle, spin (T, n);
@@ -78,8 +78,9 @@ _ARRAYS = {
 _BODIES, _CONTACTS = ("position", "velocity", "angle", "spin"), tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _NUMBERS = {"version": 0, "dt": 0, "box": 4, "gravity": 2, "friction": 0, "restitution": 0}
-_OPTIONAL_NUMBERS = {"scales": len(ContactScales._fields), "segments": None}
-"""None: four numbers for each segment."""
+_OPTIONAL_NUMBERS = {"scales": len(ContactScales._fields), "segments": None, "surface_speeds": None}
+_OF_A_SEGMENT = {"segments": 4, "surface_speeds": 1}
+"""How many numbers each has, for the names whose size is None."""
 
 _MOST_SEGMENTS = 2000
 """An attribute of an HDF5 file has room for 64 KiB."""
@@ -394,6 +395,7 @@ def _attributes(header: dict) -> dict:
         # Only where they are set, so that the digests of files without them stay.
         **({} if world.scales is None else {"scales": tuple(world.scales)}),
         **({"segments": tuple(itertools.chain.from_iterable(world.segments))} if world.segments else {}),
+        **({"surface_speeds": world.surface_speeds} if world.surface_speeds else {}),
         "solver": json.dumps(settings, sort_keys=True, default=lambda value: value.item()),
         "seed": json.dumps(header["seed"], sort_keys=True),
         "options": json.dumps(header["options"], sort_keys=True),
@@ -422,7 +424,8 @@ def _read_attributes(file: h5py.File) -> dict:
         else:
             dtype, shape = "<i8" if name == "version" else "<f8", (sizes[name],) if sizes[name] else ()
             if sizes[name] is None:
-                shape = (4 * max(1, min(math.prod(attribute.shape) // 4, _MOST_SEGMENTS)),)
+                each = _OF_A_SEGMENT[name]
+                shape = (each * max(1, min(math.prod(attribute.shape) // each, _MOST_SEGMENTS)),)
             fits = attribute.dtype.str == dtype and attribute.shape == shape
             _expect(fits, f"{name}: expected {dtype}, shape {shape}, {got}")
             found[name] = tuple(file.attrs[name].tolist()) if shape else file.attrs[name].item()
@@ -439,6 +442,7 @@ def _header(attributes: dict) -> dict:
         world["scales"] = ContactScales(*attributes["scales"])
     if "segments" in attributes:
         world["segments"] = np.reshape(attributes["segments"], (-1, 4)).tolist()
+    world["surface_speeds"] = attributes.get("surface_speeds", ())
     header["world"] = World(**world)
     for name in ("solver", "seed", "options"):
         try:

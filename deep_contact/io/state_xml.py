@@ -12,7 +12,7 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
         </body> …
         <body index type="fixed"> … <shape value="box"> <corner x y/> four times </shape> </body>
       </bodies>
-      <segments> <segment index x_0 y_0 x_1 y_1/> … </segments>
+      <segments> <segment index x_0 y_0 x_1 y_1 speed/> … </segments>
       <contacts>
         <contact index master slave separation>
           <position x y/> <normal x y/> <impulse n t/> <start n t/>
@@ -22,7 +22,7 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
 
 * `master` and `slave` are `body_a` and `body_b` of `deep_contact.state`. The box is one fixed body, numbered after the
   circles. A contact's normal tells which wall is meant: the one whose normal is nearest in direction. Static segments
-  are numbered after the box.
+  are numbered after the box; `speed` is left out where their surface rests.
 * `<solver>` is left out where `State.solver` is None, `<scales>` where `World.scales` is (they follow the scene),
   `<segments>` where there are none, and `<contacts>` where no contacts have been searched for yet.
 * The inertia is written for other readers, and checked on reading: only solid discs, m r²/2, are modelled.
@@ -118,7 +118,7 @@ _BODY_TEXT = """\
 """
 _CORNERS = '<shape value="box">\n' + 4 * '        <corner x="%r" y="%r"/>\n' + "      </shape>"
 _BOX_TEXT = _BODY_TEXT.replace("free", "fixed").replace('<shape value="circle" radius="%r"/>', _CORNERS)
-_SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"/>\n'
+_SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"%s/>\n'
 _CONTACT_TEXT = """\
     <contact index="%d" master="%d" slave="%d" separation="%r">
       <position x="%r" y="%r"/>
@@ -211,7 +211,7 @@ def format_state(state: State) -> bytes:
             "  <bodies>\n",
             _format_bodies(bodies, world.box),
             "  </bodies>\n",
-            _format_segments(world.segments, bodies.count),
+            _format_segments(world, bodies.count),
             "" if state.contacts is None else _format_contacts(state.contacts, bodies.count),
             "</configuration>\n",
         )
@@ -286,7 +286,7 @@ def _read_tree(root, source: str) -> State:
     circles, box_body, rank = _number_bodies(bodies)
     if "segments" in containers:
         expect(canonical, containers["segments"], "expected no segments in an old file")
-        world["segments"] = _read_segments(containers["segments"], rank)
+        world |= _read_segments(containers["segments"], rank)
     printed = {} if canonical else _printed_shapes(contacts)
     bodies = _read_bodies(Rows(circles, _BODY_TAGS), printed)
     box = _read_box(root, box_body, bodies, printed, canonical)
@@ -365,17 +365,18 @@ def _read_scales(element) -> ContactScales:
     return ContactScales(*(read_number(element, name) for name in ContactScales._fields))
 
 
-def _read_segments(element, rank: dict) -> list[tuple]:
-    """Segments in the order of their indices, which are added to `rank`, behind circles and box."""
-    found = {}
+def _read_segments(element, rank: dict) -> dict:
+    """Segments and speeds of a world, by index; the indices are added to `rank`, behind circles and box."""
+    found, speeds = {}, {}
     for segment in element:
         expect(segment.tag == "segment", segment, "expected a <segment> here", segment.tag)
-        refuse_attributes(segment, {"index", *_ENDS})
+        refuse_attributes(segment, {"index", *_ENDS, "speed"})
         index = read_integer(segment, "index")
         expect(index not in rank and index not in found, segment, "index: expected each once, got", str(index))
         found[index] = tuple(read_number(segment, name) for name in _ENDS)
+        speeds[index] = read_number(segment, "speed") if "speed" in segment.attrib else 0.0
     rank.update({index: len(rank) + k for k, index in enumerate(sorted(found))})
-    return [found[index] for index in sorted(found)]
+    return {"segments": [found[i] for i in sorted(found)], "surface_speeds": [speeds[i] for i in sorted(found)]}
 
 
 def _option_value(text: str):
@@ -678,9 +679,13 @@ def _format_bodies(bodies: Bodies, box) -> str:
     return circles + _BOX_TEXT % (bodies.count, *(0.0,) * len(columns), *itertools.chain(*_corners(box)))
 
 
-def _format_segments(segments, n: int) -> str:
-    lines = "".join(_SEGMENT_TEXT % (n + 1 + s, *segment) for s, segment in enumerate(segments))
-    return f"  <segments>\n{lines}  </segments>\n" if segments else ""
+def _format_segments(world: World, n: int) -> str:
+    if not world.segments:
+        return ""
+    speeds = [f' speed="{v!r}"' if v else "" for v in world.surface_speeds] or [""] * len(world.segments)
+    both = enumerate(zip(world.segments, speeds))
+    lines = "".join(_SEGMENT_TEXT % (n + 1 + s, *segment, speed) for s, (segment, speed) in both)
+    return f"  <segments>\n{lines}  </segments>\n"
 
 
 def _format_contacts(contacts: Contacts, n: int) -> str:

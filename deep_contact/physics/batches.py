@@ -257,6 +257,8 @@ def fill_tiles(rows, solver_bodies, plan, tiles):
                 impulse[t, :, j] = 0.0
     tiles.solver_bodies[:n] = solver_bodies[:n]
     tiles.solver_bodies[n : n + 5 * blocks] = 0.0
+    for k in range(blocks):
+        tiles.solver_bodies[n + 5 * k : n + 5 * k + IDLE] = solver_bodies[n:]
     return tiles
 
 

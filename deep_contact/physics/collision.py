@@ -23,8 +23,8 @@ GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """rad"""
 
 LEAST_NEAR, MOST_NEAR = 0.1, 1.0
-"""Gap below which pairs are kept as near, in smallest radii. At the most, a packing has few second neighbours there, and
-the list takes a tenth longer to read than at the least."""
+"""Gap below which pairs are kept as near, in smallest radii. At the most, a packing has few second neighbours there,
+and the list takes a tenth longer to read than at the least."""
 
 NEAR_BY_MOTION = 5.0
 """Gap by the root of what circles move apart in a step, both in smallest radii. A wider one lasts for more steps, and

@@ -22,11 +22,13 @@ from numba import njit
 
 from deep_contact.constants import MAX_ROTATION
 from deep_contact.physics.continuous import FAST, stop_fast
+from deep_contact.physics.segments import surface_velocity
 
 V_X, V_Y, V_S, INVERSE_MASS = range(4)
 """Columns of the solver bodies, (n + 4, 4): velocity of the centre, s = ω r (m/s each), 1 / m (1/kg).
 
-The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last one.
+The last four rows are the walls: at rest, with an inverse mass of 0. Segments share the last one, whose s is 1 where
+surfaces move: with the speed of its surface as the arm of a contact, a segment drags (`move_surfaces`).
 """
 
 BODY_A, BODY_B = range(2)
@@ -139,6 +141,19 @@ def write_normal_rows(contacts, solver_bodies, rows):
         rows.data[i, N_Y] = n_y
         rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
         rows.impulse[i, NORMAL] = contacts.normal_start[i]
+
+
+@njit(cache=True)
+def move_surfaces(contacts, segments, solver_bodies, rows):
+    """Let the surfaces of segments, (S, 5), move, in place on rows with friction and on the solver bodies."""
+    last = solver_bodies.shape[0] - 1
+    if rows.data.shape[1] <= ARM_B:
+        return
+    solver_bodies[last, V_S] = 1.0
+    for i in range(contacts.body_a.shape[0]):
+        s = contacts.body_b[i] - last - 1
+        if s >= 0:
+            rows.data[i, ARM_B] = surface_velocity(segments[s], contacts.normal[i, 0], contacts.normal[i, 1])
 
 
 @njit(cache=True)

@@ -31,6 +31,7 @@ from deep_contact.physics.contact_solver import (
     integrate_positions,
     integrate_velocities,
     make_rows,
+    move_surfaces,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
@@ -108,6 +109,8 @@ def advance_with(memory, front_buffer, given, options, workspace, log):
         rows, row_buffer = contact_rows(
             bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
         )
+        if segments.shape[0] > 0:
+            move_surfaces(contacts, segments, solver_bodies, rows)
         apply_start(options.settings, rows, friction, solver_bodies)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
@@ -162,6 +165,8 @@ def build_rows(given, solver_bodies):
     rows, _ = contact_rows(
         given.bodies, given.contacts, solver_bodies, given.restitution, threshold, buffer, given.friction
     )
+    if given.segments.shape[0] > 0:
+        move_surfaces(given.contacts, given.segments, solver_bodies, rows)
     return rows
 
 

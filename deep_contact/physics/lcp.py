@@ -16,6 +16,7 @@ from scipy import sparse
 
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.metrics import targets
+from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 
@@ -170,6 +171,8 @@ def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
     jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=shape))
     b = jacobian @ free
     b[:: len(directions)] -= targets(state)
+    if friction and state.world.surface_speeds:
+        b[1::2] += surface_velocities(contacts, segments_of(state.world), n)
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
     A.sort_indices()
     mu = np.full(m, state.world.friction) if friction else None

@@ -14,6 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.physics.engine import ContactSolution, contacts_of
+from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import Bodies, State
 
 
@@ -90,6 +91,8 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
     arm_a = radius[a] + 0.5 * contacts.separation
     arm_b = np.where(b < n, radius[b] + 0.5 * contacts.separation, 0.0)
     along_tangent = np.einsum("ij,ij->i", apart, tangent) + arm_a * w[a] + arm_b * w[b]
+    if state.world.surface_speeds:
+        along_tangent += surface_velocities(contacts, segments_of(state.world), n)
     return np.einsum("ij,ij->i", apart, normal), along_tangent
 
 

@@ -193,6 +193,48 @@ def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Gener
     return State(name=f"terrain_{n_bodies}", world=world, bodies=bodies)
 
 
+def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sides: int = 60, **options) -> State:
+    """Circles in a drum that turns counter-clockwise: a regular polygon of segments whose surface moves.
+
+    froude: ω² R / g, with the drum's radius R: at 1e-3 avalanches follow one another, from 1e-2 to 1e-1 the surface
+    flows, beyond 1 circles stick to the wall. filling: share of the area that a dense packing of the circles takes;
+    less where their lattice, which falls from the middle, needs a wider drum. sides: of the polygon. options: those of
+    `lattice_in_box`.
+    """
+    number("froude", froude, low=0)
+    number("filling", filling, low=0.01, high=0.5)
+    heap = lattice_in_box(n_bodies, **options)
+    half = 0.5 * math.hypot(*heap.world.box[2:])  # so that the corners of the lattice lie within
+    area = 2.0 * math.sqrt(3.0) * float((heap.bodies.radius**2).sum())
+    sides = integer("sides", sides, least=8)
+    outer = max(math.sqrt(area / (math.pi * filling)), half / math.cos(math.pi / sides))
+    corner = 2.0 * math.pi * np.arange(sides + 1) / sides
+    line = outer * np.stack([1.0 + np.cos(corner), 1.0 + np.sin(corner)], axis=1)
+    line[-1] = line[0]  # to the last bit: ends that two segments share
+    speed = math.sqrt(froude * math.hypot(*heap.world.gravity) * outer)
+    world = replace(
+        heap.world,
+        box=(0, 0, 2 * outer, 2 * outer),
+        segments=np.stack([line[:-1], line[1:]], axis=1),
+        surface_speeds=(speed,) * sides,
+    )
+    bodies = heap.bodies._replace(position=heap.bodies.position + outer - 0.5 * np.array(heap.world.box[2:]))
+    return State(name=f"drum_{n_bodies}", world=world, bodies=bodies)
+
+
+def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generator = 0, **options) -> State:
+    """Columns of circles side by side in a vessel that leaves them 18 radii on either side: they fall apart.
+
+    As in the benchmark "barrel" of Box2D v3. options: those of `lattice_in_box`.
+    """
+    columns = integer("columns", columns, least=1)
+    heap = lattice_in_box(integer("rows", rows, least=1) * columns, columns=columns, seed=seed, **options)
+    _, _, width, height = heap.world.box
+    room = 18.0 * float(heap.bodies.radius.max())
+    world = replace(heap.world, box=(-room, 0, width + room, height))
+    return heap.replace(name=f"barrel_{rows}_{columns}", world=world)
+
+
 def two_bodies(
     *,
     speed: float = 2.0,

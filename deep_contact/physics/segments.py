@@ -1,9 +1,9 @@
 """Static segments: lines beside the box, felt from both sides and at their ends (`World.segments`).
 
-A segment is (x_0, y_0, x_1, y_1), m; the segments of a world are an array (S, 4). Where a circle is nearest to an end,
-the contact is that with a point. Ends that two segments share are no points of their own: of those that meet there, the
-one that the centre lies beside keeps the contact, or else the first (as ghost vertices do in chains of Box2D 2.3;
-without them, a circle that rolls over a joint stumbles).
+A segment is (x_0, y_0, x_1, y_1), m, and the speed of its surface, m/s; the segments of a world are an array (S, 5).
+Where a circle is nearest to an end, the contact is that with a point. Ends that two segments share are no points of
+their own: of those that meet there, the one that the centre lies beside keeps the contact, or else the first (as ghost
+vertices do in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles).
 
 No centre ever crosses a segment: fast circles stop at it (`continuous`), and what sweeps or position correction would
 still push through is held on its side (`hold_beside`), so the side that is felt is the one that the circle came from.
@@ -19,7 +19,7 @@ from numba import njit
 
 from deep_contact.state import World
 
-NO_SEGMENTS = np.zeros((0, 4))
+NO_SEGMENTS = np.zeros((0, 5))
 """Of a world that has none."""
 
 BESIDE, START, END = range(3)
@@ -31,8 +31,28 @@ must not slip between two. And how far from 1 the cosine of a normal across the 
 
 
 def segments_of(world: World) -> np.ndarray:
-    """The segments of a world, (S, 4), m."""
-    return np.array(world.segments).reshape(-1, 4) if world.segments else NO_SEGMENTS
+    """The segments of a world with the speeds of their surfaces, (S, 5), m and m/s."""
+    if not world.segments:
+        return NO_SEGMENTS
+    return np.column_stack([world.segments, world.surface_speeds or np.zeros(len(world.segments))])
+
+
+@njit(cache=True, error_model="numpy")
+def surface_velocity(segment, n_x, n_y):
+    """Velocity of a segment's surface along the tangent (n_y, -n_x) of a contact with it, m/s."""
+    e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
+    return segment[4] * (e_x * n_y - e_y * n_x) / math.sqrt(e_x * e_x + e_y * e_y)
+
+
+@njit(cache=True, error_model="numpy")
+def surface_velocities(contacts, segments, n):
+    """`surface_velocity` of every contact of n circles, (m,), m/s; 0 where there is no segment."""
+    found = np.zeros(contacts.body_a.shape[0])
+    for i in range(found.shape[0]):
+        s = contacts.body_b[i] - n - 4
+        if s >= 0:
+            found[i] = surface_velocity(segments[s], contacts.normal[i, 0], contacts.normal[i, 1])
+    return found
 
 
 @njit(cache=True, error_model="numpy")

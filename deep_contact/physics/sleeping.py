@@ -25,6 +25,7 @@ from deep_contact.physics.contact_solver import (
     integrate_positions,
     integrate_velocities,
     make_rows,
+    move_surfaces,
     store_impulses,
 )
 from deep_contact.physics.islands import root_of, unite
@@ -67,6 +68,8 @@ def advance_sleeping(given, options, workspace, log):
         rows, row_buffer = contact_rows(
             bodies, active, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
         )
+        if segments.shape[0] > 0:
+            move_surfaces(active, segments, solver_bodies, rows)
         apply_impulses(rows, solver_bodies, friction)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, active)
@@ -80,7 +83,7 @@ def advance_sleeping(given, options, workspace, log):
             bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
         )
         front_buffer, back_buffer = back_buffer, front_buffer
-        awake = wake_and_put_to_sleep(bodies, contacts, given.dt, scales, parent, shortest, still)
+        awake = wake_and_put_to_sleep(bodies, contacts, segments, given.dt, scales, parent, shortest, still)
         log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
     return own_contacts(solved), own_contacts(contacts)
 
@@ -122,10 +125,11 @@ def hold_sleeping(still, solver_bodies):
 
 
 @njit(cache=True)
-def wake_and_put_to_sleep(bodies, contacts, dt, scales, parent, shortest, still):
+def wake_and_put_to_sleep(bodies, contacts, segments, dt, scales, parent, shortest, still):
     """Let Δt pass, in place, for the stillness of circles and islands. Returns how many circles are awake.
 
-    contacts: those at the bodies' positions. scales: `ContactScales`. parent, shortest: buffers, (n,) each.
+    contacts: those at the bodies' positions. segments: (S, 5); what touches a moving surface stays awake. scales:
+    `ContactScales`. parent, shortest: buffers, (n,) each.
     """
     n = still.shape[0]
     for i in range(n):
@@ -140,7 +144,9 @@ def wake_and_put_to_sleep(bodies, contacts, dt, scales, parent, shortest, still)
         shortest[root] = min(shortest[root], still[i])
     for k in range(contacts.body_a.shape[0]):
         root = root_of(parent, contacts.body_a[k])
-        if contacts.separation[k] < -POSITION_TOLERANCE * scales.slop and shortest[root] < np.inf:
+        s = contacts.body_b[k] - n - 4
+        is_restless = contacts.separation[k] < -POSITION_TOLERANCE * scales.slop or (s >= 0 and segments[s, 4] != 0.0)
+        if is_restless and shortest[root] < np.inf:
             shortest[root] = 0.0
     awake = 0
     for i in range(n):

@@ -74,7 +74,7 @@ class Box2D23(_Peer):
 
     def __init__(self, state: State):
         super().__init__(state)
-        b2, world = self._library, self._state.world
+        b2, world = self._library, _at_rest(self._state.world)
         self.world = b2.b2World(gravity=world.gravity, doSleep=False)
         self.world.continuousPhysics = False
         self.world.warmStarting = True
@@ -126,8 +126,11 @@ class Pymunk(_Peer):
         # Bias is the share of the penetration that is left after one second.
         self.space.collision_bias = (1 - constants.BAUMGARTE) ** (1 / self._state.dt)
         self._material = math.sqrt(world.friction), math.sqrt(world.restitution)
-        for ends in _edges(world):
-            self._add(pymunk.Segment(self.space.static_body, *ends, self._state.scales.wall_skin))
+        speeds = (0.0,) * 4 + (world.surface_speeds or (0.0,) * len(world.segments))
+        for ends, speed in zip(_edges(world), speeds):
+            segment = pymunk.Segment(self.space.static_body, *ends, self._state.scales.wall_skin)
+            segment.surface_velocity = tuple(speed * (segment.b - segment.a).normalized())
+            self._add(segment)
         self._bodies = []
         for position, velocity, angle, spin, mass, radius in self._circles():
             body = pymunk.Body(mass, pymunk.moment_for_circle(mass, 0, radius))
@@ -175,7 +178,7 @@ class Box2D3(_Peer):
 
     def __init__(self, state: State):
         super().__init__(state)
-        b3, world = self._library, self._state.world
+        b3, world = self._library, _at_rest(self._state.world)
         self.world = b3.World(gravity=world.gravity)
         self.world.sleeping_enabled = False
         self.world.continuous_enabled = False
@@ -225,6 +228,12 @@ ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
 def installed() -> list[str]:
     """Names of the engines whose packages are installed."""
     return [name for name, adapter in ENGINES.items() if importlib.util.find_spec(adapter.package)]
+
+
+def _at_rest(world: World) -> World:
+    if world.surface_speeds:
+        raise ValueError(f"surface_speeds: expected none for Box2D, got {world.surface_speeds}")
+    return world
 
 
 def _corners(world: World) -> list[tuple[float, float]]:

@@ -5,6 +5,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.physics.sleeping import wake_and_put_to_sleep
 from deep_contact.state import World, make_bodies
 
@@ -73,7 +74,7 @@ def test_nothing_sleeps_while_it_penetrates():
     scene = floor_scene([5.0, 0.9], gravity=(0.0, 0.0))
     contacts = contacts_of(scene)
     rest, room = np.array([10.0]), np.empty(1)
-    assert wake_and_put_to_sleep(scene.bodies, contacts, 0.01, dc.BOX2D, np.empty(1, np.int64), room, rest) == 1
+    assert wake_and_put_to_sleep(scene.bodies, contacts, NO_SEGMENTS, 0.01, dc.BOX2D, np.empty(1, int), room, rest) == 1
     assert rest[0] == 10.01
 
 
@@ -85,7 +86,8 @@ def test_the_tolerances_are_those_of_box2d(velocity, spin, awake):
     bodies = make_bodies([[5.0, 5.0]], velocity=[velocity, 0.0], spin=spin)
     rest = np.array([1.0])
     scene = dc.single_body().replace(bodies=bodies)
-    found = wake_and_put_to_sleep(bodies, contacts_of(scene), 0.01, dc.BOX2D, np.empty(1, np.int64), np.empty(1), rest)
+    room = np.empty(1, int), np.empty(1)
+    found = wake_and_put_to_sleep(bodies, contacts_of(scene), NO_SEGMENTS, 0.01, dc.BOX2D, *room, rest)
     assert (found, np.isinf(rest[0])) == (awake, not awake)
 
 

@@ -51,6 +51,7 @@ from deep_contact.physics.contact_solver import (
     integrate_positions,
     integrate_velocities,
     make_rows,
+    move_surfaces,
     store_impulses,
 )
 from deep_contact.physics.convergence import is_over, mark_divergence
@@ -282,6 +283,8 @@ def advance_in_batches(given, options, workspace, log):
         rows, row_buffer = contact_rows(
             bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
         )
+        if segments.shape[0] > 0:
+            move_surfaces(contacts, segments, solver_bodies, rows)
         apply_impulses(rows, solver_bodies)
         plan = plan_batches(rows.body, n, settings.colours, plan)
         tiles = fill_tiles(rows, solver_bodies, plan, tiles)

@@ -35,6 +35,7 @@ from deep_contact.physics.contact_solver import (
     contact_rows,
     integrate_velocities,
     make_rows,
+    move_surfaces,
     sweep,
 )
 from deep_contact.physics.continuous import any_is_fast, stop_fast
@@ -133,6 +134,8 @@ def advance_softly(given, options, workspace, log):
         rows, row_buffer = contact_rows(
             bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
         )
+        if segments.shape[0] > 0:
+            move_surfaces(contacts, segments, solver_bodies, rows)
         mass, bounce = rows.data[:, NORMAL_MASS].copy(), rows.data[:, TARGET].copy()
         pressed, gap = np.zeros_like(mass), np.empty(mass.shape[0])
         origin[:] = bodies.position
