@@ -19,20 +19,29 @@ def done(
     """The results of parts (name, arguments), in their order: read from `work`, or computed and stored there.
 
     functions: name -> function of the arguments, found by import, whose result JSON can hold. A part is known by name
-    and arguments: one with other settings is another part. jobs: as in `parallel.finished`. text: of the progress bar.
+    and arguments: one with other settings is another part. One whose file is damaged is computed again.
+    jobs: as in `parallel.finished`. text: of the progress bar.
     """
     paths = []
     for name, arguments in parts:
         digest = hashlib.sha256(json.dumps([name, arguments], sort_keys=True).encode()).hexdigest()[:16]
         paths.append(work / f"{name}_{arguments['n_bodies']}_{digest}.json")
-    missing = [i for i, path in enumerate(paths) if not path.exists()]
+    missing = [i for i, path in enumerate(paths) if _read(path) is None]
     work.mkdir(parents=True, exist_ok=True)
     tasks = [(functions[parts[i][0]], parts[i][1]) for i in missing]
     with closing(parallel.finished(_compute, tasks, jobs=jobs)) as found:
         for k, result in figures.progress_bar(found, total=len(missing), text=text):
             with results.replacing(paths[missing[k]]) as temporary:
                 temporary.write_text(json.dumps(result, allow_nan=False), encoding="utf-8")
-    return [json.loads(path.read_text(encoding="utf-8")) for path in paths]
+    return [_read(path)["result"] for path in paths]
+
+
+def _read(path: Path) -> dict | None:
+    """The file of a part, under "result"; None where there is none that JSON can read."""
+    try:
+        return {"result": json.loads(path.read_text(encoding="utf-8"))}
+    except (FileNotFoundError, ValueError):
+        return None
 
 
 def _compute(task: tuple[Callable, dict]):

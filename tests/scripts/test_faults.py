@@ -2,7 +2,7 @@
 two processes in one folder, clocks that go back. Nothing corrupt stays, and nothing is lost beyond the unit in flight.
 
 A killed data generation is in `test_dataset.py`, a killed training in `test_training.py`, an interrupted figure in
-`test_figures.py`, a worker that dies in `test_cluster.py`.
+`test_figures.py`, a worker that dies in `test_cluster.py`, a damaged part of a study in `test_run_study.py`.
 """
 
 import ast
@@ -111,6 +111,52 @@ def test_a_figure_killed_while_it_draws_keeps_its_numbers_and_draws_again(tmp_pa
     assert results.read_results(tmp_path / "figure_9_8.json")["data"] == {"x": [1.0]}
     assert run(KILLED_FIGURE, "--out", tmp_path).returncode == 0
     assert visible(tmp_path) == ["figure_9_8.json", "figure_9_8.png"]
+
+
+KILLED_STUDY = """
+import os, signal, sys
+from pathlib import Path
+from deep_contact.studies.parts import done
+
+def compute(n_bodies, k):
+    print(k, flush=True)
+    if k == int(sys.argv[2]):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return {"k": k}
+
+parts = [("part", {"n_bodies": 1, "k": k}) for k in range(4)]
+found = done(parts, {"part": compute}, work=Path(sys.argv[1]), jobs=1, text="")
+assert found == [{"k": k} for k in range(4)]
+"""
+
+
+@POSIX
+def test_a_killed_study_loses_the_part_in_flight(tmp_path):
+    first, second = (run(KILLED_STUDY, tmp_path, k) for k in (2, -1))
+    assert (first.returncode, second.returncode) == (-signal.SIGKILL, 0), first.stderr + second.stderr
+    assert (first.stdout.split(), second.stdout.split()) == (["0", "1", "2"], ["2", "3"])
+
+
+SAVED_RUN = """
+import os, signal, sys
+import deep_contact as dc
+found = dc.simulate(dc.column(3), steps=int(sys.argv[2]), record=1).trajectory
+if sys.argv[3:]:  # the file is written, but does not have its name yet
+    os.replace = lambda *paths: os.kill(os.getpid(), signal.SIGKILL)
+found.save(sys.argv[1])
+"""
+
+
+@POSIX
+def test_a_run_killed_while_it_saves_leaves_the_trajectory_before_it(tmp_path):
+    path = tmp_path / "run.h5"
+    assert run(SAVED_RUN, path, 3).returncode == 0
+    whole = path.read_bytes()
+    assert run(SAVED_RUN, path, 4, "die").returncode == -signal.SIGKILL
+    assert path.read_bytes() == whole
+    assert visible(tmp_path) == ["run.h5"]
+    assert run(SAVED_RUN, path, 4).returncode == 0
+    assert dc.load_trajectory(path)[-1].step == 4
 
 
 # ---- no room, no rights ----

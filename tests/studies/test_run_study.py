@@ -113,6 +113,20 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     assert not list(tmp_path.glob("*.tmp*"))
 
 
+@pytest.mark.parametrize("damage", [b"", b'{"k": ', b"\xff\x00", b"\0" * 8])
+def test_a_damaged_part_of_a_study_is_computed_again(tmp_path, damage):
+    parts, calls = [("observed", {"n_bodies": 1, "k": k}) for k in range(3)], []
+
+    def compute(n_bodies, k):
+        calls.append(k)
+        return {"k": k}
+
+    first = done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts")
+    sorted(tmp_path.iterdir())[1].write_bytes(damage)
+    assert done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts") == first
+    assert len(calls) == 4
+
+
 def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys):
     script = load_script("run_tradeoff")
     tiny = script.QUICK | {
