@@ -34,8 +34,10 @@ def with_value(name, value):
             "gravity": (0.0, value),
             "box": (0.0, 0.0, 2.02, value),
             "segments": [((-3.0, 0.0), (-3.0, value))],
+            "surface_speeds": [value],
         }.get(field, value)
-        return scene.replace(world=World(**{"box": scene.world.box, field: value}))
+        belt = {"segments": [((0.0, 0.0), (3.0, 0.0))]} if field == "surface_speeds" else {}
+        return scene.replace(world=World(**{"box": scene.world.box, field: value}, **belt))
     if owner == "scales":
         return scene.replace(world=replace(scene.world, scales=dc.BOX2D._replace(**{field: value})))
     scene = ready(scene) if owner == "contacts" else scene
