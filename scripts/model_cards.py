@@ -59,7 +59,8 @@ def card(path: Path) -> str:
         ("time", minutes if "seconds" in found else None),
         ("epochs", f"{len(history)}, the best is {best + 1}" if best is not None else None),
         ("loss", f"{history[best]['validation_loss']:.4g}" if best is not None else None),
-        ("rank", found.get("rank")),
+        ("states shown", _visits(found)),
+        ("rank", found.get("factored", {}).get("rank")),
     ]
     lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows if value is not None), ""]
     curve = path.with_name(f"{path.stem}_history.png")
@@ -76,6 +77,16 @@ def card(path: Path) -> str:
                     lines.append(f"| {phase} | {by_start['states']} | {start} | {cells} |")
         lines.append("")
     return "\n".join(lines)
+
+
+def _visits(found: dict) -> str | None:
+    if "trend" not in found:
+        return None
+    trend, (low, high) = found["trend"], found["trend"]["interval"]
+    return (
+        f"{trend['visits']:,}, {trend['share']:.3g} of the thesis's training; a power law through the second half of the "
+        f"epochs says a loss of {trend['loss_after_the_thesis_training']:.3g} ({low:.3g} to {high:.3g}) after all of it"
+    )
 
 
 def entry(path: Path) -> dict:

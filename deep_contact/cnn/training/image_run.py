@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 
 import numpy as np
@@ -148,11 +149,17 @@ class ImageRun(NetworkRun):
         """Train on one epoch's batches. Returns the mean loss."""
         self.images.start(epoch)
         total = 0.0
-        for k in range(self.steps):
-            callbacks.on_train_batch_begin(k)
-            # As a number at once: the sum must not depend on how losses are accumulated elsewhere.
-            total += float(self.step(*self.images.parts(k, self.devices)))
-            callbacks.on_train_batch_end(k, {"loss": total / (k + 1)})
+        # The images of the next step are made while this one is computed.
+        with ThreadPoolExecutor(1) as ahead:
+            made = ahead.submit(self.images.parts, 0, self.devices)
+            for k in range(self.steps):
+                callbacks.on_train_batch_begin(k)
+                parts = made.result()
+                if k + 1 < self.steps:
+                    made = ahead.submit(self.images.parts, k + 1, self.devices)
+                # As a number at once: the sum must not depend on how losses are accumulated elsewhere.
+                total += float(self.step(*parts))
+                callbacks.on_train_batch_end(k, {"loss": total / (k + 1)})
         return total / self.steps
 
     def validate(self) -> dict[str, float]:
