@@ -1,8 +1,8 @@
 """The same matrices, our solvers and others: time to an error, the price of convexity, and what starts are worth.
 
 A problem is a `ContactProblem`; what a solver returns is judged by a function of ours, whatever it says of itself:
-`lcp.siconos_error`. Rivals: Siconos (Debian's python3-siconos), and Clarabel on the convex relaxation. Each is left out
-with the reason where it cannot be imported.
+`lcp.siconos_error`. Rivals: Siconos (Debian's python3-siconos), pinocchio, and Clarabel on the convex relaxation. Each
+is left out with the reason where it cannot be imported.
 """
 
 from __future__ import annotations
@@ -90,6 +90,52 @@ def siconos(name: str, tolerance: float) -> Callable:
     return solve
 
 
+def pinocchio(tolerance: float) -> Callable:
+    """ADMM of pinocchio 4, as problem, start -> impulses. Raises ImportError.
+
+    It stops by a measure of its own, in other units: the loosest power of ten at which its result has the error that is
+    asked for is found in the first run of a problem. Contacts are padded as for Siconos, with the normal last.
+    """
+    import pinocchio as pin
+
+    if not hasattr(pin, "ADMMConstraintSolver"):
+        raise ImportError(f"pinocchio: expected version 4 or later, got {pin.__version__}")
+    built: dict[int, tuple] = {}
+
+    def run(given: tuple, start, own: float) -> np.ndarray:
+        W, q, models, datas, m = given
+        settings, result = pin.ADMMSolverSettings(), pin.ADMMSolverResult()
+        settings.max_iterations, settings.lanczos_size = MOST_SWEEPS, 20  # its default never ends on large problems
+        settings.absolute_feasibility_tol = settings.absolute_complementarity_tol = own
+        settings.relative_feasibility_tol = settings.relative_complementarity_tol = 0.0
+        if start is not None:
+            guess = np.zeros((m, 3))
+            guess[:, [2, 0]] = start.reshape(m, 2)
+            result.setConstraintImpulseGuess(guess.ravel())
+        pin.ADMMConstraintSolver(q.size).solve(pin.DelassusOperatorSparse(W), q, models, datas, settings, result)
+        return np.array(result.retrieveConstraintImpulses()).reshape(m, 3)[:, [2, 0]].ravel()
+
+    def solve(problem: ContactProblem, start) -> np.ndarray:
+        if id(problem) not in built:
+            m = problem.friction.size
+            W, q = padded(problem)
+            order = (3 * np.arange(m)[:, None] + [1, 2, 0]).ravel()
+            models, datas = pin.StdVec_ConstraintModel(), pin.StdVec_ConstraintData()
+            for friction in problem.friction.tolist():
+                contact = pin.PointContactConstraintModel(pin.Model())
+                contact.setFriction(friction)
+                models.append(pin.ConstraintModel(contact))
+                datas.append(models[len(models) - 1].createData())
+            given = sparse.csc_matrix(W.tocsr()[order][:, order]), q[order], models, datas, m
+            for own in 10.0 ** -np.arange(1, 11):
+                if siconos_error(problem, run(given, start, own)) <= tolerance:
+                    break
+            built[id(problem)] = given, own, problem
+        return run(built[id(problem)][0], start, built[id(problem)][1])
+
+    return solve
+
+
 def padded(problem: ContactProblem) -> tuple[sparse.csc_matrix, np.ndarray]:
     """W and q with a third row for every contact, whose entry is that of the tangent and which nothing pulls."""
     m = problem.friction.size
@@ -137,6 +183,10 @@ def methods(tolerance: float) -> tuple[dict[str, Callable], dict[str, str]]:
             found[f"Siconos {name}"] = siconos(name, tolerance)
         except ImportError as error:
             missing[f"Siconos {name}"] = str(error)
+    try:
+        found["pinocchio ADMM"] = pinocchio(tolerance)
+    except ImportError as error:
+        missing["pinocchio ADMM"] = str(error)
     return found, missing
 
 

@@ -69,6 +69,15 @@ def test_energy_error_is_the_velocity_error(falling_states):
     assert outside.energy_error(contact_problem(state), one, other) == pytest.approx(expected, rel=1e-9)
 
 
+def test_pinocchio_solves_to_the_error_that_is_asked_for(falling_states):
+    pytest.importorskip("pinocchio", minversion="4", reason="needs pinocchio 4 of the extra rivals")
+    problem = check_problem(contact_problem(falling_states[9]))
+    solve = outside.pinocchio(1e-6)
+    impulse = solve(problem, None)
+    assert outside.siconos_error(problem, impulse) <= 1e-6
+    assert outside.siconos_error(problem, solve(problem, impulse)) <= 1e-6
+
+
 def test_relaxation_without_friction_is_exact(frictionless_states):
     pytest.importorskip("clarabel", reason="needs the package clarabel of the extra rivals")
     state = frictionless_states[3]
