@@ -4,8 +4,10 @@ It has 258 MB, of which the last layer has 244. Its matrix W (8192 × 7442) is r
 largest that keeps the file below --bytes; all other weights stay. W itself is mostly the noise of its initialisation,
 so the product is a truncated singular value decomposition of the outputs on the features X of training states: with
 Y = X W = U S Vᵀ, W V_r V_rᵀ is the matrix of rank r that changes the outputs for X least (Eckart, Young). The loss of
-accuracy is measured on test states and stored in the card, and so is what the power law through the validation losses
-says of the thesis's whole training; the learning curve is drawn with it.
+accuracy is measured on test states and stored in the card. Where training computed in bfloat16, the matrices are
+rounded to it, as they were in every step of the training: half of their bytes are zeros then, and the file packs. The
+card also has what the power law through the validation losses says of the thesis's whole training; the learning curve
+is drawn with it.
 
 The full network is rebuilt by the command in its card: python scripts/train.py --architecture thesis …
 """
@@ -60,6 +62,14 @@ def factored(model, vectors: np.ndarray):
     small.layers[-2].set_weights([kernel @ vectors])
     small.layers[-1].set_weights([np.ascontiguousarray(vectors.T), bias])
     return small
+
+
+def round_as_trained(model) -> None:
+    """Round all matrices and kernels to bfloat16, in place; biases and statistics stay."""
+    from ml_dtypes import bfloat16
+
+    for layer in model.layers:
+        layer.set_weights([w.astype(bfloat16).astype(w.dtype) if w.ndim > 1 else w for w in layer.get_weights()])
 
 
 def measured(model, batches) -> dict[str, float]:
@@ -152,6 +162,9 @@ def main() -> int:
     features = np.concatenate([before.predict_on_batch(batch.inputs) for batch in batches])
     rank = given.rank or largest_rank(model, given.bytes)
     small = factored(model, right_vectors(features, model.layers[-1].get_weights()[0], rank))
+
+    if full.card["config"].get("precision") == "mixed_bfloat16":
+        round_as_trained(small)
 
     tested = evenly(store.states(split["test"]), given.held_out)
     test = ImageBatches(store, split["test"], spec, states=tested, shuffle=False)

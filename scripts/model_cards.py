@@ -83,9 +83,10 @@ def _visits(found: dict) -> str | None:
     if "trend" not in found:
         return None
     trend, (low, high) = found["trend"], found["trend"]["interval"]
+    end, share = trend["loss_after_the_thesis_training"], f"1/{1 / trend['share']:.0f}"
     return (
-        f"{trend['visits']:,}, {trend['share']:.3g} of the thesis's training; a power law through the second half of the "
-        f"epochs says a loss of {trend['loss_after_the_thesis_training']:.3g} ({low:.3g} to {high:.3g}) after all of it"
+        f"{trend['visits']:,}, {share} of the thesis's training; a power law through the second half of its epochs says "
+        f"a loss of {end:.3g} ({low:.3g} to {high:.3g}) after all of it"
     )
 
 
