@@ -85,7 +85,7 @@ def _visits(found: dict) -> str | None:
     trend, (low, high) = found["trend"], found["trend"]["interval"]
     end, share = trend["loss_after_the_thesis_training"], f"1/{1 / trend['share']:.0f}"
     return (
-        f"{trend['visits']:,}, {share} of the thesis's training; a power law through the second half of its epochs says "
+        f"{trend['visits']:,}, {share} of the thesis's training; a power law through the second half of them says "
         f"a loss of {end:.3g} ({low:.3g} to {high:.3g}) after all of it"
     )
 
