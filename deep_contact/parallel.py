@@ -42,6 +42,9 @@ SCHEDULER_HELP = "a Dask cluster, such as tcp://10.0.0.1:8786, in place of local
 _PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow")
 """Packages on whose versions results depend."""
 
+_CLOSING = 5.0
+"""Seconds for which the end of a pool is waited for."""
+
 _one_task = threading.Lock()
 
 
@@ -193,8 +196,12 @@ def _processes(count: int) -> Iterator[Executor]:
         except BaseException:
             for process in set(multiprocessing.active_children()) - others:
                 process.terminate()
-            # Waits for the pool's own thread: the end of the interpreter would write to the pipe that it is closing.
-            executor.shutdown(wait=True, cancel_futures=True)
+            manager = getattr(executor, "_executor_manager_thread", None)
+            executor.shutdown(wait=False, cancel_futures=True)
+            # The end of the interpreter would write to the pipe that this thread is closing. It may wait for ever where
+            # large items are queued, in Python before 3.11.5 (gh-94777).
+            if manager is not None:
+                manager.join(_CLOSING)
             raise
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
@@ -482,8 +483,8 @@ def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
 def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
     if not isinstance(speeds, (Sequence, np.ndarray)) or isinstance(speeds, str):
         raise ValueError(f"surface_speeds: expected a number for each segment, m/s, got {speeds!r}")
-    found = _numbers(speeds)
-    if len(found) not in (0, count) or not np.isfinite(found).all():
+    found = _numbers(speeds) if all(isinstance(v, Real) for v in speeds) else None
+    if found is None or len(found) not in (0, count) or not np.isfinite(found).all():
         raise ValueError(f"surface_speeds: expected {count} finite numbers, one for each segment, got {speeds!r}")
     return found if any(found) else ()
 

@@ -77,9 +77,9 @@ def claims(cases: list[dict]) -> list[results.Claim]:
 def report(case: dict) -> None:
     """Print the costs of one pile."""
     print(f"\n{case['n_bodies']} circles, {case['kind']} (rms speed {case['rms_speed']:.3f} m/s)")
-    print("             contacts   ns/contact/sweep        overhead, µs       whole step, µs")
+    print("              contacts   ns/contact/sweep        overhead, µs       whole step, µs")
     for name, cost in case["engines"].items():
-        line = f"  {name:10s}{cost['contacts']:9.0f}"
+        line = f"  {name:11s}{cost['contacts']:9.0f}"
         for key, digits in (("sweep_ns", 2), ("overhead_us", 1), ("step_us", 1)):
             ratio = f"({case['ratios'][name][key]:.2f}x)" if name in case["ratios"] else ""
             line += f"{cost[key]:12.{digits}f} {ratio:8s}"

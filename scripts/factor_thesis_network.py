@@ -113,7 +113,8 @@ def trend_of(card: dict, *, samples: int = 1000) -> dict:
 def _curve(card: dict) -> tuple[np.ndarray, np.ndarray]:
     """(visits, validation loss) after each epoch."""
     losses = np.array([line["validation_loss"] for line in card["history"]])
-    return card["config"]["states_per_epoch"] * np.arange(1, len(losses) + 1), losses
+    each = card["config"]["states_per_epoch"] or card["training_states"]
+    return each * np.arange(1, len(losses) + 1), losses
 
 
 def draw_trend(card: dict, path: Path) -> None:
@@ -127,7 +128,13 @@ def draw_trend(card: dict, path: Path) -> None:
         figure, ax = plotting.subplots(size=(5.6, 3.4))
         ax.semilogx(visits, losses, label="measured")
         ax.semilogx(far, trend["factor"] * far ** trend["power"], "k--", label="power law of the second half")
-        ax.errorbar([THESIS_VISITS], [end], yerr=[[end - low], [high - end]], fmt="ko", label="the thesis's training")
+        ax.errorbar(
+            [THESIS_VISITS],
+            [end],
+            yerr=[[max(end - low, 0.0)], [max(high - end, 0.0)]],
+            fmt="ko",
+            label="the thesis's training",
+        )
         plotting.label_axes(ax, "states shown", "validation loss (masked squared error)")
         ax.legend()
         plotting.save(figure, path)
@@ -177,9 +184,11 @@ def main() -> int:
         "held_out": held_out,
         "parameters": int(small.count_params()),
     }
-    card["trend"] = trend_of(card)
+    if len(card["history"]) >= 6:
+        card["trend"] = trend_of(card)
     save_model(given.out, small, spec, card, box=(0.0, 0.0, *box))
-    draw_trend(card, given.out.with_name(f"{given.out.stem}_history.png"))
+    if "trend" in card:
+        draw_trend(card, given.out.with_name(f"{given.out.stem}_history.png"))
     print(f"{given.out}: rank {rank}, {given.out.stat().st_size / 1e6:.1f} MB")
     for name, found in errors.items():
         print(f"  {name:9s}", "  ".join(f"{key} {value:.6g}" for key, value in found.items()))

@@ -11,8 +11,8 @@
 * api: functions of the public interface get arrays and numbers of the wrong type, shape, sign, order or size.
 
 The script fails on any other exception, above 1 GB of memory, or if an input takes a minute of processor time (xml:
-10 s). (5 GB for models: a damaged text of variable length may claim 4 GB, which the HDF5 library clears before it
-looks.) The input that fails is kept as `crash-…` in the working directory. It stops after `--seconds`, too.
+10 s by the clock). (5 GB for models: a damaged text of variable length may claim 4 GB, which the HDF5 library clears
+before it looks.) The input that fails is kept as `crash-…` in the working directory. It stops after `--seconds`, too.
 """
 
 import argparse

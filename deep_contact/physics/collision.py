@@ -34,6 +34,9 @@ LASTING = 3
 """Steps from which on a list pays. To make one takes 1.1 to 1.6 times a search, and to read it a quarter."""
 
 
+TRY_AGAIN = 20
+"""Searches after a list that did not fit: only a heap of overlapping circles has so many near pairs."""
+
 CROWDED = 8
 """Circles in the cell of a circle, on average, from which on circles are sorted into levels by their size. Equal ones
 have one or two; where one is large, cells are as wide as it is, and the others crowd in them."""
@@ -44,14 +47,14 @@ LEVELS, STEP = 16, 8.0
 X, Y, PER_METRE, COLUMNS, ROWS, FIRST_CELL = range(6)
 """Columns of `Cells.grid`."""
 
-SEARCHES, PAIRS = range(2)
+SEARCHES, PAIRS, WAIT = range(3)
 """Elements of `Cells.memory`."""
 
 
 class Cells(NamedTuple):
     """Buffers of the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
 
-    As long as no circle has moved by more than half of what near means, beside what all have moved together, pairs that
+    As long as no circle has moved by more than half of what near means, apart from the motion common to all, pairs that
     touch are among those. A pile at rest, or one that falls as a whole, is sorted into cells once, then, and a list is
     not made where it would not last.
 
@@ -64,7 +67,8 @@ class Cells(NamedTuple):
     | anchor | positions at the last sorting                                                 | (n, 2)       |
     | first  | circles `near[first[a]:first[a + 1]]` are near a and come after it            | (n + 1,)     |
     | near   | circles, for each a by index                                                  | (8n + 40,)   |
-    | memory | searches since the last sorting, -1 before the first; pairs in `near`, or -1   | (2,)         |
+    | memory | searches since the last sorting, -1 before the first; pairs in `near`, or -1; | (3,)         |
+    |        | searches until a list is tried again, after one that did not fit              |              |
     | level  | of each circle, if they are sorted by size: 0 holds the largest                | (n,)         |
     | grid   | of a level: corner, m, cells per metre, columns, rows, first cell in `start`   | (16, 6)      |
     | pair   | near pairs as they were found, the lesser index first                          | (8n + 40, 2) |
@@ -90,7 +94,7 @@ def make_cells(n):
     """Buffers of the broad phase over n circles."""
     return Cells(
         np.empty(8 * n + 1000, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
-        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int64), np.full(2, -1),
+        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int64), np.full(3, -1),
         np.empty(n, np.int64), np.empty((LEVELS, 6)), np.empty((8 * n + 40, 2), np.int64), np.empty(1),
     )  # fmt: skip
 
@@ -194,11 +198,14 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
         return 0
     smallest = smallest_of(radius)
     gap, apart = MOST_NEAR * smallest, apart / max(memory[SEARCHES], 1)
-    if LASTING * apart <= gap:
+    if memory[WAIT] > 0:
+        memory[WAIT] -= 1
+    elif LASTING * apart <= gap:
         gap = min(gap, smallest * max(LEAST_NEAR, NEAR_BY_MOTION * math.sqrt(apart / smallest)))
         find_near(position, radius, gap, cells)
         if memory[PAIRS] >= 0:
             return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+        memory[WAIT] = TRY_AGAIN
     memory[SEARCHES], memory[PAIRS] = 0, -1
     cells.anchor[:], cells.gap[0] = position, gap
     columns, rows = sort_into_cells(position, radius, cells)
@@ -472,7 +479,7 @@ def _sort_run(values, start, stop):
 def find_contacts(position, radius, box, segments, skin, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: (S, 4), m.
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: (S, 5), m and m/s.
     skin: of walls and segments, m. cells, buffer: memory to use. Returns (contacts, buffer): views of the buffer, grown
     if needed.
     """

@@ -27,8 +27,8 @@ class ContactProblem(NamedTuple):
     | field         | meaning                                                                 | shape    | unit |
     |---------------|-------------------------------------------------------------------------|----------|------|
     | A             | J M⁻¹ Jᵀ, sparse (CSR)                                                  | (r, r)   | 1/kg |
-    | b             | J (v + Δt M⁻¹ F) minus the target velocities of bouncing contacts       | (r,)     | m/s  |
-    | jacobian      | J, sparse (CSR); relative velocities of the contacts are J v            | (r, 3n)  |      |
+    | b             | J (v + Δt M⁻¹ F) and surfaces that move, less the targets of bounces    | (r,)     | m/s  |
+    | jacobian      | J, sparse (CSR); J v is what circles give to contacts                   | (r, 3n)  |      |
     | inverse_mass  | diagonal of M⁻¹ for (v_x, v_y, ω) of every circle                       | (3n,)    |      |
     | free_velocity | v + Δt M⁻¹ F, likewise                                                  | (3n,)    |      |
     | friction      | μ of every contact                                                      | (m,)     |      |

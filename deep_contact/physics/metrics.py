@@ -78,7 +78,10 @@ def nearest_velocity_error(state: State, solution: ContactSolution, references: 
 
 
 def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Relative velocities of the contacts, J v: along the normals and along the tangents, (m,) each, m/s."""
+    """Relative velocities of the contacts along the normals and along the tangents, (m,) each, m/s.
+
+    J v, and in the tangent rows of segments the velocity of the surface (`World.surface_speeds`).
+    """
     bodies, contacts = state.bodies, state.contacts
     n = bodies.count
     v = np.vstack([velocity, np.zeros((4, 2))])

@@ -197,28 +197,32 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
     """Circles in a drum that turns counter-clockwise: a regular polygon of segments whose surface moves.
 
     froude: ω² R / g, with the drum's radius R: at 1e-3 avalanches follow one another, from 1e-2 to 1e-1 the surface
-    flows, beyond 1 circles stick to the wall. filling: share of the area that a dense packing of the circles takes;
-    less where their lattice, which falls from the middle, needs a wider drum. sides: of the polygon. options: those of
-    `lattice_in_box`.
+    flows, beyond 1 circles stick to the wall. filling: share of the area that a dense packing of the circles takes, up
+    to 0.45; less for mixed radii, whose lattice, which falls from the middle, takes more room. sides: of the polygon.
+    options: those of `lattice_in_box`. Raises ValueError for a drum that turns without gravity.
     """
     number("froude", froude, low=0)
-    number("filling", filling, low=0.01, high=0.5)
+    number("filling", filling, low=0.01, high=0.45)
+    sides = integer("sides", sides, least=8)
     heap = lattice_in_box(n_bodies, **options)
+    gravity = math.hypot(*heap.world.gravity)
+    if froude > 0 and gravity == 0:
+        raise ValueError(f"froude: expected 0 without gravity, which it is measured by, got {froude}")
     half = 0.5 * math.hypot(*heap.world.box[2:])  # so that the corners of the lattice lie within
     area = 2.0 * math.sqrt(3.0) * float((heap.bodies.radius**2).sum())
-    sides = integer("sides", sides, least=8)
     outer = max(math.sqrt(area / (math.pi * filling)), half / math.cos(math.pi / sides))
+    # The box stands clear of the drum: a wall that a circle touches beside it would brake it.
+    middle = outer + float(heap.bodies.radius.max())
     corner = 2.0 * math.pi * np.arange(sides + 1) / sides
-    line = outer * np.stack([1.0 + np.cos(corner), 1.0 + np.sin(corner)], axis=1)
+    line = middle + outer * np.stack([np.cos(corner), np.sin(corner)], axis=1)
     line[-1] = line[0]  # to the last bit: ends that two segments share
-    speed = math.sqrt(froude * math.hypot(*heap.world.gravity) * outer)
     world = replace(
         heap.world,
-        box=(0, 0, 2 * outer, 2 * outer),
+        box=(0, 0, 2 * middle, 2 * middle),
         segments=np.stack([line[:-1], line[1:]], axis=1),
-        surface_speeds=(speed,) * sides,
+        surface_speeds=(math.sqrt(froude * gravity * outer),) * sides,
     )
-    bodies = heap.bodies._replace(position=heap.bodies.position + outer - 0.5 * np.array(heap.world.box[2:]))
+    bodies = heap.bodies._replace(position=heap.bodies.position + middle - 0.5 * np.array(heap.world.box[2:]))
     return State(name=f"drum_{n_bodies}", world=world, bodies=bodies)
 
 

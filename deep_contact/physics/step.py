@@ -16,7 +16,7 @@ class StepInput(NamedTuple):
 
     bodies: `Bodies`; they move in place. contacts: `Contacts` at their positions, with the impulses to start from.
     box, gravity, friction, restitution: of the `World`; friction None, in place of 0, leaves the tangent rows out.
-    segments: (S, 4), m (`segments.segments_of`).
+    segments: (S, 5), m and m/s (`segments.segments_of`).
     dt: s. scales: `ContactScales` of the state that the steps begin with.
     """
 

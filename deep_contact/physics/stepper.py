@@ -47,7 +47,7 @@ class _Room(NamedTuple):
     """What a step needs beside the state.
 
     sizes: masses and radii that the settings were made for, (2n,). constants: (16,), box, gravity, restitution, Δt and
-    `ContactScales`. segments: (S, 4), m. friction: None for rows without tangents. settings: of the solver.
+    `ContactScales`. segments: (S, 5), m and m/s. friction: None for rows without tangents. settings: of the solver.
     memory: `engine.StepMemory`.
     """
 

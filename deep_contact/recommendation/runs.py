@@ -169,9 +169,15 @@ def longest_step(scene: State, dt: float) -> float:
     """The time step, s, that is to a scene what `dt` is to circles of r = 1 m under 9.81 m/s²."""
     bodies = scene.bodies
     radius, gravity = float(bodies.radius.mean()), float(np.hypot(*scene.world.gravity))
-    fastest = float(np.sqrt((bodies.velocity**2).sum(axis=1).max(initial=0.0)))
-    speed = max(math.sqrt(gravity * radius), fastest / FASTEST)
+    speed = max(math.sqrt(gravity * radius), _fastest(scene) / FASTEST)
     return math.inf if speed == 0 else dt * math.sqrt(-GRAVITY[1]) * radius / speed
+
+
+def _fastest(scene: State) -> float:
+    """Speed of the fastest circle, or of a surface that drags circles, m/s."""
+    surfaces = scene.world.surface_speeds if scene.world.friction > 0 else ()
+    circle = float(np.sqrt((scene.bodies.velocity**2).sum(axis=1).max(initial=0.0)))
+    return max(circle, *map(abs, surfaces), 0.0)
 
 
 def substeps_of(scene: State, dt: float) -> int:
@@ -300,7 +306,7 @@ def outside(scene: State, study: Mapping) -> list[str]:
     bodies, world, sizes = scene.bodies, scene.world, study["sizes"]
     radius, mass = bodies.radius, bodies.mass / bodies.radius**2
     gravity = float(np.hypot(*world.gravity))
-    speed = float(np.sqrt((bodies.velocity**2).sum(axis=1).max(initial=0.0)))
+    speed = _fastest(scene)
     found = []
     if not min(sizes) / 3 <= bodies.count <= 3 * max(sizes):
         found.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")

@@ -19,7 +19,8 @@ def read_by_spline(grid: Grid, image, position) -> np.ndarray:
     if min(grid.shape) < 4:
         raise ValueError(f"grid: expected at least 4 × 4 nodes for a cubic spline, got {grid.shape}")
     x, y = grid.nodes
-    at, layers = _finite("position", positions(position)), np.moveaxis(_finite("image", image_of(grid, image)), -1, 0)
+    at, values = _checked(grid, image, position)
+    layers = np.moveaxis(values, -1, 0)
     return np.stack([RectBivariateSpline(y, x, layer).ev(at[:, 1], at[:, 0]) for layer in layers], axis=-1)
 
 
@@ -32,9 +33,8 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     Raises ValueError naming the argument and the value.
     """
     h = kernels.check_support_radius(h)
-    values = _finite("image", image_of(grid, image))
+    at, values = _checked(grid, image, position)
     values = values.reshape(-1, values.shape[-1])
-    at = _finite("position", positions(position))
     near, apart = [], []  # of the nodes around each particle, by axis: (k, s)
     for k, (nodes, spacing) in enumerate(zip(grid.nodes, grid.spacing)):
         x = np.clip(at[:, k], nodes[0], nodes[-1])
@@ -55,7 +55,11 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     return np.stack([np.bincount(rows, part, minlength=len(at)) for part in given.T], axis=-1)
 
 
-def _finite(name: str, array: np.ndarray) -> np.ndarray:
-    if not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
-    return array
+def _checked(grid: Grid, image, position) -> tuple[np.ndarray, np.ndarray]:
+    if np.ndim(image) == 2:
+        raise ValueError(f"image: expected shape {(*grid.shape, 'channels')}, got {np.shape(image)}")
+    values, at = image_of(grid, image), positions(position)
+    for name, array in (("image", values), ("position", at)):
+        if not np.isfinite(array).all():
+            raise ValueError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
+    return at, values

@@ -138,7 +138,7 @@ class Peer:
 
 
 PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()}
-ENGINES = {"ours": Ours, "in batches": partial(Ours, method=BatchedPGS), "dc.step": OursByStep} | PEERS
+ENGINES = {"ours": Ours, "in batches": partial(Ours, method=BatchedPGS, order="colours"), "dc.step": OursByStep} | PEERS
 """Name -> callable that takes a state and returns an engine that can `run`. In batches by colours, as Box2D v3 does."""
 
 

@@ -19,7 +19,7 @@ def done(
     """The results of parts (name, arguments), in their order: read from `work`, or computed and stored there.
 
     functions: name -> function of the arguments, found by import, whose result JSON can hold. A part is known by name
-    and arguments: one with other settings is another part. One whose file is damaged is computed again.
+    and arguments: one with other settings is another part. One that JSON cannot read is computed again.
     jobs: as in `parallel.finished`. text: of the progress bar.
     """
     paths = []

@@ -1,8 +1,8 @@
 """Turn a drum.
 
-For users of granular media: a polygon of static segments whose surface moves. How steep the heap lies follows the
-Froude number ω² R / g, here from the middle of the circles: seen from that of the drum, it lies at right angles to the
-surface of the heap.
+For users of granular media: a polygon of static segments whose surface moves. The angle is that of the centre of all
+circles, seen from the drum's axis, against straight down: the surface of the heap is tilted by as much. It follows the
+Froude number ω² R / g.
 """
 
 import math

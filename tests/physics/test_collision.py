@@ -218,6 +218,21 @@ def test_pairs_are_those_of_a_fresh_search_however_circles_move(move, smallest, 
     assert move > 0.01 or made <= 4
 
 
+def test_a_heap_whose_list_does_not_fit_is_searched_without_one_for_a_while():
+    rng, cells, waits = np.random.default_rng(2), make_cells(60), []
+    position = rng.uniform(0, 1, (60, 2))
+    for _ in range(45):
+        position += rng.normal(0, 1e-4, position.shape)
+        found, fresh = (
+            find_contacts(position, np.ones(60), (-5, -5, 5, 5), NO_SEGMENTS, 0.01, of, make_contacts(4000))[0]
+            for of in (cells, make_cells(60))
+        )
+        assert found.body_a.size > 8 * 60 + 40
+        np.testing.assert_array_equal(found.body_b, fresh.body_b)
+        waits.append(cells.memory[2])
+    assert waits == [-1, *range(20, -1, -1), *range(20, -1, -1), 20, 19]
+
+
 def test_what_a_search_by_size_remembers_changes_no_pair():
     state, cells = crowd(300, 3, smallest=0.01), make_cells(300)
     bodies, box, skin = state.bodies, state.world.box, state.scales.wall_skin

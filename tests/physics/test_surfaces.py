@@ -14,6 +14,7 @@ from deep_contact.io.xml_tree import StateFileError
 from deep_contact.physics import metrics
 from deep_contact.physics.lcp import contact_problem, natural_residual
 from deep_contact.physics.solvers import METHODS
+from deep_contact.recommendation.runs import longest_step
 from deep_contact.state import State, World, make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)
@@ -154,14 +155,43 @@ def test_a_drum_carries_its_heap_up_on_the_side_that_rises():
     for froude in (0.0, 0.05):
         scene = dc.drum(120, froude=froude, seed=1)
         middle = 0.5 * scene.world.box[2]
-        assert np.hypot(*(scene.bodies.position - middle).T).max() + 1 < middle * math.cos(math.pi / 60)
+        assert np.hypot(*(scene.bodies.position - middle).T).max() + 1 < (middle - 1) * math.cos(math.pi / 60)
         run = dc.simulate(scene, steps=900, record=10)
         heap = run.trajectory.positions[-20:].mean(axis=(0, 1)) - middle
         ends[froude] = math.degrees(math.atan2(heap[0], -heap[1]))
         inside = np.hypot(*(run.state.bodies.position - middle).T)
-        assert (inside < middle).all()
+        assert (inside < middle - 1).all()
+        assert not ((run.state.contacts.body_b >= 120) & (run.state.contacts.body_b < 124)).any()
     assert abs(ends[0.0]) < 5
     assert 12 < ends[0.05] < 60
+
+
+@pytest.mark.parametrize("sides", [8, 60, 120])
+def test_the_box_does_not_brake_a_drum(sides):
+    scene = dc.drum(1, sides=sides, filling=0.02, seed=1)
+    x_0, _, x_1, _ = scene.world.box
+    lowest = np.reshape(scene.world.segments, (-1, 2))[:, 1].min()
+    touching = scene.bodies._replace(position=np.array([[0.5 * (x_0 + x_1), lowest + 1.005]]))
+    state = dc.simulate(scene.replace(bodies=touching), steps=2).state
+    assert state.contacts.count
+    assert (state.contacts.body_b >= 5).all()
+
+
+def test_a_drum_needs_gravity_to_turn():
+    with pytest.raises(ValueError, match=r"froude: expected 0 without gravity, which it is measured by, got 0\.05"):
+        dc.drum(10, gravity=(0.0, 0.0))
+    assert dc.drum(10, gravity=(0.0, 0.0), froude=0.0).world.surface_speeds == ()
+
+
+def test_presets_know_that_a_surface_is_fast():
+    calm, fast = dc.drum(60, froude=0.05), dc.drum(60, froude=400.0)
+    assert dc.recommend(calm).outside == () != dc.recommend(fast).outside
+    assert dc.recommend(fast).solver.substeps > dc.recommend(calm).solver.substeps
+    assert longest_step(replace_friction(fast, 0.0), 0.01) == longest_step(replace_friction(calm, 0.0), 0.01)
+
+
+def replace_friction(scene, friction):
+    return scene.replace(world=replace(scene.world, friction=friction))
 
 
 def test_a_drum_that_turns_fast_holds_its_circles_at_the_wall():
@@ -208,7 +238,9 @@ def test_a_damaged_speed_is_refused(turning, tmp_path):
         simulation_info(path)
 
 
-@pytest.mark.parametrize("speeds", ["fast", 1.0, [1.0], [math.nan] * 2, [[1.0, 2.0], [3.0, 4.0]]])
+@pytest.mark.parametrize(
+    "speeds", ["fast", 1.0, [1.0], [math.nan] * 2, [[1.0, 2.0], [3.0, 4.0]], [[1.0, 2.0]], ["1", "2"], [1j, 2]]
+)
 def test_bad_speeds_are_refused_by_name(speeds):
     with pytest.raises(ValueError, match="surface_speeds: expected"):
         World(segments=[LEVEL, ((0, 0), (1, 1))], surface_speeds=speeds)

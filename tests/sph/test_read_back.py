@@ -38,6 +38,7 @@ def test_a_spline_needs_four_nodes():
     ("image", "position", "message"),
     [
         (np.zeros((9, 7, 1)), [[0.5, 0.5]], r"image: expected shape \(7, 9, 'channels'\), got \(9, 7, 1\)"),
+        (np.zeros((7, 9)), [[0.5, 0.5]], r"image: expected shape \(7, 9, 'channels'\), got \(7, 9\)"),
         (np.full((7, 9, 1), np.nan), [[0.5, 0.5]], "image: expected finite numbers, got nan"),
         (np.zeros((7, 9, 1)), [0.5, 0.5], r"position: expected shape \(k, 2\), got \(2,\)"),
         (np.zeros((7, 9, 1)), [[0.5, np.inf]], "position: expected finite numbers, got inf"),
