@@ -237,7 +237,10 @@ def hostile(rng, like=None):
     odd = (None, "x", b"x", True, -1, 0, 2**63, 1e400, -1e300, float("nan"), 1j, [], {}, (), object(), [[1], [1, 2]])
     if like is None or rng.random() < 0.2:
         return odd[rng.integers(0, len(odd))]
-    array = np.array(like)
+    try:
+        array = np.array(like)
+    except ValueError:  # it is hostile already
+        return like
     if array.size and rng.random() < 0.5 and array.dtype.kind in "if":
         values = (np.nan, np.inf, -np.inf, -1.0, 0.0, 1e308, 1e-320, 1e13, -1e13, 7.0)
         if array.dtype.kind == "i":
