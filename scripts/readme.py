@@ -126,12 +126,6 @@ def outside() -> list[list]:
     return others.table(stored("benchmark_outside"))
 
 
-def pinocchio() -> list[list]:
-    """pinocchio's ADMM and the fastest of ours, where Siconos cannot be imported beside it."""
-    wanted = ("method", "ours, NesterovPGS", "pinocchio ADMM")
-    return [row for row in others.table(stored("benchmark_pinocchio")) if row[0] in wanted]
-
-
 def disks() -> list[list]:
     """A step of Siconos's bench-disks: ours whole, and Siconos's solver alone."""
     rows = [["discs", "step", "contacts", "ours, ms", "Siconos, ms", "velocity error, ours", "Siconos"]]
@@ -207,7 +201,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-_MADE = (learned, engine, stages, outside, pinocchio, disks, relaxation, transfer, tried, presets, figures)
+_MADE = (learned, engine, stages, outside, disks, relaxation, transfer, tried, presets, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True),
