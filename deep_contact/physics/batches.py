@@ -23,8 +23,27 @@ import numpy as np
 from numba import njit
 
 from deep_contact.compiled.simd import WIDTH, lowest_zero
-from deep_contact.physics.contact_solver import BODY_A, BODY_B, NORMAL, TANGENT, TARGET
+from deep_contact.physics.contact_solver import (
+    ARM_A,
+    ARM_B,
+    BODY_A,
+    BODY_B,
+    INVERSE_MASS,
+    N_X,
+    N_Y,
+    NORMAL,
+    NORMAL_MASS,
+    TANGENT,
+    TANGENT_MASS,
+    TARGET,
+    V_S,
+    apply_impulse,
+    arms_of,
+    effective_masses,
+    target_of,
+)
 from deep_contact.physics.position_correction import IDLE
+from deep_contact.physics.segments import surface_velocity
 
 BLOCK = 1024
 """Contacts coloured together. Measured: smaller blocks fill fewer tiles; larger ones leave the nearest cache."""
@@ -53,7 +72,7 @@ class Plan(NamedTuple):
     | phase | of a block: its phase                                                             | (B,)   |
     | order | blocks by phase                                                                   | (B,)   |
     | start | of a phase: where it starts in `order`; one more at the end                       | (B+2,) |
-    | worst | of a block: the θ of a sweep, or the deepest separation                           | (B,)   |
+    | worst | of a block: the θ of a sweep, or the deepest separation, by turns                 | (B, 2) |
     | count | contacts, blocks, tiles and phases in use, circles                                | (5,)   |
     """
 
@@ -95,9 +114,9 @@ def make_plan(n, capacity):
     blocks = capacity // BLOCK + 1
     whole = np.int64
     return Plan(
-        np.zeros((n, 2), np.uint64), np.empty(capacity, whole), np.empty(capacity, whole), np.empty(capacity, whole),
-        np.empty(capacity, whole), np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole),
-        np.empty(blocks + 2, whole), np.empty(blocks), np.zeros(5, whole),
+        np.zeros((n, 2), np.uint64), np.empty(capacity, whole), np.empty(capacity, np.uint32),
+        np.empty(capacity, whole), np.empty(capacity, whole), np.empty(blocks + 1, whole), np.empty(blocks, whole),
+        np.empty(blocks, whole), np.empty(blocks + 2, whole), np.empty((blocks, 2)), np.zeros(5, whole),
     )  # fmt: skip
 
 
@@ -112,13 +131,13 @@ def make_tiles(n, blocks, tiles, dtype):
 
 
 @njit(cache=True)
-def plan_batches(body, n, colours, plan):
+def plan_batches(body_a, body_b, n, colours, plan):
     """Put all contacts into batches, by colours or by levels. Returns the plan, a larger one if needed.
 
-    body: (m, 2), as in `Rows`. Greedy: the first colour that neither circle has in this block (Welsh and Powell 1967,
-    in the order of the list); for levels, the first batch after those that either circle is in.
+    body_a, body_b: (m,), as in `Contacts`. Greedy: the first colour that neither circle has in this block (Welsh and
+    Powell 1967, in the order of the list); for levels, the first batch after those that either circle is in.
     """
-    m = body.shape[0]
+    m = body_a.shape[0]
     if m > plan.batch.shape[0]:
         plan = make_plan(n, m + m // 2)
     size = BLOCK if colours else max(m, 1)
@@ -126,10 +145,10 @@ def plan_batches(body, n, colours, plan):
     plan.mark[:] = 0
     for k in range(blocks):
         begin, end = k * size, min(k * size + size, m)
-        batches = choose_batches(body, n, colours, begin, end, plan)
+        batches = choose_batches(body_a, body_b, n, colours, begin, end, plan)
         phase = np.int64(0)
         if colours:
-            phase = find_phase(body, n, begin, end, plan)
+            phase = find_phase(body_a, body_b, n, begin, end, plan)
             if phase == COLOURS:
                 phase, alone = COLOURS + alone, alone + 1
         plan.phase[k], plan.first[k] = phase, tiles
@@ -141,12 +160,15 @@ def plan_batches(body, n, colours, plan):
 
 
 @njit(cache=True)
-def choose_batches(body, n, colours, begin, end, plan):
-    """Batches of the contacts of one block; counts them in `fill`. Returns how many batches there are."""
+def choose_batches(body_a, body_b, n, colours, begin, end, plan):
+    """Batches of the contacts of one block; counts them in `fill`. Returns how many batches there are.
+
+    Here and below, numbers without a sign index arrays: Numba looks whether others are negative, for each element.
+    """
     mark, batches, alone = plan.mark, 0, 0
     nothing, one = np.uint64(0), np.uint64(1)
     for i in range(begin, end):
-        a, b = body[i, BODY_A], body[i, BODY_B]
+        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
         of_a, of_b = mark[a, BATCHES], mark[b, BATCHES] if b < n else nothing
         if colours:
             batch = lowest_zero(of_a | of_b)
@@ -173,12 +195,12 @@ def choose_batches(body, n, colours, begin, end, plan):
 
 
 @njit(cache=True)
-def find_phase(body, n, begin, end, plan):
+def find_phase(body_a, body_b, n, begin, end, plan):
     """The first phase in which no other block has a circle of this one, or `COLOURS`. Wipes its marks of colours."""
     mark = plan.mark
     taken = np.uint64(0)
     for i in range(begin, end):
-        a, b = body[i, BODY_A], body[i, BODY_B]
+        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
         taken |= mark[a, PHASE_BITS]
         mark[a, BATCHES] = 0
         if b < n:
@@ -188,7 +210,7 @@ def find_phase(body, n, begin, end, plan):
     if phase < COLOURS:
         mine = np.uint64(1) << np.uint64(phase)
         for i in range(begin, end):
-            a, b = body[i, BODY_A], body[i, BODY_B]
+            a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
             mark[a, PHASE_BITS] |= mine
             if b < n:
                 mark[b, PHASE_BITS] |= mine
@@ -233,33 +255,96 @@ def sort_phases(blocks, plan):
 
 
 @njit(cache=True)
-def fill_tiles(rows, solver_bodies, plan, tiles):
-    """Copy rows to their places, and the solver bodies. Returns the tiles, larger ones if needed."""
+def with_room(plan, tiles):
+    """The tiles, larger ones if the plan needs them; walls and idle bodies at rest."""
     n, blocks, last = plan.count[CIRCLES], plan.count[BLOCKS], plan.count[TILES]
     if last > tiles.body.shape[0] or n + 5 * blocks > tiles.solver_bodies.shape[0]:
-        tiles = make_tiles(n, blocks + blocks // 2 + 1, last + last // 2, solver_bodies.dtype)
-    body, data, impulse = tiles.body, tiles.data, tiles.impulse
-    m, size = plan.count[CONTACTS], BLOCK if blocks > 1 else max(plan.count[CONTACTS], 1)
-    for k in range(blocks):
-        ground = n + 5 * k
-        for i in range(k * size, min(k * size + size, m)):
-            t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
-            a, b = rows.body[i, 0], rows.body[i, 1]
-            body[t, BODY_A, j] = a
-            body[t, BODY_B, j] = b if b < n else ground + (b - n)
-            for c in range(TARGET + 1):
-                data[t, c, j] = rows.data[i, c]
-            impulse[t, NORMAL, j], impulse[t, TANGENT, j] = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
-        for t in range(plan.first[k], plan.first[k + 1]):
-            for j in range(plan.used[t], WIDTH):
-                body[t, :, j] = ground + IDLE
-                data[t, :, j] = 0.0
-                impulse[t, :, j] = 0.0
-    tiles.solver_bodies[:n] = solver_bodies[:n]
+        tiles = make_tiles(n, blocks + blocks // 2 + 1, last + last // 2, tiles.solver_bodies.dtype)
     tiles.solver_bodies[n : n + 5 * blocks] = 0.0
-    for k in range(blocks):
-        tiles.solver_bodies[n + 5 * k : n + 5 * k + IDLE] = solver_bodies[n:]
     return tiles
+
+
+@njit(cache=True)
+def contacts_of_block(plan, k):
+    """(First contact of a block, the one after its last)."""
+    m = plan.count[CONTACTS]
+    return (k * BLOCK, min(k * BLOCK + BLOCK, m)) if plan.count[BLOCKS] > 1 else (0, m)
+
+
+@njit(cache=True, error_model="numpy")
+def write_block(given, contacts, plan, tiles, k):
+    """Write the rows of a block's contacts to their places, and give its circles the impulses that they start from.
+
+    given: `StepInput`. The solver bodies have their velocities after gravity.
+    """
+    body, data, impulse, v, n = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies, plan.count[CIRCLES]
+    ground, (begin, end), segments = n + 5 * k, contacts_of_block(plan, k), given.segments
+    if segments.shape[0] > 0:
+        v[ground + 3, V_S] = 1.0  # see `contact_solver.move_surfaces`
+    for i in range(begin, end):
+        t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
+        a, b, s = np.uint32(contacts.body_a[i]), np.uint32(contacts.body_b[i]), contacts.body_b[i] - n - 4
+        row_b = np.uint32(b if b < n else ground + min(b - n, 3))
+        normal, arms = (
+            (contacts.normal[i, 0], contacts.normal[i, 1]),
+            arms_of(given.bodies.radius, a, b, contacts.separation[i]),
+        )
+        body[t, BODY_A, j], body[t, BODY_B, j] = a, row_b
+        data[t, N_X, j], data[t, N_Y, j] = normal
+        masses = effective_masses(v[a, INVERSE_MASS], v[row_b, INVERSE_MASS], arms)
+        data[t, NORMAL_MASS, j], data[t, TANGENT_MASS, j] = masses
+        data[t, ARM_A, j], data[t, ARM_B, j] = arms
+        if s >= 0:
+            data[t, ARM_B, j] = surface_velocity(segments[s], normal[0], normal[1])
+        data[t, TARGET, j] = 0.0
+        if given.restitution != 0.0:
+            threshold = given.scales.restitution_threshold
+            data[t, TARGET, j] = target_of(given.bodies.velocity, contacts, i, given.restitution, threshold)
+        impulse[t, NORMAL, j], impulse[t, TANGENT, j] = contacts.normal_start[i], contacts.tangent_start[i]
+        apply_impulse(
+            v, a, row_b, (data[t, N_X, j], data[t, N_Y, j]), (data[t, ARM_A, j], data[t, ARM_B, j]),
+            (impulse[t, NORMAL, j], impulse[t, TANGENT, j]),
+        )  # fmt: skip
+    pad_block(plan, tiles, k)
+
+
+@njit(cache=True)
+def pad_block(plan, tiles, k):
+    """Fill the unused lanes of a block with contacts of its idle body."""
+    for t in range(plan.first[k], plan.first[k + 1]):
+        for j in range(plan.used[t], WIDTH):
+            tiles.body[t, :, j] = plan.count[CIRCLES] + 5 * k + IDLE
+            tiles.data[t, :, j] = 0.0
+            tiles.impulse[t, :, j] = 0.0
+
+
+@njit(cache=True)
+def fill_tiles(rows, solver_bodies, plan, tiles):
+    """Copy rows to their places, and the solver bodies. Returns the tiles, larger ones if needed."""
+    n, tiles = plan.count[CIRCLES], with_room(plan, tiles)
+    for k in range(plan.count[BLOCKS]):
+        ground, (begin, end) = n + 5 * k, contacts_of_block(plan, k)
+        for i in range(begin, end):
+            t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
+            a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+            tiles.body[t, BODY_A, j] = a
+            tiles.body[t, BODY_B, j] = b if b < n else ground + (b - n)
+            tiles.data[t, :, j] = rows.data[i]
+            tiles.impulse[t, :, j] = rows.impulse[i]
+        pad_block(plan, tiles, k)
+        tiles.solver_bodies[ground : ground + IDLE] = solver_bodies[n:]
+    tiles.solver_bodies[:n] = solver_bodies[:n]
+    return tiles
+
+
+@njit(cache=True)
+def store_block(plan, tiles, contacts, k):
+    """Write the solved impulses of a block into the contacts, in place."""
+    begin, end = contacts_of_block(plan, k)
+    for i in range(begin, end):
+        t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
+        contacts.normal_impulse[i] = tiles.impulse[t, NORMAL, j]
+        contacts.tangent_impulse[i] = tiles.impulse[t, TANGENT, j]
 
 
 @njit(cache=True)

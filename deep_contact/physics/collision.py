@@ -112,9 +112,15 @@ def make_contacts(capacity):
 @njit(cache=True)
 def first_contacts(buffer, m):
     """The first m contacts of a buffer, as views."""
+    return some_contacts(buffer, 0, m)
+
+
+@njit(cache=True)
+def some_contacts(buffer, i, j):
+    """The contacts from the i-th to before the j-th, as views."""
     return Contacts(
-        buffer.body_a[:m], buffer.body_b[:m], buffer.position[:m], buffer.normal[:m], buffer.separation[:m],
-        buffer.normal_impulse[:m], buffer.tangent_impulse[:m], buffer.normal_start[:m], buffer.tangent_start[:m],
+        buffer.body_a[i:j], buffer.body_b[i:j], buffer.position[i:j], buffer.normal[i:j], buffer.separation[i:j],
+        buffer.normal_impulse[i:j], buffer.tangent_impulse[i:j], buffer.normal_start[i:j], buffer.tangent_start[i:j],
     )  # fmt: skip
 
 
@@ -183,19 +189,29 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     Returns the number of pairs, or -1 if they do not fit.
     """
     n = position.shape[0]
-    if n == 0:
+    if has_list(position, radius, cells):
+        return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
+    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
+    if n == 0 or not math.isfinite(position.sum()):
         return 0
-    memory, half, x, y, apart = cells.memory, 0.49 * cells.gap[0], 0.0, 0.0, math.inf
+    return search_cells(position, radius, box, skin, cells, body_a, body_b)
+
+
+@njit(cache=True, error_model="numpy")
+def has_list(position, radius, cells):
+    """Whether the pairs that touch are among those that `cells` remembers; they are found anew where that pays."""
+    n, memory, half, x, y, apart = position.shape[0], cells.memory, 0.49 * cells.gap[0], 0.0, 0.0, math.inf
+    if n == 0:
+        return False
     if memory[SEARCHES] >= 0:
         memory[SEARCHES] += 1
         if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
-            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+            return True
         x, y, apart = common_motion(position, cells.anchor)
         if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
-            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
-    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
+            return True
     if not math.isfinite(position.sum()):
-        return 0
+        return False
     smallest = smallest_of(radius)
     gap, apart = MOST_NEAR * smallest, apart / max(memory[SEARCHES], 1)
     if memory[WAIT] > 0:
@@ -204,14 +220,21 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
         gap = min(gap, smallest * max(LEAST_NEAR, NEAR_BY_MOTION * math.sqrt(apart / smallest)))
         find_near(position, radius, gap, cells)
         if memory[PAIRS] >= 0:
-            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+            return True
         memory[WAIT] = TRY_AGAIN
     memory[SEARCHES], memory[PAIRS] = 0, -1
     cells.anchor[:], cells.gap[0] = position, gap
+    return False
+
+
+@njit(cache=True, error_model="numpy")
+def search_cells(position, radius, box, skin, cells, body_a, body_b):
+    """`write_pairs` by the cells, without a list; where circles crowd in a few of them, by levels of size."""
+    n = position.shape[0]
     columns, rows = sort_into_cells(position, radius, cells)
     if is_crowded(cells, n, columns * rows):
-        if find_near_by_levels(position, radius, gap, cells):
-            return write_near_pairs(position, radius, box, skin, cells, body_a, body_b)
+        if find_near_by_levels(position, radius, cells.gap[0], cells):
+            return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
         columns, rows = sort_into_cells(position, radius, cells)
     circle, order = cells.circle, cells.order
     m = 0
@@ -425,12 +448,12 @@ def sort_into_levels(position, radius, gap, cells):
 
 
 @njit(cache=True, error_model="numpy")
-def write_near_pairs(position, radius, box, skin, cells, body_a, body_b):
-    """`write_pairs` from the list of those that were near."""
+def write_near_pairs(position, radius, box, skin, cells, begin, end, body_a, body_b):
+    """`write_pairs` from the list of those that were near, for body_a from `begin` to before `end`."""
     n = position.shape[0]
     first, near = cells.first, cells.near
     m = 0
-    for a in range(n):
+    for a in range(begin, end):
         if m + (first[a + 1] - first[a]) + 4 > body_a.shape[0]:
             return -1
         x, y, r = position[a, 0], position[a, 1], radius[a]
@@ -554,25 +577,27 @@ def wall_gap(x, y, box, wall):
 
 
 @njit(cache=True)
-def carry_impulses(old, contacts):
+def carry_impulses(old, contacts, warm):
     """Built-in warm starting: give every contact, in place, the impulses its pair of bodies had a step before.
 
-    old: the contacts of the step before with their solved impulses. contacts: those of the next step; starts and
-    impulses are written, 0 where the pair is new. Both are sorted, so one walk along both finds all matches.
+    old: the contacts of the step before with their solved impulses. contacts: those of the next step, or some of them
+    in a row; starts and impulses are written, 0 where the pair is new, and starts of 0 without `warm`. Both are sorted,
+    so one walk along both finds all matches.
     """
-    j = 0
     last = old.body_a.shape[0]
+    j = np.searchsorted(old.body_a, contacts.body_a[0]) if contacts.body_a.shape[0] > 0 else 0
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
-        while j < last and (old.body_a[j] < a or (old.body_a[j] == a and old.body_b[j] < b)):
-            j += 1
+        # Most contacts follow in the new list on what they followed in the old: a branch that is predicted.
+        if j >= last or old.body_a[j] != a or old.body_b[j] != b:
+            while j < last and (old.body_a[j] < a or (old.body_a[j] == a and old.body_b[j] < b)):
+                j += 1
         p_n = p_t = 0.0
         if j < last and old.body_a[j] == a and old.body_b[j] == b:
             p_n, p_t = old.normal_impulse[j], old.tangent_impulse[j]
-        contacts.normal_start[i] = p_n
-        contacts.normal_impulse[i] = p_n
-        contacts.tangent_start[i] = p_t
-        contacts.tangent_impulse[i] = p_t
+            j += 1
+        contacts.normal_impulse[i], contacts.tangent_impulse[i] = p_n, p_t
+        contacts.normal_start[i], contacts.tangent_start[i] = (p_n, p_t) if warm else (0.0, 0.0)
 
 
 @njit(cache=True)
@@ -610,19 +635,22 @@ def hold_inside(bodies, box, skin, solved):
 
 
 @njit(cache=True)
+def hold(bodies, before, box, segments, skin, solved):
+    """`hold_inside` and `hold_beside`, where they are needed."""
+    if any_outside(bodies.position, box):
+        hold_inside(bodies, box, skin, solved)
+    if segments.shape[0] > 0:
+        hold_beside(bodies, before, segments)
+
+
+@njit(cache=True)
 def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buffer):
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
     before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
     that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
     """
-    if any_outside(bodies.position, box):
-        hold_inside(bodies, box, skin, solved)
-    if segments.shape[0] > 0:
-        hold_beside(bodies, before, segments)
+    hold(bodies, before, box, segments, skin, solved)
     contacts, buffer = find_contacts(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
-    carry_impulses(solved, contacts)
-    if not warm:
-        contacts.normal_start[:] = 0.0
-        contacts.tangent_start[:] = 0.0
+    carry_impulses(solved, contacts, warm)
     return contacts, buffer

@@ -112,19 +112,30 @@ def write_rows(bodies, contacts, solver_bodies, rows):
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], min(contacts.body_b[i], n + 3)
         n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
-        arm_a = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[a]
-        arm_b = 1.0 + 0.5 * contacts.separation[i] / bodies.radius[b] if b < n else 0.0
-        w_a, w_b = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
+        arms = arms_of(bodies.radius, a, b, contacts.separation[i])
         rows.body[i, BODY_A] = a
         rows.body[i, BODY_B] = b
         rows.data[i, N_X] = n_x
         rows.data[i, N_Y] = n_y
-        rows.data[i, NORMAL_MASS] = 1.0 / (w_a + w_b)
-        rows.data[i, TANGENT_MASS] = 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
-        rows.data[i, ARM_A] = arm_a
-        rows.data[i, ARM_B] = arm_b
+        masses = effective_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
+        rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
+        rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
         rows.impulse[i, NORMAL] = contacts.normal_start[i]
         rows.impulse[i, TANGENT] = contacts.tangent_start[i]
+
+
+@njit(cache=True, error_model="numpy")
+def arms_of(radius, a, b, separation):
+    """Arms of a contact over the radii of its circles, (n,), m; 0 for a wall. separation: m."""
+    arm_b = 1.0 + 0.5 * separation / radius[b] if b < radius.shape[0] else 0.0
+    return 1.0 + 0.5 * separation / radius[a], arm_b
+
+
+@njit(cache=True, error_model="numpy")
+def effective_masses(w_a, w_b, arms):
+    """Of the normal and of the tangent row, kg. w_a, w_b: inverse masses, 1/kg. arms: over radii (`arms_of`)."""
+    arm_a, arm_b = arms
+    return 1.0 / (w_a + w_b), 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
 
 
 @njit(cache=True, error_model="numpy")
@@ -168,15 +179,19 @@ def write_targets(velocity, contacts, restitution, threshold, rows):
     rows.data[:, -1] = 0.0
     if restitution == 0.0:
         return
-    n = velocity.shape[0]
     for i in range(contacts.body_a.shape[0]):
-        a, b = contacts.body_a[i], contacts.body_b[i]
-        v_x, v_y = -velocity[a, 0], -velocity[a, 1]
-        if b < n:
-            v_x, v_y = v_x + velocity[b, 0], v_y + velocity[b, 1]
-        v_n = v_x * contacts.normal[i, 0] + v_y * contacts.normal[i, 1]
-        if v_n < -threshold or v_n > 0.0:
-            rows.data[i, -1] = -restitution * v_n
+        rows.data[i, -1] = target_of(velocity, contacts, i, restitution, threshold)
+
+
+@njit(cache=True)
+def target_of(velocity, contacts, i, restitution, threshold):
+    """The target of the i-th contact, m/s: see `write_targets`."""
+    a, b = contacts.body_a[i], contacts.body_b[i]
+    v_x, v_y = -velocity[a, 0], -velocity[a, 1]
+    if b < velocity.shape[0]:
+        v_x, v_y = v_x + velocity[b, 0], v_y + velocity[b, 1]
+    v_n = v_x * contacts.normal[i, 0] + v_y * contacts.normal[i, 1]
+    return -restitution * v_n if v_n < -threshold or v_n > 0.0 else 0.0
 
 
 @njit(cache=True)
@@ -204,21 +219,25 @@ def apply_normal_impulses(rows, solver_bodies):
 @njit(cache=True)
 def apply_both_impulses(rows, solver_bodies):
     """`apply_impulses` of rows with friction."""
-    v = solver_bodies
-    two = v.dtype.type(2.0)
     for i in range(rows.body.shape[0]):
-        a, b = rows.body[i, 0], rows.body[i, 1]
-        n_x, n_y = rows.data[i, N_X], rows.data[i, N_Y]
-        p_n, p_t = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
-        p_x = p_n * n_x + p_t * n_y
-        p_y = p_n * n_y - p_t * n_x
-        w_a, w_b = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
-        v[a, V_X] -= w_a * p_x
-        v[a, V_Y] -= w_a * p_y
-        v[a, V_S] += two * w_a * rows.data[i, ARM_A] * p_t
-        v[b, V_X] += w_b * p_x
-        v[b, V_Y] += w_b * p_y
-        v[b, V_S] += two * w_b * rows.data[i, ARM_B] * p_t
+        a, b, normal = rows.body[i, 0], rows.body[i, 1], (rows.data[i, N_X], rows.data[i, N_Y])
+        impulse, arms = (rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]), (rows.data[i, ARM_A], rows.data[i, ARM_B])
+        apply_impulse(solver_bodies, a, b, normal, arms, impulse)
+
+
+@njit(cache=True)
+def apply_impulse(v, a, b, normal, arms, impulse):
+    """Give two solver bodies, in place, an impulse (λ_n, λ_t), N·s. arms: over radii. All in their precision."""
+    two, (n_x, n_y), (p_n, p_t) = v.dtype.type(2.0), normal, impulse
+    p_x = p_n * n_x + p_t * n_y
+    p_y = p_n * n_y - p_t * n_x
+    w_a, w_b = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
+    v[a, V_X] -= w_a * p_x
+    v[a, V_Y] -= w_a * p_y
+    v[a, V_S] += two * w_a * arms[0] * p_t
+    v[b, V_X] += w_b * p_x
+    v[b, V_Y] += w_b * p_y
+    v[b, V_S] += two * w_b * arms[1] * p_t
 
 
 @njit(cache=True)
@@ -328,6 +347,20 @@ def integrate_positions(bodies, solver_bodies, given):
     A displacement is cut to the largest translation, m, a rotation to `MAX_ROTATION`, and the velocity with it, as in
     Box2D. Fast circles stop where they touch something (`continuous`). given: `StepInput`.
     """
+    if move(bodies, solver_bodies, given):
+        stop_fast_circles(bodies, given)
+
+
+@njit(cache=True, error_model="numpy")
+def stop_fast_circles(bodies, given):
+    """Take back, in place, the way of circles that went fast by what they touched on it (`continuous`)."""
+    start = bodies.position - given.dt * bodies.velocity
+    stop_fast(bodies, start, given.gravity, given.dt, given.box, given.segments, given.scales)
+
+
+@njit(cache=True, error_model="numpy")
+def move(bodies, solver_bodies, given):
+    """`integrate_positions` without what stops fast circles. Returns whether there is one."""
     dt, max_translation, any_fast = given.dt, given.scales.max_translation, False
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
@@ -344,9 +377,7 @@ def integrate_positions(bodies, solver_bodies, given):
         bodies.position[i, 0] += dt * v_x
         bodies.position[i, 1] += dt * v_y
         bodies.angle[i] += dt * spin
-    if any_fast:
-        start = bodies.position - dt * bodies.velocity
-        stop_fast(bodies, start, given.gravity, dt, given.box, given.segments, given.scales)
+    return any_fast
 
 
 def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:

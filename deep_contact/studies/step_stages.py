@@ -20,6 +20,7 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
+from deep_contact.compiled.crew import ALONE
 from deep_contact.physics import collision, engine
 from deep_contact.physics.solvers import PGS, BatchedPGS, batched
 from deep_contact.physics.solvers.registry import for_state
@@ -34,17 +35,19 @@ STAGES = {
     "integrate_velocities": (72, 0),
     "contact_rows": (40, 136),
     "apply_start": (64, 80),
-    "apply_impulses": (64, 80),
     "plan_batches": (16, 24),
-    "fill_tiles": (64, 176),
+    "write_blocks": (64, 216),
     "relax": (64, 96),
     "relax_tiles": (64, 96),
-    "mark_divergence": (32, 0),
     "store_impulses": (0, 32),
+    "store_blocks": (0, 40),
     "integrate_positions": (112, 0),
+    "move": (112, 0),
     "correct_positions": (48, 16),
     "correct_positions_in_batches": (48, 16),
     "write_pairs": (24, 16),
+    "has_list": (32, 0),
+    "write_near_pairs": (24, 16),
     "write_geometry": (24, 56),
     "carry_impulses": (0, 80),
 }
@@ -55,9 +58,9 @@ SWEPT = ("relax", "relax_tiles")
 
 
 def timed_step(advance: Callable) -> tuple[Callable, dict[str, int], np.ndarray]:
-    """A compiled step that times its stages: (function, stage -> number, cycles spent in each, which add up).
+    """A step that times its stages: (function, stage -> number, cycles spent in each, which add up).
 
-    advance: `engine.advance` or `batched.advance_in_batches`. The function takes their arguments.
+    advance: `engine.advance` or `batched.advance_together`. The function takes the arguments of the first.
     Raises RuntimeError on processors whose cycles a program may not read.
     """
     if platform.machine() not in ("x86_64", "AMD64"):
@@ -66,9 +69,17 @@ def timed_step(advance: Callable) -> tuple[Callable, dict[str, int], np.ndarray]
     cycles = np.zeros(len(STAGES), np.int64)
     tick = _ticker(cycles.ctypes.data)
     inner: dict[str, Callable] = {"_tick": tick}
-    for function in (collision.find_contacts, collision.next_contacts, engine.advance_with, advance):
+    chain = collision.find_contacts, collision.next_contacts, engine.advance_with, batched.find_touching
+    for function in (*chain, batched.describe_touching, advance):
         inner[function.py_func.__name__] = timed = _with_ticks(function.py_func, inner, numbers)
-    return timed, numbers, cycles
+    if advance is not batched.advance_together:
+        return timed, numbers, cycles
+
+    def alone(given, options, workspace, log):
+        shared = batched.make_shared(given.bodies.count, given.contacts, workspace.solver_bodies.dtype, 1)
+        return timed(given, options, workspace, log, shared, ALONE)
+
+    return alone, numbers, cycles
 
 
 def _ticker(address: int) -> Callable:
@@ -179,4 +190,4 @@ def measure(state: State, solver, timed, *, steps: int, repeats: int) -> dict:
 
 def timed_steps() -> dict[str, tuple]:
     """Name of one of `ENGINES` -> its timed step, sequential and by colours."""
-    return {"sequential": timed_step(engine.advance), "colours": timed_step(batched.advance_in_batches)}
+    return {"sequential": timed_step(engine.advance), "colours": timed_step(batched.advance_together)}

@@ -160,7 +160,7 @@ def test_impulses_are_carried_by_pair():
     old, new = some([(0, 1), (0, 7), (2, 3), (4, 5)]), some([(0, 2), (0, 7), (1, 3), (2, 3), (6, 8)])
     old.normal_impulse[:] = [1, 2, 3, 4]
     old.tangent_impulse[:] = [-1, -2, -3, -4]
-    carry_impulses(old, new)
+    carry_impulses(old, new, True)
     np.testing.assert_array_equal(new.normal_start, [0, 2, 0, 3, 0])
     np.testing.assert_array_equal(new.tangent_start, [0, -2, 0, -3, 0])
 

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
-from numba.extending import overload
+from numba import config, njit, types
+from numba.experimental import structref
 
 from deep_contact import validation
+from deep_contact.compiled.crew import Crew, share_of, together, wait
 from deep_contact.compiled.simd import (
     WIDTH,
     lane,
@@ -21,20 +22,33 @@ from deep_contact.compiled.simd import (
     store,
     store_rows,
 )
-from deep_contact.compiled.threads import at_most_threads
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics.batches import (
     BLOCKS,
     CIRCLES,
     PHASES,
-    TILES,
     empty_tiles,
     fill_tiles,
     make_plan,
     make_tiles,
     plan_batches,
+    store_block,
+    with_room,
+    write_block,
 )
-from deep_contact.physics.collision import make_cells, make_contacts, next_contacts, own_contacts
+from deep_contact.physics.collision import (
+    carry_impulses,
+    find_contacts,
+    first_contacts,
+    has_list,
+    hold,
+    make_cells,
+    make_contacts,
+    own_contacts,
+    some_contacts,
+    write_geometry,
+    write_near_pairs,
+)
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -46,15 +60,11 @@ from deep_contact.physics.contact_solver import (
     TANGENT,
     TANGENT_MASS,
     TARGET,
-    apply_impulses,
-    contact_rows,
-    integrate_positions,
     integrate_velocities,
-    make_rows,
-    move_surfaces,
-    store_impulses,
+    move,
+    stop_fast_circles,
 )
-from deep_contact.physics.convergence import is_over, mark_divergence
+from deep_contact.physics.convergence import all_finite, is_over
 from deep_contact.physics.position_correction import (
     correct_positions,
     correct_tiles,
@@ -67,6 +77,7 @@ from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.physics.step import log_step
+from deep_contact.state import Bodies
 
 ORDERS = ("levels", "colours")
 """Orders of the batches: see `physics.batches`."""
@@ -97,14 +108,7 @@ class BatchedPGS(PGS):
 
 
 class BatchSettings(NamedTuple):
-    """Settings of `BatchedPGS` on one thread. colours: order by colours; otherwise by levels."""
-
-    tolerance: float
-    colours: bool
-
-
-class ThreadSettings(NamedTuple):
-    """Settings of `BatchedPGS` with the blocks of a phase on several threads."""
+    """Settings of `BatchedPGS`. colours: order by colours; otherwise by levels."""
 
     tolerance: float
     colours: bool
@@ -149,175 +153,282 @@ def sweep_tiles(tiles, first, last, friction):
 
 
 @njit(cache=True)
-def correct_block(tiles, first, last, scales):
-    """A sweep of position correction over some tiles, in place. Returns the deepest separation, m."""
-    return correct_tiles(tiles.body, tiles.data, TARGET + 1, tiles.centre, first, last, scales)
+def share_of_phase(plan, p, crew):
+    """The places in `Plan.order`, first and after the last, of the blocks of a phase that this thread does.
 
-
-def sweep_batches(settings, plan, tiles, friction):
-    """One sweep over all tiles, in place, on threads if the settings say so. Returns θ."""
-    return _sweeper(type(settings))(settings, plan, tiles, friction)
-
-
-def correct_batches(settings, plan, tiles, scales):
-    """One sweep of position correction, likewise. Returns the deepest separation, m."""
-    return _corrector(type(settings))(settings, plan, tiles, scales)
-
-
-@overload(sweep_batches)
-def _overload_sweep_batches(settings, plan, tiles, friction):
-    return _sweeper(settings.instance_class)
-
-
-@overload(correct_batches)
-def _overload_correct_batches(settings, plan, tiles, scales):
-    return _corrector(settings.instance_class)
-
-
-def _sweeper(settings_type):
-    return _sweep_side_by_side if settings_type is ThreadSettings else _sweep_in_turn
-
-
-def _corrector(settings_type):
-    return _correct_side_by_side if settings_type is ThreadSettings else _correct_in_turn
-
-
-def _sweep_in_turn(settings, plan, tiles, friction):
-    theta = 0.0
-    for k in plan.order[: plan.count[BLOCKS]]:
-        theta = max(theta, sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction))
-    return theta
-
-
-def _correct_in_turn(settings, plan, tiles, scales):
-    deepest = 0.0
-    for k in plan.order[: plan.count[BLOCKS]]:
-        deepest = min(deepest, correct_block(tiles, plan.first[k], plan.first[k + 1], scales))
-    return deepest
-
-
-def _sweep_side_by_side(settings, plan, tiles, friction):
-    for p in range(plan.count[PHASES]):
-        sweep_phase(plan.order[plan.start[p] : plan.start[p + 1]], plan.first, plan.worst, tiles, friction)
-    theta = 0.0
-    for k in range(plan.count[BLOCKS]):
-        theta = max(theta, plan.worst[k])
-    return theta
-
-
-def _correct_side_by_side(settings, plan, tiles, scales):
-    for p in range(plan.count[PHASES]):
-        correct_phase(plan.order[plan.start[p] : plan.start[p + 1]], plan.first, plan.worst, tiles, scales)
-    deepest = 0.0
-    for k in range(plan.count[BLOCKS]):
-        deepest = min(deepest, plan.worst[k])
-    return deepest
-
-
-@njit(cache=True, parallel=True)
-def sweep_phase(blocks, first, theta, tiles, friction):
-    """Sweep these blocks, which share no circle, at the same time; fills their θ."""
-    for i in prange(blocks.shape[0]):
-        theta[blocks[i]] = sweep_tiles(tiles, first[blocks[i]], first[blocks[i] + 1], friction)
-
-
-@njit(cache=True, parallel=True)
-def correct_phase(blocks, first, deepest, tiles, scales):
-    """Position correction over these blocks, likewise; fills their deepest separations."""
-    for i in prange(blocks.shape[0]):
-        deepest[blocks[i]] = correct_block(tiles, first[blocks[i]], first[blocks[i] + 1], scales)
+    Neighbours in the list, so that threads share the circles of a few blocks: to get one that another core has changed
+    costs more than to relax a contact.
+    """
+    first, last = share_of(plan.start[p + 1] - plan.start[p], crew)
+    return plan.start[p] + first, plan.start[p] + last
 
 
 @njit(cache=True)
-def relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta):
-    """Projected Gauss-Seidel in batches, from and into the tiles, then the rows and velocities. Returns the sweeps."""
-    sweeps = theta.shape[0]
+def sweep_blocks(plan, tiles, friction, turn, crew):
+    """One sweep over all tiles, in place, by a crew. Returns θ. turn: 0 and 1 alternate.
+
+    Blocks of a phase share no circle, so that it does not matter which thread does which.
+    """
+    for p in range(plan.count[PHASES]):
+        first, last = share_of_phase(plan, p, crew)
+        for q in range(first, last):
+            k = plan.order[q]
+            plan.worst[k, turn] = sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction)
+        wait(crew)
+    theta = 0.0
+    for k in range(plan.count[BLOCKS]):
+        theta = max(theta, plan.worst[k, turn])
+    return theta
+
+
+@njit(cache=True)
+def correct_blocks(plan, tiles, scales, turn, crew):
+    """One sweep of position correction, likewise. Returns the deepest separation, m."""
+    for p in range(plan.count[PHASES]):
+        first, last = share_of_phase(plan, p, crew)
+        for q in range(first, last):
+            k = plan.order[q]
+            begin, end = plan.first[k], plan.first[k + 1]
+            plan.worst[k, turn] = correct_tiles(tiles.body, tiles.data, TARGET + 1, tiles.centre, begin, end, scales)
+        wait(crew)
+    deepest = 0.0
+    for k in range(plan.count[BLOCKS]):
+        deepest = min(deepest, plan.worst[k, turn])
+    return deepest
+
+
+@njit(cache=True)
+def relax_tiles(settings, plan, tiles, friction, theta, crew):
+    """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the sweeps."""
     for k in range(theta.shape[0]):
-        theta[k] = sweep_batches(settings, plan, tiles, friction)
+        theta[k] = sweep_blocks(plan, tiles, friction, k % 2, crew)
         if is_over(theta[k], settings.tolerance):
-            sweeps = k + 1
-            break
-    empty_tiles(plan, tiles, rows, solver_bodies)
-    return sweeps
+            return k + 1
+    return theta.shape[0]
 
 
 @njit(cache=True)
 def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
-    """The same for one solve, with a plan and tiles of its own."""
+    """The same for the rows of one solve, with a plan and tiles of its own."""
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
-    plan = plan_batches(rows.body, n, settings.colours, make_plan(n, m))
-    tiles = fill_tiles(
-        rows, solver_bodies, plan, make_tiles(n, plan.count[BLOCKS], plan.count[TILES], solver_bodies.dtype)
-    )
-    return relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta)
+    pairs = rows.body.astype(np.int64)
+    plan = plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, settings.colours, make_plan(n, m))
+    tiles = fill_tiles(rows, solver_bodies, plan, make_tiles(n, 1, 1, solver_bodies.dtype))
+    sweeps = relax_tiles(settings, plan, tiles, friction, theta, Crew(0, 1, np.zeros(1, np.int64)))
+    empty_tiles(plan, tiles, rows, solver_bodies)
+    return sweeps
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions_in_batches(settings, plan, tiles, bodies, box, scales, sweeps):
-    """`position_correction.correct_positions` over the tiles of the plan: in place, with the same stop."""
-    n = plan.count[CIRCLES]
-    fill_centres(bodies, tiles.centre)
-    for k in range(plan.count[BLOCKS]):
+def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps, crew):
+    """`position_correction.correct_positions` over the tiles of the plan, with the same stop.
+
+    mine: `Bodies` of this thread's share, which are moved in place.
+    """
+    n, (first, last) = plan.count[CIRCLES], share_of(plan.count[CIRCLES], crew)
+    fill_centres(mine, tiles.centre[first:last])
+    for k in range(crew.rank, plan.count[BLOCKS], crew.size):
         fill_ground(box, scales, tiles.centre[n + 5 * k : n + 5 * k + 5])
-    for _ in range(sweeps):
-        if correct_batches(settings, plan, tiles, scales) >= -POSITION_TOLERANCE * scales.slop:
+    wait(crew)
+    for k in range(sweeps):
+        if correct_blocks(plan, tiles, scales, k % 2, crew) >= -POSITION_TOLERANCE * scales.slop:
             break
-    take_centres(tiles.centre, bodies)
+    take_centres(tiles.centre[first:last], mine)
+
+
+_FIELDS = ("plan", "tiles", "solved", "contacts", "front", "back", "cells", "room", "told", "found")
+
+
+class _Shared:
+    """What a crew shares of a run. Rank 0 alone replaces it, between barriers, where it has become too small.
+
+    plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. front, back: buffers
+    for them. cells: `Cells`. room: `CorrectionRoom`. told: what a thread tells the others, (size, 8): whether a circle
+    of its share is fast, whether all are finite, whether there is a list of near pairs. found: pairs of its share that
+    touch, (size, 8).
+    """
+
+    def __init__(self, *values):
+        for name, value in zip(_FIELDS, values):
+            setattr(self, name, value)
+
+
+if config.DISABLE_JIT:
+    Shared = _Shared
+else:
+
+    @structref.register
+    class _SharedType(types.StructRef):
+        """Numba's type of a `Shared`."""
+
+        def preprocess_fields(self, fields):
+            return tuple((name, types.unliteral(kind)) for name, kind in fields)
+
+    class Shared(structref.StructRefProxy):
+        """`_Shared` for compiled code."""
+
+    structref.define_proxy(Shared, _SharedType, list(_FIELDS))
+
+
+@njit(cache=True)
+def make_shared(n, contacts, dtype, size):
+    """A `Shared` for n circles and a crew of that size, that starts from these contacts. dtype: of the sweeps."""
+    return Shared(
+        make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, dtype), contacts, contacts, make_contacts(4 * n + 64),
+        make_contacts(4 * n + 64), make_cells(n), make_correction_room(n, 0), np.zeros((size, 8), np.bool_),
+        np.zeros((size, 8), np.int64),
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def go_on(shared, contacts):
+    """Let the next steps start from these contacts, in place."""
+    shared.contacts = contacts
+
+
+@njit(cache=True)
+def own_results(shared):
+    """(Contacts solved last, contacts found) in memory of their own."""
+    return own_contacts(shared.solved), own_contacts(shared.contacts)
+
+
+@njit(cache=True)
+def some_bodies(bodies, first, last):
+    """The bodies from `first` to before `last`, as views."""
+    return Bodies(
+        bodies.position[first:last], bodies.velocity[first:last], bodies.angle[first:last], bodies.spin[first:last],
+        bodies.mass[first:last], bodies.radius[first:last],
+    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_in_batches(given, options, workspace, log):
-    """`engine.advance` for `BatchedPGS`: same arguments, same results; positions are corrected in batches as well."""
-    bodies, contacts, friction, settings = given.bodies, given.contacts, given.friction, options.settings
-    solver_bodies, theta = workspace.solver_bodies, workspace.theta
-    scales, segments = given.scales, given.segments
-    n = bodies.mass.shape[0]
-    cells = make_cells(n)
-    front_buffer, back_buffer = make_contacts(4 * n + 64), make_contacts(4 * n + 64)
-    row_buffer = make_rows(4 * n + 64, solver_bodies.dtype)
-    plan, tiles = make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, solver_bodies.dtype)
-    room = make_correction_room(n, 0)
-    solved = contacts
+def advance_together(given, options, workspace, log, shared, crew):
+    """`engine.advance` for `BatchedPGS`, by a crew; positions are corrected in batches as well.
+
+    Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
+    scenes with segments or fast circles need. The contacts are left in `shared`, a `Shared`.
+    """
+    bodies, settings, scales, segments, told = given.bodies, options.settings, given.scales, given.segments, shared.told
+    n, theta = bodies.mass.shape[0], workspace.theta
+    first, last = share_of(n, crew)
+    mine = some_bodies(bodies, first, last)
+    mine_a, mine_b = np.empty(4 * (last - first) + 64, np.int64), np.empty(4 * (last - first) + 64, np.int64)
     for k in range(log.contacts.shape[0]):
-        integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-        rows, row_buffer = contact_rows(
-            bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer
-        )
-        if segments.shape[0] > 0:
-            move_surfaces(contacts, segments, solver_bodies, rows)
-        apply_impulses(rows, solver_bodies)
-        plan = plan_batches(rows.body, n, settings.colours, plan)
-        tiles = fill_tiles(rows, solver_bodies, plan, tiles)
-        sweeps = relax_tiles(settings, plan, tiles, rows, friction, solver_bodies, theta)
-        mark_divergence(solver_bodies, theta, sweeps)
-        store_impulses(rows, contacts)
+        if crew.rank == 0:
+            contacts = shared.contacts
+            shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, settings.colours, shared.plan)
+            shared.tiles = with_room(shared.plan, shared.tiles)
+        wait(crew)
+        plan, tiles, contacts = shared.plan, shared.tiles, shared.contacts
         before = positions_before(bodies, segments)
-        integrate_positions(bodies, solver_bodies, given)
-        if segments.shape[0] > 0:
-            room = correct_positions(bodies, contacts, given.box, segments, scales, options.position_sweeps, room)
+        integrate_velocities(mine, given.gravity, given.dt, tiles.solver_bodies[first:last])
+        wait(crew)
+        write_blocks(given, contacts, plan, tiles, crew)
+        sweeps = relax_tiles(settings, plan, tiles, given.friction, theta, crew)
+        told[crew.rank, 1] = all_finite(tiles.solver_bodies[first:last])
+        store_blocks(plan, tiles, contacts, crew)
+        told[crew.rank, 0] = move(mine, tiles.solver_bodies[first:last], given)
+        wait(crew)
+        if told[:, 0].any():
+            if crew.rank == 0:
+                stop_fast_circles(bodies, given)
+            wait(crew)
+        if segments.shape[0] == 0:
+            correct_positions_in_batches(plan, tiles, mine, given.box, scales, options.position_sweeps, crew)
+            wait(crew)
+        if crew.rank == 0:
+            if sweeps > 0 and not told[:, 1].all():
+                theta[sweeps - 1] = np.nan
+            if segments.shape[0] > 0:
+                shared.room = correct_positions(
+                    bodies, contacts, given.box, segments, scales, options.position_sweeps, shared.room
+                )
+            shared.solved = contacts
+            log_step(log, k, contacts.body_a.shape[0], sweeps, theta, sweeps * contacts.body_a.shape[0])
+            hold(bodies, before, given.box, segments, scales.wall_skin, contacts)
+            told[0, 2] = segments.shape[0] == 0 and has_list(bodies.position, bodies.radius, shared.cells)
+        wait(crew)
+        if told[0, 2]:
+            mine_a, mine_b = find_touching(given, shared, mine_a, mine_b, crew)
+            describe_touching(given, options, shared, mine_a, mine_b, crew)
+            wait(crew)
+        elif crew.rank == 0:
+            where = bodies.position, bodies.radius, given.box, segments, scales.wall_skin
+            shared.contacts, buffer = find_contacts(*where, shared.cells, shared.back)
+            carry_impulses(contacts, shared.contacts, options.carry)
+            shared.back, shared.front = shared.front, buffer
+
+
+@njit(cache=True, error_model="numpy")
+def find_touching(given, shared, mine_a, mine_b, crew):
+    """The pairs of this thread's circles that touch, from the list of near ones, into `mine_a` and `mine_b`.
+
+    Returns these, larger ones if needed. `Shared.contacts` has room for the pairs of all threads then.
+    """
+    bodies, (begin, end) = given.bodies, share_of(given.bodies.mass.shape[0], crew)
+    where = bodies.position, bodies.radius, given.box, given.scales.wall_skin, shared.cells, begin, end
+    found = write_near_pairs(*where, mine_a, mine_b)
+    while found < 0:
+        mine_a, mine_b = np.empty(2 * mine_a.shape[0] + 64, np.int64), np.empty(2 * mine_b.shape[0] + 64, np.int64)
+        found = write_near_pairs(*where, mine_a, mine_b)
+    shared.found[crew.rank, 0] = found
+    wait(crew)
+    if crew.rank == 0:
+        m, buffer = shared.found[:, 0].sum(), shared.back
+        if m > buffer.body_a.shape[0]:
+            buffer = make_contacts(m + m // 2)
+        shared.contacts, shared.back, shared.front = first_contacts(buffer, m), shared.front, buffer
+    wait(crew)
+    return mine_a, mine_b
+
+
+@njit(cache=True, error_model="numpy")
+def describe_touching(given, options, shared, mine_a, mine_b, crew):
+    """Write this thread's pairs where they belong among the contacts, with their geometry and what they carry."""
+    bodies, skin = given.bodies, given.scales.wall_skin
+    before, count = shared.found[: crew.rank, 0].sum(), shared.found[crew.rank, 0]
+    contacts = some_contacts(shared.contacts, before, before + count)
+    for i in range(count):
+        contacts.body_a[i], contacts.body_b[i] = mine_a[i], mine_b[i]
+    write_geometry(bodies.position, bodies.radius, given.box, given.segments, skin, contacts)
+    carry_impulses(shared.solved, contacts, options.carry)
+
+
+@njit(cache=True, error_model="numpy")
+def write_blocks(given, contacts, plan, tiles, crew):
+    """`batches.write_block` of all blocks, phase by phase, since it changes velocities."""
+    for p in range(plan.count[PHASES]):
+        first, last = share_of_phase(plan, p, crew)
+        for q in range(first, last):
+            write_block(given, contacts, plan, tiles, plan.order[q])
+        wait(crew)
+
+
+@njit(cache=True)
+def store_blocks(plan, tiles, contacts, crew):
+    """`batches.store_block` of all blocks."""
+    first, last = share_of(plan.count[BLOCKS], crew)
+    for k in range(first, last):
+        store_block(plan, tiles, contacts, k)
+
+
+class _Run:
+    """`engine.advance` for a run on at most so many threads, and no more than there are cores: the same bits.
+
+    What one call has found out, memory and near pairs, serves the next.
+    """
+
+    def __init__(self, threads: int):
+        self._size, self._shared = min(threads, config.NUMBA_NUM_THREADS), None
+
+    def __call__(self, given, options, workspace, log):
+        """As `engine.advance`."""
+        if self._shared is None:
+            self._shared = make_shared(given.bodies.count, given.contacts, workspace.solver_bodies.dtype, self._size)
         else:
-            correct_positions_in_batches(settings, plan, tiles, bodies, given.box, scales, options.position_sweeps)
-
-        solved = contacts
-        contacts, back_buffer = next_contacts(
-            bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
-        )
-        front_buffer, back_buffer = back_buffer, front_buffer
-        log_step(log, k, solved.body_a.shape[0], sweeps, theta, sweeps * solved.body_a.shape[0])
-    return own_contacts(solved), own_contacts(contacts)
-
-
-def _advance(solver: BatchedPGS):
-    if solver.threads == 1:
-        return advance_in_batches
-
-    def advance_in_parallel(given, options, workspace, log):
-        """`advance_in_batches` with the blocks of a phase on at most so many threads: the same bits."""
-        parallel = options._replace(settings=ThreadSettings(*options.settings))
-        with at_most_threads(solver.threads):
-            return advance_in_batches(given, parallel, workspace, log)
-
-    return advance_in_parallel
+            go_on(self._shared, given.contacts)
+        together(self._size, advance_together, given, options, workspace, log, self._shared)
+        return own_results(self._shared)
 
 
 def _settings(solver: BatchedPGS) -> BatchSettings:
@@ -327,9 +438,6 @@ def _settings(solver: BatchedPGS) -> BatchSettings:
 register(
     BatchedPGS,
     _settings,
-    (
-        Loop(BatchSettings, relax_in_batches, frictionless=False),
-        Loop(ThreadSettings, relax_in_batches, frictionless=False),
-    ),
-    advance=_advance,
+    (Loop(BatchSettings, relax_in_batches, frictionless=False),),
+    advance=lambda solver: _Run(solver.threads),
 )

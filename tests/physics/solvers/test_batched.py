@@ -5,6 +5,7 @@ import pytest
 from conftest import momentum
 
 import deep_contact as dc
+from deep_contact.compiled.crew import ALONE
 from deep_contact.physics import batches, contact_solver, engine, position_correction
 from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.physics.solvers import batched
@@ -22,8 +23,7 @@ def pile():
 def plan_of(state, order):
     """The plan of a state's contacts."""
     n, m = state.bodies.count, state.contacts.count
-    body = np.column_stack([state.contacts.body_a, state.contacts.body_b]).astype(np.uint32)
-    return batches.plan_batches(body, n, order == "colours", batches.make_plan(n, m))
+    return batches.plan_batches(*state.contacts[:2], n, order == "colours", batches.make_plan(n, m))
 
 
 def circles_of(state, contacts):
@@ -154,9 +154,7 @@ def test_positions_are_corrected_as_contact_by_contact(pile):
         deep, state.contacts, solver_bodies, 0.0, 1.0, contact_solver.make_rows(0, solver_bodies.dtype)
     )
     tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1, solver_bodies.dtype))
-    batched.correct_positions_in_batches(
-        batched.BatchSettings(0.0, False), plan, tiles, found, state.world.box, state.scales, 3
-    )
+    batched.correct_positions_in_batches(plan, tiles, found, state.world.box, state.scales, 3, ALONE)
     assert np.abs(expected.position - deep.position).max() > 0.05
     np.testing.assert_array_equal(found.position, expected.position)
 
