@@ -33,6 +33,7 @@ from deep_contact.state import (
     LIMITS,
     SINGLE_LIMITS,
     Bodies,
+    Contacts,
     State,
     StateWithContacts,
     check_limits,
@@ -272,7 +273,7 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     still = np.zeros(state.bodies.count if sleep else 0)
     scales = state.scales  # of radii that do not change in a run
     solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision])
-    frames = [state]
+    frames = [] if record is None else [state]
     done = 0
     while done < steps:
         work = max(1, state.contacts.count) * (solver.sweeps + 20)
@@ -291,6 +292,8 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
                 tangent_impulse=contacts.tangent_impulse.copy(),
             ),
         )
+        if on_step is None:
+            before = contacts = normal = tangent = None  # a million circles have 200 MB of them
         given = step_input(state, options.settings, scales)
         workspace = StepWorkspace(solver_bodies, theta, still)
         chunk = StepLog(*(column[done : done + count] for column in log))
@@ -299,12 +302,13 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
             _raise_diverged(state.bodies, state.step + count)
         if on_step is not None:
             convergence = convergence_record(theta[: chunk.sweeps[0]], solver, int(chunk.contacts[0]))
+            solved = Contacts(*(field.copy() for field in solved))
             on_step(before.replace(contacts=solved, solved=True), convergence)
         done += count
         number = state.step + count
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
         time = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
-        state = state.replace(contacts=found, time=time, step=number, solved=False)
+        state, given, solved = state.replace(contacts=found, time=time, step=number, solved=False), None, None
         if record is not None and (done % every == 0 or done == steps):
             frames.append(state)
     return state, log, frames

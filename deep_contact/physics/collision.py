@@ -94,18 +94,18 @@ def make_cells(n):
     """Buffers of the broad phase over n circles."""
     return Cells(
         np.empty(8 * n + 1000, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
-        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int64), np.full(3, -1),
-        np.empty(n, np.int64), np.empty((LEVELS, 6)), np.empty((8 * n + 40, 2), np.int64), np.empty(1),
+        np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int32), np.full(3, -1),
+        np.empty(n, np.int64), np.empty((LEVELS, 6)), np.empty((8 * n + 40, 2), np.int32), np.empty(1),
     )  # fmt: skip
 
 
 @njit(cache=True)
 def make_contacts(capacity):
-    """A buffer of contacts; impulses and starts are zero."""
+    """A buffer of contacts. Nothing is written into it: memory that is not touched costs nothing."""
     m = capacity
     return Contacts(
         np.empty(m, np.int64), np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2)), np.empty(m),
-        np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m),
+        np.empty(m), np.empty(m), np.empty(m), np.empty(m),
     )  # fmt: skip
 
 

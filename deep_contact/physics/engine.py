@@ -76,13 +76,14 @@ class StepMemory(NamedTuple):
 def advance(given, options, workspace, log):
     """Do as many steps as the log has rows: the bodies move in place. Returns (contacts solved last, contacts found).
 
+    The contacts solved last are for reading only: they may lie in memory that the next steps write into.
     given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`.
     log: `StepLog`, filled.
     """
     n = given.bodies.mass.shape[0]
     memory, buffer = make_memory(n, workspace.solver_bodies.dtype, given.friction), make_contacts(4 * n + 64)
     solved, found = advance_with(memory, buffer, given, options, workspace, log)
-    return own_contacts(solved), own_contacts(found)
+    return solved, own_contacts(found)
 
 
 @njit(cache=True)
@@ -145,7 +146,7 @@ class AdvanceKeepingMemory:
             memory = make_memory(n, workspace.solver_bodies.dtype, given.friction)
             self._memory[with_tangents] = memory, make_contacts(4 * n + 64)
         solved, found = advance_with(*self._memory[with_tangents], given, options, workspace, log)
-        return own_contacts(solved), own_contacts(found)
+        return solved, own_contacts(found)
 
 
 @njit(cache=True, error_model="numpy")
@@ -305,7 +306,10 @@ def contacts_of(state: State) -> Contacts:
     bodies, world = native(state).bodies, state.world
     where = bodies.position, bodies.radius, world.box, segments_of(world), state.scales.wall_skin
     contacts, _ = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
-    return own_contacts(contacts)
+    contacts = own_contacts(contacts)
+    for values in contacts[5:]:
+        values[:] = 0.0
+    return contacts
 
 
 def solve(
@@ -362,8 +366,8 @@ def _solve_by_stepping(state: State, solver, normal_start, tangent_start) -> Con
     workspace = StepWorkspace(problem.solver_bodies, theta, np.empty(0))
     solved, _ = advance_softly(step_input(state, options.settings), options, workspace, log)
     return ContactSolution(
-        normal_impulses=solved.normal_impulse,
-        tangent_impulses=solved.tangent_impulse,
+        normal_impulses=solved.normal_impulse.copy(),
+        tangent_impulses=solved.tangent_impulse.copy(),
         velocities=bodies.velocity,
         angular_velocities=bodies.spin,
         record=convergence_record(theta[: log.sweeps[0]], solver, contacts.count),

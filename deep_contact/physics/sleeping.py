@@ -85,7 +85,7 @@ def advance_sleeping(given, options, workspace, log):
         front_buffer, back_buffer = back_buffer, front_buffer
         awake = wake_and_put_to_sleep(bodies, contacts, segments, given.dt, scales, parent, shortest, still)
         log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
-    return own_contacts(solved), own_contacts(contacts)
+    return solved, own_contacts(contacts)
 
 
 @njit(cache=True)

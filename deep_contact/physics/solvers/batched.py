@@ -287,9 +287,9 @@ def go_on(shared, contacts):
 
 
 @njit(cache=True)
-def own_results(shared):
-    """(Contacts solved last, contacts found) in memory of their own."""
-    return own_contacts(shared.solved), own_contacts(shared.contacts)
+def results_in(shared):
+    """What `engine.advance` returns."""
+    return shared.solved, own_contacts(shared.contacts)
 
 
 @njit(cache=True)
@@ -428,7 +428,7 @@ class _Run:
         else:
             go_on(self._shared, given.contacts)
         together(self._size, advance_together, given, options, workspace, log, self._shared)
-        return own_results(self._shared)
+        return results_in(self._shared)
 
 
 def _settings(solver: BatchedPGS) -> BatchSettings:

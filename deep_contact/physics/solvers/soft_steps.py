@@ -166,7 +166,7 @@ def advance_softly(given, options, workspace, log):
         front_buffer, back_buffer = back_buffer, front_buffer
         count = solved.body_a.shape[0]
         log_step(log, k, count, 2 * substeps, theta, 2 * substeps * count)
-    return own_contacts(solved), own_contacts(contacts)
+    return solved, own_contacts(contacts)
 
 
 @njit(cache=True)
