@@ -121,6 +121,17 @@ def stages() -> list[list]:
     return rows
 
 
+def runs() -> list[list]:
+    """Microseconds of a step as users run it, by every method, and the memory of a run."""
+    data = stored("benchmark_step")["data"]
+    rows = [["pile", *data["runs"][0]["us"], "memory, MB"]]
+    for run in data["runs"]:
+        memory = data["memory_mb"].get(str(run["n_bodies"]))
+        cells = [f"{us:,.1f}" if us < 1e3 else f"{us:,.0f}" for us in run["us"].values()]
+        rows.append([f"{run['n_bodies']:,} {run['kind']}", *cells, f"{memory:,.0f}" if memory else "–"])
+    return rows
+
+
 def outside() -> list[list]:
     """Every method on every problem of others."""
     return others.table(stored("benchmark_outside"))
@@ -201,7 +212,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-_MADE = (learned, engine, stages, outside, disks, relaxation, transfer, tried, presets, figures)
+_MADE = (learned, engine, stages, runs, outside, disks, relaxation, transfer, tried, presets, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True),

@@ -69,10 +69,15 @@ def timed_step(advance: Callable) -> tuple[Callable, dict[str, int], np.ndarray]
     cycles = np.zeros(len(STAGES), np.int64)
     tick = _ticker(cycles.ctypes.data)
     inner: dict[str, Callable] = {"_tick": tick}
-    chain = collision.find_contacts, collision.next_contacts, engine.advance_with, batched.find_touching
-    for function in (*chain, batched.describe_touching, advance):
+    by_a_crew = advance is batched.advance_together
+    chain = (
+        (batched.find_touching, batched.describe_touching)
+        if by_a_crew
+        else (collision.next_contacts, engine.advance_with)
+    )
+    for function in (collision.find_contacts, *chain, advance):
         inner[function.py_func.__name__] = timed = _with_ticks(function.py_func, inner, numbers)
-    if advance is not batched.advance_together:
+    if not by_a_crew:
         return timed, numbers, cycles
 
     def alone(given, options, workspace, log):
@@ -147,7 +152,8 @@ def bandwidth(size: int, repeats: int = 5) -> float:
 
 
 def measure(state: State, solver, timed, *, steps: int, repeats: int) -> dict:
-    """Nanoseconds a circle and step: of each stage with its floor, of all stages, and of the fastest whole run.
+    """Nanoseconds a circle and step: of each stage that was reached with its floor, of all stages, and of the fastest
+    whole run.
 
     The time of a stage is its least of the repeats, since other programs disturb one stage or another in every run.
     state: with contacts. timed: of `timed_step`. floor: from the bytes of `STAGES` at the bandwidth of the cache that
@@ -178,6 +184,8 @@ def measure(state: State, solver, timed, *, steps: int, repeats: int) -> dict:
     rate = bandwidth(int(sum(n * of_n + contacts * of_m for of_n, of_m in STAGES.values())))
     stages = {}
     for stage, k in numbers.items():
+        if shortest[k] == 0:
+            continue
         of_n, of_m = STAGES[stage]
         times = sweeps if stage in SWEPT else 1.0
         stages[stage] = {

@@ -1,0 +1,51 @@
+"""Crews: what a thread writes before a barrier is there for the others after it, and shares cover everything once."""
+
+import numpy as np
+import pytest
+from numba import config, njit
+
+from deep_contact.compiled.crew import ALONE, Crew, share_of, together, wait
+
+needs_threads = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="a crew of one without the compiler")
+
+
+@njit(nogil=True)
+def pass_on(values, rounds, crew):
+    """Each thread adds to its number that of its neighbour, as it was in the round before."""
+    for k in range(rounds):
+        old, new = values[k % 2], values[(k + 1) % 2]
+        new[crew.rank] = old[crew.rank] + old[(crew.rank + 1) % crew.size]
+        wait(crew)
+    return crew.rank
+
+
+@needs_threads
+@pytest.mark.parametrize("size", [1, 2, 3])
+def test_nobody_runs_ahead_of_a_barrier(size):
+    rounds, values = 60, np.zeros((2, size), np.int64)
+    values[0] = np.arange(size) + 1
+    expected = values[0].copy()
+    for _ in range(rounds):
+        expected = expected + np.roll(expected, -1)
+    assert together(size, pass_on, values, rounds) == 0
+    np.testing.assert_array_equal(values[rounds % 2], expected)
+
+
+@needs_threads
+def test_an_error_of_a_thread_is_raised():
+    @njit(nogil=True)
+    def fail(crew):
+        if crew.rank == 1:
+            raise ZeroDivisionError
+        return 0
+
+    with pytest.raises(ZeroDivisionError):
+        together(2, fail)
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 7, 1000])
+@pytest.mark.parametrize("size", [1, 2, 3, 8])
+def test_shares_cover_everything_once(count, size):
+    shares = [share_of(count, Crew(rank, size, ALONE.board)) for rank in range(size)]
+    assert [k for first, last in shares for k in range(first, last)] == list(range(count))
+    assert max(last - first for first, last in shares) - min(last - first for first, last in shares) <= 1
