@@ -1,5 +1,7 @@
 """The interface of the engine: a changed time step, and what callers may hand over."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -44,7 +46,7 @@ def test_the_same_time_step_changes_no_bit(pile):
         (lambda: dc.World(gravity=-9.81), r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
         (lambda: dc.circles_in_box(5, radius=1.0), r"radius: expected finite 0 < smallest <= largest, .* got 1.0"),
         (lambda: dc.circles_in_box(5, radius=(1, 1, 2)), r"radius: .* got \(1, 1, 2\)"),
-        (lambda: dc.circles_in_box(400), r"n_bodies: .* size=71 has room for all, and dc.lattice_in_box"),
+        (lambda: dc.circles_in_box(400), r"n_bodies: .* size=93 has room for all, and dc.lattice_in_box"),
         (lambda: dc.simulate(dc.column(2), dt=-1.0), "dt: expected a finite number > 0, got -1.0"),
     ],
 )
@@ -53,8 +55,14 @@ def test_what_does_not_fit_gets_a_sentence(call, message):
         call()
 
 
-def test_the_suggested_size_has_room():
-    assert dc.circles_in_box(400, size=71).bodies.count == 400
+@pytest.mark.parametrize(
+    ("n", "options"), [(400, {}), (900, {}), (150, {"sigma_coef": 0.5}), (400, {"sigma_coef": 9.0})]
+)
+def test_the_suggested_size_has_room(n, options):
+    with pytest.raises(ValueError, match="has room for all") as refusal:
+        dc.circles_in_box(n, size=20, **options)
+    size = float(re.search("size=([0-9.]+)", str(refusal.value))[1])
+    assert dc.circles_in_box(n, size=size, **options).bodies.count == n
 
 
 def test_a_recorded_run_keeps_one_state_in_so_many_steps_and_the_last():
