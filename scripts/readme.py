@@ -18,6 +18,7 @@ from deep_contact.recommendation import PRESETS
 from deep_contact.reporting import errata, results
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing
+from deep_contact.studies import mujoco_piles
 from deep_contact.studies import outside as others
 from deep_contact.studies.run_errors import ERRORS
 
@@ -142,6 +143,16 @@ def relaxation() -> list[list]:
     return others.relaxation_table(stored("benchmark_outside"))
 
 
+def mujoco() -> list[list]:
+    """A step of settling piles in ours and in MuJoCo, and what comes out."""
+    return mujoco_piles.table(stored("benchmark_outside")["mujoco"])
+
+
+def starts() -> list[list]:
+    """What starts are worth to every solver along a sequence."""
+    return others.starts_table(stored("benchmark_starts"))
+
+
 def transfer() -> list[list]:
     """Times of the transfer and of state files."""
     case, files = stored("benchmark_transfer"), stored("benchmark_state_xml")
@@ -201,7 +212,7 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-_MADE = (learned, engine, stages, outside, disks, relaxation, transfer, tried, presets, figures)
+_MADE = (learned, engine, stages, outside, disks, relaxation, mujoco, starts, transfer, tried, presets, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True),
