@@ -62,14 +62,15 @@ def impulses(solution) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sides", type=int, nargs="+", default=[32], help="discs along a side of the block")
-    parser.add_argument("--sweeps", type=int, default=20, help="of ours")
+    parser.add_argument("--sweeps", type=int, default=40, help="of ours")
+    parser.add_argument("--omega", type=float, default=1.5, help="over-relaxation of ours, of normals and friction")
     parser.add_argument("--steps", type=int, default=2000, help="of the run")
     parser.add_argument("--every", type=int, default=250, help="steps between the states that are looked at")
     parser.add_argument("--repeats", type=int, default=5, help="timed runs in turns; the least counts")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     arguments = parser.parse_args()
     started = time.perf_counter()
-    solver = dc.PSOR(omega=1.75, friction_omega=1.45, sweeps=arguments.sweeps, tolerance=None)
+    solver = dc.PSOR(omega=arguments.omega, friction_omega=arguments.omega, sweeps=arguments.sweeps, tolerance=None)
     rival, missing = None, None
     try:
         rival = outside.siconos("NSGS", 1e-2)
@@ -88,7 +89,12 @@ def main() -> None:
             print(f"{side}² discs, step {row['step']}, {row['contacts']} contacts: {'; '.join(cells)}; "
                   f"reference {row['reference_residual']:.1g} m/s", flush=True)  # fmt: skip
         found[str(side)] = rows
-    options = {"sweeps": arguments.sweeps, "every": arguments.every, "repeats": arguments.repeats}
+    options = {
+        "omega": arguments.omega,
+        "sweeps": arguments.sweeps,
+        "every": arguments.every,
+        "repeats": arguments.repeats,
+    }
     made = results.provenance(seed=0, wall_s=time.perf_counter() - started)
     found = {"options": options, "provenance": made, "missing": missing, "sides": found}
     path = write_json(arguments.out / "benchmark_disks.json", found)
