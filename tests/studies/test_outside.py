@@ -105,7 +105,8 @@ def test_piles_in_mujoco_are_compared():
 def test_a_second_run_keeps_its_own_times_of_what_both_have():
     times = {"p": {"ours": 1.0, "Siconos": 3.0}}
     first = {
-        "contacts": {"p": 4}, "tolerance": 1e-4, "seconds": times, "error": times, "profile": {"ours": [], "Siconos": []},
+        "contacts": {"p": 4}, "tolerance": 1e-4, "seconds": times, "error": times,
+        "profile": {"ours": [], "Siconos": []},
         "missing": {"pinocchio": "no module", "other": "no module"}, "provenance": {},
     }  # fmt: skip
     times = {"p": {"ours": 2.0, "pinocchio": 5.0}}
@@ -113,7 +114,7 @@ def test_a_second_run_keeps_its_own_times_of_what_both_have():
     both = outside.with_second_run(first, second)
     assert both["seconds"]["p"] == {"ours": 1.0, "Siconos": 3.0, "ours, again": 2.0, "pinocchio": 5.0}
     assert both["missing"] == {"other": "no module"}
-    with pytest.raises(ValueError, match="tolerance: expected 0.0001 as in the first run, got 0.1"):
+    with pytest.raises(ValueError, match=r"tolerance: expected 0\.0001 as in"):
         outside.with_second_run(first, second | {"tolerance": 0.1})
 
 
