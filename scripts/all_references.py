@@ -32,7 +32,7 @@ STUDIES = {
 }
 """File of data/reference -> the script and options that write it; the path follows."""
 
-ELSEWHERE = ("benchmark_disks", "benchmark_outside", "fuzz")
+ELSEWHERE = ("benchmark_disks", "benchmark_outside", "benchmark_starts", "fuzz")
 """Files that need problems and solvers of others (docs/outside.md says which), and one that several runs fill."""
 
 

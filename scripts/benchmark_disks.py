@@ -26,20 +26,21 @@ from deep_contact.simulation import ready
 from deep_contact.studies import outside
 
 
-def measure(state, solver, rival, repeats: int, steps: int = 10) -> dict:
-    """Seconds and errors of ours and of the rival (None without it) at one state."""
+def measure(state, solvers, rival, repeats: int, steps: int = 10) -> dict:
+    """Seconds and errors of ours, by name, and of the rival (None without it) at one state."""
     state = ready(state)
     problem = check_problem(contact_problem(state))
     start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
     near = dc.solve_contacts(state, solver=dc.NNCG(sweeps=20_000, tolerance=1e-12))
     exact = dc.solve_exactly(state, near.normal_impulses, near.tangent_impulses).solution
     reference = min((impulses(one) for one in (near, exact)), key=lambda found: natural_residual(problem, found))
-    solved = {"ours": impulses(dc.solve_contacts(state, solver=solver))}
-    seconds = {"ours": np.inf}
+    solved = {name: impulses(dc.solve_contacts(state, solver=solver)) for name, solver in solvers.items()}
+    seconds = dict.fromkeys(solvers, np.inf)
     for _ in range(repeats):
-        begin = time.process_time()
-        dc.simulate(state, steps=steps, solver=solver)
-        seconds["ours"] = min(seconds["ours"], (time.process_time() - begin) / steps)
+        for name, solver in solvers.items():
+            begin = time.process_time()
+            dc.simulate(state, steps=steps, solver=solver)
+            seconds[name] = min(seconds[name], (time.process_time() - begin) / steps)
         if rival is not None:
             begin = time.process_time()
             solved["Siconos"] = rival(problem, start)
@@ -62,14 +63,21 @@ def impulses(solution) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sides", type=int, nargs="+", default=[32], help="discs along a side of the block")
-    parser.add_argument("--sweeps", type=int, default=20, help="of ours")
+    parser.add_argument("--sweeps", type=int, nargs="+", default=[40], help="of ours; the run takes the first")
+    parser.add_argument("--omega", type=float, default=1.5, help="over-relaxation of ours, of normals and friction")
     parser.add_argument("--steps", type=int, default=2000, help="of the run")
     parser.add_argument("--every", type=int, default=250, help="steps between the states that are looked at")
     parser.add_argument("--repeats", type=int, default=5, help="timed runs in turns; the least counts")
     parser.add_argument("--out", type=Path, default=Path("build/results"), help="folder of the results")
     arguments = parser.parse_args()
     started = time.perf_counter()
-    solver = dc.PSOR(omega=1.75, friction_omega=1.45, sweeps=arguments.sweeps, tolerance=None)
+    solvers = {
+        f"ours, {sweeps} sweeps": dc.PSOR(
+            omega=arguments.omega, friction_omega=arguments.omega, sweeps=sweeps, tolerance=None
+        )
+        for sweeps in arguments.sweeps
+    }
+    first = next(iter(solvers.values()))
     rival, missing = None, None
     try:
         rival = outside.siconos("NSGS", 1e-2)
@@ -80,15 +88,20 @@ def main() -> None:
     for side in arguments.sides:
         state, rows = dc.bench_disks(side), []
         for _ in range(arguments.steps // arguments.every):
-            state = dc.simulate(state, steps=arguments.every, solver=solver).state
-            rows.append(measure(state, solver, rival, arguments.repeats))
+            state = dc.simulate(state, steps=arguments.every, solver=first).state
+            rows.append(measure(state, solvers, rival, arguments.repeats))
             row = rows[-1]
             cells = [f"{name} {1e3 * row['seconds'][name]:.3g} ms, velocities {row['velocity_error'][name]:.2g}, "
                      f"Siconos's error {row['siconos_error'][name]:.2g}" for name in row["seconds"]]  # fmt: skip
             print(f"{side}² discs, step {row['step']}, {row['contacts']} contacts: {'; '.join(cells)}; "
                   f"reference {row['reference_residual']:.1g} m/s", flush=True)  # fmt: skip
         found[str(side)] = rows
-    options = {"sweeps": arguments.sweeps, "every": arguments.every, "repeats": arguments.repeats}
+    options = {
+        "omega": arguments.omega,
+        "sweeps": arguments.sweeps,
+        "every": arguments.every,
+        "repeats": arguments.repeats,
+    }
     made = results.provenance(seed=0, wall_s=time.perf_counter() - started)
     found = {"options": options, "provenance": made, "missing": missing, "sides": found}
     path = write_json(arguments.out / "benchmark_disks.json", found)

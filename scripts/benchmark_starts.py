@@ -5,17 +5,21 @@
 
 `write` runs a pile by PGS with as many sweeps as a user's run takes and writes every step from `--first` on as an FCLIB
 file whose guess is what the run carried. `score` solves them from each start with every solver that can be imported; a
-start of your own is a function of (problem, carried impulses (2 m,)) that returns impulses (2 m,).
+start of your own is a function of (problem, carried impulses (2 m,)) that returns impulses (2 m,). Solvers that need
+another environment are added by a second run with --add and --only there, with one of ours in both.
 """
 
 from __future__ import annotations
 
 import argparse
 import importlib
+import json
+import time
 from pathlib import Path
 
 import deep_contact as dc
 from deep_contact.io.files import write_json
+from deep_contact.reporting import results
 from deep_contact.studies import outside
 from deep_contact.studies.comparison import solved_states
 
@@ -37,15 +41,26 @@ def score(arguments) -> None:
     for name in arguments.start:
         module, _, function = name.partition(":")
         starts[name] = getattr(importlib.import_module(module), function)
-    found = outside.score_starts(arguments.folder, starts, tolerance=arguments.tolerance)
-    print("| solver | " + " | ".join(starts) + " |\n| --- " + "| --- " * len(starts) + "|")
-    for solver, row in found.items():
-        cells = [
-            f"{1e3 * cell['seconds'] / cell['steps']:.3g} ms, {cell['unsolved']} unsolved" for cell in row.values()
-        ]
-        print(f"| {solver} | " + " | ".join(cells) + " |")
-    result = {"tolerance": arguments.tolerance, "solvers": found, "missing": outside.methods(1.0)[1]}
-    print(f"written: {write_json(arguments.out / 'benchmark_starts.json', result)}")
+    begin, path = time.perf_counter(), arguments.out / "benchmark_starts.json"
+    solvers, missing = outside.methods(arguments.tolerance)
+    solvers = {name: solve for name, solve in solvers.items() if name in (arguments.only or solvers)}
+    found = {
+        "tolerance": arguments.tolerance,
+        "sequence": json.loads((arguments.folder / "sequence.json").read_text(encoding="utf-8")),
+        "solvers": outside.score_starts(arguments.folder, starts, tolerance=arguments.tolerance, solvers=solvers),
+        "missing": missing,
+    }
+    found["provenance"] = results.provenance(seed=0, wall_s=time.perf_counter() - begin)
+    if arguments.add:
+        first = json.loads(path.read_text(encoding="utf-8"))
+        found = first | {
+            "solvers": outside.with_again(first["solvers"], found["solvers"]),
+            "missing": {name: why for name, why in first["missing"].items() if name not in solvers},
+            "second_provenance": found["provenance"],
+        }
+    for row in outside.starts_table(found):
+        print("| " + " | ".join(row) + " |")
+    print(f"written: {write_json(path, found)}")
 
 
 def main() -> None:
@@ -60,6 +75,8 @@ def main() -> None:
     scorer.add_argument("--out", type=Path, default=Path("build/results"))
     scorer.add_argument("--start", nargs="*", default=[])
     scorer.add_argument("--tolerance", type=float, default=1e-4)
+    scorer.add_argument("--only", nargs="*", default=[], metavar="SOLVER", help="as the table names them")
+    scorer.add_argument("--add", action="store_true", help="add the solvers to the results that --out has")
     for command in (writer, scorer):
         command.add_argument("folder", type=Path)
     arguments = parser.parse_args()

@@ -18,6 +18,7 @@ from deep_contact.recommendation import PRESETS
 from deep_contact.reporting import errata, results
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing
+from deep_contact.studies import mujoco_piles
 from deep_contact.studies import outside as others
 from deep_contact.studies.run_errors import ERRORS
 
@@ -139,18 +140,29 @@ def outside() -> list[list]:
 
 def disks() -> list[list]:
     """A step of Siconos's bench-disks: ours whole, and Siconos's solver alone."""
-    rows = [["discs", "step", "contacts", "ours, ms", "Siconos, ms", "velocity error, ours", "Siconos"]]
+    rows = []
     for side, states in stored("benchmark_disks")["sides"].items():
         for state in states:
-            times = [1e3 * state["seconds"][name] for name in ("ours", "Siconos")]
-            errors = [state["velocity_error"][name] for name in ("ours", "Siconos")]
-            rows.append([f"{side}²", state["step"], f"{state['contacts']:,}", *times, *(f"{e:.2g}" for e in errors)])
-    return rows
+            errors = state["velocity_error"]
+            cells = [f"{1e3 * seconds:.3g} ms, {errors[name]:.2g}" for name, seconds in state["seconds"].items()]
+            residual = f"{state['reference_residual']:.0e}"
+            rows.append([f"{side}²", state["step"], f"{state['contacts']:,}", *cells, residual])
+    return [["discs", "step", "contacts", *errors, "reference's residual, m/s"], *rows]
 
 
 def relaxation() -> list[list]:
     """Errors of the convex relaxation, by pile and μ."""
     return others.relaxation_table(stored("benchmark_outside"))
+
+
+def mujoco() -> list[list]:
+    """A step of settling piles in ours and in MuJoCo, and what comes out."""
+    return mujoco_piles.table(stored("benchmark_outside")["mujoco"])
+
+
+def starts() -> list[list]:
+    """What starts are worth to every solver along a sequence."""
+    return others.starts_table(stored("benchmark_starts"))
 
 
 def transfer() -> list[list]:
@@ -212,7 +224,9 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
-_MADE = (learned, engine, stages, runs, outside, disks, relaxation, transfer, tried, presets, figures)
+_MADE = (
+    learned, engine, stages, runs, outside, disks, relaxation, mujoco, starts, transfer, tried, presets, figures,
+)  # fmt: skip
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True),

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from heapq import heappop, heappush
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -53,28 +54,24 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
     move = bodies.position - start
     if not math.isfinite(start.sum() + move.sum()):
         return  # the caller of the run says so
-    longest = 0.0
     fast = np.empty(n, np.bool_)
     for i in range(n):
-        length = math.sqrt(move[i, 0] * move[i, 0] + move[i, 1] * move[i, 1])
-        longest = max(longest, length)
-        fast[i] = length > FAST * bodies.radius[i]
-    cells = make_cells(n)
-    grid = sort_into_cells(start, bodies.radius, cells, 2.0 * longest)
+        fast[i] = move[i, 0] * move[i, 0] + move[i, 1] * move[i, 1] > (FAST * bodies.radius[i]) ** 2
+    swept = _sort_swept(start, move, bodies.radius)
     stop = np.ones(n)
     when = np.full(n, np.inf)
     path = (start, move, stop, bodies.radius, box, segments, scales)
     queue = [(np.inf, NOTHING)]  # of (time, circle); one whose time has changed since is passed over
     for i in range(n):
         if fast[i]:
-            when[i], _ = _first_touch(i, 0.0, path, cells, grid)
+            when[i], _ = _first_touch(i, 0.0, path, swept)
             heappush(queue, (when[i], i))
     while queue[0][0] <= 1.0:
         expected, i = heappop(queue)
         if when[i] != expected:
             continue
         # Others may have stopped since this was found: it is looked for again, and later if it is not the same.
-        time, other = _first_touch(i, when[i], path, cells, grid)
+        time, other = _first_touch(i, when[i], path, swept)
         if time > when[i] + 1e-12:
             when[i] = time
             heappush(queue, (time, i))
@@ -82,12 +79,65 @@ def stop_fast(bodies, start, gravity, dt, box, segments, scales):
         for k in (i, other):
             if 0 <= k < n and stop[k] == 1.0:
                 stop[k], when[k] = time, np.inf
-                _tell_neighbours(k, time, path, cells, grid, fast, when, queue)
+                _tell_neighbours(k, time, path, swept, fast, when, queue)
     for i in range(n):
         if stop[i] < 1.0:
             for axis in range(2):
                 bodies.position[i, axis] = start[i, axis] + stop[i] * move[i, axis]
             take_back_fall(bodies.velocity[i], (1.0 - stop[i]) * dt, gravity)
+
+
+class Swept(NamedTuple):
+    """The broad phase: boxes around the paths of circles in a step, sorted into cells by their middles."""
+
+    start: np.ndarray  # of `Cells`
+    order: np.ndarray  # of `Cells`
+    cell: np.ndarray  # of `Cells`
+    box: np.ndarray  # (n, 4): x_min, x_max, y_min, y_max of each circle, m, in the order of `order`
+    columns: int
+    rows: int
+    aside: int  # columns that boxes which cross may be apart
+    above: int  # rows that they may be apart
+    found: np.ndarray  # (n,): a buffer
+
+
+@njit(cache=True, error_model="numpy")
+def _sort_swept(start, move, radius):
+    """`Swept` of circles that start at (n, 2) and move by (n, 2), m."""
+    n = radius.shape[0]
+    cells = make_cells(n)
+    middle = start + 0.5 * move
+    columns, rows = sort_into_cells(middle, radius, cells)
+    box, longest = np.empty((n, 4)), np.zeros(2)
+    for k in range(n):
+        i = cells.order[k]
+        for axis in range(2):
+            x, to_x = start[i, axis], start[i, axis] + move[i, axis]
+            box[k, 2 * axis], box[k, 2 * axis + 1] = min(x, to_x) - radius[i], max(x, to_x) + radius[i]
+            longest[axis] = max(longest[axis], box[k, 2 * axis + 1] - box[k, 2 * axis])
+    width = max(2.0 * radius.max(), np.ptp(middle[:, 0]) / columns, np.ptp(middle[:, 1]) / rows)  # of a cell, at least
+    aside, above = int(min(longest[0] / width, columns)) + 1, int(min(longest[1] / width, rows)) + 1
+    return Swept(cells.start, cells.order, cells.cell, box, columns, rows, aside, above, np.empty(n, np.int64))
+
+
+@njit(cache=True)
+def _crossing(i, path, swept):
+    """The other circles whose boxes cross that of circle i: no others can touch it in this step."""
+    start, move, radius = path[0], path[1], path[3]
+    row = swept.cell[i] // swept.columns
+    column = swept.cell[i] - row * swept.columns
+    left, right = max(column - swept.aside, 0), min(column + swept.aside, swept.columns - 1)
+    x, y = start[i, 0], start[i, 1]
+    to_x, to_y = x + move[i, 0], y + move[i, 1]
+    x_min, x_max = min(x, to_x) - radius[i], max(x, to_x) + radius[i]
+    y_min, y_max = min(y, to_y) - radius[i], max(y, to_y) + radius[i]
+    box, found, count = swept.box, swept.found, 0
+    for other in range(max(row - swept.above, 0), min(row + swept.above + 1, swept.rows)):
+        for k in range(swept.start[other * swept.columns + left], swept.start[other * swept.columns + right + 1]):
+            found[count] = swept.order[k]  # counted without a branch, which could not be predicted
+            crosses = (box[k, 0] <= x_max) & (box[k, 1] >= x_min) & (box[k, 2] <= y_max) & (box[k, 3] >= y_min)
+            count += crosses & (found[count] != i)
+    return found[:count]
 
 
 @njit(cache=True, error_model="numpy")
@@ -108,7 +158,7 @@ def take_back_fall(velocity, time, gravity):
 
 
 @njit(cache=True, error_model="numpy")
-def _first_touch(i, now, path, cells, grid):
+def _first_touch(i, now, path, swept):
     """(time, partner) of the first touch of a circle from a time on; (inf, NOTHING) without one. Time is in steps."""
     start, move, _, radius, box, segments, scales = path
     n = radius.shape[0]
@@ -126,17 +176,10 @@ def _first_touch(i, now, path, cells, grid):
         time = max(now, _touch_segment(i, s, path))
         if time < first:
             first, partner = time, n + 4 + s
-    columns, rows = grid
-    row = cells.cell[i] // columns
-    column = cells.cell[i] - row * columns
-    for neighbour_row in range(max(row - 1, 0), min(row + 2, rows)):
-        begin = cells.start[neighbour_row * columns + max(column - 1, 0)]
-        end = cells.start[neighbour_row * columns + min(column + 1, columns - 1) + 1]
-        for k in cells.order[begin:end]:
-            if k != i:
-                time = _touch(i, k, now, path)
-                if time < first:
-                    first, partner = time, k
+    for k in _crossing(i, path, swept):
+        time = _touch(i, k, now, path)
+        if time < first:
+            first, partner = time, k
     return (first, partner) if first <= 1.0 else (np.inf, NOTHING)
 
 
@@ -152,6 +195,11 @@ def _touch_segment(i, s, path):
     """Time of the first touch of a circle and a segment, in steps; inf without one."""
     start, move, _, radius, _, segments, scales = path
     x, y, reach = start[i, 0], start[i, 1], radius[i] + scales.wall_skin
+    e_x, e_y = segments[s, 2] - segments[s, 0], segments[s, 3] - segments[s, 1]
+    before = e_x * (y - segments[s, 1]) - e_y * (x - segments[s, 0])
+    after = before + e_x * move[i, 1] - e_y * move[i, 0]
+    if before * after > 0.0 and min(before * before, after * after) > reach * reach * (e_x * e_x + e_y * e_y):
+        return np.inf  # the whole path is on one side of the line, and beyond reach of it
     least = _least(segment_gap(segments[s], x, y)[0], reach, radius[i], scales)
     time, part = time_to_touch(segments[s], x, y, move[i, 0], move[i, 1], least)
     if part != BESIDE and time <= 1.0:
@@ -179,6 +227,9 @@ def _touch(i, k, now, path):
     if not approach < 0.0:
         return np.inf
     reach = radius[i] + radius[k]
+    missed = p_x * p_x + p_y * p_y - reach * reach
+    if approach * approach < (w_x * w_x + w_y * w_y) * missed:
+        return np.inf  # as below, without a root: they stop within reach
     least = _least(math.sqrt(s_x * s_x + s_y * s_y), reach, min(radius[i], radius[k]), scales)
     beyond = p_x * p_x + p_y * p_y - least * least
     if beyond <= 0.0:
@@ -188,18 +239,12 @@ def _touch(i, k, now, path):
 
 
 @njit(cache=True, error_model="numpy")
-def _tell_neighbours(k, now, path, cells, grid, fast, when, queue):
+def _tell_neighbours(k, now, path, swept, fast, when, queue):
     """Let fast circles that still move know, in `when` and the queue, that this one has stopped."""
-    columns, rows = grid
-    row = cells.cell[k] // columns
-    column = cells.cell[k] - row * columns
     stop = path[2]
-    for neighbour_row in range(max(row - 1, 0), min(row + 2, rows)):
-        begin = cells.start[neighbour_row * columns + max(column - 1, 0)]
-        end = cells.start[neighbour_row * columns + min(column + 1, columns - 1) + 1]
-        for i in cells.order[begin:end]:
-            if i != k and fast[i] and stop[i] == 1.0:
-                time = _touch(i, k, now, path)
-                if time < when[i]:
-                    when[i] = time
-                    heappush(queue, (time, i))
+    for i in _crossing(k, path, swept):
+        if fast[i] and stop[i] == 1.0:
+            time = _touch(i, k, now, path)
+            if time < when[i]:
+                when[i] = time
+                heappush(queue, (time, i))

@@ -191,14 +191,21 @@ def methods(tolerance: float) -> tuple[dict[str, Callable], dict[str, str]]:
 
 
 def compare(
-    problems: dict[str, ContactProblem], *, tolerance: float = 1e-5, repeats: int = 5, most: float = 20.0, progress=None
+    problems: dict[str, ContactProblem],
+    *,
+    tolerance: float = 1e-5,
+    repeats: int = 5,
+    most: float = 20.0,
+    only: Sequence[str] = (),
+    progress=None,
 ) -> dict:
     """Processor time and error of every method on every problem, without a start, one run of each after the other.
 
     repeats: times each is run, in turns; the least time counts. One that takes more than `most` seconds runs once, and
-    on no larger problem: time and error are None there.
+    on no larger problem: time and error are None there. only: names of methods; by default all.
     """
     solvers, missing = methods(tolerance)
+    solvers = {name: solve for name, solve in solvers.items() if name in (only or solvers)}
     times: dict[str, dict[str, float]] = {}
     errors: dict[str, dict[str, float]] = {}
     problems = dict(sorted(problems.items(), key=lambda item: item[1].friction.size))
@@ -227,6 +234,26 @@ def compare(
         "missing": missing,
         "profile": profile(times, errors, tolerance),
     }
+
+
+def with_again(first: dict, second: dict) -> dict:
+    """The rows of two runs by name. What both have is named "…, again" in the second, for ratios within that run."""
+    return first | {f"{name}, again" if name in first else name: row for name, row in second.items()}
+
+
+def with_second_run(first: dict, second: dict) -> dict:
+    """A result of `compare` with the methods of another run on the same problems, in an environment of its own.
+
+    Raises ValueError where problems or tolerance differ.
+    """
+    for key in ("contacts", "tolerance"):
+        if first[key] != second[key]:
+            raise ValueError(f"{key}: expected {first[key]} as in the first run, got {second[key]}")
+    both: dict = {"profile": with_again(first["profile"], second["profile"])}
+    for key in ("seconds", "error"):
+        both[key] = {title: with_again(rows, second[key][title]) for title, rows in first[key].items()}
+    missing = {name: why for name, why in first["missing"].items() if name not in second["profile"]}
+    return first | both | {"missing": missing, "second_provenance": second["provenance"]}
 
 
 def finite_or_one(error: float) -> float:
@@ -352,6 +379,7 @@ def score_starts(
 
     starts: name -> function of (problem, carried impulses (2 m,)) that returns impulses (2 m,), or None for none.
     solvers: name -> function of (problem, start); by default those of `methods`. Times include the start's own.
+    Every problem is solved once before, untimed, since rivals build it then. Times are of the processor.
     Returns {solver: {start: {"seconds": sum over the steps, "unsolved": steps above the tolerance, "steps"}}}.
     """
     folder = Path(folder)
@@ -360,16 +388,30 @@ def score_starts(
     solvers = methods(tolerance)[0] if solvers is None else solvers
     found: dict[str, dict[str, dict]] = {}
     for solver, solve in solvers.items():
-        solve(*problems[0])  # compiles
+        for problem, _ in problems:
+            solve(problem, None)
         for name, start in starts.items():
             seconds, unsolved = 0.0, 0
             for problem, carried in problems:
-                begin = time.perf_counter()
+                begin = time.process_time()
                 impulse = solve(problem, start(problem, carried))
-                seconds += time.perf_counter() - begin
+                seconds += time.process_time() - begin
                 unsolved += not siconos_error(problem, impulse) <= tolerance
             found.setdefault(solver, {})[name] = {"seconds": seconds, "unsolved": unsolved, "steps": len(problems)}
     return found
+
+
+def starts_table(found: dict) -> list[list[str]]:
+    """The scores as rows, head first: mean milliseconds of a step from every start, and how many were not solved."""
+    solvers = found["solvers"]
+    rows = [["solver", *next(iter(solvers.values()))]]
+    for solver, row in solvers.items():
+        cells = []
+        for cell in row.values():
+            unsolved = f", {cell['unsolved']} of {cell['steps']} unsolved" if cell["unsolved"] else ""
+            cells.append(f"{1e3 * cell['seconds'] / cell['steps']:.3g} ms{unsolved}")
+        rows.append([solver, *cells])
+    return rows
 
 
 STARTS: dict[str, Callable] = {

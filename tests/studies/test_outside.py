@@ -12,7 +12,7 @@ from deep_contact.io.fclib import write_fc2d
 from deep_contact.physics import metrics
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import check_problem, contact_problem
-from deep_contact.studies import outside
+from deep_contact.studies import mujoco_piles, outside
 
 
 def test_the_padded_problem_is_the_same_with_a_tangent_that_meets_nothing(falling_states):
@@ -76,6 +76,46 @@ def test_pinocchio_solves_to_the_error_that_is_asked_for(falling_states):
     impulse = solve(problem, None)
     assert outside.siconos_error(problem, impulse) <= 1e-6
     assert outside.siconos_error(problem, solve(problem, impulse)) <= 1e-6
+
+
+def test_mujoco_without_springs_is_the_convex_relaxation(falling_states):
+    # As far from the exact solution, up to the share 1e-4 of the acceleration that its regularisation leaves.
+    pytest.importorskip("mujoco", reason="needs the package mujoco of the extra rivals")
+    pytest.importorskip("clarabel", reason="needs the package clarabel of the extra rivals")
+    state = falling_states[9]
+    exact = solve_exactly(state).solution
+    world = mujoco_piles.MuJoCoPile(state, solver="Newton", **mujoco_piles.NO_SPRING)
+    world.step()
+    found = exact._replace(velocities=world.bodies().velocity, angular_velocities=world.bodies().spin)
+    problem = check_problem(contact_problem(state))
+    expected = outside.energy_error(problem, outside.relaxed(problem), _impulse(exact))
+    assert metrics.velocity_error(state, found, exact) == pytest.approx(expected, rel=0.02)
+
+
+def test_piles_in_mujoco_are_compared():
+    pytest.importorskip("mujoco", reason="needs the package mujoco of the extra rivals")
+    rows = mujoco_piles.compare([10], repeats=1, steps=2, settled=20)
+    assert [row["engine"] for row in rows] == [*mujoco_piles.OURS, *mujoco_piles.MUJOCO]
+    assert all(row["seconds"] > 0 and 0 <= row["deepest"] < 0.1 for row in rows)
+    errors = {row["engine"]: row["velocity_error"] for row in rows}
+    assert errors["ours, NNCG, 300 sweeps"] < 0.01 < errors["MuJoCo, Newton"]
+    assert len(mujoco_piles.table(rows)) == 1 + len(rows)
+
+
+def test_a_second_run_keeps_its_own_times_of_what_both_have():
+    times = {"p": {"ours": 1.0, "Siconos": 3.0}}
+    first = {
+        "contacts": {"p": 4}, "tolerance": 1e-4, "seconds": times, "error": times,
+        "profile": {"ours": [], "Siconos": []},
+        "missing": {"pinocchio": "no module", "other": "no module"}, "provenance": {},
+    }  # fmt: skip
+    times = {"p": {"ours": 2.0, "pinocchio": 5.0}}
+    second = first | {"seconds": times, "error": times, "profile": {"ours": [], "pinocchio": []}}
+    both = outside.with_second_run(first, second)
+    assert both["seconds"]["p"] == {"ours": 1.0, "Siconos": 3.0, "ours, again": 2.0, "pinocchio": 5.0}
+    assert both["missing"] == {"other": "no module"}
+    with pytest.raises(ValueError, match=r"tolerance: expected 0\.0001 as in"):
+        outside.with_second_run(first, second | {"tolerance": 0.1})
 
 
 def test_relaxation_without_friction_is_exact(frictionless_states):
