@@ -17,7 +17,7 @@ from deep_contact.physics.contact_solver import NORMAL, TANGENT
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.line_search import best_share
 from deep_contact.state import State, StateWithContacts
-from deep_contact.validation import one_of
+from deep_contact.validation import integer, one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 
@@ -80,6 +80,9 @@ class Random:
     """
 
     seed: int = 0
+
+    def __post_init__(self):
+        integer("seed", self.seed)
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         rng = np.random.default_rng((self.seed, state.step))

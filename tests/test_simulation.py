@@ -47,6 +47,9 @@ def test_the_same_time_step_changes_no_bit(pile):
         (lambda: dc.circles_in_box(5, radius=1.0), r"radius: expected finite 0 < smallest <= largest, .* got 1.0"),
         (lambda: dc.circles_in_box(5, radius=(1, 1, 2)), r"radius: .* got \(1, 1, 2\)"),
         (lambda: dc.circles_in_box(400), r"n_bodies: .* size=93 has room for all, and dc.lattice_in_box"),
+        # A matrix has no first element that is not a matrix; NumPy's generators end the process on it.
+        (lambda: dc.circles_in_box(5, seed=np.matrix([[1, 2]])), "seed: expected an integer >= 0 or a numpy"),
+        (lambda: dc.terrain(5, seed=[1, 2]), r"seed: expected an integer >= 0 or a numpy.random.Generator, got \[1, 2"),
         (lambda: dc.simulate(dc.column(2), dt=-1.0), "dt: expected a finite number > 0, got -1.0"),
     ],
 )

@@ -155,7 +155,7 @@ def split_by_simulation(store_or_ids, *, fractions=(0.8, 0.1, 0.1), seed: int = 
             counts[np.argmax(lack)] += 1
         else:
             counts[np.argmin(np.where(counts > 1, lack, np.inf))] -= 1
-    dealt = np.random.default_rng(seed).permutation(ids)
+    dealt = np.random.default_rng(integer("seed", seed)).permutation(ids)
     sides = np.split(dealt, np.cumsum(counts)[:2])
     return Split(*(tuple(sorted(side.tolist())) for side in sides))
 
@@ -281,7 +281,7 @@ def fit_scales(store: Store, sims, spec: ImageSpec, *, count: int = 500, seed: i
     integer("count", count, 1)
     plain = spec.replace(scales=None, target_scales=None)
     batches = ImageBatches(store, sims, plain, batch_size=1, seed=seed, states=states)
-    chosen = np.random.default_rng(seed).permutation(batches.states)[:count]
+    chosen = np.random.default_rng(integer("seed", seed)).permutation(batches.states)[:count]
     chosen = chosen[np.lexsort(chosen.T[::-1])]  # by simulation, so that each is read once
     totals = np.zeros(len(spec.channels) + len(spec.targets))
     nodes = np.zeros_like(totals)

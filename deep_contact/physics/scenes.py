@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from numbers import Integral
 
 import numpy as np
 
@@ -180,7 +181,7 @@ def terrain(n_bodies: int = 300, *, bumps: int = 24, seed: int | np.random.Gener
     bumps: segments of the line; the heights of their joints are drawn, from 0 to the length of one. options: those of
     `lattice_in_box`.
     """
-    rng = np.random.default_rng(seed)
+    rng = _generator(seed)
     heap = lattice_in_box(n_bodies, seed=rng, **options)
     _, _, width, height = heap.world.box
     x = np.linspace(0.0, width, integer("bumps", bumps, least=1) + 1)
@@ -298,10 +299,12 @@ def _floats(values) -> np.ndarray:
 
 
 def _generator(seed) -> np.random.Generator:
-    try:
-        return np.random.default_rng(seed)
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"seed: expected an integer >= 0 or a numpy.random.Generator, got {seed!r}") from error
+    # NumPy takes sequences, too, and ends the process on a matrix.
+    if isinstance(seed, np.random.Generator):
+        return seed
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise ValueError(f"seed: expected an integer >= 0 or a numpy.random.Generator, got {seed!r}")
+    return np.random.default_rng(seed)
 
 
 def _checked_radius(radius) -> tuple[float, float]:
