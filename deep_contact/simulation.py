@@ -233,7 +233,7 @@ def simulate_many(
     states = [check_types(state) for state in states]
     for one in (solver, *(state.solver for state in states)):
         if getattr(one, "threads", 1) > 1:
-            # Numba's own threads must not be started from several threads at once.
+            # Crews beside one thread a core would wait for each other.
             raise ValueError(f"solver: expected one with threads=1 for many scenes, got {one!r}")
 
     def run(number: int) -> Simulation:

@@ -53,6 +53,9 @@ def score(arguments) -> None:
     found["provenance"] = results.provenance(seed=0, wall_s=time.perf_counter() - begin)
     if arguments.add:
         first = json.loads(path.read_text(encoding="utf-8"))
+        for key in ("tolerance", "sequence"):
+            if first[key] != found[key]:
+                raise ValueError(f"{key}: expected {first[key]} as in the first run, got {found[key]}")
         found = first | {
             "solvers": outside.with_again(first["solvers"], found["solvers"]),
             "missing": {name: why for name, why in first["missing"].items() if name not in solvers},

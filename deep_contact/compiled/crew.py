@@ -16,45 +16,73 @@ from llvmlite import ir
 from numba import config, njit, types
 from numba.extending import intrinsic
 
-ARRIVED, ROUND = 0, 8
-"""Elements of `Crew.board`, in cache lines of their own."""
+ARRIVED, ROUND, BROKEN = 0, 8, 16
+"""Elements of `Crew.board`, in cache lines of their own: threads at the barrier, barriers passed, whether one is lost.
+"""
 
 PATIENCE = 2000
 """Looks at the board before a thread lets others have its core: some microseconds."""
 
 
 class Crew(NamedTuple):
-    """A thread's place among others. rank: 0 to size − 1. board: (16,), shared by all."""
+    """A thread's place among others. rank: 0 to size − 1. board: (24,), shared by all."""
 
     rank: int
     size: int
     board: np.ndarray
 
 
-ALONE = Crew(0, 1, np.zeros(16, np.int64))
+ALONE = Crew(0, 1, np.zeros(24, np.int64))
 """The crew of one: its barriers are free."""
+
+
+def crew_size(threads: int) -> int:
+    """How many threads a crew has: at most so many, no more than there are cores, and one without the compiler."""
+    return 1 if config.DISABLE_JIT else min(threads, config.NUMBA_NUM_THREADS)
 
 
 def together(size: int, function, *arguments) -> object:
     """Call the function (nogil) with the arguments and a `Crew`, in as many threads. Returns what rank 0 returns.
 
-    Without the compiler, in one. An error of any thread is raised when all have ended; none may leave a barrier out.
+    An error of one thread, or an interrupt, ends the others at their next barrier, and is raised.
     """
-    size = 1 if config.DISABLE_JIT else size
     if size == 1:
         return function(*arguments, ALONE)
-    board = np.zeros(16, np.int64)
+    board = np.zeros(24, np.int64)
+
+    def run(rank: int) -> object:
+        try:
+            return function(*arguments, Crew(rank, size, board))
+        except BaseException:
+            board[BROKEN] = 1
+            raise
+
     with ThreadPoolExecutor(size - 1) as pool:
-        others = [pool.submit(function, *arguments, Crew(rank, size, board)) for rank in range(1, size)]
-        found = function(*arguments, Crew(0, size, board))
-        for other in others:
-            other.result()
+        try:
+            others = [pool.submit(run, rank) for rank in range(1, size)]
+            found = run(0)
+        except BrokenCrew:
+            found = None
+        except BaseException:
+            board[BROKEN] = 1
+            raise
+        errors = [error for other in others if (error := other.exception()) is not None]
+    # Of the thread that was lost first, not of those that it left waiting.
+    for error in sorted(errors, key=lambda error: isinstance(error, BrokenCrew)):
+        raise error
     return found
+
+
+class BrokenCrew(RuntimeError):
+    """A thread of the crew will not come to this barrier."""
 
 
 @njit(cache=True)
 def wait(crew):
-    """The barrier: returns when all of the crew have called it; what they wrote before is there to read."""
+    """The barrier: returns when all of the crew have called it; what they wrote before is there to read.
+
+    Raises `BrokenCrew` where one of them has ended with an error.
+    """
     if crew.size == 1:
         return
     current = _read(crew.board, ROUND)
@@ -66,6 +94,8 @@ def wait(crew):
     while _read(crew.board, ROUND) == current:
         looks += 1
         if looks > PATIENCE:
+            if _read(crew.board, BROKEN) != 0:
+                raise BrokenCrew
             _let_others_run()
 
 

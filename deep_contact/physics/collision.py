@@ -185,11 +185,11 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
 
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. skin: of the walls, m. body_b is a
-    circle, or n + wall. cells: `Cells`; what it remembers of the search before saves work and changes no pair.
-    Returns the number of pairs, or -1 if they do not fit.
+    circle, or n + wall. cells: `Cells`, about which `has_list` was asked at these positions; if they have a list, it
+    saves work and changes no pair. Returns the number of pairs, or -1 if they do not fit.
     """
     n = position.shape[0]
-    if has_list(position, radius, cells):
+    if cells.memory[PAIRS] >= 0:
         return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
     if n == 0 or not math.isfinite(position.sum()):
@@ -211,6 +211,7 @@ def has_list(position, radius, cells):
         if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
             return True
     if not math.isfinite(position.sum()):
+        memory[PAIRS] = -1
         return False
     smallest = smallest_of(radius)
     gap, apart = MOST_NEAR * smallest, apart / max(memory[SEARCHES], 1)
@@ -506,6 +507,13 @@ def find_contacts(position, radius, box, segments, skin, cells, buffer):
     skin: of walls and segments, m. cells, buffer: memory to use. Returns (contacts, buffer): views of the buffer, grown
     if needed.
     """
+    has_list(position, radius, cells)
+    return contacts_at(position, radius, box, segments, skin, cells, buffer)
+
+
+@njit(cache=True, error_model="numpy")
+def contacts_at(position, radius, box, segments, skin, cells, buffer):
+    """`find_contacts` after `has_list` has been asked at these positions."""
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if m >= 0 and segments.shape[0] > 0:

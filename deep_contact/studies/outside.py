@@ -252,8 +252,10 @@ def with_second_run(first: dict, second: dict) -> dict:
     both: dict = {"profile": with_again(first["profile"], second["profile"])}
     for key in ("seconds", "error"):
         both[key] = {title: with_again(rows, second[key][title]) for title, rows in first[key].items()}
-    missing = {name: why for name, why in first["missing"].items() if name not in second["profile"]}
-    return first | both | {"missing": missing, "second_provenance": second["provenance"]}
+    more = {key: second[key] for key in ("relaxation", "mujoco") if key in second}
+    found = {*second["profile"], *("MuJoCo" for _ in more.get("mujoco", [])[:1])}
+    missing = {name: why for name, why in first["missing"].items() if name not in found}
+    return first | both | more | {"missing": missing, "second_provenance": second["provenance"]}
 
 
 def finite_or_one(error: float) -> float:

@@ -75,7 +75,7 @@ def timed_step(advance: Callable) -> tuple[Callable, dict[str, int], np.ndarray]
         if by_a_crew
         else (collision.next_contacts, engine.advance_with)
     )
-    for function in (collision.find_contacts, *chain, advance):
+    for function in (collision.contacts_at, collision.find_contacts, *chain, advance):
         inner[function.py_func.__name__] = timed = _with_ticks(function.py_func, inner, numbers)
     if not by_a_crew:
         return timed, numbers, cycles

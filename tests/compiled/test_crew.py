@@ -1,5 +1,7 @@
 """Crews: what a thread writes before a barrier is there for the others after it, and shares cover everything once."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import numpy as np
 import pytest
 from numba import config, njit
@@ -41,6 +43,37 @@ def test_an_error_of_a_thread_is_raised():
 
     with pytest.raises(ZeroDivisionError):
         together(2, fail)
+
+
+@njit(nogil=True)
+def leave_alone(lost, crew):
+    """The barrier, to which one rank does not come."""
+    if crew.rank == lost:
+        raise ZeroDivisionError
+    wait(crew)
+    return crew.rank
+
+
+@needs_threads
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("lost", [0, 1])
+def test_nobody_waits_for_a_thread_that_is_lost(lost):
+    with pytest.raises(ZeroDivisionError):
+        together(2, leave_alone, lost)
+
+
+@needs_threads
+@pytest.mark.timeout(60)
+def test_an_interrupt_before_the_first_barrier_ends_all(monkeypatch):
+    submit = ThreadPoolExecutor.submit
+
+    def interrupted(*arguments):
+        submit(*arguments)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ThreadPoolExecutor, "submit", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        together(2, leave_alone, 2)
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 7, 1000])

@@ -10,7 +10,7 @@ from numba import config, njit, types
 from numba.experimental import structref
 
 from deep_contact import validation
-from deep_contact.compiled.crew import Crew, share_of, together, wait
+from deep_contact.compiled.crew import Crew, crew_size, share_of, together, wait
 from deep_contact.compiled.simd import (
     WIDTH,
     lane,
@@ -38,7 +38,7 @@ from deep_contact.physics.batches import (
 )
 from deep_contact.physics.collision import (
     carry_impulses,
-    find_contacts,
+    contacts_at,
     first_contacts,
     has_list,
     hold,
@@ -214,7 +214,7 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
     pairs = rows.body.astype(np.int64)
     plan = plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, settings.colours, make_plan(n, m))
     tiles = fill_tiles(rows, solver_bodies, plan, make_tiles(n, 1, 1, solver_bodies.dtype))
-    sweeps = relax_tiles(settings, plan, tiles, friction, theta, Crew(0, 1, np.zeros(1, np.int64)))
+    sweeps = relax_tiles(settings, plan, tiles, friction, theta, Crew(0, 1, np.zeros(24, np.int64)))
     empty_tiles(plan, tiles, rows, solver_bodies)
     return sweeps
 
@@ -346,7 +346,7 @@ def advance_together(given, options, workspace, log, shared, crew):
             shared.solved = contacts
             log_step(log, k, contacts.body_a.shape[0], sweeps, theta, sweeps * contacts.body_a.shape[0])
             hold(bodies, before, given.box, segments, scales.wall_skin, contacts)
-            told[0, 2] = segments.shape[0] == 0 and has_list(bodies.position, bodies.radius, shared.cells)
+            told[0, 2] = has_list(bodies.position, bodies.radius, shared.cells) and segments.shape[0] == 0
         wait(crew)
         if told[0, 2]:
             mine_a, mine_b = find_touching(given, shared, mine_a, mine_b, crew)
@@ -354,7 +354,7 @@ def advance_together(given, options, workspace, log, shared, crew):
             wait(crew)
         elif crew.rank == 0:
             where = bodies.position, bodies.radius, given.box, segments, scales.wall_skin
-            shared.contacts, buffer = find_contacts(*where, shared.cells, shared.back)
+            shared.contacts, buffer = contacts_at(*where, shared.cells, shared.back)
             carry_impulses(contacts, shared.contacts, options.carry)
             shared.back, shared.front = shared.front, buffer
 
@@ -419,7 +419,7 @@ class _Run:
     """
 
     def __init__(self, threads: int):
-        self._size, self._shared = min(threads, config.NUMBA_NUM_THREADS), None
+        self._size, self._shared = crew_size(threads), None
 
     def __call__(self, given, options, workspace, log):
         """As `engine.advance`."""
