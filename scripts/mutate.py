@@ -124,7 +124,7 @@ def main() -> None:
         for job in range(given.jobs):
             folder = Path(temporary) / str(job)
             for part in ("deep_contact", "tests", "scripts", "models"):
-                shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+                shutil.copytree(ROOT / part, folder / part)  # with the compiled code of what does not change
             shutil.copy(ROOT / "setup.cfg", folder)
             folders.put(folder)
         outcome, output = run_pytest(folder, f"-x {given.tests}", 4 * COMPILED_S, compiled=True)
