@@ -232,6 +232,25 @@ def test_the_better_of_two_starts_is_taken(state, factor, taken):
     np.testing.assert_allclose(normal, expected)
 
 
+def test_the_network_is_taken_up_to_its_margin_of_the_last_theta(state):
+    from deep_contact.cnn.inference import FarFieldModel, Guarded
+
+    normal, tangent = state.contacts.normal_impulse, state.contacts.tangent_impulse
+    learned, builtin = (1.5 * normal, tangent), (state.contacts.normal_start, state.contacts.tangent_start)
+
+    class Overdoes(FarFieldModel):
+        def correct(self, state, description):
+            return learned
+
+    three = dc.PGS(sweeps=3, tolerance=None)
+    theta = [dc.solve_contacts(state, solver=three, start=start).record.theta[-1] for start in (builtin, learned)]
+    ratio, model = theta[1] / theta[0], Overdoes(source=None, spec=SPEC)
+    cases = (1.001 * ratio, 3, learned), (0.999 * ratio, 3, builtin), (0.0, 0, learned)  # no trial, no question
+    for margin, trial, expected in cases:
+        found = Guarded(model, margin=margin, trial=trial)(state, dc.PGS())
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
 def test_a_state_in_the_other_byte_order_is_described_the_same(state):
     def swapped(part):
         return type(part)(*(array.astype(array.dtype.newbyteorder(">")) for array in part))
