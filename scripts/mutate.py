@@ -1,7 +1,7 @@
 """Mutation testing: how many small faults in `physics/` and `sph/`, or in the files that are named, the tests find.
 
     python scripts/mutate.py [--mutants 100] [--seed 0] [--jobs 2] [--out data/reference/mutants.json]
-    python scripts/mutate.py FILE ... --tests "TEST ..." --out RECORD
+    python scripts/mutate.py physics/exact.py … --tests "tests/physics/test_exact.py …" --out …
 
 Cosmic Ray makes the mutants. The sample takes from every file by its share of places, and one fault in each place.
 Every mutant is tried in a copy of the package: first without the compiler, by the tests that execute the mutated line,
@@ -109,7 +109,7 @@ def try_mutant(mutant: dict, folder: Path, of_line: list[str], tests: str) -> di
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", type=lambda text: Path(text).absolute(), help="default: physics and sph")
+    parser.add_argument("files", nargs="*", type=(ROOT / "deep_contact").joinpath, help="default: physics and sph")
     parser.add_argument("--tests", default=TESTS, help="default: %(default)s")
     parser.add_argument("--mutants", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
