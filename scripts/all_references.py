@@ -19,24 +19,21 @@ HERE = Path(__file__).resolve().parent
 REFERENCE = HERE.parent / "data" / "reference"
 
 LATE = """
-physics/exact.py physics/proximal_path.py physics/block_lu.py physics/islands.py physics/sleeping.py physics/segments.py
-physics/continuous.py physics/stepper.py physics/matrix_solvers.py compiled/simd.py cnn/convolution.py cnn/far_field.py
-cnn/inference.py
+physics/exact.py=tests/physics/test_exact.py
+physics/proximal_path.py=tests/physics/test_exact.py
+physics/block_lu.py=tests/physics/test_exact.py
+physics/matrix_solvers.py=tests/physics/test_matrix_solvers.py,tests/physics/test_exact.py
+physics/islands.py=tests/physics/test_islands.py
+physics/sleeping.py=tests/physics/test_sleeping.py
+physics/segments.py=tests/physics/test_segments.py,tests/physics/test_surfaces.py
+physics/continuous.py=tests/physics/test_continuous.py,tests/physics/test_segments.py
+physics/stepper.py=tests/physics/test_stepper.py
+compiled/simd.py=tests/cnn/test_convolution.py,tests/physics/solvers/test_batched.py
+cnn/convolution.py=tests/cnn/test_convolution.py
+cnn/far_field.py=tests/cnn/test_far_field.py,tests/cnn/test_convolution.py
+cnn/inference.py=tests/cnn/test_inference.py,tests/cnn/test_far_field.py
 """.split()
-"""Modules of which the sample of mutants from all of physics and sph has few or none."""
-
-LATE_TESTS = """
-tests/physics/test_matrix_solvers.py tests/physics/test_exact.py tests/physics/test_stepper.py
-tests/physics/test_islands.py tests/physics/test_sleeping.py tests/physics/test_segments.py
-tests/physics/test_continuous.py
-tests/physics/solvers/test_batched.py::test_levels_are_the_sequential_sweep
-tests/physics/solvers/test_batched.py::test_positions_are_corrected_as_contact_by_contact
-tests/cnn/test_convolution.py tests/cnn/test_far_field.py tests/cnn/test_inference.py::test_padded_shape
-tests/cnn/test_inference.py::test_a_foreign_image_is_cast
-tests/cnn/test_inference.py::test_a_model_says_what_it_is_takes_and_gives
-tests/cnn/test_inference.py::test_far_field_network_in_numba_is_the_network_in_keras
-"""
-"""Their tests."""
+"""Modules of which the sample of mutants from all of physics and sph has few or none, and their tests."""
 
 STUDIES = {
     "run_tradeoff": ["run_tradeoff.py", "--out"],
@@ -49,7 +46,7 @@ STUDIES = {
     "benchmark_state_xml": ["benchmark_state_xml.py", "--json"],
     "soak": ["soak.py", "--out"],
     "mutants": ["mutate.py", "--mutants", "100", "--out"],
-    "mutants_late": ["mutate.py", *LATE, "--tests", " ".join(LATE_TESTS.split()), "--mutants", "64", "--out"],
+    "mutants_late": ["mutate.py", *LATE, "--mutants", "64", "--out"],
 }
 """File of data/reference -> the script and options that write it; the path follows."""
 

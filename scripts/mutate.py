@@ -1,11 +1,11 @@
 """Mutation testing: how many small faults in `physics/` and `sph/`, or in the files that are named, the tests find.
 
     python scripts/mutate.py [--mutants 100] [--seed 0] [--jobs 2] [--out data/reference/mutants.json]
-    python scripts/mutate.py physics/exact.py … --tests "tests/physics/test_exact.py …" --out …
+    python scripts/mutate.py physics/exact.py=tests/physics/test_exact.py,… … --out …
 
 Cosmic Ray makes the mutants. The sample takes from every file by its share of places, and one fault in each place.
 Every mutant is tried in a copy of the package: first without the compiler, by the tests that execute the mutated line,
-the quickest first; if it survives, compiled, by the tests of its folder, or by all where none are of its folder.
+the quickest first; if it survives, compiled, by all tests of its folder, or by those that are named with its file.
 Running out of time kills it, too.
 
 The record is written after every mutant. Another run keeps what was killed there, and the survivors under `explained`
@@ -20,6 +20,7 @@ import shutil
 import sys
 import tempfile
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
@@ -45,11 +46,12 @@ OPERATORS = {name: get_operator(name)() for name in operator_names() if not SKIP
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
-def draw(count: int, seed: int, files: list[Path] | None = None) -> dict[str, dict]:
+def draw(count: int, seed: int, files: Iterable[str] = ()) -> dict[str, dict]:
     """`count` mutants, in random order, by a name without line numbers, which change with every edit."""
     folders = (ROOT / "deep_contact" / name for name in ("physics", "sph"))
+    named = [ROOT / file for file in files]
     rng, places = random.Random(seed), defaultdict(lambda: defaultdict(list))
-    for path in sorted(files or (path for folder in folders for path in folder.rglob("*.py"))):
+    for path in sorted(named or (path for folder in folders for path in folder.rglob("*.py"))):
         nodes = list(ast_nodes(get_ast(path.read_text(encoding="utf-8"))))
         for name, operator in OPERATORS.items():
             found = ((node, start) for node in nodes for start, _ in operator.mutation_positions(node))
@@ -99,8 +101,7 @@ def try_mutant(mutant: dict, folder: Path, of_line: list[str], tests: str) -> di
         (folder / "tests.txt").write_text("\n".join(of_line))
         outcome, output = run_pytest(folder, "-x @tests.txt", INTERPRETED_S, compiled=False)
     if compiled := outcome == "survived":
-        of_folder = [test for test in tests.split() if Path(test).parts[1] == Path(mutant["file"]).parts[1]]
-        outcome, output = run_pytest(folder, f"-x {' '.join(of_folder) or tests}", COMPILED_S, compiled=True)
+        outcome, output = run_pytest(folder, f"-x {tests}", COMPILED_S, compiled=True)
     path.write_text(source, encoding="utf-8")
     by = None if outcome == "survived" else (FAILED.findall(output) or [output[-200:]])[0]
     found = {"outcome": outcome, "by": by, "compiled": compiled, "seconds": round(perf_counter() - begin, 1)}
@@ -109,14 +110,16 @@ def try_mutant(mutant: dict, folder: Path, of_line: list[str], tests: str) -> di
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("files", nargs="*", type=(ROOT / "deep_contact").joinpath, help="default: physics and sph")
-    parser.add_argument("--tests", default=TESTS, help="default: %(default)s")
+    parser.add_argument("files", metavar="FILE=TEST,…", nargs="*", help="default: all of physics and sph, by TESTS")
     parser.add_argument("--mutants", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=ROOT / "data" / "reference" / "mutants.json")
     given = parser.parse_args()
-    mutants, folders = draw(given.mutants, given.seed, given.files), SimpleQueue()
+    split = (text.partition("=") for text in given.files)
+    named = {f"deep_contact/{file}": tests.replace(",", " ") for file, _, tests in split}
+    all_tests = " ".join(dict.fromkeys(" ".join(named.values()).split())) or TESTS
+    mutants, folders = draw(given.mutants, given.seed, named), SimpleQueue()
     stored = json.loads(given.out.read_text())["mutants"] if given.out.exists() else {}
     kept = {name for name, found in stored.items() if found["outcome"] == "killed" or found["explained"]}
     done = {name: stored[name] | mutants[name] for name in mutants if name in kept}
@@ -127,14 +130,16 @@ def main() -> None:
                 shutil.copytree(ROOT / part, folder / part)  # with the compiled code of what does not change
             shutil.copy(ROOT / "setup.cfg", folder)
             folders.put(folder)
-        outcome, output = run_pytest(folder, f"-x {given.tests}", 4 * COMPILED_S, compiled=True)
+        outcome, output = run_pytest(folder, f"-x {all_tests}", 4 * COMPILED_S, compiled=True)
         if outcome == "killed":
             raise SystemExit(f"expected tests that pass without a mutant, got {FAILED.findall(output) or output}")
-        tests = tests_of_lines(folder, given.tests)
+        tests = tests_of_lines(folder, all_tests)
 
         def in_free_folder(name: str) -> tuple[str, dict]:
             folder, mutant = folders.get(), mutants[name]
-            entry = try_mutant(mutant, folder, tests.get((mutant["file"], mutant["line"]), []), given.tests)
+            of_line = tests.get((mutant["file"], mutant["line"]), [])
+            of_file = named.get(mutant["file"], f"tests/{Path(mutant['file']).parts[1]}")
+            entry = try_mutant(mutant, folder, of_line, of_file)
             folders.put(folder)
             return name, entry
 
