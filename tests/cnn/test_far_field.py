@@ -57,6 +57,19 @@ def test_the_window_spans_the_contacts_and_no_more(state):
     assert [window_side(cells) for cells in (0.0, 6.0, 6.1, 30.0, 30.1)] == [9, 9, 17, 33, 49]
 
 
+def image_beside(place):
+    """The image of a circle on the floor at x = 15 m, and of one that touches nothing."""
+    bodies = dc.make_bodies([[15.0, 1.0], place])
+    return describe(dc.simulate(dc.single_body().replace(bodies=bodies), steps=0).state, SPEC).image
+
+
+@pytest.mark.parametrize("place", [(22.5, 3.0), (13.5, 3.0), (15.0, 7.5)])
+def test_a_circle_outside_the_window_is_not_painted(place):
+    # Nine nodes from a node before the contact on: x from 14 m to 22 m, y from −1 m to 7 m.
+    np.testing.assert_array_equal(image_beside(place), image_beside((5.0, 25.0)))
+    assert (image_beside((21.5, 3.0)) != image_beside(place)).any()
+
+
 def test_an_empty_part_of_the_box_changes_nothing(state):
     world = World(box=(-20.0, 0.0, 90.0, 200.0), gravity=state.world.gravity)
     np.testing.assert_array_equal(describe(state.replace(world=world), SPEC).image, describe(state, SPEC).image)

@@ -1,5 +1,7 @@
 """Exact solutions by pivoting against analytic ones, non-negative least squares, dense matrices, and what sweeps do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import solved_states
@@ -158,9 +160,11 @@ def proximal_step(problem, kind):
 
 
 @pytest.mark.parametrize("kind", ["bodies", "matrices"])
-def test_a_proximal_step_solves_its_problem(falling_states, kind):
+@pytest.mark.parametrize("friction", [0.5, 0.0])
+def test_a_proximal_step_solves_its_problem(falling_states, kind, friction):
     # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices.
     state = falling_states[12]
+    state = state.replace(world=replace(state.world, friction=friction))
     problem, mu, epsilon = contact_problem(state), state.world.friction, 1e-2
     A, c = problem.A.toarray(), np.zeros(problem.b.size)
     step, blocks = proximal_step(problem, kind)

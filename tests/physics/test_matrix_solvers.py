@@ -32,6 +32,15 @@ def test_sweeps_of_matrices_are_those_of_the_engine(falling_states, solver):
         np.testing.assert_allclose(record.theta, expected.record.theta, atol=tolerance)
 
 
+@pytest.mark.parametrize("solver", [dc.PGS, dc.PSOR, dc.SymmetricPGS, dc.NNCG, dc.NesterovPGS, dc.APGD])
+def test_impulses_scale_with_the_velocities_to_the_last_bit(falling_states, solver):
+    problem, scale = contact_problem(falling_states[10]), 2.0**30
+    options = solver(sweeps=100, tolerance=None)
+    expected, _ = solve_problem(problem, options)
+    found, _ = solve_problem(problem._replace(b=scale * problem.b), options)
+    np.testing.assert_array_equal(found, scale * expected)
+
+
 def test_the_natural_residual_is_that_of_the_state(falling_states):
     state = falling_states[7]
     found = dc.solve_contacts(state, solver=dc.PGS(sweeps=3, tolerance=None))
