@@ -163,7 +163,7 @@ def proximal_step(problem, kind):
 @pytest.mark.parametrize("friction", [0.5, 0.0])
 def test_a_proximal_step_solves_its_problem(falling_states, kind, friction):
     # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices.
-    state = falling_states[12]
+    state = falling_states[9]
     state = state.replace(world=replace(state.world, friction=friction))
     problem, mu, epsilon = contact_problem(state), state.world.friction, 1e-2
     A, c = problem.A.toarray(), np.zeros(problem.b.size)
