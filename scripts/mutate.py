@@ -1,10 +1,12 @@
-"""Mutation testing: how many small faults in `physics/` and `sph/` the tests find.
+"""Mutation testing: how many small faults in `physics/` and `sph/`, or in the files that are named, the tests find.
 
     python scripts/mutate.py [--mutants 100] [--seed 0] [--jobs 2] [--out data/reference/mutants.json]
+    python scripts/mutate.py physics/exact.py=tests/physics/test_exact.py,… … --out …
 
 Cosmic Ray makes the mutants. The sample takes from every file by its share of places, and one fault in each place.
 Every mutant is tried in a copy of the package: first without the compiler, by the tests that execute the mutated line,
-the quickest first; if it survives, compiled, by all tests of its folder. Running out of time kills it, too.
+the quickest first; if it survives, compiled, by all tests of its folder, or by those that are named with its file.
+Running out of time kills it, too.
 
 The record is written after every mutant. Another run keeps what was killed there, and the survivors under `explained`
 of which somebody has written why they cannot be told from the original; it tries the others.
@@ -18,6 +20,7 @@ import shutil
 import sys
 import tempfile
 from collections import Counter, defaultdict
+from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from queue import SimpleQueue
@@ -33,8 +36,8 @@ from deep_contact.reporting import results
 from deep_contact.reporting.figures import progress_bar
 
 ROOT = Path(__file__).resolve().parent.parent
-TESTS = "tests/physics tests/sph tests/test_state.py tests/test_warm_start.py --durations 0 -vvv"
-COVERAGE = "--timeout 10 --cov=deep_contact --cov-context=test --cov-report="
+TESTS = "tests/physics tests/sph tests/test_state.py tests/test_warm_start.py"
+COVERAGE = "--durations 0 -vvv --timeout 10 --cov=deep_contact --cov-context=test --cov-report="
 QUICK, INTERPRETED_S, COMPILED_S = 60, 180, 900
 """How many tests run without the compiler; seconds that they may take, and that the compiled tests may take."""
 SKIPPED = re.compile(r"Decorator|Exception|Variable|BitOr_|_(.Shift|Bit\w+|Is|IsNot)$")
@@ -43,10 +46,12 @@ OPERATORS = {name: get_operator(name)() for name in operator_names() if not SKIP
 FAILED = re.compile(r"^(?:FAILED|ERROR) (.+?)(?: - .*)?$", re.MULTILINE)
 
 
-def draw(count: int, seed: int) -> dict[str, dict]:
+def draw(count: int, seed: int, files: Iterable[str] = ()) -> dict[str, dict]:
     """`count` mutants, in random order, by a name without line numbers, which change with every edit."""
+    folders = (ROOT / "deep_contact" / name for name in ("physics", "sph"))
+    named = [ROOT / file for file in files]
     rng, places = random.Random(seed), defaultdict(lambda: defaultdict(list))
-    for path in sorted(path for name in ("physics", "sph") for path in (ROOT / "deep_contact" / name).rglob("*.py")):
+    for path in sorted(named or (path for folder in folders for path in folder.rglob("*.py"))):
         nodes = list(ast_nodes(get_ast(path.read_text(encoding="utf-8"))))
         for name, operator in OPERATORS.items():
             found = ((node, start) for node in nodes for start, _ in operator.mutation_positions(node))
@@ -74,30 +79,29 @@ def run_pytest(folder: Path, arguments: str, limit: float, *, compiled: bool) ->
     return run_tests(f'sh -c "cd {folder} && {environment} exec {pytest}"', limit)
 
 
-def tests_of_lines(folder: Path) -> dict[tuple[str, int], list[str]]:
+def tests_of_lines(folder: Path, tests: str) -> dict[tuple[str, int], list[str]]:
     """(File, line) -> the quickest tests that execute it, among those that pass without the compiler."""
-    _, output = run_pytest(folder, f"{TESTS} {COVERAGE}", 7200, compiled=False)
+    _, output = run_pytest(folder, f"{tests} {COVERAGE}", 7200, compiled=False)
     seconds = {test: float(time) for time, test in re.findall(r"^([\d.]+)s call +(.+)$", output, re.MULTILINE)}
-    passed, data, tests = seconds.keys() - FAILED.findall(output), CoverageData(str(folder / ".coverage")), {}
+    passed, data, of_lines = seconds.keys() - FAILED.findall(output), CoverageData(str(folder / ".coverage")), {}
     data.read()
     for path in data.measured_files():
         for line, contexts in data.contexts_by_lineno(path).items():
             found = passed & {name.removesuffix("|run") for name in contexts}
-            tests[str(Path(path).relative_to(folder)), line] = sorted(found, key=seconds.get)[:QUICK]
-    return tests
+            of_lines[str(Path(path).relative_to(folder)), line] = sorted(found, key=seconds.get)[:QUICK]
+    return of_lines
 
 
-def try_mutant(mutant: dict, folder: Path, tests: list[str]) -> dict:
-    """Run the tests of a mutant in a copy. Returns its entry in the record."""
+def try_mutant(mutant: dict, folder: Path, of_line: list[str], tests: str) -> dict:
+    """Run the tests of a mutant's line, then `tests`, in a copy. Returns its entry in the record."""
     source, begin = (ROOT / mutant["file"]).read_text(encoding="utf-8"), perf_counter()
     path, outcome, output = folder / mutant["file"], "survived", ""
     path.write_text(mutate_code(source, OPERATORS[mutant["operator"]], mutant["occurrence"]), encoding="utf-8")
-    if tests:
-        (folder / "tests.txt").write_text("\n".join(tests))
+    if of_line:
+        (folder / "tests.txt").write_text("\n".join(of_line))
         outcome, output = run_pytest(folder, "-x @tests.txt", INTERPRETED_S, compiled=False)
     if compiled := outcome == "survived":
-        of_folder = f"tests/{Path(mutant['file']).parts[1]}"
-        outcome, output = run_pytest(folder, f"-x {of_folder}", COMPILED_S, compiled=True)
+        outcome, output = run_pytest(folder, f"-x {tests}", COMPILED_S, compiled=True)
     path.write_text(source, encoding="utf-8")
     by = None if outcome == "survived" else (FAILED.findall(output) or [output[-200:]])[0]
     found = {"outcome": outcome, "by": by, "compiled": compiled, "seconds": round(perf_counter() - begin, 1)}
@@ -106,30 +110,36 @@ def try_mutant(mutant: dict, folder: Path, tests: list[str]) -> dict:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("files", metavar="FILE=TEST,…", nargs="*", help="default: all of physics and sph, by TESTS")
     parser.add_argument("--mutants", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=ROOT / "data" / "reference" / "mutants.json")
     given = parser.parse_args()
-    mutants, folders = draw(given.mutants, given.seed), SimpleQueue()
+    split = (text.partition("=") for text in given.files)
+    named = {f"deep_contact/{file}": tests.replace(",", " ") for file, _, tests in split}
+    all_tests = " ".join(dict.fromkeys(" ".join(named.values()).split())) or TESTS
+    mutants, folders = draw(given.mutants, given.seed, named), SimpleQueue()
     stored = json.loads(given.out.read_text())["mutants"] if given.out.exists() else {}
     kept = {name for name, found in stored.items() if found["outcome"] == "killed" or found["explained"]}
     done = {name: stored[name] | mutants[name] for name in mutants if name in kept}
     with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor(given.jobs) as pool:
         for job in range(given.jobs):
             folder = Path(temporary) / str(job)
-            for part in ("deep_contact", "tests", "scripts"):
-                shutil.copytree(ROOT / part, folder / part, ignore=shutil.ignore_patterns("__pycache__"))
+            for part in ("deep_contact", "tests", "scripts", "models"):
+                shutil.copytree(ROOT / part, folder / part)  # with the compiled code of what does not change
             shutil.copy(ROOT / "setup.cfg", folder)
             folders.put(folder)
-        outcome, output = run_pytest(folder, f"-x {TESTS}", 4 * COMPILED_S, compiled=True)
+        outcome, output = run_pytest(folder, f"-x {all_tests}", 4 * COMPILED_S, compiled=True)
         if outcome == "killed":
             raise SystemExit(f"expected tests that pass without a mutant, got {FAILED.findall(output) or output}")
-        tests = tests_of_lines(folder)
+        tests = tests_of_lines(folder, all_tests)
 
         def in_free_folder(name: str) -> tuple[str, dict]:
             folder, mutant = folders.get(), mutants[name]
-            entry = try_mutant(mutant, folder, tests.get((mutant["file"], mutant["line"]), []))
+            of_line = tests.get((mutant["file"], mutant["line"]), [])
+            of_file = named.get(mutant["file"], f"tests/{Path(mutant['file']).parts[1]}")
+            entry = try_mutant(mutant, folder, of_line, of_file)
             folders.put(folder)
             return name, entry
 

@@ -177,11 +177,17 @@ def transfer() -> list[list]:
 
 def tried() -> list[list]:
     """What was done to find what the tests overlook."""
-    mutants, fuzz = stored("mutants"), stored("fuzz")["targets"]
-    explained = sum(found["explained"] is not None for found in mutants["mutants"].values())
+    fuzz = stored("fuzz")["targets"]
+
+    def mutants(text, name):
+        record = stored(name)
+        explained = sum(found["explained"] is not None for found in record["mutants"].values())
+        return [f"mutants of {text}", record["tried"], record["killed"], explained]
+
     return [
         ["tried", "how many", "found", "change nothing"],
-        ["mutants of `physics/` and `sph/`", mutants["tried"], mutants["killed"], explained],
+        mutants("`physics/` and `sph/`", "mutants"),
+        mutants("modules that the first sample hardly met", "mutants_late"),
         *(
             [f"fuzzing, {name}: crashes or hangs", f"{one['inputs']:,}", len(one["faults"]), None]
             for name, one in fuzz.items()

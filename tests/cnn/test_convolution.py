@@ -92,7 +92,18 @@ def test_the_image_is_the_splat_of_the_contacts_and_of_the_circles(support):
     spin = np.arcsinh(measured.body_sizes[:, 5])
     expected = sph.splat(found.grid, measured.centre, spin, outside="ignore", **options)
     np.testing.assert_allclose(found.image[:, :, -1], expected, atol=1e-6 * max(1.0, np.abs(expected).max()))
-    along, n = np.arcsinh(measured.contact_sizes[:, 0]), measured.normal
-    expected = sph.splat(found.grid, found.point, along * (n[:, 0] ** 2 - n[:, 1] ** 2), **options)
-    approach = far_field.CONTACT_CHANNELS.index("approach_xx")
-    np.testing.assert_allclose(found.image[:, :, approach], expected, atol=1e-5 * max(1.0, np.abs(expected).max()))
+    # The tensors n ⊗ n and t ⊗ n, t = (n_y, −n_x): the difference of the diagonal, and the sum beside it.
+    n_x, n_y = measured.normal.T
+    one, difference, product = np.ones_like(n_x), n_x**2 - n_y**2, 2.0 * n_x * n_y
+    normal, tangent = np.stack([one, difference, product]), np.stack([one, product, -difference])
+    sizes, residual = np.arcsinh(measured.contact_sizes).T, measured.residual.T
+    painted = {
+        "approach": sizes[0] * normal, "slip": sizes[1] * tangent,
+        "normal_residual": residual[0] * normal, "tangent_residual": residual[1] * tangent,
+        "builtin_normal": sizes[2] * normal, "builtin_tangent": sizes[3] * tangent,
+    }  # fmt: skip
+    for name, values in painted.items():
+        at = far_field.CONTACT_CHANNELS.index(f"{name}_1")
+        expected = sph.splat(found.grid, found.point, values.T, **options)
+        limit = 1e-5 * max(1.0, np.abs(expected).max())
+        np.testing.assert_allclose(found.image[:, :, at : at + 3], expected, atol=limit, err_msg=name)

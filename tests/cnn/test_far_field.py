@@ -57,6 +57,19 @@ def test_the_window_spans_the_contacts_and_no_more(state):
     assert [window_side(cells) for cells in (0.0, 6.0, 6.1, 30.0, 30.1)] == [9, 9, 17, 33, 49]
 
 
+def image_beside(place):
+    """The image of a circle on the floor at x = 15 m, and of one that touches nothing."""
+    bodies = dc.make_bodies([[15.0, 1.0], place])
+    return describe(dc.simulate(dc.single_body().replace(bodies=bodies), steps=0).state, SPEC).image
+
+
+@pytest.mark.parametrize("place", [(22.5, 3.0), (13.5, 3.0), (15.0, 7.5)])
+def test_a_circle_outside_the_window_is_not_painted(place):
+    # Nine nodes from a node before the contact on: x from 14 m to 22 m, y from −1 m to 7 m.
+    np.testing.assert_array_equal(image_beside(place), image_beside((5.0, 25.0)))
+    assert (image_beside((21.5, 3.0)) != image_beside(place)).any()
+
+
 def test_an_empty_part_of_the_box_changes_nothing(state):
     world = World(box=(-20.0, 0.0, 90.0, 200.0), gravity=state.world.gravity)
     np.testing.assert_array_equal(describe(state.replace(world=world), SPEC).image, describe(state, SPEC).image)
@@ -230,6 +243,25 @@ def test_the_better_of_two_starts_is_taken(state, factor, taken):
     normal, _ = Guarded(Knows(source=None, spec=SPEC))(state, dc.PGS())
     expected = state.contacts.normal_impulse if taken else state.contacts.normal_start
     np.testing.assert_allclose(normal, expected)
+
+
+def test_the_network_is_taken_up_to_its_margin_of_the_last_theta(state):
+    from deep_contact.cnn.inference import FarFieldModel, Guarded
+
+    normal, tangent = state.contacts.normal_impulse, state.contacts.tangent_impulse
+    learned, builtin = (1.5 * normal, tangent), (state.contacts.normal_start, state.contacts.tangent_start)
+
+    class Overdoes(FarFieldModel):
+        def correct(self, state, description):
+            return learned
+
+    three = dc.PGS(sweeps=3, tolerance=None)
+    theta = [dc.solve_contacts(state, solver=three, start=start).record.theta[-1] for start in (builtin, learned)]
+    ratio, model = theta[1] / theta[0], Overdoes(source=None, spec=SPEC)
+    cases = (1.001 * ratio, 3, learned), (0.999 * ratio, 3, builtin), (0.0, 0, learned)  # no trial, no question
+    for margin, trial, expected in cases:
+        found = Guarded(model, margin=margin, trial=trial)(state, dc.PGS())
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
 
 
 def test_a_state_in_the_other_byte_order_is_described_the_same(state):

@@ -460,6 +460,7 @@ def test_a_model_says_what_it_is_takes_and_gives():
     text = repr(load_model())
     for part in ("model.h5", "far field", "115,420", "29 channels", "8 k + 1", "12 coefficients at every second node"):
         assert part in text
+    assert "any number of nodes a side" in inference.takes(ImageSpec(), 1)
     assert "30 m × 30 m" in inference.takes(ImageSpec(), 1, (30.0, 30.0))
     assert "<td>images of normal_impulse, tangent_impulse</td>" in load_model("compact")._repr_html_()
 

@@ -1,9 +1,11 @@
 """Exact solutions by pivoting against analytic ones, non-negative least squares, dense matrices, and what sweeps do."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import solved_states
-from scipy import optimize
+from scipy import optimize, sparse
 
 import deep_contact as dc
 from deep_contact.physics import exact, metrics, proximal_path
@@ -158,9 +160,11 @@ def proximal_step(problem, kind):
 
 
 @pytest.mark.parametrize("kind", ["bodies", "matrices"])
-def test_a_proximal_step_solves_its_problem(falling_states, kind):
+@pytest.mark.parametrize("friction", [0.5, 0.0])
+def test_a_proximal_step_solves_its_problem(falling_states, kind, friction):
     # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices.
-    state = falling_states[12]
+    state = falling_states[9]
+    state = state.replace(world=replace(state.world, friction=friction))
     problem, mu, epsilon = contact_problem(state), state.world.friction, 1e-2
     A, c = problem.A.toarray(), np.zeros(problem.b.size)
     step, blocks = proximal_step(problem, kind)
@@ -281,6 +285,43 @@ def test_first_principles_in_falls(friction):
     states = solved_states(scene, steps=400, every=10)
     assert len(states) >= 20
     check_principles(states)
+
+
+def test_epsilon_falls_while_steps_are_easy(falling_states, monkeypatch):
+    # A fifth after up to 5 pivots, half after up to 12, and four times as much after a step that is given up.
+    pivots, given = iter([5, 6, 12, 13, None]), []
+
+    def step(self, blocks, impulse, epsilon, limit):
+        given.append(epsilon)
+        done = next(pivots, 99)
+        return (None, 0, 1) if done is None else (impulse, done, 1)
+
+    monkeypatch.setattr(exact._StepOfBodies, "__call__", step)
+    from_nothing(falling_states[4], residual=1e-300, most_pivots=42)
+    np.testing.assert_allclose(given, [1e-4, 2e-5, 1e-5, 5e-6, 5e-6, 2e-5], rtol=1e-12)
+
+
+def test_steps_that_converge_are_left_to(falling_states):
+    # Where impulses are unique a step leaves a share of the order of ε <= 1e-4 of what is wrong: 1 m/s, 1e-4, 1e-8.
+    for state in falling_states[:4]:
+        assert from_nothing(state).factorizations <= 4
+
+
+@pytest.mark.parametrize(("sweeps", "expected"), [(0, (1.0, 0.5)), (1, (0.1, 0.05))])
+def test_what_is_swept_lies_in_the_cone(sweeps, expected):
+    # By hand, A = I and μ = ½: a sweep holds λ_t at ½ λ_n = ½ of before it, then λ_n falls to 0.1.
+    problem = ContactProblem(sparse.csr_array(np.eye(2)), np.array([-0.1, -1.0]), friction=np.array([0.5]))
+    np.testing.assert_allclose(exact._swept(blocks_of(problem), np.array([[1.0, 2.0]]), sweeps), [expected], rtol=1e-12)
+
+
+@pytest.mark.parametrize("tangent", [0.0, 0.5, -0.5])
+def test_a_drift_ends_where_a_contact_reaches_its_bound(tangent):
+    # Two contacts that share a load, so that their sum alone counts: one gives up what it does not need for λ_t, μ = ½.
+    A = sparse.csr_array(np.kron(np.ones((2, 2)), np.eye(2)))
+    blocks = blocks_of(ContactProblem(A, np.array([-4.0, 0.0, -4.0, 0.0]), friction=np.full(2, 0.5)))
+    before, least = np.array([[2.0, tangent], [2.0, -tangent]]), 2 * abs(tangent)
+    found = exact._drifted(blocks, before, before + np.array([[-0.1, 0.0], [0.1, 0.0]]))
+    np.testing.assert_allclose(found, [[least, tangent], [4 - least, -tangent]], atol=1e-12)
 
 
 def test_changed_rows_are_solved_as_the_dense_matrix():

@@ -7,7 +7,7 @@ from scipy import sparse
 import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual, siconos_error
-from deep_contact.physics.matrix_solvers import solve_problem
+from deep_contact.physics.matrix_solvers import CHECK_EVERY, Stop, blocks_of, is_met, solve_problem
 from deep_contact.physics.scenes import single_body
 from deep_contact.simulation import ready
 
@@ -30,6 +30,15 @@ def test_sweeps_of_matrices_are_those_of_the_engine(falling_states, solver):
         cone = state.world.friction * expected.normal_impulses
         np.testing.assert_allclose(impulse[1::2], np.clip(expected.tangent_impulses, -cone, cone), atol=tolerance)
         np.testing.assert_allclose(record.theta, expected.record.theta, atol=tolerance)
+
+
+@pytest.mark.parametrize("solver", [dc.PGS, dc.PSOR, dc.SymmetricPGS, dc.NNCG, dc.NesterovPGS, dc.APGD])
+def test_impulses_scale_with_the_velocities_to_the_last_bit(falling_states, solver):
+    problem, scale = contact_problem(falling_states[10]), 2.0**30
+    options = solver(sweeps=100, tolerance=None)
+    expected, _ = solve_problem(problem, options)
+    found, _ = solve_problem(problem._replace(b=scale * problem.b), options)
+    np.testing.assert_array_equal(found, scale * expected)
 
 
 def test_the_natural_residual_is_that_of_the_state(falling_states):
@@ -86,8 +95,24 @@ def test_sweeping_ends_at_the_error_asked_for(falling_states):
     assert record.status == "converged"
     assert record.sweeps % 10 == 0
     assert siconos_error(problem, impulse) <= 1e-6
-    _, none = solve_problem(problem, dc.NNCG(sweeps=10, tolerance=None), error=1e-12)
-    assert none.status == "max_sweeps"
+
+
+@pytest.mark.parametrize("solver", [dc.PGS, dc.NNCG, dc.NesterovPGS, dc.APGD])
+def test_sweeping_ends_without_the_error_asked_for(solver, falling_states):
+    problem = contact_problem(falling_states[7])
+    _, record = solve_problem(problem, solver(sweeps=10, tolerance=None), error=1e-12)
+    assert (record.status, record.sweeps) == ("max_sweeps", 10)
+
+
+@pytest.mark.parametrize("b", [(-1.0, 2.0), (-30.0, 0.0)])
+@pytest.mark.parametrize("stiffness", [0.01, 10.0])
+def test_the_error_that_sweeps_are_asked_for_is_siconos_error(stiffness, b):
+    # Its scale is the largest of λ, u and b; each is that somewhere here.
+    problem = ContactProblem(sparse.csr_array(stiffness * np.eye(2)), np.array(b), friction=np.array([0.5]))
+    impulse = np.array([[4.0, 1.5]])
+    error = siconos_error(problem, impulse.ravel())
+    for factor, met in ((1 - 1e-9, False), (1 + 1e-9, True)):
+        assert is_met(blocks_of(problem), impulse, Stop(-1.0, factor * error), CHECK_EVERY - 1) == met
 
 
 @pytest.mark.parametrize(

@@ -12,6 +12,7 @@ import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.lcp import contact_problem, natural_residual
+from deep_contact.physics.segments import END, START, time_to_touch, touches
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World, make_bodies
 
@@ -187,6 +188,21 @@ def test_touching_segments_equal_brute_force():
     np.testing.assert_allclose(contacts.separation[found], [expected[pair] for pair in pairs], atol=1e-12)
     order = list(zip(contacts.body_a.tolist(), contacts.body_b.tolist()))
     assert order == sorted(order)
+
+
+@pytest.mark.parametrize("point", [(-1.0, 0.0), (3.0, 0.0), (1.0, -1.0), (1.0, 1.0)])
+def test_a_segment_touches_as_far_as_the_reach_goes(point):
+    for segment in ([0.0, 0.0, 2.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0, 0.0]):
+        assert touches(np.array([segment]), 0, *point, 1.0)
+        assert not touches(np.array([segment]), 0, *point, np.nextafter(1.0, 0.0))
+
+
+def test_an_end_is_touched_by_what_comes_within_and_not_by_what_is_there():
+    # By hand: 4 m a step from 3 m before the end, up to 1 m before it.
+    segment = np.array([0.0, 0.0, 2.0, 0.0, 0.0])
+    assert time_to_touch(segment, -3.0, 0.0, 4.0, 0.0, 1.0) == (0.5, START)
+    assert time_to_touch(segment, 5.0, 0.0, -4.0, 0.0, 1.0) == (0.5, END)
+    assert time_to_touch(segment, -0.5, 0.5, 0.0, -1.0, 1.0)[0] == math.inf
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,13 @@ def test_another_solver_is_not_what_the_stepper_knows(falling):
     assert dc.step(state, solver=dc.BatchedPGS(sweeps=3)) == dc.step(plain(state), solver=dc.BatchedPGS(sweeps=3))
 
 
+def test_the_solver_that_was_asked_for_and_that_of_the_state_keep_the_stepper(falling):
+    state = dc.step(falling, solver=dc.PGS(sweeps=20))
+    assert state.solver != dc.PGS(sweeps=20)  # its tolerance is that of the state
+    for solver in (None, dc.PGS(sweeps=20), state.solver):
+        assert vars(dc.step(state, solver=solver))["_stepper"] is vars(state)["_stepper"]
+
+
 @pytest.mark.parametrize(("part", "field"), [("bodies", "velocity"), ("contacts", "normal"), ("contacts", "body_b")])
 def test_what_somebody_wrote_into_the_arrays_is_looked_at(falling, part, field):
     state = dc.step(falling, solver=TEN)

@@ -13,7 +13,9 @@ def test_every_drawn_mutant_is_another_valid_source():
     drawn = mutate.draw(12, seed=0)
     assert len(drawn) == 12
     assert {Path(mutant["file"]).parts[1] for mutant in drawn.values()} == {"physics", "sph"}
-    for mutant in drawn.values():
+    named = mutate.draw(3, seed=0, files=["deep_contact/cnn/convolution.py"])
+    assert {mutant["file"] for mutant in named.values()} == {"deep_contact/cnn/convolution.py"}
+    for mutant in [*drawn.values(), *named.values()]:
         source = (ROOT / mutant["file"]).read_text(encoding="utf-8")
         changed = mutate.mutate_code(source, mutate.OPERATORS[mutant["operator"]], mutant["occurrence"])
         assert changed != source
