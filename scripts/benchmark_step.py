@@ -122,8 +122,8 @@ def main(arguments=None) -> int:
             print(
                 "  whole steps:", ", ".join(f"{name} {us:,.1f} µs" for name, us in runs[-1]["us"].items()), flush=True
             )
-    memory = {n: peak_memory(n) for n in sizes if n >= LARGE and Path("/proc/self/status").exists()}
-    print("\n".join(f"{n:,} circles: {found:,.0f} MB at the peak" for n, found in memory.items()))
+    memory = {str(n): peak_memory(n) for n in sizes if n >= LARGE and Path("/proc/self/status").exists()}
+    print("\n".join(f"{int(n):,} circles: {found:,.0f} MB at the peak" for n, found in memory.items()))
     if given.json:
         options = {
             "sizes": sizes,
