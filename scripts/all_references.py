@@ -31,7 +31,7 @@ physics/stepper.py=tests/physics/test_stepper.py
 compiled/simd.py=tests/cnn/test_convolution.py,tests/physics/solvers/test_batched.py
 cnn/convolution.py=tests/cnn/test_convolution.py
 cnn/far_field.py=tests/cnn/test_far_field.py,tests/cnn/test_convolution.py
-cnn/inference.py=tests/cnn/test_inference.py,tests/cnn/test_far_field.py
+cnn/inference.py=tests/cnn/test_far_field.py,tests/cnn/test_inference.py::test_a_model_says_what_it_is_takes_and_gives
 """.split()
 """Modules of which the sample of mutants from all of physics and sph has few or none, and their tests."""
 
