@@ -194,14 +194,14 @@ def _double_precision(solver, savings: Mapping) -> Choice:
 def _batches(scene: State, solver) -> Choice:
     used = isinstance(solver, BatchedPGS)
     why = f"{describe(solver)} for {scene.bodies.count:,} circles"
-    saving = "eight contacts at a time: by levels the impulses of PGS up to rounding, sooner from some 3,000 circles on"
+    saving = "eight contacts at a time: by levels the impulses of PGS up to rounding, sooner at some thousand circles"
     return Choice(part="batches of contacts", used=used, why=why, saving=saving)
 
 
 def _threads(solver) -> Choice:
     threads = getattr(solver, "threads", 1)
     why = f"threads={threads} was asked for" if threads > 1 else "no preset takes them: colours change the order"
-    saving = "with order='colours' the stages of a step are shared, from some 3,000 circles on to a gain"
+    saving = "with order='colours' they share the stages of a step, sooner from some 3,000 circles on"
     return Choice(part="threads", used=threads > 1, why=why, saving=saving)
 
 
