@@ -32,7 +32,10 @@ def random_network(name="compact", seed=0, **options):
         options = {"channels": len(SPEC.channels), "stem": 4, "width": 8, "decoder": 4, "density": 0} | options
     network = build(name, **options)
     rng = np.random.default_rng(seed)
-    network.set_weights([rng.normal(0, 0.2, w.shape) for w in network.get_weights()])
+    for weight in network.weights:
+        values = rng.normal(0, 0.2, weight.shape)
+        # The root of a negative variance is none, of which some processors' rectifiers make 0 and others do not.
+        weight.assign(np.abs(values) if "variance" in weight.path else values)
     return network
 
 
