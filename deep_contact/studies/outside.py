@@ -7,6 +7,7 @@ is left out with the reason where it cannot be imported.
 
 from __future__ import annotations
 
+import itertools
 import json
 import time
 import warnings
@@ -244,14 +245,24 @@ def with_again(first: dict, second: dict) -> dict:
 def with_second_run(first: dict, second: dict) -> dict:
     """A result of `compare` with the methods of another run on the same problems, in an environment of its own.
 
-    Raises ValueError where problems or tolerance differ.
+    In the profile, times of the second run count by their ratio to those of a method that both have. Raises ValueError
+    where problems or tolerance differ, or where they share no method.
     """
     for key in ("contacts", "tolerance"):
         if first[key] != second[key]:
             raise ValueError(f"{key}: expected {first[key]} as in the first run, got {second[key]}")
-    both: dict = {"profile": with_again(first["profile"], second["profile"])}
+    shared = [name for name in second["profile"] if name in first["profile"]]
+    if not shared:
+        raise ValueError(f"profile: expected one of {', '.join(first['profile'])}, got {', '.join(second['profile'])}")
+    both, times, errors = {}, {}, {}
     for key in ("seconds", "error"):
         both[key] = {title: with_again(rows, second[key][title]) for title, rows in first[key].items()}
+    for title, rows in first["seconds"].items():
+        others = second["seconds"][title]
+        scale = rows[shared[0]] / others[shared[0]]
+        times[title] = {name: time and scale * time for name, time in others.items()} | rows
+        errors[title] = second["error"][title] | first["error"][title]
+    both["profile"] = profile(times, errors, first["tolerance"])
     more = {key: second[key] for key in ("relaxation", "mujoco") if key in second}
     found = {*second["profile"], *("MuJoCo" for _ in more.get("mujoco", [])[:1])}
     missing = {name: why for name, why in first["missing"].items() if name not in found}
@@ -299,8 +310,8 @@ def draw_profile(found: dict):
     from deep_contact.reporting import plotting
 
     figure, ax = plotting.subplots(size=(7.5, 3.8))
-    for name, shares in found["profile"].items():
-        ax.plot(FACTORS, shares, "-" if name.startswith("ours") else "--", marker="o", label=name)
+    for (name, shares), marker in zip(found["profile"].items(), itertools.cycle("osD^vPX*")):
+        ax.plot(FACTORS, shares, "-" if name.startswith("ours") else "--", marker=marker, label=name)
     title = f"{len(found['contacts'])} problems to an error of {found['tolerance']:g}"
     plotting.label_axes(ax, "time over the fastest's", "share of problems solved", title=title)
     ax.set(xscale="log", ylim=(-0.02, 1.02), xticks=FACTORS, xticklabels=[f"{factor:g}" for factor in FACTORS])

@@ -105,15 +105,21 @@ def test_piles_in_mujoco_are_compared():
 def test_a_second_run_keeps_its_own_times_of_what_both_have():
     times = {"p": {"ours": 1.0, "Siconos": 3.0}}
     first = {
-        "contacts": {"p": 4}, "tolerance": 1e-4, "seconds": times, "error": times,
+        "contacts": {"p": 4}, "tolerance": 1e-4, "seconds": times, "error": {"p": {"ours": 0.0, "Siconos": 0.0}},
         "profile": {"ours": [], "Siconos": []},
         "missing": {"pinocchio": "no module", "other": "no module"}, "provenance": {},
     }  # fmt: skip
     times = {"p": {"ours": 2.0, "pinocchio": 5.0}}
-    second = first | {"seconds": times, "error": times, "profile": {"ours": [], "pinocchio": []}}
+    errors = {"p": {"ours": 0.0, "pinocchio": 0.0}}
+    second = first | {"seconds": times, "error": errors, "profile": {"ours": [], "pinocchio": []}}
     both = outside.with_second_run(first, second)
     assert both["seconds"]["p"] == {"ours": 1.0, "Siconos": 3.0, "ours, again": 2.0, "pinocchio": 5.0}
     assert both["missing"] == {"other": "no module"}
+    # 5 s beside 2 s of ours are 2.5 times the fastest, on a machine that is half as fast.
+    expected = {"ours": 1.0, "Siconos": 3.0, "pinocchio": 2.5}
+    assert both["profile"] == {name: [float(t <= factor) for factor in outside.FACTORS] for name, t in expected.items()}
+    with pytest.raises(ValueError, match="profile: expected one of ours, Siconos, got pinocchio"):
+        outside.with_second_run(first, second | {"profile": {"pinocchio": []}})
     with pytest.raises(ValueError, match=r"tolerance: expected 0\.0001 as in"):
         outside.with_second_run(first, second | {"tolerance": 0.1})
 
