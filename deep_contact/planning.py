@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
+from deep_contact.compiled.crew import cores
 from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import BatchedPGS, SoftSteps, describe
+from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, stiffness
 from deep_contact.reporting import results
 from deep_contact.simulation import checked_solver, ready, solver_and_start
@@ -92,7 +94,7 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
         _position_correction(solver, savings),
         _double_precision(solver, savings),
         _batches(scene, solver),
-        _threads(solver),
+        _threads(scene, solver),
         _calls(start, savings),
         _network(warm_start, found["data"]["jobs"]),
         _stiffness(scene, solver),
@@ -198,10 +200,15 @@ def _batches(scene: State, solver) -> Choice:
     return Choice(part="batches of contacts", used=used, why=why, saving=saving)
 
 
-def _threads(solver) -> Choice:
-    threads = getattr(solver, "threads", 1)
-    why = f"threads={threads} was asked for" if threads > 1 else "no preset takes them: colours change the order"
-    saving = "with order='colours' they share the stages of a step, sooner from some 3,000 circles on"
+def _threads(scene: State, solver) -> Choice:
+    threads, asked = threads_of(solver, scene.bodies.count), getattr(solver, "threads", None)
+    if asked is not None:
+        why = f"threads={asked} was asked for"
+    elif getattr(solver, "order", None) == "colours":
+        why = f"{threads} for {scene.bodies.count:,} circles, one for every {CIRCLES_A_THREAD:,}, and {cores()} cores"
+    else:
+        why = f"{describe(solver)} goes from contact to contact"
+    saving = "with order='colours' they share the stages of a step, and change no bit of it"
     return Choice(part="threads", used=threads > 1, why=why, saving=saving)
 
 

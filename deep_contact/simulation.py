@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -12,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact import notebook
+from deep_contact.compiled.crew import cores
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
@@ -225,14 +225,14 @@ def simulate_many(
     "none", which need nothing from Python between two steps. The other arguments are those of `simulate`.
     Raises ValueError and FloatingPointError as `simulate` does, with the number of the state.
     """
-    threads = _cores() if threads is None else integer("threads", threads, least=1)
+    threads = cores() if threads is None else integer("threads", threads, least=1)
     start = warm_start_of(warm_start)
     if not isinstance(start, (Builtin, NoStart)):
         raise ValueError(f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
     options = {"steps": steps, "dt": dt, "warm_start": start, "accuracy": accuracy, "sleep": sleep, "record": record}
     states = [check_types(state) for state in states]
     for one in (solver, *(state.solver for state in states)):
-        if getattr(one, "threads", 1) > 1:
+        if (getattr(one, "threads", None) or 1) > 1:
             # Crews beside one thread a core would wait for each other.
             raise ValueError(f"solver: expected one with threads=1 for many scenes, got {one!r}")
 
@@ -249,11 +249,6 @@ def simulate_many(
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _advance(state: State, steps: int, start, sleep: bool, record: int | None, on_step) -> tuple[State, StepLog, list]:

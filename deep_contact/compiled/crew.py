@@ -1,13 +1,15 @@
 """Several threads that go through the same compiled function side by side, and wait for each other at barriers.
 
-A parallel loop of Numba costs 60 µs or more to start on the layer that survives a fork; a sweep over a few thousand
-contacts takes less. A barrier between threads that run already takes a fraction of a microsecond. So each thread of a
-crew calls the same function with its own `Crew`; what cannot be shared is done by the one of rank 0, between barriers.
+A parallel loop of Numba takes longer to start, on the layer that survives a fork, than a sweep over a few thousand
+contacts takes in all. A barrier between threads that run already is a few cache misses. So each thread of a crew calls
+the same function with its own `Crew`; what cannot be shared is done by the one of rank 0, between barriers.
 """
 
 from __future__ import annotations
 
+import multiprocessing
 import os
+import threading
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
@@ -36,9 +38,23 @@ ALONE = Crew(0, 1, np.zeros(24, np.int64))
 """The crew of one: its barriers are free."""
 
 
-def crew_size(threads: int) -> int:
-    """How many threads a crew has: at most so many, no more than there are cores, and one without the compiler."""
-    return 1 if config.DISABLE_JIT else min(threads, config.NUMBA_NUM_THREADS)
+def cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def crew_size(threads: int | None, count: int, least: int) -> int:
+    """How many threads a crew for so many things has: at most `threads`, and one without the compiler.
+
+    By default as many as there are cores, `least` things for each, and one in a thread or a process that another one
+    started: it will not be the only one.
+    """
+    if config.DISABLE_JIT:
+        return 1
+    if threads is None:
+        first = threading.current_thread() is threading.main_thread() and multiprocessing.parent_process() is None
+        threads = min(cores(), max(1, count // least)) if first else 1
+    return min(threads, config.NUMBA_NUM_THREADS)
 
 
 def together(size: int, function, *arguments) -> object:

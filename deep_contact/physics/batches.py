@@ -160,6 +160,18 @@ def plan_batches(body_a, body_b, n, colours, plan):
 
 
 @njit(cache=True)
+def is_plan_of(plan, n, contacts, planned):
+    """Whether the plan, made for other contacts of n circles, holds for these: the same pairs in the same order."""
+    m = contacts.body_a.shape[0]
+    if plan.count[CIRCLES] != n or plan.count[CONTACTS] != m:
+        return False
+    for i in range(m):
+        if contacts.body_a[i] != planned.body_a[i] or contacts.body_b[i] != planned.body_b[i]:
+            return False
+    return True
+
+
+@njit(cache=True)
 def choose_batches(body_a, body_b, n, colours, begin, end, plan):
     """Batches of the contacts of one block; counts them in `fill`. Returns how many batches there are.
 
@@ -285,10 +297,8 @@ def write_block(given, contacts, plan, tiles, k):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
         a, b, s = np.uint32(contacts.body_a[i]), np.uint32(contacts.body_b[i]), contacts.body_b[i] - n - 4
         row_b = np.uint32(b if b < n else ground + min(b - n, 3))
-        normal, arms = (
-            (contacts.normal[i, 0], contacts.normal[i, 1]),
-            arms_of(given.bodies.radius, a, b, contacts.separation[i]),
-        )
+        normal = (contacts.normal[i, 0], contacts.normal[i, 1])
+        arms = arms_of(given.bodies.radius, a, b, contacts.separation[i])
         body[t, BODY_A, j], body[t, BODY_B, j] = a, row_b
         data[t, N_X, j], data[t, N_Y, j] = normal
         masses = effective_masses(v[a, INVERSE_MASS], v[row_b, INVERSE_MASS], arms)
@@ -311,11 +321,13 @@ def write_block(given, contacts, plan, tiles, k):
 @njit(cache=True)
 def pad_block(plan, tiles, k):
     """Fill the unused lanes of a block with contacts of its idle body."""
+    idle = plan.count[CIRCLES] + 5 * k + IDLE
     for t in range(plan.first[k], plan.first[k + 1]):
         for j in range(plan.used[t], WIDTH):
-            tiles.body[t, :, j] = plan.count[CIRCLES] + 5 * k + IDLE
-            tiles.data[t, :, j] = 0.0
-            tiles.impulse[t, :, j] = 0.0
+            tiles.body[t, BODY_A, j] = tiles.body[t, BODY_B, j] = idle
+            for row in range(7):
+                tiles.data[t, row, j] = 0.0
+            tiles.impulse[t, NORMAL, j] = tiles.impulse[t, TANGENT, j] = 0.0
 
 
 @njit(cache=True)

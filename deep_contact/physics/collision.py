@@ -450,24 +450,30 @@ def sort_into_levels(position, radius, gap, cells):
 
 @njit(cache=True, error_model="numpy")
 def write_near_pairs(position, radius, box, skin, cells, begin, end, body_a, body_b):
-    """`write_pairs` from the list of those that were near, for body_a from `begin` to before `end`."""
+    """`write_pairs` from the list of those that were near, for body_a from `begin` to before `end`.
+
+    Every pair is written, and the next one over it if it does not touch: no branch that cannot be predicted. For
+    indices without a sign see `batches.choose_batches`.
+    """
     n = position.shape[0]
     first, near = cells.first, cells.near
     m = 0
     for a in range(begin, end):
-        if m + (first[a + 1] - first[a]) + 4 > body_a.shape[0]:
+        i, last = np.uint32(first[a]), np.uint32(first[a + 1])
+        if m + (last - i) + 4 > body_a.shape[0]:
             return -1
         x, y, r = position[a, 0], position[a, 1], radius[a]
-        before = m
-        for k in range(first[a], first[a + 1]):
-            b = near[k]
+        for k in range(i, last):
+            b = np.uint32(near[np.uint32(k)])
             dx = position[b, 0] - x
             dy = position[b, 1] - y
             reach = radius[b] + r
-            body_b[m] = b
+            body_a[np.uint32(m)], body_b[np.uint32(m)] = a, b
             m += dx * dx + dy * dy <= reach * reach
+        before = m
         m = write_walls(x, y, r + skin, box, n, body_b, m)
-        body_a[before:m] = a
+        for k in range(before, m):
+            body_a[k] = a
     return m
 
 

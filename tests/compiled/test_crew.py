@@ -1,12 +1,14 @@
 """Crews: what a thread writes before a barrier is there for the others after it, and shares cover everything once."""
 
-from concurrent.futures import ThreadPoolExecutor
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
 from numba import config, njit
 
-from deep_contact.compiled.crew import ALONE, Crew, share_of, together, wait
+from deep_contact.compiled import crew as crews
+from deep_contact.compiled.crew import ALONE, Crew, crew_size, share_of, together, wait
 
 needs_threads = pytest.mark.skipif(bool(config.DISABLE_JIT), reason="a crew of one without the compiler")
 
@@ -82,3 +84,20 @@ def test_shares_cover_everything_once(count, size):
     shares = [share_of(count, Crew(rank, size, ALONE.board)) for rank in range(size)]
     assert [k for first, last in shares for k in range(first, last)] == list(range(count))
     assert max(last - first for first, last in shares) - min(last - first for first, last in shares) <= 1
+
+
+@needs_threads
+def test_a_crew_has_as_many_threads_as_pay(monkeypatch):
+    monkeypatch.setattr(crews, "cores", lambda: 4)
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 4)
+    sizes = [crew_size(None, count, 1500) for count in (0, 1499, 2999, 3000, 7000, 10**6)]
+    assert sizes == [1, 1, 1, 2, 4, 4]
+    assert [crew_size(threads, 10, 1500) for threads in (1, 3, 9)] == [1, 3, 4]
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(crew_size, None, 10**6, 1500).result() == 1
+        assert pool.submit(crew_size, 2, 10**6, 1500).result() == 2
+
+
+def test_another_process_has_no_crew():
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
+        assert pool.submit(crew_size, None, 10**6, 1500).result() == 1

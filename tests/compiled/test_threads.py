@@ -1,4 +1,4 @@
-"""Numba's threads and processes that are forked after they have run."""
+"""Processes that are forked after threads have run: a crew's, and Numba's."""
 
 import os
 import subprocess
@@ -7,31 +7,37 @@ import sys
 import pytest
 
 FORK_AFTER_THREADS = """
+import dataclasses
 import multiprocessing
-import sys
 
 import deep_contact as dc
 
-SOLVER = dc.BatchedPGS(sweeps=5, order="colours", threads=2)
 PILE = dc.lattice_in_box(900, gap=0.01, seed=1)
 
 
-def height(_):
-    return float(dc.simulate(PILE, steps=3, solver=SOLVER).state.bodies.position[:, 1].sum())
+def crew(_):
+    solver = dc.BatchedPGS(sweeps=5, order="colours", threads=2)
+    return float(dc.simulate(PILE, steps=3, solver=solver).state.bodies.position[:, 1].sum())
+
+
+def network(_):
+    model = dataclasses.replace(dc.load_model(), threads=2)
+    return float(sum(impulses.sum() for impulses in model.predict(dc.simulate(PILE, steps=2).state)))
 
 
 if __name__ == "__main__":
-    here = height(0)
+    here = WORK(0)
     with multiprocessing.get_context("fork").Pool(1) as pool:
-        there = pool.map_async(height, [0]).get(timeout=120)[0]
-    print(here == there == height(0))
+        there = pool.map_async(WORK, [0]).get(timeout=120)[0]
+    print(here == there == WORK(0))
 """
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-def test_a_process_that_is_forked_after_threads_have_run_lives(tmp_path):
+@pytest.mark.parametrize("work", ["crew", "network"])
+def test_a_process_that_is_forked_after_threads_have_run_lives(tmp_path, work):
     script = tmp_path / "fork.py"
-    script.write_text(FORK_AFTER_THREADS)
+    script.write_text(FORK_AFTER_THREADS.replace("WORK", work))
     environment = {name: value for name, value in os.environ.items() if name != "NUMBA_THREADING_LAYER"}
     environment |= {"NUMBA_NUM_THREADS": "2"}
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300, env=environment)

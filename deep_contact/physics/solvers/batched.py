@@ -29,6 +29,7 @@ from deep_contact.physics.batches import (
     PHASES,
     empty_tiles,
     fill_tiles,
+    is_plan_of,
     make_plan,
     make_tiles,
     plan_batches,
@@ -88,23 +89,30 @@ class BatchedPGS(PGS):
     """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
 
     order: "levels" keeps the order of the contacts, so that it is PGS up to rounding; "colours" changes it (see
-    `deep_contact.physics.batches`). threads: at most so many, for "colours" only; they change no bit of the result.
-    The other options are those of `PGS`. Position correction goes in the same batches.
+    `deep_contact.physics.batches`). threads: at most so many, for "colours" only; they change no bit of the result. By
+    default those that pay: one for every `CIRCLES_A_THREAD` circles, no more than there are cores. The other options
+    are those of `PGS`. Position correction goes in the same batches.
 
-    A sweep costs a third of PGS's; finding the batches costs some nanoseconds a contact and step, so it pays from about
-    five sweeps on. Weakness: in a chain of contacts, as in a column, a level is one contact and fills one lane of
-    eight. Colours fill more lanes, but their order is not that of the list, so they may need more sweeps.
+    Finding the batches costs a part of each step in which contacts have changed, so few sweeps do not repay it.
+    Weakness: in a chain of contacts, as in a column, a level is one contact and fills one lane of eight. Colours fill
+    more lanes, but their order is not that of the list, so they may need more sweeps.
     """
 
     order: str = "levels"
-    threads: int = 1
+    threads: int | None = None
 
     def __post_init__(self):
         super().__post_init__()
         validation.one_of("order", self.order, ORDERS)
+        if self.threads is None:
+            return
         validation.integer("threads", self.threads, least=1, most=MOST_SWEEPS)
         if self.threads > 1 and self.order != "colours":
             raise ValueError(f"threads: expected 1 with order={self.order!r}, got {self.threads}")
+
+
+CIRCLES_A_THREAD = 1500
+"""Circles for which a thread of its own pays: with two threads a step of 3,000 is sooner done, one of 1,000 is not."""
 
 
 class BatchSettings(NamedTuple):
@@ -316,7 +324,8 @@ def advance_together(given, options, workspace, log, shared, crew):
     for k in range(log.contacts.shape[0]):
         if crew.rank == 0:
             contacts = shared.contacts
-            shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, settings.colours, shared.plan)
+            if not is_plan_of(shared.plan, n, contacts, shared.solved):
+                shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, settings.colours, shared.plan)
             shared.tiles = with_room(shared.plan, shared.tiles)
         wait(crew)
         plan, tiles, contacts = shared.plan, shared.tiles, shared.contacts
@@ -418,17 +427,26 @@ class _Run:
     What one call has found out, memory and near pairs, serves the next.
     """
 
-    def __init__(self, threads: int):
-        self._size, self._shared = crew_size(threads), None
+    def __init__(self, solver: BatchedPGS):
+        self._solver, self._shared = solver, None
 
     def __call__(self, given, options, workspace, log):
         """As `engine.advance`."""
         if self._shared is None:
-            self._shared = make_shared(given.bodies.count, given.contacts, workspace.solver_bodies.dtype, self._size)
+            n = given.bodies.count
+            self._size = threads_of(self._solver, n)
+            self._shared = make_shared(n, given.contacts, workspace.solver_bodies.dtype, self._size)
         else:
             go_on(self._shared, given.contacts)
         together(self._size, advance_together, given, options, workspace, log, self._shared)
         return results_in(self._shared)
+
+
+def threads_of(solver, n_bodies: int) -> int:
+    """On how many threads a solver runs a scene of so many circles here."""
+    if getattr(solver, "order", None) != "colours":
+        return 1
+    return crew_size(solver.threads, n_bodies, CIRCLES_A_THREAD)
 
 
 def _settings(solver: BatchedPGS) -> BatchSettings:
@@ -439,5 +457,5 @@ register(
     BatchedPGS,
     _settings,
     (Loop(BatchSettings, relax_in_batches, frictionless=False),),
-    advance=lambda solver: _Run(solver.threads),
+    advance=_Run,
 )

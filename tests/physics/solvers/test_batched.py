@@ -44,6 +44,33 @@ def test_every_contact_has_one_place_of_its_own(order, pile):
     np.testing.assert_array_equal(np.bincount(plan.place[:m] // 8, minlength=tiles), plan.used[:tiles])
 
 
+def test_a_plan_holds_as_long_as_the_pairs_are_the_same(pile):
+    n, contacts = pile.bodies.count, pile.contacts
+    fresh = batches.make_plan(n, contacts.count)
+    assert not batches.is_plan_of(fresh, n, contacts, contacts)
+    plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, True, fresh)
+    others = contacts._replace(body_a=contacts.body_a.copy(), body_b=contacts.body_b.copy())
+    assert batches.is_plan_of(plan, n, others, contacts)
+    others.body_b[-1] += 1
+    assert not batches.is_plan_of(plan, n, others, contacts)
+    fewer = contacts._replace(**{name: field[:-1] for name, field in contacts._asdict().items()})
+    assert not batches.is_plan_of(plan, n, fewer, contacts)
+
+
+@pytest.mark.parametrize("order", ORDERS)
+def test_a_plan_that_is_kept_changes_no_bit(order):
+    # A pile of a hundred at rest, whose pairs are mostly those of the step before.
+    solver = dc.BatchedPGS(sweeps=10, order=order)
+    rest = dc.simulate(dc.circles_in_box(100, seed=3), steps=400, solver=solver).state
+    once, pairs, state = dc.simulate(rest, steps=40, solver=solver).state, [], rest
+    for _ in range(40):  # each with a plan of its own
+        pairs.append((*state.contacts.body_a, *state.contacts.body_b))
+        state = dc.simulate(state, steps=1, solver=solver).state
+    assert 0 < sum(a == b for a, b in zip(pairs, pairs[1:])) < 39
+    for a, b in zip((*once.bodies, *once.contacts), (*state.bodies, *state.contacts)):
+        np.testing.assert_array_equal(a, b)
+
+
 @pytest.mark.parametrize("order", ORDERS)
 def test_no_circle_occurs_twice_in_a_batch(order, pile):
     # By brute force, batch by batch, not only tile by tile: within a batch no tile may wait for another.
