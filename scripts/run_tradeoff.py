@@ -2,6 +2,7 @@
 
     python scripts/run_tradeoff.py [--quick] [--jobs J] [--scheduler ADDRESS] [--seed S] [--out FILE] [--work FOLDER]
     python scripts/run_tradeoff.py --errors     only the parts that need no quiet machine
+    python scripts/run_tradeoff.py --add        errors of settings that the results file lacks, and times of all
     python scripts/run_tradeoff.py --verify     errors and times of the presets on scenes outside the study
 
 Every finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes,
@@ -14,8 +15,10 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+from collections.abc import Mapping
 from concurrent.futures import Executor
 from pathlib import Path
+from types import MappingProxyType
 
 from deep_contact import parallel
 from deep_contact.constants import TIME_STEP
@@ -45,6 +48,8 @@ SOFT = [
 OURS = [
     *ladder("PGS", PGS),
     *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (3, 5, 10, 20), 4: (5, 10, 20), 8: (10,)}),
+    *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (5, 10), 4: (3, 5, 10), 8: (2, 10)}, order="colours"),
+    *ladder("BatchedPGS", {1: (6, 10), 2: (5, 10), 4: (3,)}, order="colours", position_sweeps=3),
     *ladder("PSOR", {1: (3, 6, 10, 20), 2: (2, 4, 8), 4: (2, 4)}, omega=1.3),
     *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8)}, omega=1.5),
     *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8), 4: (2,)}, omega=1.75, friction_omega=1.45),
@@ -68,6 +73,8 @@ LARGE = [
     *ladder("PSOR", {1: (10, 20)}, omega=1.3, position_sweeps=3),
     *ladder("PGS", {2: (10,)}, position_sweeps=3),
     *ladder("BatchedPGS", {2: (10,)}, position_sweeps=3),
+    *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (5, 10), 4: (2, 3, 5, 10), 8: (2, 4)}, order="colours"),
+    *ladder("BatchedPGS", {1: (6, 10, 20), 2: (5, 10), 4: (2, 3)}, order="colours", position_sweeps=3),
 ]
 PEERS = {
     "Box2D 2.3": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
@@ -119,11 +126,15 @@ def is_peer(setting: dict) -> bool:
 
 def same_errors(setting: dict) -> dict:
     """The setting whose runs are observed in place of this one's: BatchedPGS by levels is PGS, up to rounding."""
-    return setting | {"method": "PGS"} if setting.get("method") == "BatchedPGS" else setting
+    by_levels = setting.get("method") == "BatchedPGS" and "order" not in setting
+    return setting | {"method": "PGS"} if by_levels else setting
 
 
-def plan(options: dict, seed: int) -> tuple[list, list]:
-    """The parts as (name, arguments): observations, the quick ones first, and times."""
+def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, list]:
+    """The parts as (name, arguments): observations, the quick ones first, and times.
+
+    known: rows by (kind, n_bodies, name), whose errors need no observation.
+    """
     seen, timed = [], []
     for n in options["sizes"]:
         settings = options["settings"][str(n)] + options["peers"][str(n)]
@@ -131,6 +142,8 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
             model = list(runs.MODEL.values()) if kind == "plain" and n in options["model"] else []
             for setting in settings + model:
                 if (is_peer(setting) and kind != "plain") or same_errors(setting) != setting:
+                    continue
+                if (kind, n, runs.name_of(setting)) in known:
                     continue
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
                 count = options["peer_seeds"][str(n)] if is_peer(setting) else seeds
@@ -142,9 +155,20 @@ def plan(options: dict, seed: int) -> tuple[list, list]:
     return seen, timed
 
 
-def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict:
-    """The data of the results file."""
-    seen, timed = plan(options, seed)
+def known_rows(file: Mapping, options: dict, seed: int) -> dict:
+    """Rows of a results file by (kind, n_bodies, name), but for the references. Raises ValueError on other options."""
+    for key in ("sizes", "seeds", "peer_seeds", "seconds"):
+        if file["options"][key] != options[key]:
+            raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
+    if file["provenance"]["seed"] != seed:
+        raise ValueError(f"seed: expected {seed} in the results, got {file['provenance']['seed']}")
+    return {key_of(row): row for row in file["data"]["rows"] if row["errors"]}
+
+
+def study(options: dict, *, seed: int, jobs: int | Executor, work: Path, before: Mapping | None = None) -> dict:
+    """The data of the results file. before: one whose errors are taken over; times are measured anew."""
+    known = {} if before is None else known_rows(before, options, seed)
+    seen, timed = plan(options, seed, known)
     found = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
     took = done(timed, FUNCTIONS, work=work, jobs=1, text="times")
     ensembles: dict = {}
@@ -157,9 +181,12 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict
             ensemble[name] = setting, [by_seed[s] for s in sorted(by_seed)]
     for (_, n), ensemble in ensembles.items():
         for setting in options["settings"][str(n)]:
-            if same_errors(setting) != setting:
-                ensemble[runs.name_of(setting)] = setting, ensemble[runs.name_of(same_errors(setting))][1]
-    rows = runs.rows(ensembles, {(part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)})
+            name = runs.name_of(same_errors(setting))
+            if same_errors(setting) != setting and name in ensemble:
+                ensemble[runs.name_of(setting)] = setting, ensemble[name][1]
+    times = {(part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)}
+    rows = list((known | {key_of(row): row for row in runs.rows(ensembles, times)}).values())
+    rows = [row | runs.times_of(row["name"], row["n_bodies"], times) for row in rows]
     curves = {
         f"{kind}, {n}": {
             name: {
@@ -171,7 +198,14 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path) -> dict
         }
         for (kind, n), ensemble in ensembles.items()
     }
+    if before is not None:
+        curves = before["data"]["curves"]
     return {"errors": ERRORS, "rows": rows, "curves": curves, "presets": presets(rows)}
+
+
+def key_of(row: Mapping) -> tuple[str, int, str]:
+    """Kind, size and name of a row."""
+    return row["kind"], row["n_bodies"], row["name"]
 
 
 def mean_curve(seen: list, name: str) -> list[float]:
@@ -362,19 +396,24 @@ def main(arguments=None) -> int:
     add("--work", type=Path, default=Path("runs/run_tradeoff"), help="folder of the finished parts")
     add("--install", action="store_true", help="make these the numbers that dc.simulate and dc.recommend read")
     add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
+    add("--add", action="store_true", help="take the errors over that the results file has, and measure times anew")
     add("--verify", action="store_true", help="errors and times of the presets on scenes outside the study")
     given = parser.parse_args(arguments)
     start = time.perf_counter()
     options = (VERIFY_QUICK if given.quick else VERIFY) if given.verify else QUICK if given.quick else FULL
     settings = {"seed": given.seed, "work": given.work}
+    name = "run_tradeoff_verify" if given.verify else "run_tradeoff"
+    out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
+    before = results.read_results(out) if given.add else None
     try:
         with parallel.opened(given.jobs, given.scheduler) as jobs:
             if given.verify:
                 data = verify(options, jobs=jobs, errors_only=given.errors, **settings)
             elif given.errors:
-                data = done(plan(options, given.seed)[0], FUNCTIONS, work=given.work, jobs=jobs, text="errors")
+                known = known_rows(before, options, given.seed) if before else {}
+                data = done(plan(options, given.seed, known)[0], FUNCTIONS, work=given.work, jobs=jobs, text="errors")
             else:
-                data = study(options, jobs=jobs, **settings)
+                data = study(options, jobs=jobs, before=before, **settings)
     except parallel.ClusterError as error:
         print(error, file=sys.stderr)
         return 1
@@ -392,8 +431,6 @@ def main(arguments=None) -> int:
         "claims": (verify_claims if given.verify else claims)(data),
         "data": data,
     }
-    name = "run_tradeoff_verify" if given.verify else "run_tradeoff"
-    out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
     results.write_results(out, file, digits=4)
     for claim in file["claims"]:
         print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")

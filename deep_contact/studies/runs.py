@@ -197,15 +197,16 @@ def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
                     "setting": dict(setting),
                     "seeds": len(seen),
                     "errors": intervals(seen, true[: len(seen)]) if seen is not true else None,
-                    "us": took.get((n_bodies, "settling"), {}).get(name),
-                    "phases": {
-                        phase: by_name[name]
-                        for (size, phase), by_name in took.items()
-                        if size == n_bodies and phase != "settling" and name in by_name
-                    },
                 }
+                | times_of(name, n_bodies, took)
             )
     return found
+
+
+def times_of(name: str, n_bodies: int, took: Mapping) -> dict:
+    """What a row says of the times of a setting: "us" and "phases"."""
+    phases = {phase: by_name[name] for (size, phase), by_name in took.items() if size == n_bodies and name in by_name}
+    return {"us": phases.pop("settling", None), "phases": phases}
 
 
 def worst_errors(found: Iterable[Mapping]) -> dict[str, float]:

@@ -157,3 +157,31 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
     found = dc.recommend(dc.circles_in_box(20), accuracy="preview", table=table)
     assert found.us > 0
     assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "SoftSteps, 2 substeps, Δt"}
+
+
+def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
+    script = load_script("run_tradeoff")
+    colours = {"method": "BatchedPGS", "sweeps": 3, "dt": TIME_STEP, "order": "colours"}
+    tiny = script.QUICK | {
+        "sizes": [20], "seeds": {"20": {"plain": 2}}, "model": [], "seconds": 1.0, "peers": {"20": []},
+        "settings": {"20": [runs.REFERENCE, COARSE, COARSE | {"method": "BatchedPGS"}]},
+        "steps": {"20": 5}, "repeats": 1,
+    }  # fmt: skip
+    monkeypatch.setattr(script, "QUICK", tiny)
+    out = tmp_path / "study.json"
+    arguments = ["--quick", "--jobs", "1", "--out", str(out), "--work"]
+    assert script.main([*arguments, str(tmp_path / "first")]) == 0
+    before = {row["name"]: row for row in results.read_results(out)["data"]["rows"]}
+    monkeypatch.setattr(script, "QUICK", tiny | {"settings": {"20": [*tiny["settings"]["20"], colours]}})
+    assert script.main([*arguments, str(tmp_path / "second"), "--add"]) == 0
+    after = {row["name"]: row for row in results.read_results(out)["data"]["rows"]}
+    observed = [path for path in (tmp_path / "second").iterdir() if path.name.startswith("observed")]
+    assert len(observed) == 2 * 2  # of the reference and of what is new, by two seeds
+    assert after.keys() - before.keys() == {"BatchedPGS, 3 sweeps, order=colours, Δt"}
+    for name, row in before.items():
+        assert after[name]["errors"] == row["errors"]
+        assert after[name]["us"] > 0
+    assert after["BatchedPGS, 3 sweeps, order=colours, Δt"]["errors"]["energy"]
+    monkeypatch.setattr(script, "QUICK", tiny | {"seconds": 2.0})
+    with pytest.raises(ValueError, match=r"seconds: expected 2\.0 in the results, got 1\.0"):
+        script.main([*arguments, str(tmp_path / "third"), "--add"])
