@@ -110,7 +110,7 @@ def main(arguments=None) -> int:
             # Long enough that the fixed cost of one `dc.simulate` does not count, as in a run; what falls has landed
             # after a while.
             most = 10 if given.quick else 200 if kind == "settled" else 30
-            steps = int(np.clip(20_000 // n_bodies, 10, most))
+            steps = int(np.clip(100_000 // n_bodies, 10, most))
             cases.append(measure(kind, n_bodies, given.seed, steps=steps, repeats=repeats))
             report(cases[-1])
     found = claims(cases)
