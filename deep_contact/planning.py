@@ -207,7 +207,7 @@ def _threads(scene: State, solver) -> Choice:
     elif getattr(solver, "order", None) == "colours":
         why = f"{threads} for {scene.bodies.count:,} circles, one for every {CIRCLES_A_THREAD:,}, and {cores()} cores"
     else:
-        why = f"{describe(solver)} goes from contact to contact"
+        why = f"{type(solver).__name__} by levels or contact by contact: nothing that threads could share"
     saving = "with order='colours' they share the stages of a step, and change no bit of it"
     return Choice(part="threads", used=threads > 1, why=why, saving=saving)
 

@@ -1,6 +1,6 @@
 """The step as a budget: time of each stage in the running step, a circle.
 
-    python scripts/benchmark_step.py [--quick] [--sizes 100,1000,10000,100000,1000000] [--repeats 30] [--json FILE]
+    python scripts/benchmark_step.py [--quick] [--sizes 100,1000,3000,10000,100000,1000000] [--repeats 30] [--json FILE]
 
 Steps of ten sweeps and three sweeps of position correction, contact by contact and in batches by colours, of piles that
 fall and that have settled (of `scripts/benchmark_engine.py`; from 100,000 circles on, packed piles of Figure 6.5, which
@@ -8,7 +8,8 @@ do not have to fall first). Times are of the compiled steps alone, each stage's 
 are taken, and for the floor of a stage, see `deep_contact.studies.step_stages`.
 
 The same piles are run as users run them, by `dc.simulate`, with every method and on two threads, in turns; the fastest
-counts. The memory is the largest that a process takes that runs a pile of that size from its scene.
+counts. The memory is the largest that a process takes that runs a pile of that size from its scene. Last, 16 piles
+of 100 circles are run by `dc.simulate_many`, on one core and on all.
 """
 
 from __future__ import annotations
@@ -21,11 +22,12 @@ import time
 from functools import partial
 from pathlib import Path
 
+from deep_contact.compiled import crew
 from deep_contact.physics.solvers import PGS, BatchedPGS
 from deep_contact.reporting import results
-from deep_contact.simulation import simulate
+from deep_contact.simulation import simulate, simulate_many
 from deep_contact.state import State
-from deep_contact.studies import engines, step_stages
+from deep_contact.studies import engines, step_stages, timing
 
 PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
 LARGE = 100_000
@@ -34,7 +36,7 @@ LARGE = 100_000
 RUNS = {
     "PGS": PGS,
     "levels": BatchedPGS,
-    "colours": partial(BatchedPGS, order="colours"),
+    "colours": partial(BatchedPGS, order="colours", threads=1),
     "colours, two threads": partial(BatchedPGS, order="colours", threads=2),
 }
 """Name -> method whose runs are timed."""
@@ -73,6 +75,24 @@ def measure_runs(state: State, repeats: int) -> dict[str, float]:
     return found
 
 
+def measure_many(seed: int, repeats: int, piles: int = 16, steps: int = 600) -> dict:
+    """Settled piles of 100 by `simulate_many`: μs of a step on one core and on all, and of the bare steps of one run.
+
+    "bare" has 20 times the steps in one call of `simulate`, whose price vanishes then.
+    """
+    states = [pile_of("settled", 100, seed + k) for k in range(piles)]
+    solver, cores = engines.solver_of(engines.FEW), crew.cores()
+    each = {"solver": solver, "steps": steps}
+    run = {
+        "bare": lambda: simulate(states[0], solver=solver, steps=20 * steps),
+        "one core": lambda: simulate_many(states, threads=1, **each),
+        "all cores": lambda: simulate_many(states, **each),
+    }
+    counts = {"bare": 20 * steps, "one core": piles * steps, "all cores": piles * steps}
+    took = timing.interleaved(run, repeats=repeats)
+    return {"cores": cores, "us": {name: 1e6 * seconds / counts[name] for name, seconds in took.items()}}
+
+
 def peak_memory(n_bodies: int) -> float:
     """The largest memory, MB, of a process that runs a packed pile by PGS, its interpreter and code included."""
     done = subprocess.run([sys.executable, "-c", MEMORY.format(n_bodies=n_bodies)], capture_output=True, text=True)
@@ -97,7 +117,7 @@ def main(arguments=None) -> int:
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
     parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
     given = parser.parse_args(arguments)
-    sizes = given.sizes or ("100,1000" if given.quick else "100,1000,10000,100000,1000000")
+    sizes = given.sizes or ("100,1000" if given.quick else "100,1000,3000,10000,100000,1000000")
     repeats = given.repeats or (5 if given.quick else 30)
     try:
         sizes = [int(size) for size in sizes.split(",")]
@@ -124,6 +144,8 @@ def main(arguments=None) -> int:
             )
     memory = {str(n): peak_memory(n) for n in sizes if n >= LARGE and Path("/proc/self/status").exists()}
     print("\n".join(f"{int(n):,} circles: {found:,.0f} MB at the peak" for n, found in memory.items()))
+    many = measure_many(given.seed, min(all_repeats, 5))
+    print("many piles of 100, µs a step:", {name: round(us, 1) for name, us in many["us"].items()})
     if given.json:
         options = {
             "sizes": sizes,
@@ -136,7 +158,7 @@ def main(arguments=None) -> int:
         file = {"id": "B.2", "title": "Time of each stage in the running step", "options": options}
         file["provenance"] = results.provenance(seed=given.seed, wall_s=time.perf_counter() - start)
         results.write_results(
-            given.json, file | {"claims": [], "data": {"cases": cases, "runs": runs, "memory_mb": memory}}
+            given.json, file | {"claims": [], "data": {"cases": cases, "runs": runs, "memory_mb": memory, "many": many}}
         )
     return 0
 

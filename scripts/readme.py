@@ -133,6 +133,16 @@ def runs() -> list[list]:
     return rows
 
 
+def many() -> list[list]:
+    """A step of many small piles by one call: on one core, on all, and a minute's steps of each core."""
+    found = stored("benchmark_step")["data"]["many"]
+    rows = [["16 piles of 100", "µs a step", "steps a minute and core"]]
+    for name, us in found["us"].items():
+        cores = found["cores"] if name == "all cores" else 1
+        rows.append([name, f"{us:.1f}", f"{60e6 / us / cores:,.0f}"])
+    return rows
+
+
 def outside() -> list[list]:
     """Every method on every problem of others."""
     return others.table(stored("benchmark_outside"))
@@ -231,7 +241,7 @@ def figures() -> list[list]:
 
 
 _MADE = (
-    learned, engine, stages, runs, outside, disks, relaxation, mujoco, starts, transfer, tried, presets, figures,
+    learned, engine, stages, runs, many, outside, disks, relaxation, mujoco, starts, transfer, tried, presets, figures,
 )  # fmt: skip
 
 TABLES = {table.__name__: table for table in _MADE} | {

@@ -4,9 +4,11 @@ import shutil
 
 import pytest
 from conftest import load_script
+from numba import config
 
 import deep_contact as dc
 from deep_contact import planning
+from deep_contact.compiled import crew
 from deep_contact.reporting import figures
 
 
@@ -130,3 +132,23 @@ def test_what_simulate_refuses_is_refused(options, message):
 def test_an_unknown_part_names_the_known_ones():
     with pytest.raises(KeyError, match="expected one of tangent rows and spin, static segments, islands"):
         plan(dc.column(2))["gravity"]
+
+
+@pytest.mark.skipif(bool(config.DISABLE_JIT), reason="one thread without the compiler")
+@pytest.mark.parametrize(
+    ("n_bodies", "solver", "used", "why"),
+    [
+        (3600, dc.BatchedPGS(order="colours"), True, "2 for 3,600 circles, one for every 1,500, and 4 cores"),
+        (900, dc.BatchedPGS(order="colours"), False, "1 for 900 circles, one for every 1,500, and 4 cores"),
+        (3600, dc.BatchedPGS(order="colours", threads=1), False, "threads=1 was asked for"),
+        (3600, dc.BatchedPGS(), False, "BatchedPGS by levels or contact by contact"),
+        (3600, dc.PGS(), False, "PGS by levels or contact by contact"),
+    ],
+)
+def test_threads_are_planned_as_they_are_taken(n_bodies, solver, used, why, monkeypatch):
+    for module in (crew, planning):
+        monkeypatch.setattr(module, "cores", lambda: 4)
+    monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 4)
+    found = plan(dc.lattice_in_box(n_bodies), solver=solver)["threads"]
+    assert found.used == used
+    assert why in found.why

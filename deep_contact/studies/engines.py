@@ -141,7 +141,7 @@ PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES
 ENGINES = {
     "ours": Ours,
     "in levels": partial(Ours, method=BatchedPGS),
-    "in colours": partial(Ours, method=BatchedPGS, order="colours"),
+    "in colours": partial(Ours, method=BatchedPGS, order="colours", threads=1),
     "dc.step": OursByStep,
 } | PEERS
 """Name -> callable that takes a state and returns an engine that can `run`. Levels keep PGS's order, and presets take
