@@ -165,10 +165,25 @@ def share_of_phase(plan, p, crew):
     """The places in `Plan.order`, first and after the last, of the blocks of a phase that this thread does.
 
     Neighbours in the list, so that threads share the circles of a few blocks: to get one that another core has changed
-    costs more than to relax a contact.
+    costs more than to relax a contact. Where phases are not shared, rank 0 does all.
     """
     first, last = share_of(plan.start[p + 1] - plan.start[p], crew)
+    if not phases_are_shared(plan):
+        first, last = 0, plan.start[p + 1] - plan.start[p] if crew.rank == 0 else 0
     return plan.start[p] + first, plan.start[p] + last
+
+
+@njit(cache=True)
+def phases_are_shared(plan):
+    """Whether phases have more than one block. Those of circles that are numbered at random have nothing to share."""
+    return 3 * plan.count[PHASES] <= 2 * plan.count[BLOCKS]
+
+
+@njit(cache=True)
+def end_phase(plan, p, crew):
+    """The barrier after a phase, where the next one needs it."""
+    if phases_are_shared(plan) or p == plan.count[PHASES] - 1:
+        wait(crew)
 
 
 @njit(cache=True)
@@ -182,7 +197,7 @@ def sweep_blocks(plan, tiles, friction, turn, crew):
         for q in range(first, last):
             k = plan.order[q]
             plan.worst[k, turn] = sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction)
-        wait(crew)
+        end_phase(plan, p, crew)
     theta = 0.0
     for k in range(plan.count[BLOCKS]):
         theta = max(theta, plan.worst[k, turn])
@@ -198,7 +213,7 @@ def correct_blocks(plan, tiles, scales, turn, crew):
             k = plan.order[q]
             begin, end = plan.first[k], plan.first[k + 1]
             plan.worst[k, turn] = correct_tiles(tiles.body, tiles.data, TARGET + 1, tiles.centre, begin, end, scales)
-        wait(crew)
+        end_phase(plan, p, crew)
     deepest = 0.0
     for k in range(plan.count[BLOCKS]):
         deepest = min(deepest, plan.worst[k, turn])
@@ -410,7 +425,7 @@ def write_blocks(given, contacts, plan, tiles, crew):
         first, last = share_of_phase(plan, p, crew)
         for q in range(first, last):
             write_block(given, contacts, plan, tiles, plan.order[q])
-        wait(crew)
+        end_phase(plan, p, crew)
 
 
 @njit(cache=True)

@@ -81,6 +81,11 @@ def test_no_circle_occurs_twice_in_a_batch(order, pile):
         assert np.unique(circles).size == circles.size
 
 
+def test_phases_of_circles_in_order_are_shared(pile):
+    assert batched.phases_are_shared(plan_of(pile, "colours"))
+    assert not batched.phases_are_shared(plan_of(shuffled(pile), "colours"))
+
+
 def test_blocks_of_a_phase_share_no_circle(pile):
     plan, m = plan_of(pile, "colours"), pile.contacts.count
     blocks = np.arange(m) // batches.BLOCK
@@ -195,6 +200,18 @@ def gas():
     return dc.simulate(scene.replace(bodies=scene.bodies._replace(velocity=velocity)), steps=2).state
 
 
+def terrain():
+    """Circles on segments, which are solved by one thread."""
+    return dc.simulate(dc.terrain(900, seed=2), steps=150, solver=dc.PGS(sweeps=5)).state
+
+
+def shuffled(state):
+    """The state with its circles numbered at random."""
+    numbers = np.random.default_rng(7).permutation(state.bodies.count)
+    bodies = type(state.bodies)(*(np.ascontiguousarray(field[numbers]) for field in state.bodies))
+    return dc.simulate(state.replace(bodies=bodies, contacts=None, solved=False), steps=1).state
+
+
 @pytest.mark.skipif(config.DISABLE_JIT or config.NUMBA_NUM_THREADS < 2, reason="one thread")
 @pytest.mark.parametrize(
     ("scene", "precision", "on_step"),
@@ -202,16 +219,13 @@ def gas():
         ("pile", "double", None),
         ("pile", "single", None),
         ("pile", "double", lambda state, record: None),  # a call of compiled code for every step
+        ("shuffled", "double", None),  # its phases have one block each
         ("gas", "double", None),
         ("terrain", "double", None),
     ],
 )
 def test_threads_change_no_bit(scene, precision, on_step, pile):
-    state = pile
-    if scene != "pile":
-        state = (
-            gas() if scene == "gas" else dc.simulate(dc.terrain(900, seed=2), steps=150, solver=dc.PGS(sweeps=5)).state
-        )
+    state = {"pile": lambda: pile, "shuffled": lambda: shuffled(pile), "gas": gas, "terrain": terrain}[scene]()
     one, two = (
         dc.simulate(
             state,
