@@ -80,10 +80,10 @@ def solver_of(setting: Mapping):
 def name_of(setting: Mapping) -> str:
     """Such as "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; Δt is 0.01 s."""
     words = [setting.get("engine") or setting["method"]]
-    budget = "iterations" if "engine" in setting else "sweeps" if "sweeps" in setting else "substeps"
-    number = setting.get("sweeps", setting.get("substeps"))
+    counted = "sweeps" if "sweeps" in setting else "substeps"
+    number, budget = setting[counted], "iterations" if "engine" in setting else counted
     words.append(f"{number} {budget if number != 1 else budget[:-1]}")
-    words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "substeps", "dt")]
+    words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", counted, "dt")]
     ratio = TIME_STEP / setting["dt"]
     words.append("Δt" if ratio == 1 else f"Δt / {ratio:g}" if ratio > 1 else f"{1 / ratio:g} Δt")
     return ", ".join(words)

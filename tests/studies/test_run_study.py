@@ -22,6 +22,7 @@ COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
         (COARSE, "PGS, 3 sweeps, Δt"),
         ({"method": "PSOR", "sweeps": 1, "dt": TIME_STEP / 4, "omega": 1.3}, "PSOR, 1 sweep, omega=1.3, Δt / 4"),
         ({"method": "SoftSteps", "substeps": 4, "dt": 2 * TIME_STEP}, "SoftSteps, 4 substeps, 2 Δt"),
+        (COARSE | {"substeps": 4}, "PGS, 3 sweeps, substeps=4, Δt"),
         ({"engine": "pymunk", "sweeps": 10, "dt": TIME_STEP}, "pymunk, 10 iterations, Δt"),
     ],
 )
