@@ -142,6 +142,7 @@ ENGINES = {
     "ours": Ours,
     "in levels": partial(Ours, method=BatchedPGS),
     "in colours": partial(Ours, method=BatchedPGS, order="colours", threads=1),
+    "two threads": partial(Ours, method=BatchedPGS, order="colours", threads=2),
     "dc.step": OursByStep,
 } | PEERS
 """Name -> callable that takes a state and returns an engine that can `run`. Levels keep PGS's order, and presets take
