@@ -6,8 +6,9 @@ Our engine makes each pile, and every engine gets its circles. "falling" is the 
 as circles, about half of the final number; "settled" is the pile at rest. Each engine steps it with 3 sweeps of
 position correction, where it has them (ours, Box2D 2.3), in four blocks of steps: of 10, 100, 100 and 10 velocity
 sweeps. Ours is timed as users run it, one `dc.simulate` per block: by PGS, in batches by levels, by colours, and by
-colours on two threads (`BatchedPGS`), and once by one `dc.step` per step; the others by their step functions. All but
-"two threads" use one. Repeats are interleaved, and the fastest of each block counts. For the model, and what a sweep is in each engine, see `deep_contact.studies.engines`.
+colours on two threads (`BatchedPGS`), and once by one `dc.step` per step; the others by their step functions, on two
+threads as well where they can. Repeats are interleaved, and the fastest of each block counts. For the model, and what
+a sweep is in each engine, see `deep_contact.studies.engines`.
 "Whole step" is the mean step of 10 sweeps.
 """
 
@@ -77,9 +78,9 @@ def claims(cases: list[dict]) -> list[results.Claim]:
 def report(case: dict) -> None:
     """Print the costs of one pile."""
     print(f"\n{case['n_bodies']} circles, {case['kind']} (rms speed {case['rms_speed']:.3f} m/s)")
-    print("              contacts   ns/contact/sweep        overhead, µs       whole step, µs")
+    print("                         contacts   ns/contact/sweep        overhead, µs       whole step, µs")
     for name, cost in case["engines"].items():
-        line = f"  {name:11s}{cost['contacts']:9.0f}"
+        line = f"  {name:22s}{cost['contacts']:9.0f}"
         for key, digits in (("sweep_ns", 2), ("overhead_us", 1), ("step_us", 1)):
             ratio = f"({case['ratios'][name][key]:.2f}x)" if name in case["ratios"] else ""
             line += f"{cost[key]:12.{digits}f} {ratio:8s}"

@@ -137,7 +137,11 @@ class Peer:
         return contacts
 
 
-PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()}
+PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()} | {
+    f"{name}, two threads": partial(Peer, adapter=partial(adapter, threads=2))
+    for name, adapter in peers.ENGINES.items()
+    if adapter.takes_threads
+}
 ENGINES = {
     "ours": Ours,
     "in levels": partial(Ours, method=BatchedPGS),
@@ -145,8 +149,8 @@ ENGINES = {
     "two threads": partial(Ours, method=BatchedPGS, order="colours", threads=2),
     "dc.step": OursByStep,
 } | PEERS
-"""Name -> callable that takes a state and returns an engine that can `run`. Levels keep PGS's order, and presets take
-them from 3,000 circles on; colours change it, as Box2D v3 does."""
+"""Name -> callable that takes a state and returns an engine that can `run`. Levels keep PGS's order; colours change it, as
+Box2D v3 does, and presets take them for large piles."""
 
 
 def measure(state: State, engines: Mapping[str, Callable], *, steps: int, repeats: int) -> dict[str, dict]:

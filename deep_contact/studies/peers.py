@@ -28,12 +28,13 @@ class _Peer:
     """What the adapters share. A subclass builds its world and lists its bodies in `_bodies`, in our order.
 
     name: of the engine. package: of its Python module and distribution. counts_next_step: whether `contact_count` is
-    that of the next step rather than of the last one.
+    that of the next step rather than of the last one. takes_threads: whether it is made with an option `threads`.
     """
 
     name: str
     package: str
     counts_next_step = False
+    takes_threads = False
     _fields: tuple[str, ...]
     """The engine's names of position, velocity, angle, angular velocity and mass of a body."""
 
@@ -115,12 +116,15 @@ class Pymunk(_Peer):
     """
 
     name = package = "pymunk"
+    takes_threads = True
     _fields = ("position", "velocity", "angle", "angular_velocity", "mass")
 
-    def __init__(self, state: State):
+    def __init__(self, state: State, *, threads: int = 1):
         super().__init__(state)
         pymunk, world = self._library, self._state.world
-        self.space = pymunk.Space()
+        self.space = pymunk.Space(threaded=threads > 1)
+        if threads > 1:
+            self.space.threads = threads
         self.space.gravity = world.gravity
         self.space.collision_slop = self._state.scales.slop
         # Bias is the share of the penetration that is left after one second.
@@ -162,7 +166,7 @@ class Pymunk(_Peer):
 
 
 class Box2D3(_Peer):
-    """Box2D v3 through `pyb2d3`, single-threaded.
+    """Box2D v3 through `pyb2d3`, on so many threads.
 
     Its Soft Step solver has no velocity sweeps. A step is divided into substeps, and each substep goes over
     all contacts twice: once with soft position bias ("solve") and once without ("relax"), with an
@@ -174,12 +178,12 @@ class Box2D3(_Peer):
     """
 
     name, package = "Box2D v3", "pyb2d3"
-    counts_next_step = True
+    counts_next_step = takes_threads = True
 
-    def __init__(self, state: State):
+    def __init__(self, state: State, *, threads: int = 1):
         super().__init__(state)
         b3, world = self._library, _at_rest(self._state.world)
-        self.world = b3.World(gravity=world.gravity)
+        self.world = b3.World(thread_pool=b3.ThreadPool(threads) if threads > 1 else None, gravity=world.gravity)
         self.world.sleeping_enabled = False
         self.world.continuous_enabled = False
         material = b3.surface_material(friction=world.friction, restitution=world.restitution)
