@@ -149,8 +149,8 @@ ENGINES = {
     "two threads": partial(Ours, method=BatchedPGS, order="colours", threads=2),
     "dc.step": OursByStep,
 } | PEERS
-"""Name -> callable that takes a state and returns an engine that can `run`. Levels keep PGS's order; colours change it, as
-Box2D v3 does, and presets take them for large piles."""
+"""Name -> callable that takes a state and returns an engine that can `run`. Levels keep PGS's order; colours change it,
+as Box2D v3 does, and presets take them for large piles."""
 
 
 def measure(state: State, engines: Mapping[str, Callable], *, steps: int, repeats: int) -> dict[str, dict]:

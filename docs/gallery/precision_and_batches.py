@@ -1,7 +1,8 @@
 """Trade the order of the contacts for speed.
 
 For large scenes: `BatchedPGS` relaxes eight contacts that share no circle at a time. With `order="levels"` it is PGS
-up to rounding; with `order="colours"` the order of the contacts changes, and threads share the work: by default as many as pay.
+up to rounding; with `order="colours"` the order of the contacts changes, and threads share the work, by default as many
+as pay.
 """
 
 import time
