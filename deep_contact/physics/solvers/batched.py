@@ -112,7 +112,7 @@ class BatchedPGS(PGS):
 
 
 CIRCLES_A_THREAD = 1500
-"""Circles for which a thread of its own pays: with two threads a step of 3,000 is sooner done, one of 1,000 is not."""
+"""Circles for which a thread of its own pays: two threads break even at 3,000, and gain from there on."""
 
 
 class BatchSettings(NamedTuple):
