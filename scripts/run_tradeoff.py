@@ -421,6 +421,8 @@ def main(arguments=None) -> int:
         return 0
     wall_s = time.perf_counter() - start
     kept = {key: value for key, value in options.items() if key not in ("settings", "peers")} | {"quick": given.quick}
+    if before:
+        kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
     file = {
         "id": "V.2" if given.verify else "6.1",
         "title": "The presets on scenes outside the study"

@@ -175,7 +175,9 @@ def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
     before = {row["name"]: row for row in results.read_results(out)["data"]["rows"]}
     monkeypatch.setattr(script, "QUICK", tiny | {"settings": {"20": [*tiny["settings"]["20"], colours]}})
     assert script.main([*arguments, str(tmp_path / "second"), "--add"]) == 0
-    after = {row["name"]: row for row in results.read_results(out)["data"]["rows"]}
+    found = results.read_results(out)
+    assert found["options"]["errors_from"] == [found["provenance"]["commit"]]
+    after = {row["name"]: row for row in found["data"]["rows"]}
     observed = [path for path in (tmp_path / "second").iterdir() if path.name.startswith("observed")]
     assert len(observed) == 2 * 2  # of the reference and of what is new, by two seeds
     assert after.keys() - before.keys() == {"BatchedPGS, 3 sweeps, order=colours, Δt"}
