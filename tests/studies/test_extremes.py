@@ -195,7 +195,7 @@ def test_a_misleading_start_leaves_nothing_behind(kind, factor):
 
 
 @pytest.mark.parametrize("method", METHODS.values())
-@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("precision", ["double", pytest.param("single", marks=pytest.mark.slow)])  # it compiles
 def test_every_method_in_both_precisions_keeps_a_pile_bounded(method, precision):
     scene = extremes.small_pile()
     state = dc.simulate(scene, steps=150, solver=method(precision=precision)).state
