@@ -18,23 +18,6 @@ from deep_contact.reporting.scripts import find
 HERE = Path(__file__).resolve().parent
 REFERENCE = HERE.parent / "data" / "reference"
 
-LATE = """
-physics/exact.py=tests/physics/test_exact.py
-physics/proximal_path.py=tests/physics/test_exact.py
-physics/block_lu.py=tests/physics/test_exact.py
-physics/matrix_solvers.py=tests/physics/test_matrix_solvers.py,tests/physics/test_exact.py
-physics/islands.py=tests/physics/test_islands.py
-physics/sleeping.py=tests/physics/test_sleeping.py
-physics/segments.py=tests/physics/test_segments.py,tests/physics/test_surfaces.py
-physics/continuous.py=tests/physics/test_continuous.py,tests/physics/test_segments.py
-physics/stepper.py=tests/physics/test_stepper.py
-compiled/simd.py=tests/cnn/test_convolution.py,tests/physics/solvers/test_batched.py
-cnn/convolution.py=tests/cnn/test_convolution.py
-cnn/far_field.py=tests/cnn/test_far_field.py,tests/cnn/test_convolution.py
-cnn/inference.py=tests/cnn/test_far_field.py,tests/cnn/test_inference.py::test_a_model_says_what_it_is_takes_and_gives
-""".split()
-"""Modules of which the sample of mutants from all of physics and sph has few or none, and their tests."""
-
 STUDIES = {
     "run_tradeoff": ["run_tradeoff.py", "--out"],
     "run_tradeoff_verify": ["run_tradeoff.py", "--verify", "--out"],
@@ -44,9 +27,9 @@ STUDIES = {
     "benchmark_step": ["benchmark_step.py", "--json"],
     "benchmark_transfer": ["benchmark_transfer.py", "--json"],
     "benchmark_state_xml": ["benchmark_state_xml.py", "--json"],
-    "soak": ["soak.py", "--out"],
-    "mutants": ["mutate.py", "--mutants", "100", "--out"],
-    "mutants_late": ["mutate.py", *LATE, "--mutants", "64", "--out"],
+    "soak": ["../tests/tools/soak.py", "--out"],
+    "mutants": ["../tests/tools/mutate.py", "--mutants", "100", "--out"],
+    "mutants_late": ["../tests/tools/mutate.py", "--late", "--mutants", "64", "--out"],
 }
 """File of data/reference -> the script and options that write it; the path follows."""
 

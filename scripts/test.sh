@@ -4,5 +4,5 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/venv.sh
-ensure_venv "[test,peers,cluster,mutation]"
+ensure_venv "[test,peers,cluster]"
 "$PYTHON" -m pytest --numprocesses 2 --dist loadfile "$@"

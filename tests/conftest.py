@@ -13,13 +13,13 @@ import deep_contact as dc
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = ROOT / "scripts"
+TOOLS = ROOT / "tests" / "tools"
 
 
 def load_script(name):
-    """The script whose name begins so, "figure_6_6" or "train", as a module that pickles its functions by name."""
-    path = SCRIPTS / f"{name}.py"
-    if not path.exists():
-        (path,) = SCRIPTS.glob(f"{name}_*.py")
+    """The script or tool of this name, or "figure_6_6" for figure_6_6_….py, as a module that pickles by name."""
+    places = (folder.glob(pattern) for pattern in (f"{name}.py", f"{name}_*.py") for folder in (SCRIPTS, TOOLS))
+    path = next(path for place in places for path in place)
     if path.stem not in sys.modules:
         spec = importlib.util.spec_from_file_location(path.stem, path)
         module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)

@@ -101,7 +101,7 @@ def test_inertia_is_a_solid_discs():
     ],
 )
 def test_parts_of_the_wrong_type_are_named_by_all_that_take_a_state(change, message):
-    # Found by scripts/fuzz.py: they came back as NumPy's or Python's own errors.
+    # Found by tests/tools/fuzz.py: they came back as NumPy's or Python's own errors.
     state = dc.step(dc.column(3)).replace(**change)
     for use in (dc.step, dc.solve_contacts, dc.solve_exactly, format_state):
         with pytest.raises(ValueError, match=message):

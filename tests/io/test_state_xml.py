@@ -43,7 +43,7 @@ from deep_contact.state import (
 )
 
 DATA = Path(__file__).parent / "data"
-SCRIPTS = Path(__file__).parents[2] / "scripts"
+TOOLS = Path(__file__).parents[1] / "tools"
 OLD_A = DATA / "old_pybox2d_12.xml"
 OLD_B = DATA / "7.xml"
 EXTREME = (5e-324, -5e-324, -0.0, 0.0, 1e308, -1.7976931348623157e308, 2.2250738585072014e-308, 0.1, 1 / 3)
@@ -639,7 +639,7 @@ def test_state_path_refuses(name, step):
 def test_two_thousand_damaged_files_only_raise_state_file_errors():
     """The whole run is `fuzz.py xml --inputs 1000000`."""
     pytest.importorskip("atheris")
-    command = [sys.executable, SCRIPTS / "fuzz.py", "xml", "--inputs", "2000", "--seed", "1"]
+    command = [sys.executable, TOOLS / "fuzz.py", "xml", "--inputs", "2000", "--seed", "1"]
     result = subprocess.run(command, capture_output=True, text=True)
     assert result.returncode == 0, result.stdout + result.stderr
     assert "'read'" in result.stdout

@@ -2,9 +2,9 @@
 # The package without its repository: build the source distribution, from that the wheel; install the wheel beside the
 # packages of .venv and use it in an empty folder; pass the tests of files in the unpacked source distribution.
 set -euo pipefail
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/../.."
 . scripts/venv.sh
-ensure_venv "[test,peers,cluster,mutation]"
+ensure_venv "[test,peers,cluster]"
 PYTHON="$(cd "$(dirname "$PYTHON")" && pwd)/$(basename "$PYTHON")"
 export TF_CPP_MIN_LOG_LEVEL=3 CUDA_VISIBLE_DEVICES=""
 unset PYTHONPATH DEEP_CONTACT_MODELS

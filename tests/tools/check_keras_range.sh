@@ -1,10 +1,10 @@
 #!/usr/bin/env bash
 # Predict with the oldest and with the newest Keras and TensorFlow that setup.cfg allows, each in an environment of its
-# own, and compare with the stored numbers: `bash scripts/check_keras_range.sh [oldest] [newest]`, both by default.
+# own, and compare with the stored numbers: `bash tests/tools/check_keras_range.sh [oldest] [newest]`, both by default.
 # DEEP_CONTACT_RANGE names a folder for the environments (1.5 GB each), DEEP_CONTACT_PYTHON the python. The oldest
 # TensorFlow (2.16) supports Python up to 3.12: without one at hand, that end is skipped, with the reason.
 set -euo pipefail
-cd "$(dirname "$0")/.."
+cd "$(dirname "$0")/../.."
 . scripts/venv.sh
 folder="${DEEP_CONTACT_RANGE:-${TMPDIR:-/tmp}/deep_contact_range}"
 mkdir -p "$folder"

@@ -1,6 +1,6 @@
-"""python scripts/soak.py: long runs of piles with every preset; drift of energy, momentum, memory, and resumed runs.
+"""python tests/tools/soak.py: long runs of piles with every preset; drift of energy and momentum, memory, resumed runs.
 
-    python scripts/soak.py [--share 1.0] [--presets fast …] [--out data/reference/soak.json]
+    python tests/tools/soak.py [--share 1.0] [--presets fast …] [--out data/reference/soak.json]
 
 A unit is one preset on one pile: 1,000,000 steps of 100 circles or 20,000 of 1,000, twice. The file is written after
 each, so a run that is stopped goes on where it was.

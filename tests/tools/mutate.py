@@ -1,7 +1,7 @@
 """Mutation testing: how many small faults in `physics/` and `sph/`, or in the files that are named, the tests find.
 
-    python scripts/mutate.py [--mutants 100] [--seed 0] [--jobs 2] [--out data/reference/mutants.json]
-    python scripts/mutate.py physics/exact.py=tests/physics/test_exact.py,… … --out …
+    python tests/tools/mutate.py [--mutants 100] [--seed 0] [--jobs 2] [--out data/reference/mutants.json]
+    python tests/tools/mutate.py physics/exact.py=tests/physics/test_exact.py,… … --out …
 
 Cosmic Ray makes the mutants. The sample takes from every file by its share of places, and one fault in each place.
 Every mutant is tried in a copy of the package: first without the compiler, by the tests that execute the mutated line,
@@ -35,7 +35,24 @@ from coverage import CoverageData
 from deep_contact.reporting import results
 from deep_contact.reporting.figures import progress_bar
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
+LATE = """
+physics/exact.py=tests/physics/test_exact.py
+physics/proximal_path.py=tests/physics/test_exact.py
+physics/block_lu.py=tests/physics/test_exact.py
+physics/matrix_solvers.py=tests/physics/test_matrix_solvers.py,tests/physics/test_exact.py
+physics/islands.py=tests/physics/test_islands.py
+physics/sleeping.py=tests/physics/test_sleeping.py
+physics/segments.py=tests/physics/test_segments.py,tests/physics/test_surfaces.py
+physics/continuous.py=tests/physics/test_continuous.py,tests/physics/test_segments.py
+physics/stepper.py=tests/physics/test_stepper.py
+compiled/simd.py=tests/cnn/test_convolution.py,tests/physics/solvers/test_batched.py
+cnn/convolution.py=tests/cnn/test_convolution.py
+cnn/far_field.py=tests/cnn/test_far_field.py,tests/cnn/test_convolution.py
+cnn/inference.py=tests/cnn/test_far_field.py,tests/cnn/test_inference.py::test_a_model_says_what_it_is_takes_and_gives
+""".split()
+"""Modules of which the sample of mutants from all of physics and sph has few or none, and their tests."""
+
 TESTS = "tests/physics tests/sph tests/test_state.py tests/test_warm_start.py"
 COVERAGE = "--durations 0 -vvv --timeout 10 --cov=deep_contact --cov-context=test --cov-report="
 QUICK, INTERPRETED_S, COMPILED_S = 60, 180, 900
@@ -111,12 +128,13 @@ def try_mutant(mutant: dict, folder: Path, of_line: list[str], tests: str) -> di
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("files", metavar="FILE=TEST,…", nargs="*", help="default: all of physics and sph, by TESTS")
+    parser.add_argument("--late", action="store_true", help="the files and tests of LATE")
     parser.add_argument("--mutants", type=int, default=100)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--out", type=Path, default=ROOT / "data" / "reference" / "mutants.json")
     given = parser.parse_args()
-    split = (text.partition("=") for text in given.files)
+    split = (text.partition("=") for text in (LATE if given.late else given.files))
     named = {f"deep_contact/{file}": tests.replace(",", " ") for file, _, tests in split}
     all_tests = " ".join(dict.fromkeys(" ".join(named.values()).split())) or TESTS
     mutants, folders = draw(given.mutants, given.seed, named), SimpleQueue()

@@ -1,6 +1,6 @@
 """Fuzzing: hostile input either works or raises the error that the documentation names; nothing else.
 
-    python scripts/fuzz.py xml|hdf5|models|api [--inputs 20000] [--seed 0] [--seconds S] [--out FILE]
+    python tests/tools/fuzz.py xml|hdf5|models|api [--inputs 20000] [--seed 0] [--seconds S] [--out FILE]
 
 * xml: Atheris (libFuzzer) damages state files of all dialects, guided by coverage, and files with baits: entities,
   document types, inclusions and schemas that point to a file and to a port of this machine. One input in fifty is read
@@ -52,7 +52,7 @@ from deep_contact.reporting import results
 from deep_contact.scales import BOX2D
 from deep_contact.state import State, World
 
-OLD_FILES = Path(__file__).resolve().parent.parent / "tests" / "io" / "data"
+OLD_FILES = Path(__file__).resolve().parents[1] / "io" / "data"
 AUDITED = {"open", "socket", "subprocess", "os", "urllib", "ctypes"}
 """First words of the audit events that reading an input may not raise, except for opening the input itself."""
 ODD = (
