@@ -40,8 +40,8 @@ if TYPE_CHECKING:
     from deep_contact.scales import BOX2D, ContactScales
     from deep_contact.simulation import simulate, simulate_many, solve_contacts, step
     from deep_contact.state import Bodies, Contacts, State, World, make_bodies
-    from deep_contact.studies import comparison as experiments
     from deep_contact.studies import peers
+    from deep_contact.studies import starts as experiments
     from deep_contact.trajectory import Trajectory, load_trajectory
 
 _IMPORT = re.compile(r"^    from ([\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)

@@ -21,8 +21,6 @@ REFERENCE = HERE.parent / "data" / "reference"
 STUDIES = {
     "run_tradeoff": ["run_tradeoff.py", "--out"],
     "run_tradeoff_verify": ["run_tradeoff.py", "--verify", "--out"],
-    "tradeoff": ["tradeoff.py", "--out"],
-    "tradeoff_verify": ["tradeoff.py", "--verify", "--out"],
     "benchmark_engine": ["benchmark_engine.py", "--json"],
     "benchmark_step": ["benchmark_step.py", "--json"],
     "benchmark_transfer": ["benchmark_transfer.py", "--json"],

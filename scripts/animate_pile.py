@@ -6,7 +6,7 @@ from pathlib import Path
 import deep_contact as dc
 from deep_contact.reporting import plotting
 from deep_contact.reporting.figures import progress_bar
-from deep_contact.studies import comparison
+from deep_contact.studies import starts
 
 
 def main() -> None:
@@ -21,7 +21,7 @@ def main() -> None:
     given = parser.parse_args()
     make = dc.drifting_circles if given.no_gravity else dc.circles_in_box
     scene = make(given.bodies, seed=given.seed)
-    states = comparison.solved_states(scene, steps=given.steps, every=given.every, contacts_only=False)
+    states = starts.solved_states(scene, steps=given.steps, every=given.every, contacts_only=False)
     name = "animation_no_gravity" if given.no_gravity else "animation"
     fps = round(1 / (given.every * scene.dt))
     for path in plotting.animate(progress_bar(states, text="frames"), Path(given.out) / name, fps=fps):

@@ -24,7 +24,7 @@ import numpy as np
 
 from deep_contact.reporting import results
 from deep_contact.studies import engines, peers
-from deep_contact.studies.tradeoff import RESTING_SPEED, rms_speed
+from deep_contact.studies.piles import SLOWEST, rms_speed
 
 PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
 GOALS = (
@@ -44,7 +44,7 @@ GOALS = (
 
 def measure(kind: str, n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
     """The costs of every engine on one pile."""
-    name = f"{kind}_{n_bodies}_seed_{seed}_dt_{engines.TIME_STEP}_sweeps_{engines.FEW}_rest_{RESTING_SPEED}.npz"
+    name = f"{kind}_{n_bodies}_seed_{seed}_dt_{engines.TIME_STEP}_sweeps_{engines.FEW}_rest_{SLOWEST['resting']}.npz"
     path = engines.stored_pile(PILES / name, lambda: engines.dropped_pile(kind, n_bodies, seed))
     state = engines.read_pile(path)
     measured = engines.measure(state, engines.ENGINES, steps=steps, repeats=repeats)

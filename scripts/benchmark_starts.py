@@ -21,7 +21,7 @@ import deep_contact as dc
 from deep_contact.io.files import write_json
 from deep_contact.reporting import results
 from deep_contact.studies import outside
-from deep_contact.studies.comparison import solved_states
+from deep_contact.studies.starts import solved_states
 
 
 def write(arguments) -> None:

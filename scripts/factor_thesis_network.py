@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.studies.learned import THESIS_VISITS
+from deep_contact.studies.chapter_5 import THESIS_VISITS
 
 
 def largest_rank(model, limit: int) -> int:

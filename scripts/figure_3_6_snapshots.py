@@ -1,9 +1,9 @@
 """python scripts/figure_3_6_snapshots.py: snapshots of the falling pile, coloured by speed."""
 
 from deep_contact.reporting import figures
-from deep_contact.studies import comparison
+from deep_contact.studies import starts
 
-FIGURE = comparison.snapshots_figure(
+FIGURE = starts.snapshots_figure(
     id="3.6", title="Snapshots of the falling pile", times=[0.0, 1.0, 2.0, 6.0], colour_by="speed"
 )
 

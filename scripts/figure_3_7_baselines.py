@@ -2,7 +2,7 @@
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim
-from deep_contact.studies import comparison, verdicts
+from deep_contact.studies import starts, verdicts
 
 
 def claims(data):
@@ -21,7 +21,7 @@ def claims(data):
     ]
 
 
-FIGURE = comparison.convergence_figure(
+FIGURE = starts.convergence_figure(
     id="3.7",
     title="Convergence from None, Builtin and Copy",
     starts={"none": "none", "builtin": "builtin", "copy": "copy"},

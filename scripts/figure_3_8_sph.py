@@ -1,13 +1,13 @@
 """python scripts/figure_3_8_sph.py: mean θ by sweep with the SPH start, by the thesis's transfer and by ours."""
 
 from deep_contact.reporting import figures
-from deep_contact.studies import comparison, verdicts
+from deep_contact.studies import starts, verdicts
 
 COARSE = "sph, d = h = 0.75 m"
 """The grid of 41 × 41 nodes that section 5.3.3 still names; the thesis does not print d and h of this figure."""
 
 
-def starts(d):
+def compared(d):
     """The starts of Figure 3.7; the SPH start at d = h as chosen later, and on the coarser grid."""
     ours = {"transfer": "consistent", "spacing": d}
     sph = {"sph": ours | {"transfer": "thesis"}, COARSE: {"transfer": "thesis", "spacing": 0.75}}
@@ -29,8 +29,8 @@ def claims(data):
     ]
 
 
-FIGURE = comparison.convergence_figure(
-    id="3.8", title="Convergence with the SPH start", starts=starts, claims=claims, d=0.5
+FIGURE = starts.convergence_figure(
+    id="3.8", title="Convergence with the SPH start", starts=compared, claims=claims, d=0.5
 )
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from deep_contact.cnn.images import input_image
 from deep_contact.cnn.inference import load_model, network_file
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import comparison
+from deep_contact.studies import starts
 
 
 def compute(options, seed, jobs, progress):
@@ -57,7 +57,7 @@ def compute(options, seed, jobs, progress):
 def solved_state(options, seed):
     """The falling pile after some steps, solved. Raises ValueError if it has no contacts yet."""
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    states = comparison.solved_states(scene, steps=options["steps"], contacts_only=False)
+    states = starts.solved_states(scene, steps=options["steps"], contacts_only=False)
     if not states or not states[-1].contacts.count:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
     return states[-1]

@@ -9,18 +9,18 @@ import deep_contact as dc
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import comparison, learned, verdicts
+from deep_contact.studies import chapter_5, starts, verdicts
 
 COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting.ORANGE, "solve": plotting.GREY}
 TRANSIENT = ("impact", "settling")
-TIGHT, *_ = learned.THETAS
+TIGHT, *_ = chapter_5.THETAS
 
 
 def compute(options, seed, jobs, progress):
     """The thesis's scene, and a larger one in a box of another size; one process, since it is the time that counts."""
-    about = learned.networks_info(options["networks"])
-    networks = {name: learned.network_start(path) for name, path in options["networks"].items()}
-    starts = {name: comparison.start_of(description) for name, description in learned.STARTS.items()}
+    about = chapter_5.networks_info(options["networks"])
+    networks = {name: chapter_5.network_start(path) for name, path in options["networks"].items()}
+    common = {name: starts.start_of(description) for name, description in chapter_5.STARTS.items()}
     chosen = [seed, *figures.seeds(seed, options["scenes"] - 1)]
     piles = {
         f"{options['few']} circles": [dc.circles_in_box(options["few"], seed=s) for s in chosen],
@@ -30,7 +30,7 @@ def compute(options, seed, jobs, progress):
     for number, (title, scenes) in enumerate(piles.items()):
         steps, count, most = (options[name][number] for name in ("steps", "states", "most"))
         run = {"steps": steps, "count": count, "sweeps": options["sweeps"]}
-        sampled = [learned.sampled_states(scene, **run) for scene in progress(scenes, text="scenes")]
+        sampled = [chapter_5.sampled_states(scene, **run) for scene in progress(scenes, text="scenes")]
         states = [state for of_scene in sampled for state in of_scene]
         fitting, refused = {}, {}
         for name, start in networks.items():
@@ -39,10 +39,10 @@ def compute(options, seed, jobs, progress):
                 fitting[name] = start
             except ModelFileError as error:
                 refused[name] = str(error)
-        chosen = starts | fitting | {"copy": comparison.start_of("copy")}
-        times = learned.time_to_thresholds(states, chosen, most=most, repeats=repeats, progress=progress)
+        tried = common | fitting | {"copy": starts.start_of("copy")}
+        times = chapter_5.time_to_thresholds(states, tried, most=most, repeats=repeats, progress=progress)
         trees = {
-            name: learned.time_by_tree(states[-1:], start.model.spec, repeats=repeats)
+            name: chapter_5.time_by_tree(states[-1:], start.model.spec, repeats=repeats)
             for name, start in fitting.items()
         }
         x_min, y_min, x_max, y_max = scenes[0].world.box
@@ -57,7 +57,7 @@ def claims(data):
     for title, scene in data["scenes"].items():
         for name in data["networks"]:
             if name in scene["starts"]:
-                found += claims_of(scene, name, f"{title}, {learned.LABELS.get(name, name)}")
+                found += claims_of(scene, name, f"{title}, {chapter_5.LABELS.get(name, name)}")
     return found
 
 
@@ -65,14 +65,14 @@ def claims_of(scene, name, where):
     """The claims of one network in one kind of scene; times in ms."""
     tree = 1e3 * scene["splat by k-d tree"][name]
     splat, network, gather = (
-        1e3 * by_scene(scene, scene["starts"][name]["stages"][stage]) for stage in learned.STAGES[:-1]
+        1e3 * by_scene(scene, scene["starts"][name]["stages"][stage]) for stage in chapter_5.STAGES[:-1]
     )
-    whole = {start: 1e3 * by_scene(scene, learned.times_of(scene, start, TIGHT)) for start in (name, "builtin")}
-    needed = {start: by_scene(scene, learned.sweeps_of(scene, start, TIGHT)) for start in (name, "builtin")}
+    whole = {start: 1e3 * by_scene(scene, chapter_5.times_of(scene, start, TIGHT)) for start in (name, "builtin")}
+    needed = {start: by_scene(scene, chapter_5.sweeps_of(scene, start, TIGHT)) for start in (name, "builtin")}
     loose = {}
     for criterion in scene["criteria"]:
         if criterion != TIGHT:
-            pair = [1e3 * learned.total_time(scene, start, criterion, TRANSIENT) for start in (name, "builtin")]
+            pair = [1e3 * chapter_5.total_time(scene, start, criterion, TRANSIENT) for start in (name, "builtin")]
             loose[f"{criterion}, transients, ms: {name}, builtin"] = pair
 
     def judged(first, second, text, thesis, within, names):
@@ -84,12 +84,12 @@ def claims_of(scene, name, where):
     slow_tree = "by a k-d tree, as in the thesis, interpolation takes longer than the network"
     fewer, late = f"it reaches {TIGHT} in fewer sweeps than Builtin", f"it is not efficient: to {TIGHT} it takes longer"
     quick = f"{where}: in impacts and settling it is faster than Builtin to at least one of the looser thresholds"
-    stages, starts = ("splat and gather, ms", "network, ms"), (f"{name}, ms", "builtin, ms")
+    stages, columns = ("splat and gather, ms", "network, ms"), (f"{name}, ms", "builtin, ms")
     return [
         judged(splat + gather, network, slow, both, slower, stages),
         judged(tree + gather, network, slow_tree, both, slower, ("splat by k-d tree and gather, ms", "network, ms")),
         judged(*needed.values(), fewer, "section 6.2.1", verdicts.FASTER, [f"sweeps, {start}" for start in needed]),
-        judged(*whole.values(), f"{late} than Builtin", "abstract", slower, starts),
+        judged(*whole.values(), f"{late} than Builtin", "abstract", slower, columns),
         Claim(quick, None, any(ours < theirs for ours, theirs in loose.values()), loose),
     ]
 
@@ -106,11 +106,11 @@ def table(data):
     rows = [["scene", "start", "splat", "network", "gather", *(f"{c}: sweeps, ms" for c in criteria), "not reached"]]
     for title, scene in data["scenes"].items():
         for name, found in scene["starts"].items():
-            stages = learned.mean_stages(scene, name, TIGHT)
-            own = [1e3 * stages[stage] if stage in found["stages"] else None for stage in learned.STAGES[:-1]]
+            stages = chapter_5.mean_stages(scene, name, TIGHT)
+            own = [1e3 * stages[stage] if stage in found["stages"] else None for stage in chapter_5.STAGES[:-1]]
             ends = []
             for c in criteria:
-                sweeps, time = learned.mean_sweeps_to(scene, name, c), 1e3 * learned.total_time(scene, name, c)
+                sweeps, time = chapter_5.mean_sweeps_to(scene, name, c), 1e3 * chapter_5.total_time(scene, name, c)
                 ends.append(f"{sweeps:.4g}, {time:.3g}")
             missed = max(sum(n is None for n in found["sweeps"][c]) for c in criteria)
             rows.append([title, name, *own, *ends, f"{missed} of {len(scene['phases'])}"])
@@ -143,13 +143,13 @@ def draw(data, options):
 def draw_bars(ax, scene, names, criterion):
     """Stacked bars from the top down, ms."""
     left = [0.0] * len(names)
-    stages = [learned.mean_stages(scene, name, criterion) for name in names]
-    for stage in learned.STAGES:
+    stages = [chapter_5.mean_stages(scene, name, criterion) for name in names]
+    for stage in chapter_5.STAGES:
         widths = [1e3 * found[stage] for found in stages]
         ax.barh(range(len(names)), widths, left=left, color=COLOURS[stage], label=stage, height=0.7)
         left = [start + width for start, width in zip(left, widths)]
     for place, (name, end) in enumerate(zip(names, left)):
-        sweeps = learned.mean_sweeps_to(scene, name, criterion)
+        sweeps = chapter_5.mean_sweeps_to(scene, name, criterion)
         ax.text(end, place, f" {sweeps:,.0f}", va="center", fontsize=8)
     ax.invert_yaxis()
     ax.set_yticks(range(len(names)), [])
@@ -166,7 +166,7 @@ OPTIONS = {
     "sweeps": 5000,
     "most": [10000, 20000],
     "repeats": 5,
-    "networks": learned.NETWORKS,
+    "networks": chapter_5.NETWORKS,
 }
 QUICK = {
     "many": 300,
@@ -176,7 +176,7 @@ QUICK = {
     "sweeps": 1000,
     "most": [5000, 5000],
     "repeats": 3,
-    "networks": {"cnn": learned.NETWORKS["cnn"]},
+    "networks": {"cnn": chapter_5.NETWORKS["cnn"]},
 }
 FIGURE = Figure(
     "5.10",

@@ -1,9 +1,9 @@
 """python scripts/figure_5_1_snapshots.py: snapshots of the experiment's scene, coloured by impulse."""
 
 from deep_contact.reporting import figures
-from deep_contact.studies import comparison
+from deep_contact.studies import starts
 
-FIGURE = comparison.snapshots_figure(
+FIGURE = starts.snapshots_figure(
     id="5.1", title="Snapshots of the experiment's scene", times=[0.5, 1.2, 1.8, 3.0], colour_by="impulse"
 )
 

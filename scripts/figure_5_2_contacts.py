@@ -5,7 +5,7 @@ import numpy as np
 import deep_contact as dc
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Figure
-from deep_contact.studies import comparison, verdicts
+from deep_contact.studies import starts, verdicts
 
 
 def compute(options, seed, jobs, progress):
@@ -16,13 +16,13 @@ def compute(options, seed, jobs, progress):
     drawn, scenes = None, []
     for scene_seed in progress([seed, *figures.seeds(seed, options["scenes"] - 1)], text="scenes"):
         scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=scene_seed)
-        states = comparison.solved_states(scene, steps=options["steps"], contacts_only=False)
+        states = starts.solved_states(scene, steps=options["steps"], contacts_only=False)
         timed = [state for state in states[:: options["every"]] if state.contacts.count]
         found = {
             "step": [state.step for state in states],
             "contacts": [state.contacts.count for state in states],
             "timed contacts": [state.contacts.count for state in timed],
-            "time (ms)": np.array([comparison.contact_time(s, sweeps=options["sweeps"]) for s in timed]) * 1e3,
+            "time (ms)": np.array([starts.contact_time(s, sweeps=options["sweeps"]) for s in timed]) * 1e3,
         }
         scenes.append(summary(found))
         drawn = drawn or found

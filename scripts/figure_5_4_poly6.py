@@ -2,7 +2,7 @@
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim
-from deep_contact.studies import comparison, verdicts
+from deep_contact.studies import starts, verdicts
 
 EQUAL, BEST = "h = 0.25 m", "d = h = 0.5 m"
 PLACE = "section 5.1.3, Figure 5.4"
@@ -49,7 +49,7 @@ def best_by_number(data):
     return Claim(text, PLACE, None, beaten, "within the noise")
 
 
-FIGURE = comparison.study_figure(id="5.4", kernel="poly6", claims=claims, numbers=(50, 110))
+FIGURE = starts.study_figure(id="5.4", kernel="poly6", claims=claims, numbers=(50, 110))
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -1,7 +1,7 @@
 """python scripts/figure_5_5_spiky.py: spiky, support h at d = 0.25 and spacing d at h = d."""
 
 from deep_contact.reporting import figures
-from deep_contact.studies import comparison, verdicts
+from deep_contact.studies import starts, verdicts
 
 EQUAL, FINEST = "h = 0.25 m", "d = h = 0.25 m"
 PLACE = "section 5.1.3, Figure 5.5"
@@ -23,7 +23,7 @@ def claims(data):
     ]
 
 
-FIGURE = comparison.study_figure(id="5.5", kernel="spiky", claims=claims)
+FIGURE = starts.study_figure(id="5.5", kernel="spiky", claims=claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -1,7 +1,7 @@
 """python scripts/figure_5_7_starts.py: None, Builtin, SPH at d = h = 0.5 and Copy."""
 
 from deep_contact.reporting import figures
-from deep_contact.studies import comparison, verdicts
+from deep_contact.studies import starts, verdicts
 
 STARTS = {"none": "none", "builtin": "builtin", "sph": {"spacing": 0.5, "transfer": "thesis"}, "copy": "copy"}
 
@@ -18,7 +18,7 @@ def claims(data):
     ]
 
 
-FIGURE = comparison.convergence_figure(
+FIGURE = starts.convergence_figure(
     id="5.7", title="Convergence with None, Builtin, SPH and Copy", starts=STARTS, claims=claims, seed=57
 )
 

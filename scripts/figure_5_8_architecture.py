@@ -4,7 +4,7 @@ import math
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned
+from deep_contact.studies import chapter_5
 
 COLOURS = {
     "Input": "#DDDDDD",
@@ -20,8 +20,8 @@ TITLES = {"MaxPooling": "max pooling", "BatchNormalization": "batch normalisatio
 
 def compute(options, seed, jobs, progress):
     """The layers, and the number of weights with the four channels that section 5.3.1 names."""
-    four = sum(layer["trainable"] for layer in learned.thesis_layers(channels=4))
-    return {"layers": learned.thesis_layers(), "trainable with 4 channels": four}
+    four = sum(layer["trainable"] for layer in chapter_5.thesis_layers(channels=4))
+    return {"layers": chapter_5.thesis_layers(), "trainable with 4 channels": four}
 
 
 def claims(data):

@@ -2,16 +2,16 @@
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Figure
-from deep_contact.studies import comparison, learned
+from deep_contact.studies import chapter_5, starts
 
 
 def compute(options, seed, jobs, progress):
     """The starts on scenes of a random number of circles each, and what the model files say about themselves."""
     networks = options.pop("networks")
-    about = learned.networks_info(networks)
-    starts = learned.STARTS | {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
-    after = [sweeps for sweeps in learned.AFTER if sweeps < options["sweeps"]] + [options["sweeps"]]
-    data = comparison.compare_starts(starts, seed=seed, jobs=jobs, progress=progress, velocity_sweeps=after, **options)
+    about = chapter_5.networks_info(networks)
+    chosen = chapter_5.STARTS | {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
+    after = [sweeps for sweeps in chapter_5.AFTER if sweeps < options["sweeps"]] + [options["sweeps"]]
+    data = starts.compare_starts(chosen, seed=seed, jobs=jobs, progress=progress, velocity_sweeps=after, **options)
     return data | {"networks": about}
 
 
@@ -19,20 +19,20 @@ def claims(data):
     """The claims of the thesis on the figure, for each network."""
     found = []
     for name in data["networks"]:
-        found += learned.claims_of_network(data, name, learned.LABELS.get(name, name))
+        found += chapter_5.claims_of_network(data, name, chapter_5.LABELS.get(name, name))
     return found
 
 
 def table(data):
     """θ by sweeps in both modes, and the velocity errors below."""
-    return comparison.table_of_starts(data, learned.AFTER) + learned.table_of_velocity(data)
+    return starts.table_of_starts(data, chapter_5.AFTER) + chapter_5.table_of_velocity(data)
 
 
 def draw(data, options):
     """θ paired and independent, as in the thesis, and the remaining velocity error."""
     figure, (same, own, velocity) = plotting.subplots(1, 3, size=(13.5, 4.0))
-    for ax, (mode, title) in zip((same, own), comparison.MODES.items()):
-        comparison.draw_convergence(ax, data, mode, floor=1e-9, title=title)
+    for ax, (mode, title) in zip((same, own), starts.MODES.items()):
+        starts.draw_convergence(ax, data, mode, floor=1e-9, title=title)
         ax.get_legend().remove()
     own.sharey(same)
     for name, errors in data["velocity"]["mean"].items():
@@ -40,7 +40,7 @@ def draw(data, options):
         velocity.plot(data["velocity"]["sweeps"], shown, **plotting.style_of(name, marker=True), markersize=4)
     velocity.set_xscale("log")
     velocity.set_yscale("log")
-    plotting.label_axes(velocity, "sweep", "mean relative velocity error", title=comparison.MODES["paired"])
+    plotting.label_axes(velocity, "sweep", "mean relative velocity error", title=starts.MODES["paired"])
     velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title="bands: quartiles of the scenes")
     return figure
 
@@ -51,9 +51,9 @@ OPTIONS = {
     "steps": 600,
     "sweeps": 3000,
     "scenes": 12,
-    "networks": learned.NETWORKS,
+    "networks": chapter_5.NETWORKS,
 }
-QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": learned.NETWORKS["cnn"]}}
+QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
 
 # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
 FIGURE = Figure(

@@ -6,7 +6,6 @@ from deep_contact.recommendation import PRESETS
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs
-from deep_contact.studies.tradeoff import pareto
 
 SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "penetration": "mean penetration"}
 OURS = {"PGS": plotting.VERMILION, "PSOR": plotting.ORANGE, "BatchedPGS": plotting.BLUE, "SoftSteps": plotting.GREEN}
@@ -74,6 +73,12 @@ def table(data):
     return rows
 
 
+def front_of(points):
+    """The points (time, error) that no other beats in both, by time."""
+    points = sorted(points)
+    return [point for i, point in enumerate(points) if all(point[1] < earlier[1] for earlier in points[:i])]
+
+
 def draw(data, options):
     """A row of panels for each size, a column for each error: every setting, the front of ours, the tolerances."""
     sizes = sizes_of(data)
@@ -89,8 +94,7 @@ def draw(data, options):
                 reach = [[max(0.0, value - low)], [max(0.0, high - value)]]  # an interval may lie beside its value
                 ax.errorbar(row["us"], value, reach, linewidth=0.6, markersize=3.5, **look)
             ours = [(row["us"], row["errors"][name][0]) for row in rows if row["group"] not in MARKERS]
-            front = [ours[i] for i in pareto(ours)]
-            ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)
+            ax.plot(*zip(*front_of(ours)), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)
             for preset in ("fast", "balanced", "accurate"):
                 ax.axhline(PRESETS[preset][name], color=plotting.GREY, linewidth=0.6, linestyle=":")
                 ax.annotate(preset, (1, PRESETS[preset][name]), xycoords=("axes fraction", "data"), fontsize=6,

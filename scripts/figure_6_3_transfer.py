@@ -7,7 +7,7 @@ import numpy as np
 import deep_contact as dc
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import comparison, verdicts
+from deep_contact.studies import starts, verdicts
 from deep_contact.warm_start import Sph
 
 SIBLING = {
@@ -37,12 +37,12 @@ def compute(options, seed, jobs, progress):
 
     "by scene" has the losses that the thesis speaks of, one a scene of equal circles.
     """
-    isolated = comparison.isolated_contacts(options["isolated"], seed=seed)
+    isolated = starts.isolated_contacts(options["isolated"], seed=seed)
     scenes = {name: piles_of(options, radius, seed) for name, radius in RADII.items()}
     piles = {name: [state for pile in found for state in pile] for name, found in scenes.items()}
 
     def loss(states, method="bilinear", **start):
-        return comparison.transfer_loss(states, Sph(**start), method=method)["relative error"]
+        return starts.transfer_loss(states, Sph(**start), method=method)["relative error"]
 
     rows = []
     for kernel in progress(options["kernels"], text="kernels"):
@@ -69,7 +69,7 @@ def compute(options, seed, jobs, progress):
         by_scene[f"d = 0.25, h = {h:g}"] = [
             loss(s, spacing=0.25, support=h, transfer="thesis") for s in scenes["equal"]
         ]
-    by_scene["velocities of circles"] = [comparison.velocity_loss(states, chosen) for states in scenes["equal"]]
+    by_scene["velocities of circles"] = [starts.velocity_loss(states, chosen) for states in scenes["equal"]]
     found = {"rows": rows, "by scene": by_scene, "charted": options["charted"]}
     return found | {"by spacing": by_spacing, "sibling": SIBLING}
 
@@ -80,7 +80,7 @@ def piles_of(options, radius, seed):
     scenes = [
         dc.circles_in_box(count, radius=radius, seed=s) for s in [seed, *figures.seeds(seed, options["scenes"] - 1)]
     ]
-    return [comparison.solved_states(scene, steps=600, every=options["every"]) for scene in scenes]
+    return [starts.solved_states(scene, steps=600, every=options["every"]) for scene in scenes]
 
 
 def claims(data):

@@ -12,6 +12,7 @@ import numpy as np
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies.break_even import sweep_times
+from deep_contact.studies.chapter_5 import networks_info
 from deep_contact.studies.held_out import (
     cells_of,
     errors_on_scenes,
@@ -21,7 +22,6 @@ from deep_contact.studies.held_out import (
     start_us,
     timing_state,
 )
-from deep_contact.studies.learned import networks_info
 
 SHIPPED = "models/model.h5"
 MARKERS = "^sDv"

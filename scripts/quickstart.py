@@ -14,7 +14,7 @@ import figure_5_7_starts
 from deep_contact.compiled import announced
 from deep_contact.io.files import write_json
 from deep_contact.reporting import figures, plotting, results
-from deep_contact.studies import comparison
+from deep_contact.studies import starts
 
 STARTS = figure_5_7_starts.STARTS | {"guarded": "guarded", "far field": "cnn"}
 SCENE = {"n_bodies": 80, "size": 30.0}
@@ -28,9 +28,9 @@ FIGURES = (figure_3_7_baselines.FIGURE, figure_5_7_starts.FIGURE)
 
 def compute(progress):
     """The first scene before and after its fall, and θ by sweep from every start, from the same states."""
-    scene = comparison.scene_of(**SCENE, seed=figures.seeds(SEED, 1)[0])
-    before, *_, after = comparison.solved_states(scene, steps=SETTINGS["steps"], contacts_only=False)
-    data = comparison.compare_starts(STARTS, seed=SEED, progress=progress, **SETTINGS)
+    scene = starts.scene_of(**SCENE, seed=figures.seeds(SEED, 1)[0])
+    before, *_, after = starts.solved_states(scene, steps=SETTINGS["steps"], contacts_only=False)
+    data = starts.compare_starts(STARTS, seed=SEED, progress=progress, **SETTINGS)
     return data | {"snapshots": [plotting.state_data(state) for state in (before, after)]}
 
 
@@ -40,7 +40,7 @@ def draw(data):
     for ax, state in zip((first, last), map(plotting.state_of, data["snapshots"])):
         plotting.draw_state(ax, state, colour_by=None)
         ax.set_title(f"t = {state.time:.2f} s, {state.contacts.count} contacts")
-    comparison.draw_convergence(rates, data, "paired", floor=1e-9, title="how far the solver still is, by start")
+    starts.draw_convergence(rates, data, "paired", floor=1e-9, title="how far the solver still is, by start")
     return figure
 
 
@@ -48,7 +48,7 @@ def numbers(data):
     """Three lines: the pile, the error after few sweeps, and the sweeps to the end."""
     after = data["snapshots"][1]
     errors, tenth = data["velocity"]["mean"], data["velocity"]["sweeps"].index(10)
-    error, sweeps = {k: v[tenth] for k, v in errors.items()}, comparison.mean_sweeps(data, "paired")
+    error, sweeps = {k: v[tenth] for k, v in errors.items()}, starts.mean_sweeps(data, "paired")
     parts = [
         (
             "a pile",
@@ -60,8 +60,8 @@ def numbers(data):
         ),
         ("sweeps until solved", "{:.0f} from zero, {:.0f} from the step before, {:.0f} from the network"),
     ]
-    starts = ("none", "builtin", "far field")
-    filled = [(), [error[name] for name in starts], [sweeps[name] for name in starts]]
+    names = ("none", "builtin", "far field")
+    filled = [(), [error[name] for name in names], [sweeps[name] for name in names]]
     return [f"{name}: {text.format(*values)}" for (name, text), values in zip(parts, filled)]
 
 
@@ -89,7 +89,7 @@ def main(arguments=None):
             said = claim if given.verbose else claim._replace(thesis=None)  # a line of the screen, without its place
             print(f"  {figures.claim_line(said._asdict(), beside, measured=given.verbose)}")
     if given.verbose:
-        for line in figures.aligned([[figures.cell(v) for v in row] for row in comparison.table_of_starts(data)]):
+        for line in figures.aligned([[figures.cell(v) for v in row] for row in starts.table_of_starts(data)]):
             print(line)
     print(f"picture: {picture}" + ("" if given.verbose else "  (--verbose prints the rest)"))
     return 0

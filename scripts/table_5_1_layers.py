@@ -2,7 +2,7 @@
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned
+from deep_contact.studies import chapter_5
 
 MISPRINTS = ["Input", "BatchNormalization"]
 """Layers that the thesis's table gives wrongly: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""
@@ -10,8 +10,8 @@ MISPRINTS = ["Input", "BatchNormalization"]
 
 def compute(options, seed, jobs, progress):
     """Both tables, layer by layer."""
-    built = learned.thesis_layers()
-    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in learned.PRINTED_LAYERS]
+    built = chapter_5.thesis_layers()
+    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in chapter_5.PRINTED_LAYERS]
     return {"built": built, "printed": printed}
 
 

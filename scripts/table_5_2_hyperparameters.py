@@ -2,7 +2,7 @@
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned
+from deep_contact.studies import chapter_5
 
 KNOWN = {
     "Kernel size": "Appendix B: 3 × 3 in the first four convolutions, 2 × 2 in all others; its weights are 64,498,866"
@@ -12,9 +12,9 @@ KNOWN = {
 
 def compute(options, seed, jobs, progress):
     """The columns, by the name of the setting."""
-    built = learned.thesis_hyperparameters()
-    shipped = built | learned.hyperparameters_of(options["model"])
-    return {"printed": learned.PRINTED_HYPERPARAMETERS, "built": built, "shipped": shipped}
+    built = chapter_5.thesis_hyperparameters()
+    shipped = built | chapter_5.hyperparameters_of(options["model"])
+    return {"printed": chapter_5.PRINTED_HYPERPARAMETERS, "built": built, "shipped": shipped}
 
 
 def claims(data):
@@ -32,10 +32,10 @@ def table(data):
     for name, printed in data["printed"].items():
         built = data["built"][name]
         rows.append([name, printed, built, printed == built, data["shipped"][name]])
-    return [*rows, ["States shown", f"{learned.THESIS_VISITS:,}", None, None, data["shipped"]["States shown"]]]
+    return [*rows, ["States shown", f"{chapter_5.THESIS_VISITS:,}", None, None, data["shipped"]["States shown"]]]
 
 
-OPTIONS = {"model": learned.NETWORKS["cnn thesis"]}
+OPTIONS = {"model": chapter_5.NETWORKS["cnn thesis"]}
 FIGURE = Figure("T 5.2", "Hyperparameters of the thesis's training", compute, table, claims=claims, options=OPTIONS)
 
 if __name__ == "__main__":

@@ -15,9 +15,9 @@ import numpy as np
 from deep_contact.cnn.dataset import Store
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import learned, verdicts
+from deep_contact.studies import chapter_5, verdicts
 
-ONE, DEEPER, EACH = learned.VARIANTS
+ONE, DEEPER, EACH = chapter_5.VARIANTS
 
 TITLES = {"normal": "error of λ_n, of ‖λ‖", "tangent": "error of λ_t, of ‖λ‖", "velocity": "velocity error"}
 
@@ -29,7 +29,7 @@ def compute(options, seed, jobs, progress):
     settings = options["training"]
     decided = {name: options[name] for name in ("network", "deeper", "training", "simulations")}
     digest = hashlib.sha256(json.dumps([decided, str(data)], sort_keys=True).encode()).hexdigest()[:12]
-    found = learned.one_or_two_networks(
+    found = chapter_5.one_or_two_networks(
         data=str(data),
         out=str(Path(options["runs"]) / digest),
         simulations=options["simulations"],
@@ -54,7 +54,7 @@ def states_folder(options, needed, seed, progress):
             return Path(options["data"])
     bodies, steps = options["own_bodies"], options["own_steps"]
     folder = Path(options["runs"]) / f"data_{bodies[0]}_{bodies[1]}_{steps}_{seed}"
-    return learned.make_states(folder, simulations=needed, steps=steps, bodies=bodies, seed=seed, progress=progress)
+    return chapter_5.make_states(folder, simulations=needed, steps=steps, bodies=bodies, seed=seed, progress=progress)
 
 
 def claims(data):
@@ -73,7 +73,7 @@ def claims(data):
 
 def judged(data, first, second):
     """Whether both are equal, the numbers, and the verdict: fewer than ten trainings of each cannot tell."""
-    equal, measured = learned.within_spread(data, first, second)
+    equal, measured = chapter_5.within_spread(data, first, second)
     count = len(data["seeds"])
     if count >= verdicts.FEWEST:
         return equal, measured
@@ -86,7 +86,7 @@ def table(data):
     rows = [["networks", "parameters", "seeds", *TITLES.values(), *(f"after {data['sweeps'][i]}" for i in shown)]]
     for variant, found in data["variants"].items():
         row = [variant, f"{found['parameters']:,}", len(found["errors"])]
-        row += [spread(learned.of_seeds(data, variant, measure)) for measure in TITLES]
+        row += [spread(chapter_5.of_seeds(data, variant, measure)) for measure in TITLES]
         rows.append(row + [spread([errors["velocity"][i] for errors in found["errors"]]) for i in shown])
     return rows
 

@@ -42,10 +42,10 @@ def test_every_public_name_is_there():
 
 
 def test_a_public_name_may_differ_from_that_of_its_module():
-    from deep_contact.studies import comparison
+    from deep_contact.studies import starts
 
-    assert dc.experiments is comparison
-    assert "comparison" not in dir(dc)
+    assert dc.experiments is starts
+    assert "starts" not in dir(dc)
 
 
 def test_an_unknown_name_is_an_attribute_error():

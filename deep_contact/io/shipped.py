@@ -37,7 +37,7 @@ def sample_names() -> list[str]:
 
 
 def find(path: str | os.PathLike) -> Path:
-    """A file by its path from the current folder, or else from `ROOT`, such as "data/reference/tradeoff.json".
+    """A file by its path from the current folder, or else from `ROOT`, such as "data/reference/run_tradeoff.json".
 
     Raises FileNotFoundError naming the path where neither has it.
     """

@@ -19,7 +19,7 @@ from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
 from deep_contact.studies import timing
-from deep_contact.studies.tradeoff import pile, references_from, states_of
+from deep_contact.studies.piles import pile, references_from, states_of
 
 SOLVERS = {
     "PGS": PGS(),
@@ -54,7 +54,7 @@ def errors_by_sweeps(
 
     starts: name -> callable of `deep_contact.warm_start`. settings: start -> the solvers that follow it. An error is
     the distance to the nearest of the references that `past_need` sweeps of NNCG and of PGS from each start lead to
-    (`tradeoff.references_from`). Without references, {} is returned.
+    (`piles.references_from`). Without references, {} is returned.
     """
     impulses = {name: start(state, PGS()) for name, start in starts.items()}
     ends = [

@@ -25,7 +25,7 @@ from deep_contact.reporting.results import replacing
 from deep_contact.simulation import simulate, step
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies import peers, timing
-from deep_contact.studies.tradeoff import RESTING_SPEED, rms_speed
+from deep_contact.studies.piles import SLOWEST, rms_speed
 
 TIME_STEP = 0.01
 FEW, MANY = 10, 100
@@ -71,7 +71,7 @@ def dropped_pile(kind: str, n_bodies: int, seed: int) -> State:
         state = simulate(state, steps=10, dt=TIME_STEP, solver=solver_of(FEW)).state
         if kind == "falling" and state.contacts.count >= n_bodies:
             break
-        if kind == "settled" and state.contacts.count > n_bodies and rms_speed(state) < RESTING_SPEED:
+        if kind == "settled" and state.contacts.count > n_bodies and rms_speed(state) < SLOWEST["resting"]:
             break
     return state
 

@@ -15,7 +15,8 @@ from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.reporting.figures import parallel_map, seeds
 from deep_contact.simulation import simulate
 from deep_contact.state import State
-from deep_contact.studies import comparison, timing
+from deep_contact.studies import starts as comparison
+from deep_contact.studies import timing
 from deep_contact.studies.scene_errors import errors_on_scene
 from deep_contact.warm_start import WarmStart
 
@@ -44,7 +45,7 @@ TRAINED = {"circles": [70, 110], "radius": [1.0, 1.0], "friction": 0.3, "dt": 0.
 
 
 def start_of(description) -> WarmStart:
-    """A start from its description: as `comparison.start_of`, or {"guarded": path of a network}."""
+    """A start from its description: as `starts.start_of`, or {"guarded": path of a network}."""
     if isinstance(description, Mapping) and "guarded" in description:
         from deep_contact.cnn.inference import Guarded, network_start
 

@@ -18,7 +18,7 @@ from deep_contact.physics.exact import solve_exactly
 from deep_contact.reporting.figures import seeds
 from deep_contact.simulation import ready
 from deep_contact.state import Bodies, State
-from deep_contact.studies.tradeoff import pile, states_of
+from deep_contact.studies.piles import pile, states_of
 
 OURS = {"ours, PGS, 20 sweeps": dc.PGS(sweeps=20, tolerance=None), "ours, NNCG, 300 sweeps": dc.NNCG(sweeps=300)}
 

@@ -24,7 +24,7 @@ from deep_contact.physics.lcp import ContactProblem, check_problem, contact_prob
 from deep_contact.physics.matrix_solvers import solve_problem
 from deep_contact.physics.solvers import APGD, NNCG, PGS, NesterovPGS
 from deep_contact.reporting.figures import seeds
-from deep_contact.studies.tradeoff import pile, states_of
+from deep_contact.studies.piles import pile, states_of
 
 MOST_SWEEPS = 10_000
 """As Siconos's own tests allow."""

@@ -25,8 +25,8 @@ from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.studies import peers, timing
+from deep_contact.studies.piles import SLOWEST, rms_speed
 from deep_contact.studies.run_errors import Observation, intervals, observe
-from deep_contact.studies.tradeoff import RESTING_SPEED, rms_speed
 
 INTERVAL = 5 * TIME_STEP
 """Between two observations, s."""
@@ -170,13 +170,13 @@ def times(
 def pile(n_bodies: int, seed: int, phase: str) -> State:
     """A plain pile at the first tenth of a second at which it is in the phase of `PHASES`, or after 60 s.
 
-    It is at rest when it has been settling and its rms speed is below `RESTING_SPEED`.
+    It is at rest when it has been settling and its rms speed is below that of a resting pile.
     """
     state = scene("plain", n_bodies, seed)
     least = CONTACTS.get(phase, CONTACTS["settling"])
     for _ in range(600):
         state = simulate(state, steps=10, solver=METHODS["PGS"](sweeps=20, tolerance=None)).state
-        if state.contacts.count >= least * n_bodies and (phase != "rest" or rms_speed(state) < RESTING_SPEED):
+        if state.contacts.count >= least * n_bodies and (phase != "rest" or rms_speed(state) < SLOWEST["resting"]):
             break
     return state
 

@@ -12,7 +12,7 @@ from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 from deep_contact.studies import timing
 from deep_contact.studies.break_even import start_times, sweep_times
-from deep_contact.studies.tradeoff import pile, states_of
+from deep_contact.studies.piles import pile, states_of
 from deep_contact.warm_start import Builtin, Scaled
 
 RUNTIMES = ("Numba", "XLA", "TensorFlow")

@@ -27,8 +27,8 @@ from deep_contact.physics.solvers import PGS
 from deep_contact.physics.step import StepWorkspace, make_log
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, World, make_bodies
-from deep_contact.studies import timing, tradeoff
-from deep_contact.studies.comparison import solved_states
+from deep_contact.studies import piles, timing
+from deep_contact.studies.starts import solved_states
 
 FEW, ENOUGH = 10, 1_000_000
 """The time of a sweep follows from `FEW` sweeps and from so many that they do `ENOUGH` more relaxations."""
@@ -67,7 +67,7 @@ def heaps_and_one_rolling(n_bodies: int, seed: int) -> State:
 
 def sweep_savings(n_bodies: int, seed: int, *, repeats: int) -> dict[str, dict]:
     """What rows without tangents, and single precision, save a sweep of a resting pile, ns per contact and sweep."""
-    pile = ready(at_rest(tradeoff.scene(n_bodies, seed)))
+    pile = ready(at_rest(piles.scene(n_bodies, seed)))
     contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
     frictionless = pile.replace(world=replace(pile.world, friction=0.0), contacts=contacts)
     many = FEW + ENOUGH // pile.contacts.count
@@ -85,7 +85,7 @@ def sweep_savings(n_bodies: int, seed: int, *, repeats: int) -> dict[str, dict]:
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
     """What parts of `STEP` cost a resting pile, s per step: being awake, position correction, calls between steps."""
-    pile = ready(at_rest(tradeoff.scene(n_bodies, seed)))
+    pile = ready(at_rest(piles.scene(n_bodies, seed)))
     rolling = ready(heaps_and_one_rolling(n_bodies, seed))
     uncorrected = replace(STEP, position_sweeps=0)
     asleep = _Asleep(pile, np.full(n_bodies, np.inf), steps)

@@ -35,14 +35,14 @@ Names = str | Sequence[str]
 
 
 def scenes_of(part: Mapping) -> int:
-    """Number of scenes in one mode of `comparison.compare_starts`' data."""
+    """Number of scenes in one mode of `starts.compare_starts`' data."""
     return len(next(iter(part.values()))["scenes"]["states"])
 
 
 def resampled(part: Mapping, name: str, quantity: str = "theta") -> np.ndarray:
     """A start's mean over the states of some scenes: of all scenes in row 0, of a resampling in each other row.
 
-    part: one mode of `comparison.compare_starts`' data. quantity: "theta", for rows of θ by sweep, or "sweeps", for
+    part: one mode of `starts.compare_starts`' data. quantity: "theta", for rows of θ by sweep, or "sweeps", for
     rows of one number. The same scenes are drawn for every start.
     """
     scenes = part[name]["scenes"]
@@ -115,7 +115,7 @@ def judged(
 ) -> Claim:
     """The claim that θ of the first start over that of the second lies within a range, by sweep.
 
-    data: of `comparison.compare_starts`. Of several first starts the largest θ counts, of several second ones the
+    data: of `starts.compare_starts`. Of several first starts the largest θ counts, of several second ones the
     smallest. mode: whose curves decide, by default runs of their own, as in the thesis; `measured` has the verdict from
     the same states too. Fewer than `FEWEST` scenes leave the claim open.
     """

@@ -17,7 +17,7 @@ from deep_contact.physics.scenes import single_body
 from deep_contact.reporting.figures import seeds
 from deep_contact.simulation import ready
 from deep_contact.state import State, World, make_bodies
-from deep_contact.studies import tradeoff
+from deep_contact.studies import piles
 
 
 def from_nothing(state, **options):
@@ -134,7 +134,7 @@ def test_circle_on_the_floor_slips_or_sticks(speed, friction_speed):
 
 
 def test_a_settling_pile_that_sweeps_do_not_solve():
-    state = tradeoff.states_of(tradeoff.pile("settling", 300, 2), count=1)[0]
+    state = piles.states_of(piles.pile("settling", 300, 2), count=1)[0]
     swept = metrics.residual(state, dc.solve_contacts(state, solver=dc.PGS(sweeps=5000, tolerance=None)))
     found = solve_exactly(state)
     check_solution(state, found)
@@ -144,7 +144,7 @@ def test_a_settling_pile_that_sweeps_do_not_solve():
 
 @pytest.mark.slow
 def test_a_settling_pile_of_a_thousand():
-    state = tradeoff.states_of(tradeoff.pile("settling", 1000, seeds(0, 2)[0]), count=1)[0]
+    state = piles.states_of(piles.pile("settling", 1000, seeds(0, 2)[0]), count=1)[0]
     check_solution(state, solve_exactly(state))
 
 

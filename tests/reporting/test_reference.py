@@ -15,7 +15,7 @@ import pytest
 from conftest import load_script
 
 from deep_contact.reporting import figures, plotting, results
-from deep_contact.studies import comparison
+from deep_contact.studies import starts
 
 ROOT = Path(__file__).resolve().parents[2]
 NAME = re.compile(r"(figure|table)_(\d+)_(\d+)(_\w+)?\.(json|py)")
@@ -143,7 +143,7 @@ def of_snapshots(data):
 def of_thetas(data):
     """Mean θ of each start after 1, 10 and 100 sweeps, both ways."""
     return {
-        f"{mode}, {name}, θ({sweeps})": comparison.theta_after(data, mode, name, sweeps)
+        f"{mode}, {name}, θ({sweeps})": starts.theta_after(data, mode, name, sweeps)
         for mode in ("paired", "independent")
         for name in data[mode]
         for sweeps in (1, 10, 100)

@@ -22,9 +22,9 @@ def test_what_this_commit_made_is_kept(tmp_path, monkeypatch):
     monkeypatch.setattr(SCRIPT, "REFERENCE", tmp_path)
     monkeypatch.setattr(SCRIPT, "commit", lambda: "0" * 40)
     before = len(SCRIPT.commands())
-    for name, commit in (("tradeoff", "0" * 40), ("mutants", "1" * 40)):
+    for name, commit in (("run_tradeoff", "0" * 40), ("mutants", "1" * 40)):
         (tmp_path / f"{name}.json").write_text(json.dumps({"provenance": provenance() | {"commit": commit}}))
     assert len(SCRIPT.commands()) == before - 1
-    assert not any(command[-1].endswith("/tradeoff.json") for command in SCRIPT.commands())
+    assert not any(command[-1].endswith("/run_tradeoff.json") for command in SCRIPT.commands())
     monkeypatch.setattr(SCRIPT, "commit", lambda: "0" * 40 + "+changes")
     assert len(SCRIPT.commands()) == before

@@ -6,7 +6,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import sph
 from deep_contact.sph import kernels
-from deep_contact.studies import comparison
+from deep_contact.studies import starts
 from deep_contact.warm_start import TRANSFERS, Sph
 
 GRID = sph.Grid.over_box((0.0, 0.0, 4.0, 3.0), 0.5)
@@ -66,18 +66,18 @@ def test_sharing_is_what_the_sums_say(kernel, h):
 
 
 def test_sharing_loses_nothing():
-    state = comparison.solved_states(dc.circles_in_box(60, seed=3), steps=200, every=190)[-1]
+    state = starts.solved_states(dc.circles_in_box(60, seed=3), steps=200, every=190)[-1]
     given = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     for h in (0.5, 1.0):
         back = np.column_stack(Sph(transfer="shared", support=h).round_trip(state, given))
         np.testing.assert_allclose(back.sum(axis=0), given.sum(axis=0), rtol=1e-12)
-    alone = comparison.isolated_contacts(20, seed=0)
-    assert comparison.transfer_loss(alone, Sph(transfer="shared"))["relative error"] < 1e-12
-    assert comparison.transfer_loss(alone, Sph(transfer="thesis"))["relative error"] > 0.1
+    alone = starts.isolated_contacts(20, seed=0)
+    assert starts.transfer_loss(alone, Sph(transfer="shared"))["relative error"] < 1e-12
+    assert starts.transfer_loss(alone, Sph(transfer="thesis"))["relative error"] > 0.1
 
 
 def test_transfers_by_name():
-    state = comparison.solved_states(dc.circles_in_box(40, seed=0), steps=200, every=190)[-1]
+    state = starts.solved_states(dc.circles_in_box(40, seed=0), steps=200, every=190)[-1]
     given = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     found = {name: np.column_stack(Sph(transfer=name).round_trip(state, given)) for name in TRANSFERS}
     grid = sph.Grid.over_box(state.world.box, 0.5)

@@ -1,6 +1,6 @@
 """The solvers, one file each: options with their weakness and source, the compiled loop, the registration.
 
-How many sweeps each needs, and what a sweep costs, is measured by `scripts/tradeoff.py`.
+How many sweeps each needs, and what a sweep costs, is measured by `scripts/run_tradeoff.py`.
 """
 
 # The order of the imports is the order of `METHODS`.

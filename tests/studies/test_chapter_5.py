@@ -12,8 +12,7 @@ from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures
-from deep_contact.studies import comparison
-from deep_contact.studies import learned as learned
+from deep_contact.studies import chapter_5, starts
 from deep_contact.warm_start import Builtin, NoStart, Sph
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
@@ -23,18 +22,18 @@ SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 def layers():
     """The layers of the thesis's network, built."""
     pytest.importorskip("keras")
-    return learned.thesis_layers()
+    return chapter_5.thesis_layers()
 
 
 @pytest.fixture(scope="module")
 def networks(tmp_path_factory):
     """Model files of untrained compact networks, by what they are to learn: each gives half of Builtin's start."""
     pytest.importorskip("keras")
-    learned.one_thread()
+    chapter_5.one_thread()
     from deep_contact.cnn import architectures, model_file, training
 
     files = {}
-    for name, targets in learned.TARGET_SETS.items():
+    for name, targets in chapter_5.TARGET_SETS.items():
         spec = ImageSpec(channels=SOLVER_CHANNELS, targets=targets, transfer="consistent", scale_free=True)
         options = training.compact_options(spec) | {"stem": 2, "width": 2, "decoder": 2, "dilations": (1,)}
         model = architectures.compact(channels=len(spec.channels), outputs=len(targets), **options)
@@ -72,7 +71,7 @@ def test_figure_5_8_is_drawn_from_the_layers(layers):
 
 def test_table_5_1_differs_from_the_thesis_by_its_two_misprints_alone(layers):
     script = load_script("table_5_1")
-    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in learned.PRINTED_LAYERS]
+    printed = [{"kind": kind, "shape": list(shape)} for kind, shape in chapter_5.PRINTED_LAYERS]
     data = {"built": layers, "printed": printed}
     assert [claim.holds for claim in script.claims(data)] == [False, True, True]
     changed = copy.deepcopy(data)
@@ -82,9 +81,9 @@ def test_table_5_1_differs_from_the_thesis_by_its_two_misprints_alone(layers):
 
 def test_table_5_2_differs_from_the_thesis_by_its_kernels_alone():
     pytest.importorskip("keras")
-    built = learned.thesis_hyperparameters()
-    assert list(built) == list(learned.PRINTED_HYPERPARAMETERS)
-    claims = load_script("table_5_2").claims({"printed": learned.PRINTED_HYPERPARAMETERS, "built": built})
+    built = chapter_5.thesis_hyperparameters()
+    assert list(built) == list(chapter_5.PRINTED_HYPERPARAMETERS)
+    claims = load_script("table_5_2").claims({"printed": chapter_5.PRINTED_HYPERPARAMETERS, "built": built})
     assert [claim.holds for claim in claims] == [False, True]
     assert list(claims[0].measured) == ["Kernel size"]
 
@@ -93,14 +92,12 @@ def test_table_5_2_differs_from_the_thesis_by_its_kernels_alone():
 
 
 def test_a_scene_of_a_random_number_of_circles_has_one_in_the_range_and_is_repeatable():
-    counts = [comparison.scene_of((51, 99), size=30.0, seed=seed).bodies.count for seed in range(30)]
+    counts = [starts.scene_of((51, 99), size=30.0, seed=seed).bodies.count for seed in range(30)]
     assert min(counts) >= 51
     assert max(counts) <= 99
     assert len(set(counts)) > 10
-    again = comparison.scene_of((51, 99), size=30.0, seed=3)
-    np.testing.assert_array_equal(
-        again.bodies.position, comparison.scene_of((51, 99), size=30.0, seed=3).bodies.position
-    )
+    again = starts.scene_of((51, 99), size=30.0, seed=3)
+    np.testing.assert_array_equal(again.bodies.position, starts.scene_of((51, 99), size=30.0, seed=3).bodies.position)
 
 
 def test_figure_5_9s_scenes_are_none_of_the_data_set():
@@ -114,25 +111,25 @@ def test_figure_5_9s_scenes_are_none_of_the_data_set():
 
 
 def test_swept_on_ends_where_another_sweep_changes_nothing(falling_states):
-    state = comparison.swept_on(falling_states[4])
+    state = starts.swept_on(falling_states[4])
     impulses = state.contacts.normal_impulse, state.contacts.tangent_impulse
     once = dc.solve_contacts(state, solver=PGS(sweeps=1, tolerance=None), start=impulses)
-    assert once.record.theta[-1] <= comparison.REFERENCE.tolerance
+    assert once.record.theta[-1] <= starts.REFERENCE.tolerance
 
 
 def test_velocity_errors_beside_theta_are_those_of_each_start_alone(falling_states):
     states, after = falling_states[3:6], [1, 10]
-    found = comparison.paired(states, {"none": NoStart(), "builtin": Builtin()}, sweeps=20, velocity_sweeps=after)
-    goal = comparison.swept_on(states[1])
+    found = starts.paired(states, {"none": NoStart(), "builtin": Builtin()}, sweeps=20, velocity_sweeps=after)
+    goal = starts.swept_on(states[1])
     right = velocity_errors(goal, Builtin()(states[1], PGS()), after)
     np.testing.assert_array_equal(found["builtin"].velocity[1], right)
     assert found["none"].velocity.shape == (3, 2)
 
 
 def test_a_network_can_be_compared_like_any_other_start(networks):
-    starts = {"builtin": "builtin", "cnn": {"model": str(networks["both"])}, "copy": "copy"}
-    data = comparison.compare_starts(
-        starts, n_bodies=[12, 16], size=14.0, steps=60, sweeps=30, velocity_sweeps=[3, 30], seed=1
+    chosen = {"builtin": "builtin", "cnn": {"model": str(networks["both"])}, "copy": "copy"}
+    data = starts.compare_starts(
+        chosen, n_bodies=[12, 16], size=14.0, steps=60, sweeps=30, velocity_sweeps=[3, 30], seed=1
     )
     for mode in ("paired", "independent"):
         assert data[mode]["copy"]["theta"][0] < data[mode]["cnn"]["theta"][0]
@@ -166,7 +163,7 @@ def theta_data(**thetas):
 )
 def test_figure_5_9s_claims_follow_the_thetas(cnn, expected):
     data = theta_data(none=4.0, builtin=2.0, sph=1.0, copy=0.1, cnn=cnn) | {"networks": {"cnn": {"visits": 72_000}}}
-    claims = learned.claims_of_network(data, "cnn", "CNN")
+    claims = chapter_5.claims_of_network(data, "cnn", "CNN")
     assert [claim.holds for claim in claims] == expected
     assert claims[0].measured["state visits of its training, over the thesis's"] == pytest.approx(1 / 253, rel=1e-3)
 
@@ -177,35 +174,35 @@ def test_figure_5_9s_claims_follow_the_thetas(cnn, expected):
 @pytest.mark.parametrize("transfer", ["thesis", "consistent"])
 def test_the_stages_of_sph_give_its_start(falling_states, transfer):
     start = Sph(transfer=transfer)
-    found = learned.staged(start, falling_states[5], PGS())
+    found = chapter_5.staged(start, falling_states[5], PGS())
     np.testing.assert_array_equal(found.impulses, start(falling_states[5], PGS()))
     assert set(found.seconds) == {"splat", "gather"}
 
 
 def test_the_stages_of_a_network_give_its_start(falling_states, networks):
-    start = learned.network_start(str(networks["both"]))
-    found = learned.staged(start, falling_states[5], PGS())
+    start = chapter_5.network_start(str(networks["both"]))
+    found = chapter_5.staged(start, falling_states[5], PGS())
     np.testing.assert_array_equal(found.impulses, start(falling_states[5], PGS()))
     assert set(found.seconds) == {"splat", "network", "gather"}
 
 
 def test_sweeps_to_an_error_are_enough_and_nine_tenths_of_them_are_not(falling_states):
-    state = comparison.swept_on(falling_states[4])
+    state = starts.swept_on(falling_states[4])
     start = NoStart()(state, PGS())
-    (count,) = learned.sweeps_to_errors(state, start, [1e-2], most=5000)
+    (count,) = chapter_5.sweeps_to_errors(state, start, [1e-2], most=5000)
     before, after = velocity_errors(state, start, [int(0.85 * count), count])
     assert before > 1e-2 >= after
-    assert learned.sweeps_to_errors(state, start, [1e-2], most=count // 2) == [None]
+    assert chapter_5.sweeps_to_errors(state, start, [1e-2], most=count // 2) == [None]
 
 
 def clocked(states=12, **seconds):
     """Data of a scene for each state: every start's network and solve take so many seconds, and a sweep for each."""
-    criteria = [*learned.THETAS, *learned.ERRORS]
-    starts = {}
+    criteria = [*chapter_5.THETAS, *chapter_5.ERRORS]
+    found = {}
     for name, (network, solve) in seconds.items():
         stages = {"splat": [0.1] * states, "network": [network] * states, "gather": [0.1] * states} if network else {}
         solves = {criterion: [solve] * states for criterion in criteria}
-        starts[name] = {
+        found[name] = {
             "stages": stages,
             "sweeps": {c: [100 * solve, None] * (states // 2) for c in criteria},
             "solve": solves,
@@ -215,7 +212,7 @@ def clocked(states=12, **seconds):
         "phases": ["impact", "rest"] * (states // 2),
         "contacts": 3.0,
         "most": 1000,
-        "starts": starts,
+        "starts": found,
         "box": [30.0, 30.0],
         "scene": list(range(states)),
         "refused": {"cnn thesis": "box: expected another"},
@@ -225,10 +222,10 @@ def clocked(states=12, **seconds):
 
 def test_a_state_that_is_given_up_counts_with_all_its_sweeps():
     scene = clocked(cnn=(1.0, 2.0))
-    assert learned.mean_sweeps_to(scene, "cnn", "θ < 1e-2") == (200 + 1000) / 2
-    assert learned.mean_sweeps_to(scene, "cnn", "θ < 1e-2", ["impact"]) == 200
-    assert learned.sweeps_of(scene, "cnn", "θ < 1e-2")[:2].tolist() == [200, 1000]
-    assert learned.total_time(scene, "cnn", "θ < 1e-2") == pytest.approx(0.1 + 1.0 + 0.1 + 2.0)
+    assert chapter_5.mean_sweeps_to(scene, "cnn", "θ < 1e-2") == (200 + 1000) / 2
+    assert chapter_5.mean_sweeps_to(scene, "cnn", "θ < 1e-2", ["impact"]) == 200
+    assert chapter_5.sweeps_of(scene, "cnn", "θ < 1e-2")[:2].tolist() == [200, 1000]
+    assert chapter_5.total_time(scene, "cnn", "θ < 1e-2") == pytest.approx(0.1 + 1.0 + 0.1 + 2.0)
 
 
 def test_figure_5_10s_claims_and_table_follow_the_times():
@@ -243,12 +240,12 @@ def test_figure_5_10s_claims_and_table_follow_the_times():
 
 
 def test_thresholds_are_timed_on_the_same_states(falling_states):
-    starts = {"none": NoStart(), "copy": comparison.start_of("copy")}
-    found = learned.time_to_thresholds(
-        falling_states[4:6], starts, most=2000, repeats=1, progress=lambda items, **_: items
+    chosen = {"none": NoStart(), "copy": starts.start_of("copy")}
+    found = chapter_5.time_to_thresholds(
+        falling_states[4:6], chosen, most=2000, repeats=1, progress=lambda items, **_: items
     )
     for criterion in found["criteria"]:
-        none, ours = (found["starts"][name]["sweeps"][criterion] for name in starts)
+        none, ours = (found["starts"][name]["sweeps"][criterion] for name in chosen)
         assert all(a >= b for a, b in zip(none, ours))
     assert len(found["phases"]) == len(found["starts"]["none"]["solve"]["θ < 6e-5"]) == 2
 
@@ -259,33 +256,33 @@ def test_thresholds_are_timed_on_the_same_states(falling_states):
 def test_two_networks_for_one_impulse_each_do_what_one_for_both_does(falling_states, networks):
     """Untrained, all of them give half of Builtin's start."""
     states = falling_states[3:8]
-    both = learned.errors_of_networks([networks["both"]], states, [0, 3])
-    each = learned.errors_of_networks([networks["normal"], networks["tangent"]], states, [0, 3])
+    both = chapter_5.errors_of_networks([networks["both"]], states, [0, 3])
+    each = chapter_5.errors_of_networks([networks["normal"], networks["tangent"]], states, [0, 3])
     for name in ("normal", "tangent", "velocity"):
         np.testing.assert_allclose(each[name], both[name], rtol=1e-5)  # float32 networks of other weights
 
 
 def test_a_network_learns_one_impulse_and_is_not_trained_again(tmp_path):
     pytest.importorskip("keras")
-    data = learned.make_states(
+    data = chapter_5.make_states(
         tmp_path / "data", simulations=2, steps=90, bodies=(40, 50), seed=0, progress=lambda items, **_: items
     )
     settings = {"epochs": 1, "states_per_epoch": 8, "batch_size": 4, "validation_states": 4}
     options = {"stem": 2, "width": 2, "decoder": 2, "dilations": [1]}
-    task = learned.TargetTask(
+    task = chapter_5.TargetTask(
         targets="tangent", options=options, seed=0, data=str(data), simulations=2, settings=settings,
         out=str(tmp_path / "run"),
     )  # fmt: skip
-    path = learned.train_on_targets(task)
+    path = chapter_5.train_on_targets(task)
     trained = (tmp_path / "run" / "best.h5").stat().st_mtime_ns
-    assert learned.network_start(path).model.spec.targets == ("tangent_impulse",)
-    assert learned.train_on_targets(task) == path
+    assert chapter_5.network_start(path).model.spec.targets == ("tangent_impulse",)
+    assert chapter_5.train_on_targets(task) == path
     assert (tmp_path / "run" / "best.h5").stat().st_mtime_ns == trained
 
 
 def variants(**errors):
     """Data of Table 6.1 with one number for every measure, a seed each."""
-    names = dict(zip(("one", "deeper", "each"), learned.VARIANTS))
+    names = dict(zip(("one", "deeper", "each"), chapter_5.VARIANTS))
     found = {
         names[key]: {"parameters": 1, "errors": [{"normal": e, "tangent": e, "velocity": [e, e]} for e in values]}
         for key, values in errors.items()

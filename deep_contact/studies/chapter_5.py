@@ -26,7 +26,7 @@ from deep_contact.physics.solvers import PGS
 from deep_contact.reporting.figures import Claim, parallel_map
 from deep_contact.state import State
 from deep_contact.studies import verdicts
-from deep_contact.studies.comparison import scene_of, solved_states, sweeps_to, swept_on
+from deep_contact.studies.starts import scene_of, solved_states, sweeps_to, swept_on
 from deep_contact.warm_start import Sph, WarmStart
 
 # ---- networks ----
@@ -179,7 +179,7 @@ THESIS_VISITS = 18_208 * 1000
 def claims_of_network(data: Mapping, name: str, label: str) -> list[Claim]:
     """The thesis's claims on Figure 5.9 for one network, and a comparison by velocity errors, paired.
 
-    data: of `comparison.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one, with the cards
+    data: of `starts.compare_starts` with the starts "none", "builtin", "sph", "copy" and this one, with the cards
     of the networks (`networks_info`) under "networks".
     """
     share = {"state visits of its training, over the thesis's": data["networks"][name]["visits"] / THESIS_VISITS}
@@ -208,7 +208,7 @@ def _fewer_errors(data, name, other, text) -> Claim:
 
 
 def table_of_velocity(data: Mapping) -> list[list]:
-    """Rows of the mean velocity errors, to follow those of `comparison.table_of_starts` for the same sweeps."""
+    """Rows of the mean velocity errors, to follow those of `starts.table_of_starts` for the same sweeps."""
     errors = data["velocity"]
     return [[f"{name}, velocity error", errors["states"], None, None, *m] for name, m in errors["mean"].items()]
 

@@ -1,0 +1,77 @@
+"""Piles that studies start from: falling, settling or resting, and the reference solutions of their states."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from deep_contact.physics import metrics
+from deep_contact.physics.engine import ContactSolution
+from deep_contact.physics.exact import solve_exactly
+from deep_contact.physics.scenes import circles_in_box, lattice_in_box
+from deep_contact.physics.solvers import NNCG
+from deep_contact.simulation import simulate
+from deep_contact.state import State
+from deep_contact.studies.starts import solved_states
+
+SLOWEST = {"falling": np.inf, "settling": 0.5, "resting": 0.05}
+"""Kind of pile -> root mean square speed of the circles below which a pile is one, m/s."""
+
+MOST_STEPS = 2000
+"""Steps after which a pile is taken as it is."""
+
+EXACT = 1e-8
+"""Largest residual of an exact solution, m/s."""
+
+ENOUGH = 1e-3
+"""Residual below which an approximate solution is a reference, m/s: a hundredth of what gravity adds in a step."""
+
+SAME = 1e-6
+"""Velocity error below which two references count as one."""
+
+
+def scene(n_bodies: int, seed: int) -> State:
+    """The thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls."""
+    return circles_in_box(n_bodies, seed=seed) if n_bodies <= 100 else lattice_in_box(n_bodies, seed=seed)
+
+
+def pile(kind: str, n_bodies: int, seed: int) -> State:
+    """`scene`, simulated until it has a contact per circle and is of a kind of `SLOWEST`."""
+    if kind not in SLOWEST:
+        raise ValueError(f"kind: expected one of {', '.join(SLOWEST)}, got {kind!r}")
+    state = scene(n_bodies, seed)
+    for _ in range(MOST_STEPS // 10):
+        state = simulate(state, steps=10, solver=NNCG(sweeps=300)).state
+        if state.contacts.count >= n_bodies and rms_speed(state) < SLOWEST[kind]:
+            break
+    return state
+
+
+def rms_speed(state: State) -> float:
+    """Root mean square speed of the circles, m/s."""
+    return float(np.sqrt(np.mean((state.bodies.velocity**2).sum(axis=1))))
+
+
+def states_of(start: State, *, count: int, every: int = 4) -> list[State]:
+    """`count` solved states of the run that continues from a pile, one in `every` steps."""
+    found = solved_states(start, steps=count * every, solver=NNCG(sweeps=2000))
+    return found[every - 1 :: every]
+
+
+def references_from(state: State, ends: Iterable[ContactSolution], *, exact: bool) -> list[ContactSolution]:
+    """Reference solutions, perhaps none, since a contact problem with friction has many.
+
+    ends: approximate solutions. exact: whether an exact solution is sought from each, and those that differ are
+    returned; otherwise the ends whose residual is below `ENOUGH` are.
+    """
+    if not exact:
+        return [end for end in ends if metrics.residual(state, end) < ENOUGH]
+    found: list[ContactSolution] = []
+    for end in ends:
+        if not np.isfinite(metrics.residual(state, end)):
+            continue
+        near = solve_exactly(state, end.normal_impulses, end.tangent_impulses, residual=EXACT)
+        if near.converged and all(metrics.velocity_error(state, near.solution, other) > SAME for other in found):
+            found.append(near.solution)
+    return found
