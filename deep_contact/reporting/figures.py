@@ -24,10 +24,12 @@ import sys
 import tempfile
 import threading
 import time
+from collections import UserDict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing, contextmanager
 from dataclasses import KW_ONLY, dataclass, field
+from functools import partial
 from html import escape
 from pathlib import Path
 
@@ -39,21 +41,23 @@ from deep_contact.io import provenance
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
-from deep_contact.reporting.settings import meaning
 
 __all__ = [
     "Claim",
     "Figure",
     "aligned",
+    "assigned",
     "cell",
     "claim_line",
     "main",
-    "override",
     "parallel_map",
     "produce",
     "progress_bar",
     "seeds",
 ]
+
+MEANINGS = json.loads((Path(__file__).parent / "settings.json").read_text(encoding="utf-8"))
+"""Name of a setting -> its meaning and unit; "4.2 kernel" is that of Figure 4.2 alone."""
 
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 and the number of the signal, as shells have it."""
@@ -137,10 +141,6 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
-    try:
-        options = override({**figure.options, **(figure.quick if given.quick else {})}, given.set)
-    except ValueError as error:
-        parser.error(str(error))
     if given.replot and (given.set or given.quick or given.resume or given.seed is not None):
         parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
     try:
@@ -148,17 +148,20 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         tempfile.TemporaryFile(dir=given.out).close()  # a folder without write permission is refused before the work
     except OSError as error:
         parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
+    changes, path = dict(given.set), _stored_at(figure, given.out)
     try:
         with _exit_on_sigterm():
             if given.replot:
-                return _replot(figure, given.out, parser, verbose=given.verbose)
+                _report(figure, _redrawn(figure, path), path, print, given.verbose)
+                return 0
+            options = results.plain(figure.options | (figure.quick if given.quick else {}) | changes)
             seed = figure.seed if given.seed is None else given.seed
-            path = _stored_at(figure, given.out)
-            if given.resume and _is_up_to_date(figure, path, options, seed):
+            if given.resume and _is_current(figure, path, options, seed):
                 print(f"{figure.stem}: up to date")
                 return 0
+            kept = {"seed": seed, "out": given.out, "verbose": given.verbose, "quick": given.quick}
             with announced(_to_standard_error), parallel.opened(given.jobs, given.scheduler) as jobs:
-                produce(figure, options=options, seed=seed, out=given.out, jobs=jobs, verbose=given.verbose)
+                produce(figure, options=changes, jobs=jobs, **kept)
             return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
@@ -167,15 +170,18 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         print(f"{figure.stem}: {error}", file=sys.stderr)
         return 1
     except ValueError as error:
-        if not given.set:
+        if given.replot and isinstance(error, results.ResultsError):
+            parser.error(f"--replot: {error}")
+        if not changes:
             raise
-        parser.error(f"--set {' --set '.join(given.set)}: {error}")
+        parser.error(f"--set: {error}")
 
 
 def produce(
     figure: Figure,
     *,
     options: dict | None = None,
+    quick: bool = False,
     seed: int | None = None,
     out: str | os.PathLike = "figures",
     jobs: int | Executor = 1,
@@ -185,17 +191,24 @@ def produce(
 ) -> Results:
     """Compute, store, draw and report a figure; the stored results, a dict that a notebook shows as the picture.
 
-    options: changes to the figure's own, by name. out: folder of the files. jobs: number of processes, or an executor
-    (`parallel.finished`); the numbers do not depend on it. progress: see `progress_bar`, the default. echo: called with
-    each line of the report. verbose: report the numbers of a quick run, too. The results are stored before they are
-    drawn, so that an error in `draw` does not cost a long computation. Raises ValueError for an unknown option.
+    options: changes to the figure's own, by name. quick: start from those of its quick run. out: folder of the files.
+    jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. progress: see
+    `progress_bar`, the default. echo: called with each line of the report. verbose: report the numbers of a quick run,
+    too. The results are stored before they are drawn, so that an error in `draw` does not cost a long computation.
+    Raises ValueError for an option that is unknown, or that `compute` did not read.
     """
-    _refuse_unknown(options or {}, figure.options, "options")
-    options = results.plain({**figure.options, **(options or {})}, where="options")
-    seed = figure.seed if seed is None else seed
+    changes = options or {}
+    _refuse_unknown(changes, figure.options, "options")
+    options = results.plain(figure.options | (figure.quick if quick else {}) | changes, where="options")
+    seed, watched, path = figure.seed if seed is None else seed, _Watched(options), _stored_at(figure, out)
     start = time.perf_counter()
-    data = figure.compute(dict(options), seed, jobs, progress or progress_bar)
+    data = figure.compute(watched, seed, jobs, progress or progress_bar)
     wall_s = time.perf_counter() - start
+    if unread := [name for name in changes if name not in watched.read]:
+        others = ", ".join(f"{name}={options[name]}" for name in options if name in watched.read)
+        raise ValueError(
+            f"{unread[0]}: expected a setting that changes what is drawn, got one without effect beside {others}"
+        )
     data = results.plain(data, digits=figure.digits)
     found = {
         "id": figure.id,
@@ -205,11 +218,28 @@ def produce(
         "claims": list(figure.claims(data)),
         "data": data,
     }
-    path = results.write_results(_stored_at(figure, out), found)
-    found = results.read_results(path)
-    _draw(figure, found, out)
-    _report(figure, found, out, echo, verbose)
-    return Results(found, figure=figure, picture=_stored_at(figure, out).with_suffix(".png"))
+    found = results.read_results(results.write_results(path, found))
+    _draw(figure, found, path)
+    _report(figure, found, path, echo, verbose)
+    return Results(found, figure=figure, picture=path.with_suffix(".png"))
+
+
+class _Watched(UserDict):
+    """Options that remember which of them were read. A copy of them, as for another process, has read them all."""
+
+    def __init__(self, options: dict):
+        super().__init__(options)
+        self.read: set[str] = set()
+
+    def __getitem__(self, name):
+        self.read.add(name)
+        return super().__getitem__(name)
+
+    def __or__(self, other):
+        return dict(self) | dict(other)
+
+    def __reduce__(self):
+        return dict, (dict(self),)
 
 
 class Results(dict):
@@ -240,8 +270,8 @@ def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
     return Path(out) / f"{figure.stem}.json"
 
 
-def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
-    path = _stored_at(figure, out).with_suffix(".png")
+def _draw(figure: Figure, found: dict, path: Path) -> None:
+    path = path.with_suffix(".png")
     with plotting.style():
         if figure.draw is None:
             picture = plotting.draw_table(figure.rows(found["data"]), figure.heading)
@@ -253,44 +283,30 @@ def _draw(figure: Figure, found: dict, out: str | os.PathLike) -> None:
             temporary.write_text(_markdown(figure, found), encoding="utf-8")
 
 
-def _replot(figure: Figure, out: str, parser: argparse.ArgumentParser, *, verbose: bool) -> int:
-    path = _stored_at(figure, out)
-    try:
-        found = results.read_results(path)
-    except (OSError, results.ResultsError) as error:
-        parser.error(f"--replot: {error}")
+def _redrawn(figure: Figure, path: Path) -> dict:
+    """The stored results, judged as of now and drawn again. Raises ResultsError where they are none of this figure."""
+    if not path.exists():
+        raise results.ResultsError(f"{path}: expected the results of a run, got no file")
+    found = results.read_results(path)
     if found["id"] != figure.id:
-        parser.error(f"--replot: {path.name}: expected id {figure.id!r}, got {found['id']!r}")
+        raise results.ResultsError(f"{path.name}: expected id {figure.id!r}, got {found['id']!r}")
     judged = results.plain({"title": figure.title, "claims": list(figure.claims(found["data"]))})
-    if any(found[name] != value for name, value in judged.items()):  # claims follow from the data: judged as of now
+    if any(found[name] != value for name, value in judged.items()):
         found = results.check_results(found | judged)
         results.write_results(path, found)
-    _draw(figure, found, out)
-    _report(figure, found, out, print, verbose)
-    return 0
+    _draw(figure, found, path)
+    return found
 
 
-def _is_up_to_date(figure: Figure, path: Path, options: dict, seed: int) -> bool:
-    """Whether the stored results, picture included, are what this commit would compute with these options.
-
-    Never in a changed or unknown checkout: the code that made the file is not known there.
-    """
+def _is_current(figure: Figure, path: Path, options: dict, seed: int) -> bool:
+    """Whether results and pictures are what this commit would make with these options."""
     wanted = [".png", ".md"] if figure.is_table else [".png"]
-    if not all(path.with_suffix(suffix).exists() for suffix in wanted):
-        return False
-    try:
-        found = results.read_results(path)
-    except (OSError, results.ResultsError):
-        return False
-    made_by, commit = found["provenance"], provenance.commit()
-    clean = commit != "unknown" and not commit.endswith("+changes")
-    now = {"commit": commit, "packages": provenance.package_versions(), "seed": seed}
-    now["inputs"] = provenance.digests(results.plain(options))
-    same = all(made_by.get(name) == value for name, value in now.items())
-    return clean and same and (found["id"], found["options"]) == (figure.id, results.plain(options))
+    made = {"seed": seed, "inputs": provenance.digests(options)}
+    drawn = all(path.with_suffix(suffix).exists() for suffix in wanted)
+    return drawn and results.is_current(path, made, id=figure.id, options=options)
 
 
-def _report(figure: Figure, found: dict, out: str | os.PathLike, echo: Callable[[str], None], verbose: bool) -> None:
+def _report(figure: Figure, found: dict, path: Path, echo: Callable[[str], None], verbose: bool) -> None:
     """Print the numbers as a table, one line a claim, and the picture's path.
 
     A quick run's numbers are left out without `verbose`; its table too, unless it is a table.
@@ -303,7 +319,7 @@ def _report(figure: Figure, found: dict, out: str | os.PathLike, echo: Callable[
             echo(f"  {line}")
     for claim in found["claims"]:
         echo(claim_line(claim, beside, measured=verbose))
-    echo(f"picture: {_stored_at(figure, out).with_suffix('.png')}")
+    echo(f"picture: {path.with_suffix('.png')}")
 
 
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
@@ -359,13 +375,19 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--replot", action="store_true", help="judge and draw again from the stored results alone")
     add("--verbose", action="store_true", help="print the numbers of a quick run, too")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
-    add("--set", action="append", default=[], metavar="NAME=VALUE", help="change a setting; can be repeated")
+    setting = partial(assigned, figure.options)
+    add("--set", action="append", type=setting, default=[], metavar="NAME=VALUE", help="change a setting; repeatable")
     return parser
+
+
+def meaning(figure: str, name: str) -> str:
+    """What a setting of the figure with this id means, with its unit; empty where none is known."""
+    return MEANINGS.get(f"{figure} {name}", MEANINGS.get(name, ""))
 
 
 def _described(id: str, name: str, value) -> str:
     """A line of the settings in `--help`; a long value is cut."""
-    text = f"{name}={_as_text(value)}"
+    text = f"{name}={value if isinstance(value, str) else json.dumps(results.plain(value))}"
     text = text if len(text) <= 60 else f"{text[:59]}…"
     return f"  {text:<32}  {meaning(id, name)}".rstrip()
 
@@ -381,74 +403,48 @@ def _integer_from(least: int) -> Callable[[str], int]:
 
 
 def _cores() -> int:
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def override(options: dict, assignments: Iterable[str]) -> dict:
-    """A copy of `options` with assignments "name=value" applied, each value of the type that it replaces.
+def assigned(options: dict, text: str) -> tuple[str, object]:
+    """(name, value) of "name=value", the value of the type of its default: JSON, text, or "0.1,0.2" for a list.
 
-    A list is given as "0.1,0.2"; its items have the type of the first item that they replace. A dict is given as JSON.
-    If the value replaced is None, the text is read as JSON if possible. Raises ValueError naming the setting, what was
-    expected and what came; for an unknown name it names the known ones.
+    Raises argparse.ArgumentTypeError naming the option, what was expected and what came.
     """
-    changed = dict(options)
-    for assignment in assignments:
-        name, sign, text = assignment.partition("=")
-        name = name.strip()
-        if not sign:
-            raise ValueError(f"expected NAME=VALUE, got {assignment!r}")
-        _refuse_unknown([name], options, "settings")
-        changed[name] = _typed(name, text.strip(), options[name])
-    return changed
-
-
-def _truth(text: str) -> bool:
-    return {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[text.lower()]
-
-
-def _finite(text: str) -> float:
-    if not math.isfinite(value := float(text)):
-        raise ValueError
-    return value
-
-
-_READERS = (
-    (str, str, "text"),
-    (bool, _truth, "true or false"),
-    (int, int, "an integer"),
-    (float, _finite, "a finite number"),
-)
-"""Type of a default (bool before int, of which it is one), reader of text, what the reader expects."""
-
-
-def _typed(name: str, text: str, default):
-    if _is_flat_list(default):
-        items = [item.strip() for item in text.strip("[]()").split(",") if item.strip()]
-        return [_typed(f"{name}[{i}]", item, default[0] if default else None) for i, item in enumerate(items)]
-    found = (row[1:] for row in _READERS if isinstance(default, row[0]))
-    read, expected = next(found, (json.loads, f"JSON like {json.dumps(default)}"))
+    name, sign, text = map(str.strip, text.partition("="))
+    if not sign or name not in options:
+        known = ", ".join(options) or "(none)"
+        raise argparse.ArgumentTypeError(f"expected NAME=VALUE with one of {known}, got {name + sign + text!r}")
     try:
-        value = read(text)
-    except (ValueError, KeyError):
+        return name, _value(text, options[name])
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{name}: expected a value like {options[name]!r}, got {text!r}") from None
+
+
+def _value(text: str, default):
+    """Text as a value like the default. Raises ValueError."""
+    try:
+        return text if isinstance(default, str) else _like(json.loads(text), default)
+    except ValueError:
         if default is None:
             return text
-        raise ValueError(f"{name}: expected {expected}, got {text!r}") from None
-    # Whole numbers count something: of none, no figure can be made.
-    if type(default) is int and default >= 1 and value < 1 and "[" not in name:
-        raise ValueError(f"{name}: expected an integer >= 1, got {value}")
+        if not isinstance(default, list) or text.startswith("["):
+            raise
+        return [_value(item.strip(), default[0] if default else None) for item in text.split(",")]
+
+
+def _like(value, default):
+    """A value of the default's type; whole numbers that count something from 1. Raises ValueError."""
+    if isinstance(default, list) and isinstance(value, list):
+        return [_like(item, default[0]) for item in value] if default else value
+    if type(default) is float and type(value) is int:
+        return float(value)
+    counts = type(default) is int and default >= 1
+    if default is not None and (type(value) is not type(default) or (counts and value < 1)):
+        raise ValueError
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ValueError
     return value
-
-
-def _is_flat_list(value) -> bool:
-    return isinstance(value, (list, tuple)) and not any(isinstance(item, (list, tuple, dict)) for item in value)
-
-
-def _as_text(value) -> str:
-    if _is_flat_list(value):
-        return ",".join(map(str, value))
-    return value if isinstance(value, str) else json.dumps(results.plain(value))
 
 
 def _refuse_unknown(names: Iterable[str], known: dict, what: str) -> None:

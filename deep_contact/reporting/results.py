@@ -42,6 +42,7 @@ __all__ = [
     "array",
     "check_results",
     "commit",
+    "is_current",
     "package_versions",
     "plain",
     "processor",
@@ -185,6 +186,23 @@ def read_results(path: str | os.PathLike) -> dict:
         return check_results(results)
     except ResultsError as error:
         raise ResultsError(f"{path.name}: {error}") from None
+
+
+def is_current(path: str | os.PathLike, made: Mapping | None = None, **fields) -> bool:
+    """Whether a record was made by this commit with these packages, and has these fields and this provenance (`made`).
+
+    Never in a changed or unknown checkout: the code that made the file is not known there.
+    """
+    now = provenance()
+    if now["commit"] == "unknown" or now["commit"].endswith("+changes"):
+        return False
+    try:
+        found = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    wanted = {"commit": now["commit"], "packages": now["packages"]} | dict(made or {})
+    by = found.get("provenance", {})
+    return all(by.get(k) == v for k, v in wanted.items()) and all(found.get(k) == v for k, v in fields.items())
 
 
 def reference(stem: str) -> dict | None:

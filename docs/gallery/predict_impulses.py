@@ -4,13 +4,10 @@ For those who want the network: `dc.load_model()` reads the file that is shipped
 returns one normal and one tangent impulse for each contact, and the solver starts from them.
 """
 
-from pathlib import Path
-
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
 
-sample = Path(dc.__file__).parents[1] / "data" / "sample" / "impact_154.xml.gz"
-state = dc.read_state(sample)  # a solved state of a simulation that no training has seen
+state = dc.read_state(dc.sample_file("impact_154"))  # a solved state of a simulation that no training has seen
 contacts = state.contacts
 assert contacts is not None  # as in the file of a scene
 model = dc.load_model()

@@ -1,9 +1,11 @@
 """The contract of the figure scripts: options, files, replot, resume, interrupts; and the pictures' style."""
 
+import argparse
 import dataclasses
 import functools
 import json
 import os
+import pickle
 import re
 import signal
 import subprocess
@@ -16,7 +18,7 @@ import pytest
 from conftest import load_script
 
 from deep_contact.io import provenance
-from deep_contact.reporting import figures, plotting, results, settings
+from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.state import Contacts, State, World, make_bodies, no_contacts
 
@@ -125,8 +127,8 @@ def test_the_verdict_of_a_quick_run_never_contradicts_the_reference(text, holds,
 def test_quick_and_set_change_the_options_in_that_order(tmp_path):
     run(tmp_path, "--quick")
     assert stored(tmp_path)["options"] == OPTIONS | {"n": 2}
-    run(tmp_path, "--quick", "--set", "n=3", "--set", "d=0.1,0.2,0.4")
-    assert stored(tmp_path)["options"] == OPTIONS | {"n": 3, "d": [0.1, 0.2, 0.4]}
+    run(tmp_path, "--quick", "--set", "n=3", "--set", "scale=2")
+    assert stored(tmp_path)["options"] == OPTIONS | {"n": 3, "scale": 2.0}
     assert np.shape(stored(tmp_path)["data"]["walks"]) == (3, 3)
 
 
@@ -250,8 +252,9 @@ def test_a_figure_that_makes_no_sense_is_refused_by_the_field_s_name(field, valu
         ("n=50", 50),
         ("scale=2", 2.0),
         ("name=spiky=3", "spiky=3"),
-        ("flag=yes", True),
+        ("flag=true", True),
         ("d=1", [1.0]),
+        ("d=0.5,1", [0.5, 1.0]),
         ("d=[1, 2]", [1.0, 2.0]),
         ("limit=0.5", 0.5),
         ("limit=null", None),
@@ -259,42 +262,85 @@ def test_a_figure_that_makes_no_sense_is_refused_by_the_field_s_name(field, valu
     ],
 )
 def test_a_setting_takes_the_type_of_its_default(text, value):
-    name = text.partition("=")[0]
-    changed = figures.override(OPTIONS, [text])
-    assert changed == OPTIONS | {name: value}
-    assert type(changed[name]) is type(value)
+    name, found = figures.assigned(OPTIONS, text)
+    assert (name, found, type(found)) == (text.partition("=")[0], value, type(value))
 
 
 @pytest.mark.parametrize(
-    "text", ["n=1.5", "n=0", "n=-3", "n=many", "scale=nan", "scale=x", "flag=maybe", "d=1,x", "n", "m=3"]
+    "text", ["n=1.5", "n=0", "n=-3", "n=many", "n=true", "scale=nan", "scale=x", "flag=maybe", "d=1,x", "n", "m=3"]
 )
 def test_a_setting_of_the_wrong_type_is_refused_by_its_name(text):
-    with pytest.raises(ValueError, match="expected") as error:
-        figures.override(OPTIONS, [text])
+    with pytest.raises(argparse.ArgumentTypeError, match="expected") as error:
+        figures.assigned(OPTIONS, text)
     assert text.partition("=")[0] in str(error.value)
+
+
+def test_a_setting_that_changes_nothing_is_refused_by_its_name(tmp_path, capsys):
+    """`figure 6.1 --set n_bodies=300` drew the stored study and recorded 300."""
+    figure = dataclasses.replace(
+        FIGURE, options={"results": "stored.json", "n": 4}, quick={}, compute=lambda options, *_: walk_or_read(options)
+    )
+    assert run(tmp_path, "--set", "results=", "--set", "n=3", figure=figure) == 0
+    before = stored(tmp_path)
+    assert before["options"] == {"results": "", "n": 3}
+    with pytest.raises(SystemExit, match="2"):
+        run(tmp_path, "--set", "n=3", figure=figure)
+    assert "--set: n: expected a setting that changes what is drawn, got one without effect" in capsys.readouterr().err
+    assert stored(tmp_path) == before
+    with pytest.raises(ValueError, match="n: expected a setting that changes"):
+        figures.produce(figure, options={"n": 3}, out=tmp_path)
+
+
+def walk_or_read(options):
+    """Two walks of n steps, or those that are stored, whatever n."""
+    return {"walks": [[1.0, 2.0]] * 2 if options["results"] else [[1.0] * options["n"]] * 2}
+
+
+@pytest.mark.parametrize("number", ["6_1", "6_2", "6_11"])
+def test_a_figure_of_the_stored_study_takes_no_setting_of_a_small_one(number, tmp_path, capsys):
+    with pytest.raises(SystemExit, match="2"):
+        run(tmp_path, "--set", "n_bodies=300", figure=load_script(f"figure_{number}").FIGURE)
+    assert "--set: n_bodies: expected a setting that changes" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    "read",
+    [lambda options: dict(**options), dict, lambda options: options | {}, lambda o: pickle.loads(pickle.dumps(o))],
+)
+def test_whole_options_handed_on_count_as_read(read, tmp_path):
+    assert (
+        run(
+            tmp_path,
+            "--set",
+            "n=3",
+            figure=dataclasses.replace(FIGURE, compute=lambda o, *_: walk(read(o), 0, 1, None)),
+        )
+        == 0
+    )
 
 
 @pytest.mark.parametrize("script", sorted(SCRIPTS.glob("*_[0-9]*_[0-9]*.py")), ids=lambda path: path.stem)
 def test_help_says_what_every_setting_means(script, capsys):
     figure = load_script(script.stem).FIGURE
-    assert [name for name in figure.options if not settings.meaning(figure.id, name)] == []
+    assert [name for name in figure.options if not figures.meaning(figure.id, name)] == []
     with pytest.raises(SystemExit, match="0"):
         figures.main(figure, ["--help"])
     shown = capsys.readouterr().out
-    assert all(settings.meaning(figure.id, name) in shown for name in figure.options)
+    assert all(figures.meaning(figure.id, name) in shown for name in figure.options)
 
 
 def test_an_unknown_setting_names_the_known_ones(tmp_path, capsys):
     with pytest.raises(SystemExit, match="2"):
         run(tmp_path, "--set", "bodies=3")
-    assert "expected one of n, scale, name, flag, d, limit, got 'bodies'" in capsys.readouterr().err
+    assert "with one of n, scale, name, flag, d, limit, got 'bodies=3'" in capsys.readouterr().err
 
 
 def test_a_setting_that_the_figure_refuses_is_reported_without_a_traceback(tmp_path, capsys):
     figure = load_script("figure_3_3_kernels").FIGURE
     with pytest.raises(SystemExit, match="2"):
         run(tmp_path, "--set", "h=-1", figure=figure)
-    assert "--set h=-1: h: expected a finite number > 0" in capsys.readouterr().err
+    assert "--set: h: expected a finite number > 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("bad", [["--seed", "-1"], ["--jobs", "0"], ["--seed", "x"], ["--fast"]])

@@ -140,6 +140,7 @@ def test_an_example_is_short_listed_and_public(path):
     """`scripts/docs.sh` runs it."""
     source = path.read_text(encoding="utf-8")
     assert len(source.splitlines()) <= 40
+    assert "__file__" not in source  # a wheel has no repository around it
     assert f"({path.name})" in TEXTS["docs/gallery/index.md"]
     tree = ast.parse(source)
     assert ast.get_docstring(tree).partition("\n")[0].endswith(".")

@@ -85,6 +85,7 @@ deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
 deep-contact view --bodies 10 --steps 8 --every 4 --out view.gif
 deep-contact figure 5.3 --quick > figure.txt
 deep-contact table 5.1 --quick > table.txt
+python "$source/docs/gallery/predict_impulses.py" > gallery.txt
 for file in later.xml run.h5 predictions/rest_362.csv view.gif figures/figure_5_3.png figures/table_5_1.md; do
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done
