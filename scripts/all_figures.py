@@ -1,9 +1,13 @@
 """python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--verbose] [--jobs J] …
 
 Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers. A failure does not stop the others.
-At the end it prints a summary and writes all results of the folder into one page, <out>/index.html. `--resume` skips
-those whose stored results have the same settings and commit, `--replot` draws all again from what is stored. Exit
-status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
+At the end it prints a summary and writes all results of the folder into one page, <out>/index.html. `--resume` keeps
+what is stored with the same settings and commit, `--replot` draws all again from what is stored.
+
+`--references` makes every file of data/reference: studies and benchmarks first, since figures are drawn from some of
+them, then all figures and tables, and the tables of the documentation. It takes some hours, on a machine that does
+nothing else, and keeps what this commit has made: the command goes on where it was stopped. `--list` only names what is
+to be made. Exit status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
 """
 
 import argparse
@@ -17,12 +21,30 @@ from pathlib import Path
 from deep_contact import parallel
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import INTERRUPTED
+from deep_contact.reporting.results import REFERENCE
 from deep_contact.reporting.scripts import choose, find, stem
 
 INTERRUPTS = (INTERRUPTED, -signal.SIGINT)
 """Exit status of a script that was ended by Ctrl-C, the second one before it could catch it."""
 
 HERE = Path(__file__).resolve().parent
+TOOLS = HERE.parent / "tests" / "tools"
+
+STUDIES = {
+    "run_tradeoff": [HERE / "run_tradeoff.py", "--out"],
+    "run_tradeoff_verify": [HERE / "run_tradeoff.py", "--verify", "--out"],
+    "benchmark_engine": [HERE / "benchmark_engine.py", "--json"],
+    "benchmark_step": [HERE / "benchmark_step.py", "--json"],
+    "benchmark_transfer": [HERE / "benchmark_transfer.py", "--json"],
+    "benchmark_state_xml": [HERE / "benchmark_state_xml.py", "--json"],
+    "soak": [TOOLS / "soak.py", "--out"],
+    "mutants": [TOOLS / "mutate.py", "--mutants", "100", "--out"],
+    "mutants_late": [TOOLS / "mutate.py", "--late", "--mutants", "64", "--out"],
+}
+"""File of data/reference -> the script and options that write it; the path follows."""
+
+ELSEWHERE = ("benchmark_disks", "benchmark_outside", "benchmark_starts", "fuzz")
+"""Files that need problems and solvers of others (docs/outside.md says which), and one that several runs fill."""
 
 
 def main(arguments=None, folder=HERE):
@@ -34,41 +56,44 @@ def main(arguments=None, folder=HERE):
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
-    done, interrupted = [], False
-    for number, (name, script) in enumerate(chosen.items(), start=1):
-        print(f"\n[{number}/{len(chosen)}] {script.name}", flush=True)
-        stored = Path(given.out) / f"{stem(script)}.json"
-        before, start = written(stored), time.perf_counter()
-        status = run([sys.executable, str(script), *passed_on])
-        done.append((name, status, written(stored) == before, time.perf_counter() - start, stored))
-        interrupted = status in INTERRUPTS
-        if interrupted:
+    studies = missing_studies() if given.references else []
+    if given.list:
+        print(*(" ".join(map(str, command)) for command in studies), *map(str, chosen.values()), sep="\n")
+        return 0
+    work = [(command[-1].stem, command, None) for command in studies]
+    for name, script in chosen.items():
+        work.append((name, [script, *passed_on], Path(given.out) / f"{stem(script)}.json"))
+    if given.references:
+        work.append(("tables", [HERE / "readme.py"], None))
+    done, status = [], 0
+    for number, (name, command, stored) in enumerate(work, start=1):
+        print(f"\n[{number}/{len(work)}] {command[0].name}", flush=True)
+        status, seconds = timed(command)
+        done.append((name, status, seconds, stored))
+        if status in INTERRUPTS:
             break
-    if Path(given.out).is_dir():
-        captions = {id_of(name): caption(path) for name, path in scripts.items()}
-        expected = [id_of(name) for name in chosen]
+    if Path(given.out).is_dir() and not given.references:
+        captions = {name.replace("T", "T "): caption(path) for name, path in scripts.items()}
+        expected = [name.replace("T", "T ") for name in chosen]
         index = page.write_report(given.out, expected=expected, others=captions, captions=captions)
         print(f"\nall results as one page: {index}")
     summarise(done)
-    return INTERRUPTED if interrupted else int(any(status != 0 for _, status, *_ in done))
-
-
-def written(path):
-    """Time at which a file was written, or None if it does not exist."""
-    return path.stat().st_mtime_ns if path.exists() else None
+    return INTERRUPTED if status in INTERRUPTS else int(any(status for _, status, *_ in done))
 
 
 def parse(arguments):
     """The arguments, and the list of those that are passed on to every script."""
-    parser = argparse.ArgumentParser(description="Run every figure and table script.")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
     parser.add_argument("--out", default="figures", metavar="FOLDER")
-    for name in ("--quick", "--resume", "--replot", "--verbose"):
+    for name in ("--quick", "--resume", "--replot", "--verbose", "--references", "--list"):
         parser.add_argument(name, action="store_true")
     for name in ("--jobs", "--seed"):
         parser.add_argument(name, type=int)
     parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
+    if given.references:
+        given.out, given.resume = str(REFERENCE), True
     passed_on = ["--out", given.out]
     for name in ("quick", "resume", "replot", "verbose", "jobs", "seed", "scheduler"):
         value = getattr(given, name)
@@ -77,9 +102,26 @@ def parse(arguments):
     return given, passed_on
 
 
-def id_of(name):
-    """T 5.1 for T5.1."""
-    return name.replace("T", "T ")
+def missing_studies():
+    """Commands of the studies and benchmarks whose files were not made by this commit."""
+    paths = {REFERENCE / f"{name}.json": command for name, command in STUDIES.items()}
+    return [[*command, path] for path, command in paths.items() if not results.is_current(path)]
+
+
+def timed(command):
+    """Exit status of a script, and its time, s. After Ctrl-C it has 10 s to clean up."""
+    start = time.perf_counter()
+    process = subprocess.Popen([sys.executable, *map(str, command)])
+    try:
+        status = process.wait()
+    except KeyboardInterrupt:
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.terminate()
+            process.wait()
+        status = INTERRUPTED
+    return status, time.perf_counter() - start
 
 
 def caption(script):
@@ -91,27 +133,12 @@ def caption(script):
     return " ".join(f"{about[:1].upper()}{about[1:]} {panels}".split())
 
 
-def run(command):
-    """Exit status of a command. After Ctrl-C the command has 10 s to clean up."""
-    process = subprocess.Popen(command)
-    try:
-        return process.wait()
-    except KeyboardInterrupt:
-        try:
-            process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.terminate()
-            process.wait()
-        return INTERRUPTED
-
-
 def summarise(done):
     """Print a line for each script: its status, time, and number of claims that hold."""
     print("\nid     status       time/s  claims that hold")
-    for name, status, untouched, seconds, stored in done:
-        word, held = "interrupted" if status in INTERRUPTS else "failed", "–"
-        if status == 0:
-            word = "kept" if untouched else "done"
+    for name, status, seconds, stored in done:
+        word, held = "interrupted" if status in INTERRUPTS else "failed" if status else "done", "–"
+        if status == 0 and stored is not None:
             claims = results.read_results(stored)["claims"]
             held = f"{sum(claim['holds'] is True for claim in claims)} of {len(claims)}"
         print(f"{name:<6} {word:<11}  {seconds:6.1f}  {held}")

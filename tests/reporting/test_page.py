@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from conftest import load_script
 
+from deep_contact.io import provenance
 from deep_contact.reporting import errata, plotting, results
 from deep_contact.reporting import page as report_page
 
@@ -177,6 +178,22 @@ def test_a_film_takes_the_place_of_its_gif(folder):
 def test_a_folder_that_is_not_there_is_an_error(tmp_path):
     with pytest.raises(FileNotFoundError, match="folder of results"):
         report_page.write_report(tmp_path / "no")
+
+
+def test_every_file_of_data_reference_is_made_by_one_of_the_commands(tmp_path, monkeypatch, capsys):
+    module = load_script("all_figures")
+    made = {path.stem for path in module.REFERENCE.glob("*.json")}
+    figures = {module.stem(script) for script in module.find(module.HERE).values()}
+    assert made - figures - set(module.ELSEWHERE) == module.STUDIES.keys()
+    assert all(script.is_file() for script, *_ in module.STUDIES.values())
+    monkeypatch.setattr(module, "REFERENCE", tmp_path)
+    monkeypatch.setattr(provenance, "commit", lambda: "0" * 40)
+    names = [*module.STUDIES][:2]
+    for name, commit in zip(names, ("0" * 40, "1" * 40)):  # what this commit made is kept
+        (tmp_path / f"{name}.json").write_text(json.dumps({"provenance": results.provenance() | {"commit": commit}}))
+    assert [command[-1].stem for command in module.missing_studies()] == [*module.STUDIES][1:]
+    assert module.main(["--references", "--list"]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == len(module.STUDIES) - 1 + len(figures)
 
 
 def test_all_figures_writes_the_page(folder, capsys):
