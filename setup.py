@@ -13,7 +13,6 @@ SHIPPED = (
     "models/model.h5",
     "models/coarse.h5",
     "models/compact.h5",
-    "models/per_contact.json",
     "scripts/figure_*.py",
     "scripts/table_*.py",
     "scripts/all_figures.py",

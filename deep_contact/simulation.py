@@ -261,9 +261,6 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     if advance is engine.advance and steps > 1 and state.bodies.count >= _MANY:
         advance = engine.AdvanceKeepingMemory()
     options = options._replace(carry=not isinstance(start, NoStart))
-    if by_step and on_step is None and not sleep and _can_start_within(start, solver, state):
-        options = options._replace(settings=start.within(options.settings))
-        start, by_step = Builtin(), False
     log, theta = make_log(steps), np.empty(solver.sweeps)
     still = np.zeros(state.bodies.count if sleep else 0)
     scales = state.scales  # of radii that do not change in a run
@@ -327,12 +324,6 @@ def _log_of_steps(log: StepLog, substeps: int) -> StepLog:
     """The log of substeps, step by step: see `Simulation`."""
     contacts, sweeps, theta, relaxations = (column.reshape(-1, substeps) for column in log)
     return StepLog(contacts[:, -1], sweeps.sum(axis=1), theta[:, -1], relaxations.sum(axis=1))
-
-
-def _can_start_within(start, solver, state: State) -> bool:
-    """Whether `engine.advance` can make this start itself: in float64, with tangents."""
-    ordinary = entry_of(solver).advance is None and solver.precision == "double"
-    return hasattr(start, "within") and ordinary and state.world.friction > 0
 
 
 def with_time_step(state: State, dt: float) -> State:

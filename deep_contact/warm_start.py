@@ -179,12 +179,6 @@ def _guarded() -> WarmStart:
     return Guarded(known_model())
 
 
-def _learned() -> WarmStart:
-    from deep_contact.cnn.per_contact import PerContact
-
-    return PerContact()
-
-
 STARTS: dict[str, Callable[[], WarmStart]] = {
     "none": NoStart,
     "builtin": Builtin,
@@ -195,7 +189,6 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
     "sph": Sph,
     "cnn": _cnn,
     "guarded": _guarded,
-    "learned": _learned,
 }
 """Name -> what makes the start with its default options."""
 

@@ -27,7 +27,7 @@ TOLERANCES = (0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
 def compute(options, seed, jobs, progress):
     """Errors pile by pile, in parallel; then times in this process alone: nothing may run beside what is timed."""
     starts = {name: name for name in CLASSICAL}
-    starts |= {"learned": "learned", "coarse": {"model": options["coarse"]}, "far field": {"model": options["model"]}}
+    starts["far field"] = {"model": options["model"]}
     tasks = [
         {**options, "circles": count, "kind": kind, "seed": s, "starts": starts}
         for count, kind in product(options["counts"], options["kinds"])
@@ -158,7 +158,6 @@ FIGURE = Figure(
         "exact": [100, 300, 1000],
         "repeats": 7,
         "model": "models/model.h5",
-        "coarse": "models/coarse.h5",
     },
     quick={
         "counts": [100, 1000],

@@ -21,13 +21,13 @@ from deep_contact.studies.held_out import (
     ratios_to_builtin,
 )
 
-LEARNED = ("far field", "guarded", "learned")
-"""The network on images, the same where it is better than Builtin, and the perceptron on each contact."""
+LEARNED = ("far field", "guarded")
+"""The network on images, and the same where it is better than Builtin."""
 
 
 def compute(options, seed, jobs, progress):
     """Every start with every solver on the same states of held-out scenes."""
-    starts = {name: name for name in (*CLASSICAL, "learned")}
+    starts = {name: name for name in CLASSICAL}
     starts |= {"far field": {"model": options["model"]}, "guarded": {"guarded": options["model"]}}
     settings = {"seed": seed + 10_000, "jobs": jobs, "progress": progress, "with_all": list(starts)}
     return {
@@ -104,11 +104,10 @@ def draw(data, options):
     title = f"a) steps where Builtin is off by more than {OFF:.0%}"
     plotting.label_axes(left, "sweeps", "relative velocity error", title=title)
     left.legend()
-    for start, line in zip(("guarded", "learned"), ("-", "--")):
-        for k, colour in zip(FEW, (plotting.VERMILION, plotting.BLUE, plotting.GREEN)):
-            ratio = by_tenth(data, start)[:, data["after"].index(k)]
-            label = f"{start}, after {k} sweeps"
-            right.plot((np.arange(TENTHS) + 0.5) * 10, ratio, line, color=colour, marker="o", markersize=3, label=label)
+    for k, colour in zip(FEW, (plotting.VERMILION, plotting.BLUE, plotting.GREEN)):
+        ratio = by_tenth(data, "guarded")[:, data["after"].index(k)]
+        label = f"guarded, after {k} sweeps"
+        right.plot((np.arange(TENTHS) + 0.5) * 10, ratio, color=colour, marker="o", markersize=3, label=label)
     right.axhline(1.0, color=plotting.GREY, linewidth=1.0)
     right.set_ylim(0, max(1.2, 1.05 * right.get_ylim()[1]))
     plotting.label_axes(right, "part of the run", "error over the best classical", x_unit="%", title="b) all steps")

@@ -13,7 +13,7 @@ def compute(options, seed, jobs, progress):
     """Every start on the same states of a few scenes of each kind, whose seeds were not in the data."""
     kinds = [{}] + [{name: value} for name, values in options["beyond"].items() for value in values]
     model = options["model"]
-    starts = {name: name for name in (*CLASSICAL, "learned")} | {"guarded": {"guarded": model}}
+    starts = {name: name for name in CLASSICAL} | {"guarded": {"guarded": model}}
     settings = {"seed": seed + 30_000, "jobs": jobs, "progress": progress, "with_all": list(starts)}
     scenes = errors_beyond(starts, kinds, options, **settings)
     return {"after": options["after"], "kinds": kinds, "scenes": scenes}
@@ -28,7 +28,7 @@ def label(kind):
     return f"{SHORT[name]} {text}"
 
 
-LEARNED = {"guarded": "a) guarded network on images", "learned": "b) perceptron on each contact"}
+LEARNED = {"guarded": "guarded network on images"}
 
 
 def claims(data):
@@ -55,10 +55,10 @@ def table(data):
 
 def draw(data, options):
     """The ratios to the best classical setting, a line per kind of scene, a panel per learned start."""
-    figure, axes = plotting.subplots(1, 2, size=(10.0, 0.28 * len(data["kinds"]) + 1.6), sharey=True)
+    figure, axes = plotting.subplots(1, len(LEARNED), size=(6.0, 0.28 * len(data["kinds"]) + 1.6), sharey=True)
     y = -np.arange(len(data["kinds"]))
     few = after_few(data)
-    for axis, (name, title) in zip(axes, LEARNED.items()):
+    for axis, (name, title) in zip(np.atleast_1d(axes), LEARNED.items()):
         for i, k in zip(few, FEW):
             found = np.array([ratios_to_best(scenes, name, "all")[i] for scenes in data["scenes"]])
             off = [found[:, 0] - found[:, 1], found[:, 2] - found[:, 0]]
@@ -69,8 +69,9 @@ def draw(data, options):
         axis.set_xticks([0.2, 0.5, 1.0, 2.0], ["0.2", "0.5", "1", "2"])
         axis.minorticks_off()
         plotting.label_axes(axis, "velocity error over the best classical setting's", None, title=title)
-    axes[0].set_yticks(y, [label(kind) for kind in data["kinds"]])
-    axes[0].legend()
+    first = np.atleast_1d(axes)[0]
+    first.set_yticks(y, [label(kind) for kind in data["kinds"]])
+    first.legend()
     return figure
 
 

@@ -103,52 +103,14 @@ def entry(path: Path) -> dict:
     }
 
 
-def per_contact_card(path: Path) -> str:
-    """The section of the perceptron on each contact."""
-    from deep_contact.cnn.per_contact import card_of, load
-    from deep_contact.cnn.perceptron import CORRECTIONS, INPUTS
-
-    network, found = load(path), card_of(path)
-    last, spread = found["rounds"][-1], found["own_held_out_of_all_seeds"]
-    rows = [
-        ("architecture", "a perceptron on each contact, one hidden layer"),
-        ("weights", network.first.size + network.second.size),
-        ("takes", f"{len(INPUTS)} numbers of each contact: {', '.join(INPUTS)}"),
-        ("gives", f"gates on {len(CORRECTIONS)} impulses: {', '.join(CORRECTIONS)}"),
-        ("left out", f"where the share unsolved is below {network.least:g}"),
-        ("command", f"`{found['command']}`"),
-        ("trained through", f"{found['solver']}, {found['config']['rounds']} rounds of states of its own runs"),
-        ("trained on", f"{last['states']:,} states"),
-        ("seed", f"{found['config']['seed']}, the middle one of {len(spread)}"),
-        ("time", f"{last['seconds'] / 60:.1f} minutes of one core, for each seed"),
-        ("error over Builtin's, held-out states of own runs", f"{last['own_held_out']:.3f}"),
-        ("the same of all seeds", ", ".join(f"{ratio:.3f}" for ratio in spread)),
-    ]
-    about = 'A start for the price of some sweeps, `warm_start="learned"`; what it is worth: docs/starts.md.'
-    lines = [f"## {path.name}", "", about, "", "| | |", "|---|---|"]
-    return "\n".join([*lines, *(f"| {name} | {value} |" for name, value in rows), ""])
-
-
-def per_contact_entry(path: Path) -> dict:
-    """Its entry in the registry; it makes its own data."""
-    from deep_contact.cnn.per_contact import card_of
-
-    digest = hashlib.sha256(path.read_bytes()).hexdigest()
-    return {"file": path.name, "sha256": digest, "command": card_of(path)["command"], "data": None}
-
-
 def main(arguments=None) -> None:
     """Write the page and the registry."""
     argparse.ArgumentParser(description=__doc__).parse_args(arguments)
     from deep_contact.io.files import replacing
 
     cards = [card(MODELS / name) for name in ABOUT if (MODELS / name).exists()]
-    perceptron = MODELS / "per_contact.json"
     files = sorted(MODELS.rglob("*.h5"), key=lambda path: (path.parent != MODELS, path.name))
     entries = {path.relative_to(MODELS).with_suffix("").as_posix(): entry(path) for path in files}
-    if perceptron.exists():
-        cards.append(per_contact_card(perceptron))
-        entries[perceptron.stem] = per_contact_entry(perceptron)
     texts = {"README.md": "\n".join([HEAD, *cards]), "registry.json": json.dumps(entries, indent=1) + "\n"}
     for name, text in texts.items():
         with replacing(MODELS / name) as temporary:

@@ -66,27 +66,15 @@ def learned() -> list[list]:
         return " / ".join(str(cell).split(" ")[0] for cell in cells)
 
     near = {row[0]: short(row[3:6]) for row in printed("figure_6_8") if row[1] == "all"}
-    run = [row for row in printed("figure_6_12") if str(row[2]) == "50" and row[1].endswith("learned")]
     time = stored("figure_6_10")["claims"][0]["measured"]
-    price = {name: [time[name][f"{n} circles"]["in sweeps"] for n in (100, 1000)] for name in ("far field", "learned")}
-    error = "error over the best classical setting's"
-    where = f"{error} with 3 / 10 / 30 sweeps from given states, price left out"
+    price = [time["far field"][f"{n} circles"]["in sweeps"] for n in (100, 1000)]
+    where = "error over the best classical setting's with 3 / 10 / 30 sweeps from given states, price left out"
     return [
         ["learned start", "measured", "figure"],
         [f"network on images, guarded: {where}", near["guarded / best classical"], "6.8"],
-        [f"perceptron on each contact: {where}", near["learned / best classical"], "6.8"],
+        ["its price at 100 and 1,000 circles", "{:.0f} and {:.0f} sweeps".format(*price), "6.10"],
         [
-            f"the same, along runs of 1,000 / 3,000 / 10,000 circles: {error} at the time of 50 sweeps",
-            short(row[5] for row in run),
-            "6.12",
-        ],
-        [
-            "price of the network, and of the perceptron, at 100 and 1,000 circles",
-            "; ".join(f"{few:.0f} and {many:.0f} sweeps" for few, many in price.values()),
-            "6.10",
-        ],
-        [
-            "cases in which one is faster to an error than the best classical setting",
+            "cases in which it is faster to an error than the best classical setting",
             f"{time['wins']} of {time['cases']}",
             "6.10",
         ],

@@ -54,7 +54,6 @@ OURS = [
     *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8)}, omega=1.5),
     *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8), 4: (2,)}, omega=1.75, friction_omega=1.45),
     *ladder("PSOR", {1: (10,)}, omega=1.75, friction_omega=1.45, start="scaled"),
-    *ladder("PSOR", {1: (10,)}, omega=1.75, friction_omega=1.45, start="learned"),
     *ladder("NNCG", {1: (5, 10, 20)}),
     *ladder("NesterovPGS", {1: (10, 20)}),
     *ladder("PGS", {1: (10, 50)}, start="none"),

@@ -40,7 +40,6 @@ from deep_contact.physics.segments import positions_before, segments_of
 from deep_contact.physics.sleeping import advance_sleeping
 from deep_contact.physics.solvers import PRECISIONS, SoftSteps
 from deep_contact.physics.solvers.registry import (
-    apply_start,
     entry_of,
     for_state,
     is_frictionless,
@@ -52,9 +51,6 @@ from deep_contact.physics.step import StepInput, StepOptions, StepWorkspace, log
 from deep_contact.scales import ContactScales
 from deep_contact.state import LIMITS, Bodies, Contacts, State, native
 from deep_contact.validation import flag
-
-# Loops that `advance` may hold without an import from here, for the code cache:
-# compiled in: deep_contact.cnn.perceptron
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
     LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
@@ -112,7 +108,7 @@ def advance_with(memory, front_buffer, given, options, workspace, log):
         )
         if segments.shape[0] > 0:
             move_surfaces(contacts, segments, solver_bodies, rows)
-        apply_start(options.settings, rows, friction, solver_bodies)
+        apply_impulses(rows, solver_bodies, friction)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
         store_impulses(rows, contacts)
         before = positions_before(bodies, segments)

@@ -46,7 +46,6 @@ START_STYLE = {
         ("compact", PURPLE, (0, (3, 1, 1, 1, 1, 1)), "X", "CNN, image of impulses"),
         ("coarse", PURPLE, ":", "h", "CNN, far field, coarse"),
         ("guarded", ORANGE, "-", "*", "Guarded"),
-        ("learned", GREEN, "--", "d", "Learned, on the contact"),
         ("best classical", BLACK, "-", "o", "Best classical"),
         ("random", GREY, ":", "+", "Random"),
         ("bad", GREY, "--", "1", "Bad"),

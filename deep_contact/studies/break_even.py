@@ -34,7 +34,7 @@ CLASSICAL = {
     "builtin": ("PGS", "PSOR", "NNCG", "NesterovPGS"),
     "scaled": ("PSOR", "NNCG", "NesterovPGS"),
 }
-LEARNED = dict.fromkeys(("learned", "coarse", "far field"), ("PSOR", "NNCG", "NesterovPGS"))
+LEARNED = {"far field": ("PSOR", "NNCG", "NesterovPGS")}
 """Start -> the solvers that follow it."""
 
 FEWEST, SAMPLES = 10, 1000

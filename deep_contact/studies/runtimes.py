@@ -30,24 +30,21 @@ def times(task: Mapping) -> dict[str, list]:
 
     task: "models": paths, "count" of circles, "threads", "batches": images at once, "repeats", "seed".
     Returns {"times": [{"network", "circles", "threads", "runtime", "batch", "us": per image}], "stages":
-    [{"network", "circles", "threads", **`parts_of_start`}], "starts": [{"start", "circles", "us", "sweep"}]: those
-    without images, on rows that have been built, and a sweep of PSOR}; the stages and starts with one thread only.
+    [{"network", "circles", "threads", **`parts_of_start`}], "starts": [{"start", "circles", "us", "sweep"}]: that
+    without an image, on rows that have been built, and a sweep of PSOR}; the stages and starts with one thread only.
     """
     from deep_contact.cnn.far_field import describe
     from deep_contact.cnn.inference import limit_threads, load_model, network_file
-    from deep_contact.cnn.per_contact import PerContact
 
     limit_threads(task["threads"])
     state = states_of(pile("settling", task["count"], task["seed"]), count=1)[0]
     found = {"times": [], "stages": [], "starts": []}
     if task["threads"] == 1:
-        starts = {"builtin": Builtin(), "scaled": Scaled(), "learned": PerContact(least=0.0)}  # never left out
+        starts = {"builtin": Builtin(), "scaled": Scaled()}
         took = {name: us[0] for name, us in start_times([state], starts, repeats=task["repeats"]).items()}
         sweep = sweep_times(state, repeats=task["repeats"])["PSOR"]
-        found["starts"] = [
-            {"start": name, "circles": task["count"], "us": 1e6 * (took[name] - took["builtin"]), "sweep": 1e6 * sweep}
-            for name in ("scaled", "learned")
-        ]
+        us = 1e6 * (took["scaled"] - took["builtin"])
+        found["starts"] = [{"start": "scaled", "circles": task["count"], "us": us, "sweep": 1e6 * sweep}]
     for path in task["models"]:
         model = load_model(network_file(path))
         image = describe(state, model.spec).image

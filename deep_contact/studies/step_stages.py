@@ -34,7 +34,7 @@ ENGINES = {"sequential": PGS, "colours": partial(BatchedPGS, order="colours")}
 STAGES = {
     "integrate_velocities": (72, 0),
     "contact_rows": (40, 136),
-    "apply_start": (64, 80),
+    "apply_impulses": (64, 80),
     "plan_batches": (16, 24),
     "write_blocks": (64, 216),
     "relax": (64, 96),

@@ -125,7 +125,7 @@ def test_plan_tells_of_segments(run):
     assert not dc.plan(dc.column(2))["static segments"].used
 
 
-@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "learned", "cnn", "guarded"])
+@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "cnn", "guarded"])
 def test_starts_take_contacts_with_segments_as_with_walls(run, start):
     if start in ("cnn", "guarded"):
         pytest.importorskip("tensorflow")

@@ -30,7 +30,6 @@ CASES = {
     "single precision": {"solver": dc.PGS(sweeps=12, precision="single")},
     "sleep": {"solver": dc.PGS(sweeps=12), "sleep": True, "steps": 70},
     **{f"start {name}": {"solver": dc.PGS(sweeps=12), "warm_start": name} for name in (None, "copy", "scaled", "sph")},
-    "start learned": {"solver": dc.PGS(sweeps=12), "warm_start": "learned"},
     "no friction": {"solver": dc.PGS(sweeps=12), "friction": 0.0},
     "segments": {"solver": dc.PGS(sweeps=12), "steps": 60},
 }
@@ -78,8 +77,7 @@ def test_interpreted_functions_compute_what_the_compiled_ones_do(interpreted, na
     error = interpreted / f"{stem}.txt"
     assert not error.exists(), error.read_text()
     # The compiler may fuse a multiplication and an addition, which changes the last bits.
-    single = name in ("single precision", "start learned")  # the perceptron is in float32
-    close = {"rtol": 1e-4, "atol": 1e-5} if single else {"rtol": 1e-9, "atol": 1e-9}
+    close = {"rtol": 1e-4, "atol": 1e-5} if name == "single precision" else {"rtol": 1e-9, "atol": 1e-9}
     with np.load(interpreted / f"{stem}.npz") as found:
         for key, wanted in zip(found, simulated(name), strict=True):
             np.testing.assert_allclose(found[key], wanted, **close, err_msg=key)

@@ -14,7 +14,6 @@ from typing import NamedTuple
 
 from numba.extending import overload
 
-from deep_contact.physics.contact_solver import apply_impulses
 from deep_contact.physics.convergence import mark_divergence
 from deep_contact.scales import FOLLOWS_SCENE
 from deep_contact.state import State
@@ -30,8 +29,6 @@ class Loop(NamedTuple):
     workspace: compiled function (rows, solver_bodies) -> what `relax` needs beside those, made once a run; or None.
     frictionless: whether `relax` works on rows without tangents (friction None).
     counts_relaxations: whether `relax` returns (sweeps, relaxations). If not, each sweep relaxes every contact once.
-    apply_start: compiled function (settings, rows, friction, solver_bodies) that gives the velocities, in place, the
-    impulses which the rows start from, and may change these first; None: as they are (`contact_solver.apply_impulses`).
     """
 
     settings: type
@@ -39,7 +36,6 @@ class Loop(NamedTuple):
     workspace: Callable | None = None
     frictionless: bool = True
     counts_relaxations: bool = False
-    apply_start: Callable | None = None
 
 
 class Entry(NamedTuple):
@@ -69,12 +65,7 @@ def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, adva
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
     _ENTRIES[options] = Entry(settings, advance, can_sleep=advance is None)
     for loop in loops:
-        register_loop(loop)
-
-
-def register_loop(loop: Loop) -> None:
-    """Make a loop known that is no solver of its own, such as one that changes how the steps of others start."""
-    _LOOPS[loop.settings] = loop
+        _LOOPS[loop.settings] = loop
 
 
 def entry_of(solver) -> Entry:
@@ -137,12 +128,7 @@ def relax(settings, rows, friction, solver_bodies, theta, workspace):
     return _relax(type(settings))(settings, rows, friction, solver_bodies, theta, workspace)
 
 
-def apply_start(settings, rows, friction, solver_bodies):
-    """Give the velocities, in place, the impulses that the rows start from, as the loop of the settings has it."""
-    return _apply_start(type(settings))(settings, rows, friction, solver_bodies)
-
-
-# Compiled callers resolve the three functions above by the type of the settings; Python callers, and everything under
+# Compiled callers resolve the two functions above by the type of the settings; Python callers, and everything under
 # NUMBA_DISABLE_JIT=1, run them as they stand.
 @overload(make_workspace)
 def _overload_make_workspace(settings, rows, solver_bodies):
@@ -152,18 +138,6 @@ def _overload_make_workspace(settings, rows, solver_bodies):
 @overload(relax)
 def _overload_relax(settings, rows, friction, solver_bodies, theta, workspace):
     return _relax(settings.instance_class)
-
-
-@overload(apply_start)
-def _overload_apply_start(settings, rows, friction, solver_bodies):
-    return _apply_start(settings.instance_class)
-
-
-def _apply_start(settings_type):
-    apply = _LOOPS[settings_type].apply_start
-    if apply is None:
-        return lambda settings, rows, friction, solver_bodies: apply_impulses(rows, solver_bodies, friction)
-    return lambda settings, rows, friction, solver_bodies: apply(settings, rows, friction, solver_bodies)
 
 
 def _make_workspace(settings_type):
