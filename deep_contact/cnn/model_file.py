@@ -24,7 +24,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -34,7 +33,8 @@ import numpy as np
 from deep_contact.cnn.convolution import dimensions
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.io.files import damaged_heap, replacing
+from deep_contact.io import hdf5
+from deep_contact.io.files import replacing
 
 FORMAT = 1
 METADATA = "deep_contact"
@@ -108,7 +108,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coars
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": int(coarsening), "box": size, "card": card}
     _check_fit(model, spec, size, path)
-    config = json.dumps(portable(json.loads(model.to_json()), path))
+    config = json.dumps(portable(json.loads(model.to_json())))
     # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
@@ -123,7 +123,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coars
             stored.attrs["weight_names"] = names
             for name, array in zip(names, layer.get_weights()):
                 stored[name] = array
-        metadata["digest"] = _digest(config, _datasets(group, path), metadata)
+        metadata["digest"] = _digest(config, _datasets(group), metadata)
         file[METADATA] = json.dumps(metadata, allow_nan=False)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
@@ -164,146 +164,106 @@ def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
         raise ModelFileError(f"{path}: spec: {error}") from error
 
 
-def portable(config, path) -> dict:
+def portable(config) -> dict:
     """A network's configuration reduced to what every supported version of Keras reads.
 
     Raises ModelFileError unless it consists of stock parts of the lists above.
     """
     name = config.get("class_name") if isinstance(config, dict) else config
     if name not in _NETWORKS:
-        raise ModelFileError(f"{path}: model_config: expected one of {', '.join(_NETWORKS)}, got {name!r}")
+        raise ModelFileError(f"model_config: expected one of {', '.join(_NETWORKS)}, got {name!r}")
     inner = config.get("config")
     layers = inner.get("layers") if isinstance(inner, dict) else None
     if not isinstance(layers, list) or not layers:
-        raise ModelFileError(f"{path}: model_config: expected a list of layers, got {type(layers).__name__}")
+        raise ModelFileError(f"model_config: expected a list of layers, got {type(layers).__name__}")
     kept = {key: inner[key] for key in _NETWORKS[name] if key in inner}
-    return {"class_name": name, "config": kept | {"layers": [_layer(layer, i, path) for i, layer in enumerate(layers)]}}
+    return {"class_name": name, "config": kept | {"layers": [_layer(layer, i) for i, layer in enumerate(layers)]}}
 
 
-def _layer(layer, i: int, path) -> dict:
+def _layer(layer, i: int) -> dict:
     """A layer with only the arguments that shape it."""
     name = layer.get("class_name") if isinstance(layer, dict) else layer
     module = layer.get("module", "keras.layers") if isinstance(layer, dict) else None
     if name not in _LAYERS or module != "keras.layers" or layer.get("registered_name") not in (None, name):
         raise ModelFileError(
-            f"{path}: model_config.layers[{i}]: expected a stock Keras layer of the list, got {name!r} of "
+            f"model_config.layers[{i}]: expected a stock Keras layer of the list, got {name!r} of "
             f"{module!r}; custom and Lambda layers are refused"
         )
     given = layer.get("config")
-    _check_parts([given, layer.get("inbound_nodes")], path, f"layers[{i}]")
+    _check_parts([given, layer.get("inbound_nodes")], f"layers[{i}]")
     if not isinstance(given, dict):
-        raise ModelFileError(f"{path}: model_config.layers[{i}].config: expected an object, got {given!r}")
+        raise ModelFileError(f"model_config.layers[{i}].config: expected an object, got {given!r}")
     kept = {"class_name": name, "config": {key: given[key] for key in given if key in _ARGUMENTS}}
     return kept | {key: layer[key] for key in ("name", "inbound_nodes") if key in layer}
 
 
-def _check_parts(value, path, where) -> None:
+def _check_parts(value, where) -> None:
     if isinstance(value, dict):
         name, module = value.get("class_name"), value.get("module")
         if name not in (None, "__keras_tensor__"):
             allowed = _PARTS.get(module, ())
             if not (allowed is None or name in allowed) or value.get("registered_name"):
-                raise ModelFileError(f"{path}: model_config.{where}: expected stock parts, got {name!r} of {module!r}")
+                raise ModelFileError(f"model_config.{where}: expected stock parts, got {name!r} of {module!r}")
         if value.get("activation") not in _ACTIVATIONS:
             got = value["activation"]
-            raise ModelFileError(f"{path}: model_config.{where}.activation: expected a stock one, got {got!r}")
+            raise ModelFileError(f"model_config.{where}.activation: expected a stock one, got {got!r}")
     for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
-        _check_parts(item, path, where)
+        _check_parts(item, where)
 
 
 def _read(path: Path) -> tuple[StoredNetwork, dict]:
     """The network and the metadata of a file, checked against its digest."""
     if not path.exists():
         raise FileNotFoundError(f"model file: {path} does not exist")
-    # To open a named pipe or a terminal would wait for somebody to write into it.
-    if not path.is_file():
-        raise ModelFileError(f"{path}: expected a regular file, got a folder, a pipe or a device")
-    if damage := damaged_heap(path):
-        raise ModelFileError(f"{path}: expected a complete HDF5 file, got {damage}")
-    try:
-        with h5py.File(path, "r") as file:
-            given = _attribute(file, "model_config", path)
-            config = portable(_parsed(given, path, "model_config"), path)
-            if not isinstance(file.get("model_weights", getlink=True), h5py.HardLink):
-                raise ModelFileError(f"{path}: model_weights: expected the network's weights, got none")
-            group = file["model_weights"]
-            datasets = _datasets(group, path)
-            metadata = _metadata(file, path)
-            if _digest(given, datasets, metadata) != metadata["digest"]:
-                raise ModelFileError(
-                    f"{path}: digest: expected that of the file's contents, got another; it was changed or damaged"
-                )
-            weights = {}
-            for layer in group:
-                names = [
-                    n.decode() if isinstance(n, bytes) else n for n in _attribute(group[layer], "weight_names", path)
-                ]
-                if names:
-                    weights[layer] = [np.asarray(datasets[f"{layer}/{n}"], np.float32) for n in names]
-    except ModelFileError:
-        raise
-    except (OSError, RuntimeError, KeyError, TypeError, ValueError, AttributeError) as error:
-        # What h5py raises on a damaged file depends on where the damage is; text that is no UTF-8 is a ValueError.
-        raise ModelFileError(f"{path}: expected a complete HDF5 file, got one that cannot be read ({error})") from error
+    with hdf5.opened(path, ModelFileError) as file:
+        given = hdf5.attribute(file, "model_config")
+        config = portable(_parsed(given, "model_config"))
+        if not isinstance(file.get("model_weights", getlink=True), h5py.HardLink):
+            raise ValueError("model_weights: expected the network's weights, got none")
+        group = file["model_weights"]
+        datasets = _datasets(group)
+        metadata = _metadata(file)
+        if _digest(given, datasets, metadata) != metadata["digest"]:
+            raise ValueError("digest: expected that of the file's contents, got another; it was changed or damaged")
+        weights = {}
+        for layer in group:
+            names = [n.decode() if isinstance(n, bytes) else n for n in hdf5.attribute(group[layer], "weight_names")]
+            if names:
+                weights[layer] = [np.asarray(datasets[f"{layer}/{n}"], np.float32) for n in names]
     return StoredNetwork(path, config, weights), metadata
 
 
-def _parsed(text, path, name):
+def _parsed(text, name):
     try:
         return json.loads(text)
-    except (TypeError, ValueError) as error:
-        raise ModelFileError(f"{path}: {name}: expected JSON, got {str(text)[:60]!r}") from error
+    except (TypeError, ValueError, RecursionError) as error:
+        raise ModelFileError(f"{name}: expected JSON, got {str(text)[:60]!r}") from error
 
 
-def _attribute(item, name: str, path):
-    """An attribute that is there and no larger than the file: damaged, it may claim to be of any size."""
-    if name not in item.attrs:
-        raise ModelFileError(f"{path}: {name}: expected a Keras network, got none")
-    found = item.attrs.get_id(name)
-    if math.prod(found.shape) * found.dtype.itemsize > item.file.id.get_filesize():
-        raise ModelFileError(f"{path}: {name}: expected an attribute that lies in the file, got shape {found.shape}")
-    return item.attrs[name]
-
-
-def _metadata(file, path) -> dict:
-    if not isinstance(file.get(METADATA, getlink=True), h5py.HardLink):
-        raise ModelFileError(f"{path}: {METADATA}: expected our metadata, got none; it is another Keras file")
-    if file[METADATA].nbytes > file.id.get_filesize():
-        raise ModelFileError(f"{path}: {METADATA}: expected a text that lies in the file, got more than it holds")
-    metadata = _parsed(file[METADATA][()], path, METADATA)
+def _metadata(file) -> dict:
+    text = hdf5.dataset(file, METADATA)
+    if text.shape != ():
+        raise ValueError(f"{METADATA}: expected one text, our metadata, got shape {text.shape}")
+    metadata = _parsed(text[()], METADATA)
     if not isinstance(metadata, dict) or set(metadata) != set(_FIELDS):
         got = sorted(metadata) if isinstance(metadata, dict) else type(metadata).__name__
-        raise ModelFileError(f"{path}: {METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
+        raise ModelFileError(f"{METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
     if metadata["format"] != FORMAT:
-        raise ModelFileError(f"{path}: format: expected {FORMAT}, got {metadata['format']!r}")
+        raise ModelFileError(f"format: expected {FORMAT}, got {metadata['format']!r}")
     coarsening, box = metadata["coarsening"], metadata["box"]
     if not isinstance(coarsening, int) or isinstance(coarsening, bool) or coarsening < 1:
-        raise ModelFileError(f"{path}: coarsening: expected an integer >= 1, got {coarsening!r}")
+        raise ModelFileError(f"coarsening: expected an integer >= 1, got {coarsening!r}")
     if box is not None and not (
         isinstance(box, list) and len(box) == 2 and all(isinstance(x, (int, float)) and x > 0 for x in box)
     ):
-        raise ModelFileError(f"{path}: box: expected null or [width, height] in m, got {box!r}")
+        raise ModelFileError(f"box: expected null or [width, height] in m, got {box!r}")
     return metadata
 
 
-def _datasets(group, path, prefix: str = "") -> dict[str, np.ndarray]:
-    """Name -> array of every dataset below a group, in the order of the names.
-
-    Raises ModelFileError on links, on data that lies elsewhere, and on more numbers than the file can hold.
-    """
-    found = {}
-    for name in sorted(group):
-        item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None
-        if isinstance(item, h5py.Group):
-            found |= _datasets(item, path, f"{prefix}{name}/")
-        elif item is None or item.external or item.is_virtual or item.nbytes > group.file.id.get_filesize():
-            raise ModelFileError(
-                f"{path}: model_weights/{prefix}{name}: expected weights that lie in the file itself, got a link, "
-                "or more numbers than the file holds"
-            )
-        else:
-            found[prefix + name] = np.ascontiguousarray(item[()])
-    return found
+def _datasets(group) -> dict[str, np.ndarray]:
+    """Name -> array of every dataset below a group, in the order of the names: no more numbers than the file holds."""
+    found = hdf5.read(hdf5.datasets(group), group.file.id.get_filesize())
+    return {name: np.ascontiguousarray(array) for name, array in found.items()}
 
 
 def _check_fit(model, spec: ImageSpec | FarFieldSpec, box, path) -> None:

@@ -25,12 +25,15 @@ import h5py
 import numpy as np
 from scipy import sparse
 
-from deep_contact.io.files import replacing
+from deep_contact.io import hdf5
+from deep_contact.io.files import read_bytes, replacing
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite
 from deep_contact.state import State
 
-MAX_BYTES = 2**31
-"""Largest text, or HDF5 array, that is read, unpacked."""
+MAX_TEXT, MAX_BYTES = 2**26, 2**28
+"""Bytes of the largest text, and of all arrays of the largest HDF5 file, unpacked: 80,000 and 700,000 contacts."""
+
+_GUESS = "guesses/1/r"
 
 DENSE, SPARSE = 0, 2
 """Storage of W in an fc2d file."""
@@ -44,18 +47,22 @@ def read_problem(path: str | os.PathLike) -> ContactProblem:
     Raises ValueError with the path, and what was expected and found, and OSError where the file cannot be opened.
     """
     path = Path(path)
-    with path.open("rb") as file:
-        begin = file.read(8)
+    if path.is_file() and h5py.is_hdf5(path):
+        with hdf5.opened(path) as file:
+            return _read_fclib(file)
+    text = read_bytes(path, MAX_TEXT)
     try:
-        return _read_fclib(path) if begin == b"\x89HDF\r\n\x1a\n" else _read_fc2d(path, zipped=begin[:2] == b"\x1f\x8b")
-    except (ValueError, KeyError, IndexError, EOFError, TypeError) as error:
+        return _read_fc2d(text.decode("ascii", errors="replace").split("\n"))
+    except (ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}") from error
 
 
 def read_guess(path: str | os.PathLike) -> np.ndarray | None:
     """The first guess of λ in an FCLIB file, (2 m,), N·s; None if there is none. Raises ValueError and OSError."""
-    with h5py.File(path, "r") as file:
-        return np.array(_array(file, "guesses/1/r"), np.float64) if "guesses/1/r" in file else None
+    with hdf5.opened(path) as file:
+        if _GUESS not in file:
+            return None
+        return hdf5.read({_GUESS: hdf5.dataset(file, _GUESS)}, MAX_BYTES)[_GUESS].astype(np.float64)
 
 
 def write_fc2d(path: str | os.PathLike, problem: ContactProblem | State) -> Path:
@@ -76,6 +83,8 @@ def write_fc2d(path: str | os.PathLike, problem: ContactProblem | State) -> Path
         lines += [f"      {i} : {value!r}" for i, value in zip(A.indices[first:last], A.data[first:last].tolist())]
     lines += [" ".join(map(repr, values.tolist())) for values in (problem.b, problem.friction)]
     text = ("\n".join(lines) + "\n").encode()
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"problem: expected at most {MAX_TEXT} bytes of text, got {len(text)}")
     with replacing(path) as temporary:
         temporary.write_bytes(gzip.compress(text, mtime=0) if path.suffix == ".gz" else text)
     return path
@@ -104,6 +113,9 @@ def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, gue
     if guess is not None:
         arrays["guesses/number_of_guesses"] = np.array([1], np.int32)
         arrays["guesses/1/r"] = finite("guess", guess, problem.b.shape)
+    size = sum(array.nbytes for array in arrays.values())
+    if size > MAX_BYTES:
+        raise ValueError(f"problem: expected at most {MAX_BYTES} bytes, got {size}")
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
         for name, array in arrays.items():
             file.create_dataset(name, data=array)
@@ -114,12 +126,7 @@ def _checked(problem: ContactProblem | State) -> ContactProblem:
     return check_problem(contact_problem(problem) if isinstance(problem, State) else problem)
 
 
-def _read_fc2d(path: Path, *, zipped: bool) -> ContactProblem:
-    with gzip.open(path) if zipped else path.open("rb") as file:
-        text = file.read(MAX_BYTES + 1)
-    if len(text) > MAX_BYTES:
-        raise ValueError(f"expected at most {MAX_BYTES} bytes of text, got more")
-    lines = text.decode("ascii", errors="replace").split("\n")
+def _read_fc2d(lines: list[str]) -> ContactProblem:
     dimension, contacts, storage, rows, columns = _header(lines)
     if dimension != 2:
         raise ValueError(f"dimension: expected 2, got {dimension}")
@@ -204,46 +211,48 @@ def _number(word: str) -> float:
     return value
 
 
-def _read_fclib(path: Path) -> ContactProblem:
-    with h5py.File(path, "r") as file:
-        if "fclib_local" not in file:
-            raise ValueError(f"expected the group fclib_local, got {sorted(file)[:8]}")
-        local = file["fclib_local"]
-        spacedim = _integer(local, "spacedim")
-        if spacedim != 2:
-            raise ValueError(f"spacedim: expected 2, got {spacedim}")
-        if "V" in local:
-            raise ValueError("V, R: expected a problem of contacts alone, got one with bilateral constraints")
-        rows, columns, kind = (_integer(local, f"W/{name}") for name in ("m", "n", "nz"))
-        if rows != columns or rows < 0:
-            raise ValueError(f"W: expected as many rows as columns, got {rows} and {columns}")
-        p, i, x = (_array(local, f"W/{name}") for name in "pix")
-        q, mu = (_array(local, f"vectors/{name}") for name in ("q", "mu"))
+def _read_fclib(file: h5py.File) -> ContactProblem:
+    if "fclib_local" not in file:
+        raise ValueError(f"expected the group fclib_local, got {sorted(file)[:8]}")
+    names = ("spacedim", "W/m", "W/n", "W/nz", "W/p", "W/i", "W/x", "vectors/q", "vectors/mu")
+    arrays = hdf5.read({name: hdf5.dataset(file, f"fclib_local/{name}") for name in names}, MAX_BYTES)
+    if "V" in file["fclib_local"]:
+        raise ValueError("V, R: expected a problem of contacts alone, got one with bilateral constraints")
+    spacedim, rows, columns, kind = (_integer(name, arrays[name]) for name in names[:4])
+    p, i = (_integers(name, arrays[name]) for name in ("W/p", "W/i"))
+    x, q, mu = (arrays[name].astype(np.float64) for name in ("W/x", "vectors/q", "vectors/mu"))
+    if spacedim != 2:
+        raise ValueError(f"spacedim: expected 2, got {spacedim}")
+    if rows != columns or rows < 0:
+        raise ValueError(f"W: expected as many rows as columns, got {rows} and {columns}")
+    if q.shape != (rows,):
+        raise ValueError(f"vectors/q: expected {rows} numbers, as W has rows, got shape {q.shape}")
     if kind in (-1, -2):
         if p.shape != (rows + 1,) or p[0] != 0 or (np.diff(p) < 0).any() or p[-1] > len(i) or len(i) != len(x):
             raise ValueError(f"W/p: expected {rows + 1} offsets from 0 to at most {len(x)} in rising order")
-        i, x = i[: p[-1]], x[: p[-1]]
-        if i.size and not (0 <= i.min() and i.max() < rows):
-            raise ValueError(f"W/i: expected indices from 0 to {rows - 1}, got {i.min()} to {i.max()}")
-        make = sparse.csc_array if kind == -1 else sparse.csr_array
-        W = make((x, i.astype(np.int64), p.astype(np.int64)), shape=(rows, rows))
+        make, used, indices = sparse.csc_array if kind == -1 else sparse.csr_array, p[-1], {"W/i": i}
     elif kind >= 0:
-        W = sparse.coo_array((x[:kind], (p[:kind], i[:kind])), shape=(rows, rows))
+        if not p.shape == i.shape == x.shape or p.ndim != 1:
+            raise ValueError(f"W/p, W/i, W/x: expected as many of each, got {p.shape}, {i.shape} and {x.shape}")
+        make, used, indices = sparse.coo_array, kind, {"W/p": p, "W/i": i}
     else:
         raise ValueError(f"W/nz: expected -2 (rows), -1 (columns) or a number of triplets, got {kind}")
-    return check_problem(ContactProblem(sparse.csr_array(W), q, friction=mu))
+    for name, index in indices.items():
+        if index[:used].size and not (0 <= index[:used].min() and index[:used].max() < rows):
+            got = f"{index[:used].min()} to {index[:used].max()}"
+            raise ValueError(f"{name}: expected indices from 0 to {rows - 1}, got {got}")
+    given = (x[:used], (p[:used], i[:used])) if kind >= 0 else (x[:used], i[:used], p)
+    return check_problem(ContactProblem(sparse.csr_array(make(given, shape=(rows, rows))), q, friction=mu))
 
 
-def _integer(group: h5py.Group, name: str) -> int:
-    value = _array(group, name)
-    if value.size != 1 or not np.issubdtype(value.dtype, np.integer):
-        raise ValueError(f"{name}: expected an integer, got {value.dtype}, {value.shape}")
-    return int(value.ravel()[0])
+def _integer(name: str, array: np.ndarray) -> int:
+    if array.size != 1:
+        raise ValueError(f"{name}: expected an integer, got {array.dtype}, {array.shape}")
+    return int(_integers(name, array).ravel()[0])
 
 
-def _array(group: h5py.Group, name: str) -> np.ndarray:
-    """A numeric dataset, in memory once its declared size is known to be bearable."""
-    data = group[name]
-    if not isinstance(data, h5py.Dataset) or data.dtype.kind not in "iuf" or data.nbytes > MAX_BYTES:
-        raise ValueError(f"{name}: expected numbers of at most {MAX_BYTES} bytes, got {data!r}")
-    return data[()]
+def _integers(name: str, array: np.ndarray) -> np.ndarray:
+    """The array with signs: differences of unsigned integers are never negative, whatever the offsets are."""
+    if array.dtype.kind not in "iu" or array.max(initial=0) >= 2**63:
+        raise ValueError(f"{name}: expected an integer, got {array.dtype}, {array.shape}")
+    return array.astype(np.int64)

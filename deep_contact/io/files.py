@@ -1,10 +1,11 @@
-"""Files written in one move: a reader never sees half of one, and a failed write leaves what was there before."""
+"""Files written in one move, so that a reader never sees half of one; and files from anywhere, read with a limit."""
 
 from __future__ import annotations
 
 import json
 import os
-import struct
+import stat
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -45,31 +46,42 @@ def _json(value, indent: str = "") -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
 
 
-_HEAP = struct.Struct("<8sQ")
-_OBJECT = struct.Struct("<HHIQ")
+MAX_MEMBERS = 1000
+"""Most members of a gzip file."""
 
 
-def damaged_heap(path: str | os.PathLike) -> str:
-    """What is wrong with the heaps of texts in an HDF5 file, in words; empty where nothing is.
+def read_bytes(path: str | os.PathLike, most: int) -> bytes:
+    """The bytes of a file, unpacked where it begins as gzip does, or its name ends in .gz.
 
-    The HDF5 library walks through such a heap, object by object, and walks for ever where a free object of damaged size
-    does not lead on (2.0, `H5HG__cache_heap_deserialize`). (HDF5 File Format Specification, III.E, Global Heap.)
+    Raises ValueError naming the file where it has more than `most` bytes, packed or not, or is not whole; OSError where
+    it cannot be opened.
     """
-    data = Path(path).read_bytes()
-    at = data.find(b"GCOL\x01\0\0\0")
-    while at >= 0:
-        if at + _HEAP.size > len(data):
-            return f"a heap at byte {at} that is cut off"
-        end = at + _HEAP.unpack_from(data, at)[1]
-        if not at + _HEAP.size <= end <= len(data):
-            return f"a heap at byte {at} of {end - at} bytes in a file of {len(data)}"
-        place = at + _HEAP.size
-        while place + _OBJECT.size <= end:
-            index, _, _, size = _OBJECT.unpack_from(data, place)
-            # Free space, object 0, counts its own head; the others do not, and are padded to 8 bytes.
-            step = size if index == 0 else _OBJECT.size + (size + 7) // 8 * 8
-            if step < _OBJECT.size or place + step > end:
-                return f"an object at byte {place} of {size} bytes in a heap that ends at byte {end}"
-            place += step
-        at = data.find(b"GCOL\x01\0\0\0", end)
-    return ""
+    path = Path(path)
+    status = path.stat()
+    if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for its writer
+        raise ValueError(f"{path}: expected a file, got a folder, pipe or device")
+    if status.st_size > most:
+        raise ValueError(f"{path}, line 1: expected at most {most} bytes, got {status.st_size}")
+    data = path.read_bytes()
+    try:
+        return b"".join(_unpacked(data, most)) if path.suffix == ".gz" or data[:2] == b"\x1f\x8b" else data
+    except zlib.error as error:
+        raise ValueError(f"{path}: expected gzip data, whole and undamaged: {error}") from None
+
+
+def _unpacked(data: bytes, most: int) -> Iterator[bytes]:
+    """The contents of gzip data, in pieces. (`gzip.open` takes microseconds for each member, even an empty one.)"""
+    member, members, size = zlib.decompressobj(wbits=31), 1, 0
+    for start in range(0, len(data), 2**16):
+        piece = data[start : start + 2**16]
+        while piece:
+            if member.eof:
+                member, members = zlib.decompressobj(wbits=31), members + 1
+            unpacked = member.decompress(piece, 2**20)
+            size += len(unpacked)
+            if size > most or members > MAX_MEMBERS:
+                raise zlib.error(f"expected at most {most} bytes in {MAX_MEMBERS} members, got more")
+            yield unpacked
+            piece = member.unconsumed_tail or member.unused_data
+    if not member.eof:
+        raise zlib.error("the data end before the last member does")

@@ -23,9 +23,7 @@ import io
 import itertools
 import json
 import math
-import stat
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -33,7 +31,8 @@ from typing import NamedTuple
 import h5py
 import numpy as np
 
-from deep_contact.io.files import damaged_heap, replacing
+from deep_contact.io import hdf5
+from deep_contact.io.files import replacing
 from deep_contact.physics.solvers import METHODS
 from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts, State, World, check_state
@@ -296,10 +295,10 @@ def read_simulation(path) -> StoredSimulation:
     Raises DataFileError naming file, field and value where it is truncated, foreign or altered; OSError where the file
     cannot be opened.
     """
-    with _opened(Path(path)) as file:
-        attributes, shapes = _read_attributes(file), _read_shapes(file)
+    with hdf5.opened(path, DataFileError) as file:
+        attributes, found = _read_attributes(file), _found_arrays(file)
         header = _header(attributes)
-        arrays = {name: file[name][...] for name in shapes}
+        arrays = hdf5.read(found, MAX_BYTES)
         arrays |= {name: arrays[name].astype(np.int64) for name in ("body_a", "body_b")}
         _check_arrays(arrays, len(header["world"].segments))
         digest = attributes.pop("digest")
@@ -328,29 +327,13 @@ class SimulationInfo(NamedTuple):
 
 def simulation_info(path) -> SimulationInfo:
     """The header of a file. Errors as for `read_simulation`."""
-    with _opened(Path(path)) as file:
-        attributes, shapes = _read_attributes(file), _read_shapes(file)
-        return SimulationInfo(_header(attributes), attributes["digest"], shapes["step"][0], _memory(shapes))
+    with hdf5.opened(path, DataFileError) as file:
+        attributes, found = _read_attributes(file), _found_arrays(file)
+        size = sum(8 * array.size for array in found.values())
+        return SimulationInfo(_header(attributes), attributes["digest"], found["step"].size, size)
 
 
 # ---- details of a file ----
-
-
-@contextmanager
-def _opened(path: Path) -> Iterator[h5py.File]:
-    """A file, open for reading. Every fault that its contents cause in the block becomes a DataFileError naming it."""
-    if not stat.S_ISREG(path.stat().st_mode):
-        raise DataFileError(f"{path}: expected a file, got a folder, pipe or device")
-    # A file that may not be read is an OSError, not a fault of its contents.
-    if damage := damaged_heap(path):
-        raise DataFileError(f"{path}: expected an HDF5 file of a simulation, whole and undamaged, got {damage}")
-    try:
-        with h5py.File(path, "r", locking=False) as file:
-            yield file
-    except DataFileError as error:
-        raise DataFileError(f"{path}: {error}") from None
-    except (OSError, RuntimeError, KeyError, TypeError, OverflowError, MemoryError, ValueError) as error:
-        raise DataFileError(f"{path}: expected an HDF5 file of a simulation, whole and undamaged: {error}") from None
 
 
 def _expect(condition, message: str) -> None:
@@ -461,34 +444,22 @@ def _header(attributes: dict) -> dict:
     return header
 
 
-def _read_shapes(file: h5py.File) -> dict[str, tuple[int, ...]]:
-    """Shape of every array; all types and sizes are checked before any array is read."""
+def _found_arrays(file: h5py.File) -> dict[str, h5py.Dataset]:
+    """The arrays of a file, whose types and shapes fit each other, before any is read."""
     strange = sorted(set(file) ^ set(_ARRAYS))
     _expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
-    shapes = {}
-    for name, (dtype, _) in _ARRAYS.items():
-        # Links and external storage would read other files.
-        link = file.get(name, getlink=True)
-        array = file[name] if isinstance(link, h5py.HardLink) else None
-        inside = isinstance(array, h5py.Dataset) and not array.is_virtual and not array.external
-        _expect(inside, f"{name}: expected an array in this file, got {array or link}")
-        _expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
-        shapes[name] = array.shape
+    found = {name: hdf5.dataset(file, name) for name in _ARRAYS}
     for name in ("step", "mass", "body_a"):
-        dimensions = len(shapes[name] or ())
-        _expect(dimensions == 1, f"{name}: expected one dimension, got shape {shapes[name]}")
-    (count,), (n,), (m,) = shapes["step"], shapes["mass"], shapes["body_a"]
-    sizes = {"T": count, "E": count + 1, "n": n, "M": m, "2": 2}
-    for name, (_, dimensions) in _ARRAYS.items():
-        shape = tuple(sizes[letter] for letter in dimensions)
-        _expect(shapes[name] == shape, f"{name}: expected shape {shape}, got {shapes[name]}")
-    expected = f"expected at least one state and at most {MAX_BYTES} bytes unpacked"
-    _expect(0 < count and _memory(shapes) <= MAX_BYTES, f"{expected}, got {count} states, {_memory(shapes)} bytes")
-    return shapes
-
-
-def _memory(shapes: dict) -> int:
-    return sum(8 * math.prod(shape) for shape in shapes.values())
+        shape = found[name].shape
+        _expect(shape is not None and len(shape) == 1, f"{name}: expected one dimension, got shape {shape}")
+    sizes = {"T": found["step"].size, "n": found["mass"].size, "M": found["body_a"].size, "2": 2}
+    sizes["E"] = sizes["T"] + 1
+    for name, (dtype, dimensions) in _ARRAYS.items():
+        array, shape = found[name], tuple(sizes[letter] for letter in dimensions)
+        _expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
+        _expect(array.shape == shape, f"{name}: expected shape {shape}, got {array.shape}")
+    _expect(sizes["T"], "step: expected at least one state, got none")
+    return found
 
 
 def _check_arrays(arrays: dict, segments: int) -> None:

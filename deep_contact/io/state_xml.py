@@ -59,15 +59,15 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.constants import WALL_SKIN
-from deep_contact.io.files import replacing
+from deep_contact.io.files import read_bytes, replacing
 from deep_contact.io.xml_tree import (
     INTEGER,
+    MAX_BYTES,
     Rows,
     StateFileError,
     children,
     expect,
     fault,
-    load,
     parse_tree,
     read_integer,
     read_number,
@@ -158,7 +158,11 @@ def read_state(path) -> State:
     Raises StateFileError naming file, line, element and value, and OSError where the file cannot be opened.
     """
     path = Path(path)
-    return parse_state(load(path), path)
+    try:
+        data = read_bytes(path, MAX_BYTES)
+    except ValueError as error:
+        raise StateFileError(str(error)) from None
+    return parse_state(data, path)
 
 
 def write_state(path, state: State, *, dialect: str = "canonical") -> None:

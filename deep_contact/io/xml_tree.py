@@ -10,12 +10,7 @@ from __future__ import annotations
 import io
 import itertools
 import math
-import os
 import re
-import stat
-import zlib
-from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from lxml import etree
@@ -29,9 +24,6 @@ MAX_TAGS = 750_000
 MAX_ATTRIBUTES = 1_500_000
 """Most '=' in a file."""
 
-MAX_MEMBERS = 1000
-"""Most members of a gzip file."""
-
 _MAX_QUOTED = 80
 INTEGER = re.compile(r"-?[0-9]{1,18}")
 _NUMBER_TEXT = re.compile(r"[0-9.eE+\-]{1,1000}")
@@ -40,41 +32,6 @@ _ENCODING = re.compile(rb"\s*<\?xml[^>]*?\sencoding\s*=\s*[\"'](?!(?i:utf-?8|(?:
 
 class StateFileError(ValueError):
     """A file that cannot be read, or a state that cannot be stored; names file, line, element and value."""
-
-
-# ---- files ----
-
-
-def load(path: Path) -> bytes:
-    """The bytes of a file, unpacked if its name ends in .gz. Raises StateFileError, and OSError as `open` does."""
-    status = os.stat(path)
-    if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for its writer
-        raise StateFileError(f"{path}: expected a file, got a folder, pipe or device")
-    if status.st_size > MAX_BYTES:
-        raise StateFileError(f"{path}, line 1: expected at most {MAX_BYTES} bytes, got {status.st_size}")
-    data = path.read_bytes()
-    try:
-        return b"".join(_unpacked(data)) if path.suffix == ".gz" else data
-    except zlib.error as error:
-        raise StateFileError(f"{path}: expected gzip data, whole and undamaged: {error}") from None
-
-
-def _unpacked(data: bytes) -> Iterator[bytes]:
-    """The contents of gzip data, in pieces. (`gzip.open` takes microseconds for each member, even an empty one.)"""
-    member, members, size = zlib.decompressobj(wbits=31), 1, 0
-    for start in range(0, len(data), 2**16):
-        piece = data[start : start + 2**16]
-        while piece:
-            if member.eof:
-                member, members = zlib.decompressobj(wbits=31), members + 1
-            unpacked = member.decompress(piece, 2**20)
-            size += len(unpacked)
-            if size > MAX_BYTES or members > MAX_MEMBERS:
-                raise zlib.error(f"expected at most {MAX_BYTES} bytes in {MAX_MEMBERS} members, got more")
-            yield unpacked
-            piece = member.unconsumed_tail or member.unused_data
-    if not member.eof:
-        raise zlib.error("the data end before the last member does")
 
 
 def refuse_too_large(data: bytes) -> None:

@@ -228,7 +228,7 @@ def test_arguments_that_do_not_shape_a_layer_stay_out_of_keras(file, network):
     changed(file, rewritten)
     with h5py.File(file, "r+") as f:
         metadata = json.loads(f[METADATA][()])
-        datasets = model_file._datasets(f["model_weights"], file)
+        datasets = model_file._datasets(f["model_weights"])
         metadata["digest"] = model_file._digest(f.attrs["model_config"], datasets, metadata)
         del f[METADATA]
         f[METADATA] = json.dumps(metadata)
@@ -241,15 +241,15 @@ def test_a_written_file_holds_only_the_arguments_of_the_list(file):
         config = json.loads(f.attrs["model_config"])
     kept = {name for layer in config["config"]["layers"] for name in layer["config"]}
     assert kept <= model_file._ARGUMENTS
-    assert model_file.portable(config, file) == config
+    assert model_file.portable(config) == config
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="named pipes are POSIX")
 def test_a_named_pipe_is_refused_at_once(tmp_path):
     os.mkfifo(tmp_path / "model.h5")
-    with pytest.raises(ModelFileError, match="expected a regular file"):
+    with pytest.raises(ModelFileError, match="expected a file"):
         load_model(tmp_path / "model.h5")
-    with pytest.raises(ModelFileError, match="expected a regular file"):
+    with pytest.raises(ModelFileError, match="expected a file"):
         read_metadata(tmp_path)
 
 

@@ -131,7 +131,7 @@ def test_bad_text_says_where(tmp_path, old, new, message):
         ("fclib_local/W/nz", [-3], "W/nz: expected -2"),
         ("fclib_local/W/p", [0, 2, 1, 3, 4], "W/p: expected 5 offsets"),
         ("fclib_local/W/i", [0, 1, 2, 9], "W/i: expected indices from 0 to 3, got 0 to 9"),
-        ("fclib_local/vectors/q", [0.0, 1.0], r"b: expected finite numbers of shape \(4,\), got shape \(2,\)"),
+        ("fclib_local/vectors/q", [0.0, 1.0], r"vectors/q: expected 4 numbers, as W has rows, got shape \(2,\)"),
         ("fclib_local/vectors/mu", [b"a", b"b"], "vectors/mu: expected numbers"),
         ("fclib_local/V", [0], "V, R: expected a problem of contacts alone"),
     ],

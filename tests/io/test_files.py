@@ -6,7 +6,8 @@ import h5py
 import pytest
 
 from deep_contact.cnn.model_file import ModelFileError, read_metadata
-from deep_contact.io.files import damaged_heap, replacing, write_json
+from deep_contact.io.files import replacing, write_json
+from deep_contact.io.hdf5 import damaged_heap
 from deep_contact.io.simulation_h5 import DataFileError, read_simulation
 
 

@@ -1,0 +1,152 @@
+"""HDF5 files from anywhere, read with limits, and with errors that name the file.
+
+`opened` opens one. `dataset` finds an array that lies in the file itself, `datasets` all of them below a group; neither
+reads it. `read` reads them, once it is known how large they are together. The HDF5 library alone follows links into
+other files, fills memory with fill values that no file holds, and unpacks a chunk to whatever size was packed.
+"""
+
+from __future__ import annotations
+
+import math
+import stat
+import struct
+import zlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from itertools import product
+from pathlib import Path
+
+import h5py
+import numpy as np
+
+MOST_PACKED = 1032
+"""Bytes that gzip packs into one at best: an array of more bytes for each stored one is not in its file."""
+
+_FILTERS = {h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_LZF, h5py.h5z.FILTER_FLETCHER32}
+_HARMLESS = 2**28
+"""Bytes to which a chunk may unpack unseen."""
+
+_MOST_TEXTS = 1000
+
+
+@contextmanager
+def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
+    """A file, open for reading. What its contents raise in the block becomes an `error` that names the file.
+
+    Raises OSError where it cannot be opened.
+    """
+    path = Path(path)
+    if not stat.S_ISREG(path.stat().st_mode):  # a pipe would wait for somebody to write into it
+        raise error(f"{path}: expected a file, got a folder, pipe or device")
+    if damage := damaged_heap(path):
+        raise error(f"{path}: expected an HDF5 file, whole and undamaged, got {damage}")
+    try:
+        with h5py.File(path, "r", locking=False) as file:
+            yield file
+    except ValueError as fault:
+        raise error(f"{path}: {fault}") from None
+    except Exception as fault:  # h5py raises what it happens to meet: OSError, RuntimeError, KeyError …
+        raise error(f"{path}: expected an HDF5 file, whole and undamaged: {fault}") from fault
+
+
+def dataset(group, name: str) -> h5py.Dataset:
+    """The array at `name`, a path below the group, before it is read. Raises ValueError unless it is in this file."""
+    found, where = group, f"{group.name}/{name}".strip("/")
+    for part in name.split("/"):
+        link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
+        found = found[part] if isinstance(link, h5py.HardLink) else link
+    if not isinstance(found, h5py.Dataset) or found.is_virtual or found.external:
+        raise ValueError(f"{where}: expected an array in this file, got {found}")
+    if found.nbytes > MOST_PACKED * found.id.get_storage_size():
+        raise ValueError(f"{where}: expected what the file holds, got {found.nbytes} bytes that are not in it")
+    _check_chunks(found, where)
+    return found
+
+
+def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> dict[str, h5py.Dataset]:
+    """All arrays below the group by their paths, as `dataset` finds them. Raises ValueError for one met twice."""
+    found, seen = {}, seen or set()
+    for name in sorted(group):
+        link = group.get(name, getlink=True)
+        item = group[name] if isinstance(link, h5py.HardLink) else link
+        if isinstance(item, (h5py.Group, h5py.Dataset)):
+            place = h5py.h5o.get_info(item.id).addr
+            if place in seen:
+                raise ValueError(f"{group.name}/{name}: expected every object once, got a second link to one")
+            seen.add(place)
+        if isinstance(item, h5py.Group):
+            found |= datasets(item, f"{prefix}{name}/", seen)
+        else:
+            found[prefix + name] = dataset(group, name)
+    return found
+
+
+def read(found: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]:
+    """The arrays, of numbers. Raises ValueError where they have more than `most` bytes together."""
+    for name, data in found.items():
+        if data.dtype.kind not in "iuf":
+            raise ValueError(f"{name}: expected numbers, got {data.dtype}")
+    size = sum(data.nbytes for data in found.values())
+    if size > most:
+        raise ValueError(f"{', '.join(found)[:80]}: expected at most {most} bytes unpacked, got {size}")
+    return {name: data[()] for name, data in found.items()}
+
+
+def attribute(item, name: str):
+    """An attribute of a group or file. Raises ValueError where there is none, or one larger than the file."""
+    if name not in item.attrs:
+        raise ValueError(f"{name}: expected this attribute, got none")
+    found = item.attrs.get_id(name)
+    count = math.prod(found.shape or ())
+    is_long = h5py.check_vlen_dtype(found.dtype) or h5py.check_string_dtype(found.dtype)
+    if count * found.dtype.itemsize > item.file.id.get_filesize() or (is_long and count > _MOST_TEXTS):
+        raise ValueError(f"{name}: expected an attribute that lies in the file, got shape {found.shape}")
+    return item.attrs[name]
+
+
+def _check_chunks(data: h5py.Dataset, name: str) -> None:
+    """Raise ValueError where a chunk was packed by other filters than ours, or unpacks to more than its size."""
+    if data.chunks is None:
+        return
+    packing = data.id.get_create_plist()
+    filters = [packing.get_filter(k)[0] for k in range(packing.get_nfilters())]
+    if len(set(filters)) != len(filters) or not set(filters) <= _FILTERS:
+        raise ValueError(f"{name}: expected gzip or LZF, shuffled or not, got filters {filters}")
+    if h5py.h5z.FILTER_DEFLATE not in filters or data.id.get_storage_size() * MOST_PACKED <= _HARMLESS:
+        return
+    size = math.prod(data.chunks) * data.dtype.itemsize + 4  # and a checksum
+    for place in product(*(range(0, length, step) for length, step in zip(data.shape, data.chunks))):
+        if (data.id.get_chunk_info_by_coord(place).size or 0) * MOST_PACKED > _HARMLESS:
+            _, packed = data.id.read_direct_chunk(place)
+            if len(zlib.decompressobj().decompress(packed, size + 1)) > size:
+                raise ValueError(f"{name}: expected chunks of {size} bytes, got one that unpacks to more")
+
+
+_HEAP = struct.Struct("<8sQ")
+_OBJECT = struct.Struct("<HHIQ")
+
+
+def damaged_heap(path) -> str:
+    """What is wrong with the heaps of texts in an HDF5 file, in words; empty where nothing is.
+
+    The library walks through such a heap, object by object, and walks for ever where a free object of damaged size does
+    not lead on (1.14 and 2.0, `H5HG__cache_heap_deserialize`). (HDF5 File Format Specification, III.E, Global Heap.)
+    """
+    data = Path(path).read_bytes()
+    at = data.find(b"GCOL\x01\0\0\0")
+    while at >= 0:
+        if at + _HEAP.size > len(data):
+            return f"a heap at byte {at} that is cut off"
+        end = at + _HEAP.unpack_from(data, at)[1]
+        if not at + _HEAP.size <= end <= len(data):
+            return f"a heap at byte {at} of {end - at} bytes in a file of {len(data)}"
+        place = at + _HEAP.size
+        while place + _OBJECT.size <= end:
+            index, _, _, size = _OBJECT.unpack_from(data, place)
+            # Free space, object 0, counts its own head; the others do not, and are padded to 8 bytes.
+            step = size if index == 0 else _OBJECT.size + (size + 7) // 8 * 8
+            if step < _OBJECT.size or place + step > end:
+                return f"an object at byte {place} of {size} bytes in a heap that ends at byte {end}"
+            place += step
+        at = data.find(b"GCOL\x01\0\0\0", end)
+    return ""
