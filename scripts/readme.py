@@ -15,7 +15,7 @@ import sys
 from pathlib import Path
 
 from deep_contact.recommendation import PRESETS
-from deep_contact.reporting import errata, results
+from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing
 from deep_contact.studies import mujoco_piles
@@ -228,6 +228,12 @@ def figures() -> list[list]:
     return [rows[0], *sorted(rows[1:], key=lambda row: ["table" in row[2], *map(int, re.findall(r"\d+", row[2])[:2])])]
 
 
+def faults(kind: str) -> list[list]:
+    """Faults of the thesis, or of its authors' code, and what is done here."""
+    found = page.ERRATA[kind]
+    return [list(found[0]), *(list(fault.values()) for fault in found)]
+
+
 _MADE = (
     learned, engine, stages, runs, many, outside, disks, relaxation, mujoco, starts, transfer, tried, presets, figures,
 )  # fmt: skip
@@ -235,9 +241,9 @@ _MADE = (
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True),
     "goals": lambda: claims(of_thesis=False),
-    "errata": lambda: errata.rows(errata.ERRATA),
-    "conventions": lambda: errata.rows(errata.CONVENTIONS),
-    "code": lambda: errata.rows(errata.CODE),
+    "errata": lambda: faults("Errata of the thesis"),
+    "conventions": lambda: faults("Conventions and scope that differ here"),
+    "code": lambda: faults("The authors' code beside the thesis"),
 }
 
 
@@ -256,13 +262,13 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing, fail if a table is out of date")
     check, stale = parser.parse_args().check, []
-    for page in PAGES:
-        before = page.read_text(encoding="utf-8")
+    for path in PAGES:
+        before = path.read_text(encoding="utf-8")
         after = filled(before)
         if before != after and check:
-            stale.append(page.name)
+            stale.append(path.name)
         elif before != after:
-            with replacing(page) as temporary:
+            with replacing(path) as temporary:
                 temporary.write_text(after, encoding="utf-8")
     if stale:
         print(f"expected the tables of the results files in {stale}: run python scripts/readme.py", file=sys.stderr)

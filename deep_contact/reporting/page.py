@@ -6,6 +6,7 @@ Pictures and animations are embedded. The page's content security policy forbids
 from __future__ import annotations
 
 import base64
+import json
 import os
 import re
 from collections.abc import Iterable, Mapping
@@ -14,10 +15,16 @@ from pathlib import Path
 import jinja2
 
 from deep_contact.io.files import replacing
-from deep_contact.reporting import errata, results
+from deep_contact.reporting import results
 from deep_contact.reporting.figures import cell
 
 MEDIA = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
+
+ERRATA: dict[str, list[dict[str, str]]] = json.loads(
+    (Path(__file__).parent / "errata.json").read_text(encoding="utf-8")
+)
+"""Kind of a fault of the thesis or of its authors' code -> one dict a fault: where it is, what the thesis says, what is
+right, what is done here."""
 
 POLICY = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'"
 
@@ -52,7 +59,7 @@ def write_report(
         faults=faults,
         not_drawn=_names(set(others) - expected - there),
         animations=_animations(folder),
-        errata=errata.TITLES,
+        errata=ERRATA,
     )
     path = folder / "index.html"
     with replacing(path) as temporary:
