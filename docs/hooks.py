@@ -22,6 +22,7 @@ ROOT = Path(__file__).resolve().parent.parent
 GALLERY = ROOT / "docs" / "gallery"
 PICTURES = (".png", ".gif")
 TIMEOUT_S = 600
+PATHS = {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
 MODULES = [module.name for module in pkgutil.iter_modules(deep_contact.__path__) if not module.name.startswith("_")]
 _pictures = {}
 _work = tempfile.TemporaryDirectory()
@@ -32,12 +33,13 @@ def on_config(config):
     config.nav += [
         {"Gallery": ["gallery/index.md", *(f"gallery/{name}.md" for name in _order())]},
         {"API": ["api/index.md", *(f"api/{name}.md" for name in MODULES)]},
+        {"Appendix": "appendix.md"},
     ]
     return config
 
 
 def on_files(files, config):
-    """Run the examples, and add their pages, those of the API, and the pictures of the results."""
+    """Run the examples, and add their pages, those of the API, the appendix, and the pictures of the results."""
     first, *others = _order()
     pages = [_example(first)]  # alone: it compiles what all of them need
     with ThreadPoolExecutor(2) as pool:
@@ -51,6 +53,9 @@ def on_files(files, config):
         text = f"# {name}\n\n::: deep_contact.{name}\n"
         files.append(File.generated(config, f"api/{name}.md", content=text))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
+    made = [sys.executable, ROOT / "scripts" / "readme.py", "--appendix"]
+    appendix = subprocess.run(made, capture_output=True, text=True, check=True, env=os.environ | PATHS).stdout
+    files.append(File.generated(config, "appendix.md", content=appendix))
     for path in (ROOT / "data" / "reference").glob("*.png"):
         files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
     return files
@@ -91,7 +96,7 @@ def _example(name: str) -> tuple[str, list[Path]]:
     """Run an example in an empty folder. Returns its page, and the pictures that it wrote."""
     path, folder = GALLERY / f"{name}.py", Path(_work.name) / name
     folder.mkdir()
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3", "CUDA_VISIBLE_DEVICES": ""}
+    environment = os.environ | PATHS | {"CUDA_VISIBLE_DEVICES": ""}
     options = {"capture_output": True, "text": True, "timeout": TIMEOUT_S, "check": False}
     run = subprocess.run([sys.executable, path], cwd=folder, env=environment, **options)
     if run.returncode:
