@@ -33,7 +33,7 @@ if TYPE_CHECKING:
         terrain,
         two_bodies,
     )
-    from deep_contact.physics.solvers import APGD, NNCG, PGS, PSOR, BatchedPGS, NesterovPGS, SoftSteps, SymmetricPGS
+    from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS, NesterovPGS
     from deep_contact.planning import plan
     from deep_contact.recommendation import recommend
     from deep_contact.reporting import figures, plotting, results

@@ -16,7 +16,7 @@ import numpy as np
 from deep_contact.compiled.crew import cores
 from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
-from deep_contact.physics.solvers import BatchedPGS, SoftSteps, describe
+from deep_contact.physics.solvers import BatchedPGS, describe
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, stiffness
 from deep_contact.reporting import results
@@ -179,10 +179,7 @@ def _sleeping(sleep: bool, savings: Mapping) -> Choice:
 
 
 def _position_correction(solver, savings: Mapping) -> Choice:
-    if isinstance(solver, SoftSteps):
-        used, why = False, "soft contacts push out of penetration"
-    else:
-        used, why = solver.position_sweeps > 0, f"at most {solver.position_sweeps} sweeps, none where nothing is deep"
+    used, why = solver.position_sweeps > 0, f"at most {solver.position_sweeps} sweeps, none where nothing is deep"
     saving = f"without it a step of a resting pile costs {_share(savings['no position correction'])}"
     return Choice(part="position correction", used=used, why=why, saving=saving)
 
@@ -196,7 +193,7 @@ def _double_precision(solver, savings: Mapping) -> Choice:
 def _batches(scene: State, solver) -> Choice:
     used = isinstance(solver, BatchedPGS)
     why = f"{describe(solver)} for {scene.bodies.count:,} circles"
-    saving = "eight contacts at a time: by levels the impulses of PGS up to rounding, sooner at some thousand circles"
+    saving = "eight contacts at a time, in another order than PGS's: sooner at some thousand circles"
     return Choice(part="batches of contacts", used=used, why=why, saving=saving)
 
 
@@ -204,11 +201,11 @@ def _threads(scene: State, solver) -> Choice:
     threads, asked = threads_of(solver, scene.bodies.count), getattr(solver, "threads", None)
     if asked is not None:
         why = f"threads={asked} was asked for"
-    elif getattr(solver, "order", None) == "colours":
+    elif isinstance(solver, BatchedPGS):
         why = f"{threads} for {scene.bodies.count:,} circles, one for every {CIRCLES_A_THREAD:,}, and {cores()} cores"
     else:
-        why = f"{type(solver).__name__} by levels or contact by contact: nothing that threads could share"
-    saving = "with order='colours' they share the stages of a step, and change no bit of it"
+        why = f"{type(solver).__name__} sweeps contact by contact: nothing that threads could share"
+    saving = "batches let them share the stages of a step, and they change no bit of it"
     return Choice(part="threads", used=threads > 1, why=why, saving=saving)
 
 

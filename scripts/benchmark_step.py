@@ -35,9 +35,8 @@ LARGE = 100_000
 
 RUNS = {
     "PGS": PGS,
-    "levels": BatchedPGS,
-    "colours": partial(BatchedPGS, order="colours", threads=1),
-    "colours, two threads": partial(BatchedPGS, order="colours", threads=2),
+    "colours": partial(BatchedPGS, threads=1),
+    "colours, two threads": partial(BatchedPGS, threads=2),
 }
 """Name -> method whose runs are timed."""
 

@@ -8,7 +8,7 @@ from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs
 
 SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "penetration": "mean penetration"}
-OURS = {"PGS": plotting.VERMILION, "PSOR": plotting.ORANGE, "BatchedPGS": plotting.BLUE, "SoftSteps": plotting.GREEN}
+OURS = {"PGS": plotting.VERMILION, "PSOR": plotting.ORANGE, "BatchedPGS": plotting.BLUE}
 OTHERS = plotting.SKY
 MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 

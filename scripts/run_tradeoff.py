@@ -40,14 +40,8 @@ def ladder(method: str, budgets: dict, **options) -> list[dict]:
 
 PGS = {1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}
 PGS |= {8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}
-SOFT = [
-    {"method": "SoftSteps", "substeps": k, "dt": TIME_STEP / divisor}
-    for divisor, found in {1: (2, 4, 8), 2: (2, 4)}.items()
-    for k in found
-]
 OURS = [
     *ladder("PGS", PGS),
-    *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (3, 5, 10, 20), 4: (5, 10, 20), 8: (10,)}),
     *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (5, 10), 4: (3, 5, 10), 8: (2, 10)}, order="colours"),
     *ladder("BatchedPGS", {1: (6, 10), 2: (5, 10), 4: (3,)}, order="colours", position_sweeps=3),
     *ladder("PSOR", {1: (3, 6, 10, 20), 2: (2, 4, 8), 4: (2, 4)}, omega=1.3),
@@ -62,16 +56,13 @@ OURS = [
     *ladder("PGS", {1: (4, 10), 2: (3,), 4: (2,)}, position_sweeps=0),
     *ladder("PGS", {1: (4, 6, 10), 2: (3,), 4: (2,)}, position_sweeps=3),
     *ladder("PSOR", {1: (4, 6), 2: (2,)}, omega=1.3, position_sweeps=3),
-    *SOFT,
 ]
 LARGE = [
     *ladder("PGS", {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 16: (20,)}),
-    *ladder("BatchedPGS", {1: (10, 20, 50), 2: (5, 10), 4: (5, 10)}),
     *ladder("PSOR", {1: (10, 20), 2: (4, 8)}, omega=1.3),
     *ladder("PSOR", {1: (10, 20), 2: (4,)}, omega=1.75, friction_omega=1.45),
     *ladder("PSOR", {1: (10, 20)}, omega=1.3, position_sweeps=3),
     *ladder("PGS", {2: (10,)}, position_sweeps=3),
-    *ladder("BatchedPGS", {2: (10,)}, position_sweeps=3),
     *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (5, 10), 4: (2, 3, 5, 10), 8: (2, 4)}, order="colours"),
     *ladder("BatchedPGS", {1: (6, 10, 20), 2: (5, 10), 4: (2, 3)}, order="colours", position_sweeps=3),
 ]
@@ -123,12 +114,6 @@ def is_peer(setting: dict) -> bool:
     return "engine" in setting
 
 
-def same_errors(setting: dict) -> dict:
-    """The setting whose runs are observed in place of this one's: BatchedPGS by levels is PGS, up to rounding."""
-    by_levels = setting.get("method") == "BatchedPGS" and "order" not in setting
-    return setting | {"method": "PGS"} if by_levels else setting
-
-
 def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, list]:
     """The parts as (name, arguments): observations, the quick ones first, and times.
 
@@ -140,7 +125,7 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
         for kind, seeds in options["seeds"][str(n)].items():
             model = list(runs.MODEL.values()) if kind == "plain" and n in options["model"] else []
             for setting in settings + model:
-                if (is_peer(setting) and kind != "plain") or same_errors(setting) != setting:
+                if is_peer(setting) and kind != "plain":
                     continue
                 if (kind, n, runs.name_of(setting)) in known:
                     continue
@@ -178,11 +163,6 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path, before:
     for ensemble in ensembles.values():  # by seed, so that each run meets the reference of its own scene
         for name, (setting, by_seed) in ensemble.items():
             ensemble[name] = setting, [by_seed[s] for s in sorted(by_seed)]
-    for (_, n), ensemble in ensembles.items():
-        for setting in options["settings"][str(n)]:
-            name = runs.name_of(same_errors(setting))
-            if same_errors(setting) != setting and name in ensemble:
-                ensemble[runs.name_of(setting)] = setting, ensemble[name][1]
     times = {(part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)}
     rows = list((known | {key_of(row): row for row in runs.rows(ensembles, times)}).values())
     rows = [row | runs.times_of(row["name"], row["n_bodies"], times) for row in rows]

@@ -124,7 +124,7 @@ def copied(state):
     return state.replace(bodies=bodies, contacts=contacts)
 
 
-@pytest.mark.parametrize("solver", [dc.PGS(), dc.NNCG(), dc.BatchedPGS(), dc.SoftSteps()])
+@pytest.mark.parametrize("solver", [dc.PGS(), dc.NNCG(), dc.BatchedPGS()])
 @pytest.mark.parametrize("locked", [False, True])
 def test_nothing_writes_into_a_state(solver, locked):
     """Nor into one whose arrays cannot be written to, which is taken as well."""

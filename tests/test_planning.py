@@ -40,8 +40,7 @@ def plan(scene, **options):
         (0.5, dc.PGS(), True, "friction is 0.5"),
         (0.0, dc.PGS(), False, "friction is 0, so nothing"),
         (0.0, dc.NNCG(), False, "friction is 0, so nothing"),
-        (0.0, dc.APGD(), True, "APGD has no rows without them"),
-        (0.0, dc.SoftSteps(), True, "SoftSteps has no rows without them"),
+        (0.0, dc.BatchedPGS(), True, "BatchedPGS has no rows without them"),
     ],
 )
 def test_tangent_rows_are_planned_as_they_are_built(friction, solver, used, why):
@@ -120,7 +119,7 @@ def test_missing_results_say_how_they_are_made(monkeypatch, tmp_path):
         ({"solver": "PGS"}, "solver: expected options such as PGS"),
         ({"warm_start": "best"}, "warm_start: expected one of none"),
         ({"sleep": 1}, "sleep: expected True or False, got 1"),
-        ({"sleep": True, "solver": dc.SoftSteps()}, "sleep: expected False with SoftSteps"),
+        ({"sleep": True, "solver": dc.BatchedPGS()}, "sleep: expected False with BatchedPGS"),
     ],
 )
 def test_what_simulate_refuses_is_refused(options, message):
@@ -138,11 +137,10 @@ def test_an_unknown_part_names_the_known_ones():
 @pytest.mark.parametrize(
     ("n_bodies", "solver", "used", "why"),
     [
-        (3600, dc.BatchedPGS(order="colours"), True, "2 for 3,600 circles, one for every 1,500, and 4 cores"),
-        (900, dc.BatchedPGS(order="colours"), False, "1 for 900 circles, one for every 1,500, and 4 cores"),
-        (3600, dc.BatchedPGS(order="colours", threads=1), False, "threads=1 was asked for"),
-        (3600, dc.BatchedPGS(), False, "BatchedPGS by levels or contact by contact"),
-        (3600, dc.PGS(), False, "PGS by levels or contact by contact"),
+        (3600, dc.BatchedPGS(), True, "2 for 3,600 circles, one for every 1,500, and 4 cores"),
+        (900, dc.BatchedPGS(), False, "1 for 900 circles, one for every 1,500, and 4 cores"),
+        (3600, dc.BatchedPGS(threads=1), False, "threads=1 was asked for"),
+        (3600, dc.PGS(), False, "PGS sweeps contact by contact"),
     ],
 )
 def test_threads_are_planned_as_they_are_taken(n_bodies, solver, used, why, monkeypatch):

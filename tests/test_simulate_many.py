@@ -30,7 +30,6 @@ def test_each_run_is_what_it_is_alone(threads):
         {"dt": 0.005, "warm_start": None},
         {"sleep": True, "record": 10, "solver": dc.PGS(sweeps=10)},
         {"solver": dc.BatchedPGS(sweeps=10)},
-        {"solver": dc.SoftSteps()},
     ],
 )
 def test_options_are_those_of_simulate(options):
@@ -59,7 +58,7 @@ def test_an_error_names_the_state():
         ({"warm_start": "sph"}, "warm_start: expected 'builtin', 'none' or None for many scenes, got 'sph'"),
         ({"threads": 0}, "threads: expected an integer >= 1, got 0"),
         ({"steps": -1}, r"states\[0\]: steps: expected an integer >= 0, got -1"),
-        ({"solver": dc.BatchedPGS(order="colours", threads=2)}, "solver: expected one with threads=1 for many scenes"),
+        ({"solver": dc.BatchedPGS(threads=2)}, "solver: expected one with threads=1 for many scenes"),
     ],
 )
 def test_what_cannot_run_many_times_at_once_is_refused(options, message):

@@ -33,7 +33,8 @@ import numpy as np
 
 from deep_contact.io import hdf5
 from deep_contact.io.files import replacing
-from deep_contact.physics.solvers import METHODS
+from deep_contact.physics.solvers import METHODS, solver_from
+from deep_contact.physics.solvers.registry import GONE
 from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.validation import integer, number, one_of
@@ -435,10 +436,10 @@ def _header(attributes: dict) -> dict:
     settings = header["solver"]
     if settings is not None:
         method = settings.pop("method", None) if isinstance(settings, dict) else None
-        known = isinstance(method, str) and method in METHODS
+        known = isinstance(method, str) and (method in METHODS or method in GONE)
         _expect(known, f"solver: expected null or a method among {', '.join(METHODS)}, got {attributes['solver']}")
         try:
-            header["solver"] = METHODS[method](**settings)
+            header["solver"] = solver_from(method, settings)
         except (TypeError, ValueError) as error:
             raise DataFileError(f"solver: expected options of {method}, got {settings!r}: {error}") from None
     return header

@@ -76,7 +76,8 @@ from deep_contact.io.xml_tree import (
     refuse_too_large,
     to_float,
 )
-from deep_contact.physics.solvers import METHODS, PGS
+from deep_contact.physics.solvers import METHODS, PGS, solver_from
+from deep_contact.physics.solvers.registry import GONE
 from deep_contact.scales import ContactScales, mean
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.validation import integer, one_of
@@ -346,11 +347,13 @@ def _read_settings(root, source: str, canonical: bool) -> tuple[dict, dict]:
 
 def _read_solver(element):
     method = read_text(element, "method")
-    expect(method in METHODS, element, f"method: expected one of {', '.join(sorted(METHODS))}", method)
-    refuse_attributes(element, {"method", *(field.name for field in dataclasses.fields(METHODS[method]))})
+    known = method in METHODS or method in GONE
+    expect(known, element, f"method: expected one of {', '.join(sorted(METHODS))}", method)
+    if method in METHODS:
+        refuse_attributes(element, {"method", "order", *(field.name for field in dataclasses.fields(METHODS[method]))})
     options = {name: _option_value(text) for name, text in element.items() if name != "method"}
     try:
-        return METHODS[method](**options)
+        return solver_from(method, options)
     except (TypeError, ValueError) as error:
         raise fault(element, f"expected options of {method}: {str(error)[:200]}", str(options)) from None
 

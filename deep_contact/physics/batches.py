@@ -2,13 +2,11 @@
 
 A sweep of `contact_solver` waits: the next contact needs the velocities that this one writes. In a batch no circle
 occurs twice, so nothing waits, and eight contacts are one vector operation (`compiled.simd`). Walls never move, so
-contacts of a batch may share them. There are two orders of batches:
+contacts of a batch may share them.
 
-* "levels": a contact goes into the first batch after those of the contacts before it that share a circle with it. Each
-  circle sees its contacts in the order of the list: the sequential sweep, equal up to rounding.
-* "colours": the list is cut into blocks of `BLOCK`, and each block is coloured greedily. The order of the sweep
-  changes, and convergence with it. Blocks that share no circle form a phase, which several threads relax at the same
-  time. None reads what another writes, so the number of threads changes no bit.
+The list of contacts is cut into blocks of `BLOCK`, and each block is coloured greedily: a batch is a colour of a block.
+The order of the sweep is not that of the list, then, and convergence differs. Blocks that share no circle form a phase,
+which several threads relax at the same time. None reads what another writes, so the number of threads changes no bit.
 
 A batch is stored as tiles of eight contacts, so that the rows of a tile are runs of memory. The last tile of a batch
 is padded with contacts between the idle body and itself. A block has five bodies of its own beside the circles: the
@@ -63,7 +61,7 @@ class Plan(NamedTuple):
 
     | field | meaning                                                                           | shape  |
     |-------|-----------------------------------------------------------------------------------|--------|
-    | mark  | of a circle: its colours in the current block as bits, or its level; its phases   | (n, 2) |
+    | mark  | of a circle: its colours in the current block, and its phases, as bits            | (n, 2) |
     | batch | of a contact: its batch, counted from 0 in each block                             | (M,)   |
     | place | of a contact: 8 · tile + lane                                                     | (M,)   |
     | fill  | of a batch: contacts in it, then the next free place                              | (M,)   |
@@ -131,26 +129,23 @@ def make_tiles(n, blocks, tiles, dtype):
 
 
 @njit(cache=True)
-def plan_batches(body_a, body_b, n, colours, plan):
-    """Put all contacts into batches, by colours or by levels. Returns the plan, a larger one if needed.
+def plan_batches(body_a, body_b, n, plan):
+    """Put all contacts into batches. Returns the plan, a larger one if needed.
 
     body_a, body_b: (m,), as in `Contacts`. Greedy: the first colour that neither circle has in this block (Welsh and
-    Powell 1967, in the order of the list); for levels, the first batch after those that either circle is in.
+    Powell 1967, in the order of the list).
     """
     m = body_a.shape[0]
     if m > plan.batch.shape[0]:
         plan = make_plan(n, m + m // 2)
-    size = BLOCK if colours else max(m, 1)
-    blocks, tiles, alone = (m + size - 1) // size, 0, 0
+    blocks, tiles, alone = (m + BLOCK - 1) // BLOCK, 0, 0
     plan.mark[:] = 0
     for k in range(blocks):
-        begin, end = k * size, min(k * size + size, m)
-        batches = choose_batches(body_a, body_b, n, colours, begin, end, plan)
-        phase = np.int64(0)
-        if colours:
-            phase = find_phase(body_a, body_b, n, begin, end, plan)
-            if phase == COLOURS:
-                phase, alone = COLOURS + alone, alone + 1
+        begin, end = k * BLOCK, min(k * BLOCK + BLOCK, m)
+        batches = choose_batches(body_a, body_b, n, begin, end, plan)
+        phase = find_phase(body_a, body_b, n, begin, end, plan)
+        if phase == COLOURS:
+            phase, alone = COLOURS + alone, alone + 1
         plan.phase[k], plan.first[k] = phase, tiles
         tiles = place_contacts(begin, end, batches, tiles, plan)
     plan.first[blocks] = tiles
@@ -172,7 +167,7 @@ def is_plan_of(plan, n, contacts, planned):
 
 
 @njit(cache=True)
-def choose_batches(body_a, body_b, n, colours, begin, end, plan):
+def choose_batches(body_a, body_b, n, begin, end, plan):
     """Batches of the contacts of one block; counts them in `fill`. Returns how many batches there are.
 
     Here and below, numbers without a sign index arrays: Numba looks whether others are negative, for each element.
@@ -182,22 +177,14 @@ def choose_batches(body_a, body_b, n, colours, begin, end, plan):
     for i in range(begin, end):
         a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
         of_a, of_b = mark[a, BATCHES], mark[b, BATCHES] if b < n else nothing
-        if colours:
-            batch = lowest_zero(of_a | of_b)
-            if batch == COLOURS:
-                batch, alone = COLOURS + alone, alone + 1
-                mine = nothing
-            else:
-                mine = one << np.uint64(batch)
-            mark[a, BATCHES] = of_a | mine
-            if b < n:
-                mark[b, BATCHES] = of_b | mine
+        batch, mine = lowest_zero(of_a | of_b), nothing
+        if batch == COLOURS:
+            batch, alone = COLOURS + alone, alone + 1
         else:
-            level = max(of_a, of_b)
-            batch = np.int64(level)
-            mark[a, BATCHES] = level + one
-            if b < n:
-                mark[b, BATCHES] = level + one
+            mine = one << np.uint64(batch)
+        mark[a, BATCHES] = of_a | mine
+        if b < n:
+            mark[b, BATCHES] = of_b | mine
         while batch >= batches:
             plan.fill[begin + batches] = 0
             batches += 1
@@ -279,8 +266,7 @@ def with_room(plan, tiles):
 @njit(cache=True)
 def contacts_of_block(plan, k):
     """(First contact of a block, the one after its last)."""
-    m = plan.count[CONTACTS]
-    return (k * BLOCK, min(k * BLOCK + BLOCK, m)) if plan.count[BLOCKS] > 1 else (0, m)
+    return k * BLOCK, min(k * BLOCK + BLOCK, plan.count[CONTACTS])
 
 
 @njit(cache=True, error_model="numpy")

@@ -38,7 +38,7 @@ from deep_contact.physics.convergence import ConvergenceRecord, convergence_reco
 from deep_contact.physics.position_correction import CorrectionRoom, correct_positions, make_correction_room
 from deep_contact.physics.segments import positions_before, segments_of
 from deep_contact.physics.sleeping import advance_sleeping
-from deep_contact.physics.solvers import PRECISIONS, SoftSteps
+from deep_contact.physics.solvers import PRECISIONS
 from deep_contact.physics.solvers.registry import (
     entry_of,
     for_state,
@@ -47,9 +47,9 @@ from deep_contact.physics.solvers.registry import (
     relax,
     settings_of,
 )
-from deep_contact.physics.step import StepInput, StepOptions, StepWorkspace, log_step, make_log
+from deep_contact.physics.step import StepInput, StepOptions, log_step
 from deep_contact.scales import ContactScales
-from deep_contact.state import LIMITS, Bodies, Contacts, State, native
+from deep_contact.state import LIMITS, Contacts, State, native
 from deep_contact.validation import flag
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
@@ -314,11 +314,8 @@ def solve(
     """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is.
 
     problem: of `step_problem` for the same state and solver, if it is at hand; it stays as it is.
-    `SoftSteps` has no contact problem: its solution is what one step of it does to copies of the bodies.
     """
     solver = for_state(solver, state)
-    if isinstance(solver, SoftSteps):
-        return _solve_by_stepping(state, solver, normal_start, tangent_start)
     settings, n = settings_of(solver), state.bodies.count
     if problem is None:
         state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
@@ -350,21 +347,3 @@ def set_impulses(rows: Rows, normal: np.ndarray, tangent: np.ndarray) -> None:
 def copy_rows(rows: Rows) -> Rows:
     """The rows with impulses and masses of their own; loops change those in place."""
     return Rows(rows.body, rows.data.copy(), rows.impulse.copy())
-
-
-def _solve_by_stepping(state: State, solver, normal_start, tangent_start) -> ContactSolution:
-    bodies = Bodies(*(field.copy() for field in state.bodies))
-    contacts = state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start)
-    contacts = Contacts(*(field.copy() for field in contacts))
-    state = state.replace(bodies=bodies, contacts=contacts)
-    advance_softly, options = advance_of(solver)
-    problem, log, theta = step_problem(state, solver), make_log(1), np.empty(solver.sweeps)
-    workspace = StepWorkspace(problem.solver_bodies, theta, np.empty(0))
-    solved, _ = advance_softly(step_input(state, options.settings), options, workspace, log)
-    return ContactSolution(
-        normal_impulses=solved.normal_impulse.copy(),
-        tangent_impulses=solved.tangent_impulse.copy(),
-        velocities=bodies.velocity,
-        angular_velocities=bodies.spin,
-        record=convergence_record(theta[: log.sweeps[0]], solver, contacts.count),
-    )

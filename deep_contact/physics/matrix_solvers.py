@@ -18,7 +18,7 @@ from scipy import sparse
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
 from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem, finite
-from deep_contact.physics.solvers import APGD, NNCG, PGS, PSOR, NesterovPGS, SymmetricPGS
+from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.physics.solvers import nesterov as with_momentum
 from deep_contact.physics.solvers import nncg as with_directions
 from deep_contact.validation import integer, number
@@ -286,8 +286,6 @@ def _over_relaxed(blocks, impulse, stop, theta, solver):
 _LOOPS = {
     PGS: lambda blocks, impulse, stop, theta, _: _relax_plain(blocks, impulse, stop, theta, 1.0, 1.0, False),
     PSOR: _over_relaxed,
-    SymmetricPGS: lambda blocks, impulse, stop, theta, _: _relax_plain(blocks, impulse, stop, theta, 1.0, 1.0, True),
     NNCG: lambda blocks, impulse, stop, theta, _: _relax_directions(blocks, impulse, stop, theta),
     NesterovPGS: lambda blocks, impulse, stop, theta, _: _relax_momentum(blocks, impulse, stop, theta),
-    APGD: lambda blocks, impulse, stop, theta, _: _relax_gradient(blocks, impulse, stop, theta),
 }

@@ -21,8 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
-from deep_contact.physics.solvers import METHODS, PGS, describe
-from deep_contact.physics.solvers.registry import entry_of
+from deep_contact.physics.solvers import describe, solver_from
+from deep_contact.physics.solvers.registry import GONE, entry_of
 from deep_contact.recommendation.steps import StepRecommendation, recommend_step
 from deep_contact.recommendation.stiff import stiffness
 from deep_contact.state import State
@@ -248,7 +248,7 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
     found, kinds = [], kinds_of(scene)
     divided = {dt: substeps_of(scene, dt) for dt in {setting["dt"] for setting in study["settings"]}}
     for setting in study["settings"]:
-        if low not in setting["us"] or high not in setting["us"]:
+        if low not in setting["us"] or high not in setting["us"] or is_gone(setting["options"]):
             continue  # Large piles were run with fewer settings.
         by_kind = [setting["errors"][size] for size in (low, high)]
         alike = [one[kind] for one in by_kind for kind in kinds if kind in one]
@@ -258,11 +258,15 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
         us = k * _us_at(n, {int(size): us for size, us in setting["us"].items()}) * setting["dt"] / TIME_STEP
         options = dict(setting["options"])
         start = options.pop("start", "builtin")
-        solver = METHODS[options.pop("method")](**options)
-        if k == 1 or isinstance(solver, PGS):  # SoftSteps finds contacts once a step and divides it in its own way
-            solver = solver if k == 1 else replace(solver, substeps=k)
-            found.append({"solver": solver, "start": start, "us": us, "errors": errors})
+        solver = solver_from(options.pop("method"), options)
+        solver = solver if k == 1 else replace(solver, substeps=k)
+        found.append({"solver": solver, "start": start, "us": us, "errors": errors})
     return _stiff_candidate(scene, found, study) or found
+
+
+def is_gone(setting: Mapping) -> bool:
+    """Whether a stored setting is of a method that is gone, or of batches by levels, which named no order."""
+    return setting["method"] in GONE or (setting["method"] == "BatchedPGS" and "order" not in setting)
 
 
 def _stiff_candidate(scene: State, candidates: list[dict], study: Mapping) -> list[dict]:

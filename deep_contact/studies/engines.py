@@ -144,12 +144,11 @@ PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES
 }
 ENGINES = {
     "ours": Ours,
-    "in levels": partial(Ours, method=BatchedPGS),
-    "in colours": partial(Ours, method=BatchedPGS, order="colours", threads=1),
-    "two threads": partial(Ours, method=BatchedPGS, order="colours", threads=2),
+    "in colours": partial(Ours, method=BatchedPGS, threads=1),
+    "two threads": partial(Ours, method=BatchedPGS, threads=2),
     "dc.step": OursByStep,
 } | PEERS
-"""Name -> callable that takes a state and returns an engine that can `run`. Levels keep PGS's order; colours change it,
+"""Name -> callable that takes a state and returns an engine that can `run`. Colours change the order of the contacts,
 as Box2D v3 does, and presets take them for large piles."""
 
 

@@ -22,14 +22,14 @@ from deep_contact.io.files import write_json
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, siconos_error
 from deep_contact.physics.matrix_solvers import solve_problem
-from deep_contact.physics.solvers import APGD, NNCG, PGS, NesterovPGS
+from deep_contact.physics.solvers import NNCG, PGS, NesterovPGS
 from deep_contact.reporting.figures import seeds
 from deep_contact.studies.piles import pile, states_of
 
 MOST_SWEEPS = 10_000
 """As Siconos's own tests allow."""
 
-OURS = {"PGS": PGS, "NNCG": NNCG, "NesterovPGS": NesterovPGS, "APGD": APGD}
+OURS = {"PGS": PGS, "NNCG": NNCG, "NesterovPGS": NesterovPGS}
 
 SICONOS = ("NSGS", "ADMM", "NSN_AC")
 """Names of Siconos's solvers, behind SICONOS_FRICTION_3D_."""

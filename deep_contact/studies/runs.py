@@ -19,7 +19,7 @@ import numpy as np
 from deep_contact.constants import TIME_STEP
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
-from deep_contact.physics.solvers import METHODS
+from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.reporting import results
 from deep_contact.simulation import simulate
@@ -76,8 +76,7 @@ def scene(kind: str, n_bodies: int, seed: int) -> State:
 def solver_of(setting: Mapping):
     """The options of a setting's method, without substeps."""
     options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start", "slop")}
-    fixed = {} if setting["method"] == "SoftSteps" else {"tolerance": None}
-    return METHODS[setting["method"]](**options, **fixed)
+    return solver_from(setting["method"], options | {"tolerance": None})
 
 
 def name_of(setting: Mapping) -> str:

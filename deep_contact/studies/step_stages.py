@@ -13,7 +13,6 @@ import platform
 import textwrap
 import time
 from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from llvmlite import ir
@@ -28,7 +27,7 @@ from deep_contact.physics.step import StepWorkspace, make_log
 from deep_contact.state import Bodies, Contacts, State
 from deep_contact.studies import timing
 
-ENGINES = {"sequential": PGS, "colours": partial(BatchedPGS, order="colours")}
+ENGINES = {"sequential": PGS, "colours": BatchedPGS}
 """Name -> method whose step is timed."""
 
 STAGES = {

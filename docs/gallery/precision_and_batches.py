@@ -1,8 +1,7 @@
 """Trade the order of the contacts for speed.
 
-For large scenes: `BatchedPGS` relaxes eight contacts that share no circle at a time. With `order="levels"` it is PGS
-up to rounding; with `order="colours"` the order of the contacts changes, and threads share the work, by default as many
-as pay.
+For large scenes: `BatchedPGS` relaxes eight contacts that share no circle at a time. The order of the contacts changes,
+and threads share the work, by default as many as pay.
 """
 
 import time
@@ -15,9 +14,8 @@ pile = dc.simulate(dc.lattice_in_box(n_bodies=3000, seed=1), steps=150, solver=d
 solvers = {
     "PGS": dc.PGS(sweeps=20, tolerance=None),
     "PGS, single": dc.PGS(precision="single", sweeps=20, tolerance=None),
-    "levels": dc.BatchedPGS(sweeps=20, tolerance=None),
-    "colours, 1 thread": dc.BatchedPGS(order="colours", threads=1, sweeps=20, tolerance=None),
-    "colours, 2 threads": dc.BatchedPGS(order="colours", threads=2, sweeps=20, tolerance=None),
+    "colours, 1 thread": dc.BatchedPGS(threads=1, sweeps=20, tolerance=None),
+    "colours, 2 threads": dc.BatchedPGS(threads=2, sweeps=20, tolerance=None),
 }
 reference = None
 for name, solver in solvers.items():

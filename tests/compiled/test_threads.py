@@ -16,7 +16,7 @@ PILE = dc.lattice_in_box(900, gap=0.01, seed=1)
 
 
 def crew(_):
-    solver = dc.BatchedPGS(sweeps=5, order="colours", threads=2)
+    solver = dc.BatchedPGS(sweeps=5, threads=2)
     return float(dc.simulate(PILE, steps=3, solver=solver).state.bodies.position[:, 1].sum())
 
 

@@ -17,7 +17,6 @@ RUNS = {
     "PGS with sleeping": "dict(solver=dc.PGS(sweeps=20), sleep=True)",
     "NNCG": "dict(solver=dc.NNCG(sweeps=20))",
     "NesterovPGS": "dict(solver=dc.NesterovPGS(sweeps=20))",
-    "APGD": "dict(solver=dc.APGD(sweeps=20))",
     "BatchedPGS": "dict(solver=dc.BatchedPGS(sweeps=20))",
 }
 

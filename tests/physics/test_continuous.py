@@ -12,7 +12,7 @@ from deep_contact.state import State, World, make_bodies
 from deep_contact.studies.extremes import kinetic_energy, loaded_silo
 
 NO_GRAVITY = World(box=(0, 0, 60, 40), gravity=(0, 0))
-SOLVERS = {name: METHODS[name]() for name in METHODS} | {"colours": dc.BatchedPGS(order="colours")}
+SOLVERS = {name: METHODS[name]() for name in METHODS}
 
 
 def scene(position, velocity, *, radius=1.0, world=NO_GRAVITY, **options):
@@ -117,8 +117,7 @@ def test_fast_circles_do_not_change_their_order_in_a_channel():
 def test_what_is_pressed_too_hard_for_the_sweeps_stays_in_the_box(name):
     # A million times as heavy on top: five sweeps hold nothing, and the circles below sink into each other.
     state = loaded_silo(5, 1e6)
-    options = {"substeps": 1} if name == "SoftSteps" else {"sweeps": 5, "tolerance": None}
-    solver = replace(SOLVERS[name], **options)
+    solver = replace(SOLVERS[name], sweeps=5, tolerance=None)
     for _ in range(200):
         state = dc.simulate(state, steps=1, solver=solver).state
         assert inside(state)

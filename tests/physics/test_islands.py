@@ -127,7 +127,7 @@ def test_a_scene_without_contacts_has_no_islands_to_solve():
     assert (run.relaxations.sum(), run.status[0]) == (0, "no_contacts")
 
 
-@pytest.mark.parametrize("method", [dc.BatchedPGS, dc.PSOR, dc.SymmetricPGS, dc.NNCG, dc.APGD])
+@pytest.mark.parametrize("method", [dc.BatchedPGS, dc.PSOR, dc.NNCG])
 def test_other_methods_refuse_islands(method):
     with pytest.raises(ValueError, match=f"islands: expected False, since {method.__name__} sweeps them together"):
         method(islands=True)

@@ -10,7 +10,7 @@ from numba import njit
 import deep_contact as dc
 from deep_contact.physics.contact_solver import sweep
 from deep_contact.physics.convergence import is_over
-from deep_contact.physics.solvers import Loop, register
+from deep_contact.physics.solvers import Loop, register, solver_from
 from deep_contact.physics.solvers.registry import tolerance_argument
 
 
@@ -79,6 +79,20 @@ def test_another_solver_of_the_same_name_is_refused():
 
     with pytest.raises(ValueError, match="options: expected a new name, got PGS"):
         register(PGS, lambda solver: ToySettings(0.0), ())
+
+
+@pytest.mark.parametrize(
+    ("method", "options"), [("SoftSteps", {"substeps": 4}), ("APGD", {}), ("BatchedPGS", {"order": "levels"})]
+)
+def test_a_solver_that_is_gone_is_read_as_none(method, options):
+    with pytest.warns(UserWarning, match=rf"solver: {method}.* is no longer part of Deep Contact; the default is"):
+        assert solver_from(method, options) is None
+
+
+def test_batches_by_colours_are_read_from_old_files():
+    assert solver_from("BatchedPGS", {"order": "colours", "sweeps": 5}) == dc.BatchedPGS(sweeps=5)
+    with pytest.raises(ValueError, match="order: expected colours, got 'rainbow'"):
+        solver_from("BatchedPGS", {"order": "rainbow"})
 
 
 def test_options_that_are_not_registered_are_refused():

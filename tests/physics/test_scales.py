@@ -85,8 +85,7 @@ def falling(radius=MIXED, **world):
 @pytest.mark.parametrize("s", POWERS_OF_FOUR)
 @pytest.mark.parametrize("method", METHODS)
 def test_a_scene_times_a_power_of_four_is_the_same_run_to_the_last_bit(method, s):
-    sweeps = {} if method == "SoftSteps" else {"sweeps": 40}
-    assert_same_run(falling(), s, steps=150, solver=METHODS[method](**sweeps))
+    assert_same_run(falling(), s, steps=150, solver=METHODS[method](sweeps=40))
 
 
 @pytest.mark.parametrize("s", POWERS_OF_FOUR[::3])
@@ -98,7 +97,7 @@ def test_a_scene_times_a_power_of_four_is_the_same_run_to_the_last_bit(method, s
         {"radius": EQUAL},
         {"gravity": (3.0, -5.0)},
         {"solver": dc.PGS(islands=True)},
-        {"solver": dc.BatchedPGS(order="colours")},
+        {"solver": dc.BatchedPGS()},
         {"warm_start": None},
         {"warm_start": "copy"},
     ],
@@ -125,11 +124,10 @@ def test_the_same_scene_sleeps_after_the_same_step(s):
 
 
 @pytest.mark.parametrize("s", POWERS_OF_FOUR)
-@pytest.mark.parametrize("solver", [dc.PGS(), dc.SoftSteps()], ids=["PGS", "SoftSteps"])
-def test_without_gravity_too(solver, s):
+def test_without_gravity_too(s):
     # No gravity gives a time, so Δt does: the same number of steps.
     scene = dc.drifting_circles(30, size=16.0, speed=4.0, seed=3, restitution=0.5)
-    assert_same_run(scene, s, steps=150, solver=solver)
+    assert_same_run(scene, s, steps=150, solver=dc.PGS())
 
 
 @settings(max_examples=15, deadline=None)
@@ -140,8 +138,7 @@ def test_without_gravity_too(solver, s):
     method=st.sampled_from([dc.PGS(sweeps=30), dc.BatchedPGS(sweeps=30), dc.NesterovPGS(sweeps=30)]),
 )
 def test_any_other_factor_differs_by_rounding(exponent, radius, friction, method):
-    # Two dozen steps with impacts, before rounding grows to what decides a contact. Soft contacts are left out: they
-    # close a gap to exactly 0, where rounding decides at once whether it is a spring. No speed is that from which on
+    # Two dozen steps with impacts, before rounding grows to what decides a contact. No speed is that from which on
     # walls give anything back, 1 m/s here, which rounding would decide as well.
     scene = falling(radius, friction=friction)
     scene = scene.replace(bodies=scene.bodies._replace(velocity=np.full((30, 2), (1.3, -4.0))))
@@ -182,8 +179,6 @@ def test_the_thesis_scene_has_the_values_of_box2d_exactly(n):
     scene = dc.lattice_in_box(n)
     assert scene.scales == dc.BOX2D
     assert theta_tolerance(scene) == constants.THETA_TOLERANCE == for_state(dc.PGS(), scene).tolerance
-    soft = for_state(dc.SoftSteps(), scene)
-    assert (soft.hertz, soft.push_speed) == (30.0, 3.0)
     assert scene_units(scene) == (1.0, 1.0, 1.0)
     still = dc.drifting_circles(20)
     assert scene_units(still) == (1.0, 1.0, 1.0)
@@ -250,10 +245,9 @@ def test_other_scales_are_refused_by_name(scales, message):
 def test_no_body_leaves_a_step_faster_than_a_state_may_be(scales, dt):
     scene = dc.single_body(radius=1e9, scales=scales, box=(-1e9, -1e9, 1e9, 1e9), gravity=(0, 0)).replace(dt=dt)
     scene = scene.replace(bodies=scene.bodies._replace(velocity=np.array([[1e10, 0.0]])))
-    for solver in (dc.PGS(sweeps=0), dc.SoftSteps()):
-        state = dc.step(scene, solver=solver)
-        assert np.abs(state.bodies.velocity).max() <= FASTEST * (1 + 1e-12)
-        dc.step(state, solver=solver)
+    state = dc.step(scene, solver=dc.PGS(sweeps=0))
+    assert np.abs(state.bodies.velocity).max() <= FASTEST * (1 + 1e-12)
+    dc.step(state)
 
 
 def test_a_tolerance_of_the_user_is_absolute_and_a_run_holds_numbers():
@@ -264,8 +258,6 @@ def test_a_tolerance_of_the_user_is_absolute_and_a_run_holds_numbers():
     assert found == dc.PGS(tolerance=theta_tolerance(scene))
     with pytest.raises(ValueError, match="tolerance: expected a finite number >= 0, got 'screen'"):
         dc.PGS(tolerance="screen")
-    with pytest.raises(ValueError, match="push_speed: expected a finite number > 0, got 'slow'"):
-        dc.SoftSteps(push_speed="slow")
 
 
 def test_the_mean_of_equal_numbers_is_the_number():

@@ -70,10 +70,9 @@ def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_state
     assert found.record.theta[0] >= 1.0
 
 
-@pytest.mark.parametrize("solver", [dc.APGD(), dc.SoftSteps()])
-def test_methods_that_need_tangent_rows_keep_them(solver):
+def test_batches_keep_tangent_rows():
     state = simulation.ready(dc.column(3, friction=0.0))
-    assert engine.step_problem(state, solver).friction == 0.0
+    assert engine.step_problem(state, dc.BatchedPGS()).friction == 0.0
 
 
 def test_nothing_turns_without_friction():

@@ -134,5 +134,5 @@ def test_a_stepped_state_is_a_state(falling):
 
 
 def test_other_solvers_are_left_to_simulate():
-    for solver in (dc.BatchedPGS(), dc.SoftSteps(), dc.PGS(precision="single"), dc.PGS(substeps=2)):
+    for solver in (dc.BatchedPGS(), dc.PGS(precision="single"), dc.PGS(substeps=2)):
         assert not stepper.can_step(solver)

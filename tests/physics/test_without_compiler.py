@@ -14,18 +14,14 @@ import deep_contact as dc
 METHODS = {
     "PGS": dc.PGS,
     "PSOR": dc.PSOR,
-    "SymmetricPGS": dc.SymmetricPGS,
     "NNCG": dc.NNCG,
     "NesterovPGS": dc.NesterovPGS,
-    "APGD": dc.APGD,
     "BatchedPGS": dc.BatchedPGS,
 }
 CASES = {
     **{name: {"solver": method(sweeps=12)} for name, method in METHODS.items()},
     "PSOR, adaptive": {"solver": dc.PSOR(sweeps=24, adaptive=True)},
     "PSOR, two ω": {"solver": dc.PSOR(sweeps=12, omega=1.8, friction_omega=1.4)},
-    "BatchedPGS, colours": {"solver": dc.BatchedPGS(sweeps=12, order="colours")},
-    "SoftSteps": {"solver": dc.SoftSteps()},
     "islands": {"solver": dc.PGS(sweeps=12, islands=True)},
     "single precision": {"solver": dc.PGS(sweeps=12, precision="single")},
     "sleep": {"solver": dc.PGS(sweeps=12), "sleep": True, "steps": 70},

@@ -304,8 +304,7 @@ import sys
 import deep_contact as dc
 from deep_contact.studies import extremes
 from deep_contact.physics.solvers import METHODS
-solver = METHODS[sys.argv[1]]
-solver = solver() if solver is dc.SoftSteps else solver(sweeps=20)
+solver = METHODS[sys.argv[1]](sweeps=20)
 for scene in (extremes.overlapping(1.0, 50), extremes.cornered(5.0), extremes.shifted(extremes.silo(5), 1e6),
               extremes.bed_under(1e3), extremes.channel(1e6), dc.lattice_in_box(200, radius=(1e-3, 1.0)),
               dc.single_body(height=3.0), extremes.small_pile(friction=1e6, restitution=1.0)):

@@ -21,7 +21,7 @@ COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
     [
         (COARSE, "PGS, 3 sweeps, Δt"),
         ({"method": "PSOR", "sweeps": 1, "dt": TIME_STEP / 4, "omega": 1.3}, "PSOR, 1 sweep, omega=1.3, Δt / 4"),
-        ({"method": "SoftSteps", "substeps": 4, "dt": 2 * TIME_STEP}, "SoftSteps, 4 substeps, 2 Δt"),
+        ({"method": "PGS", "sweeps": 4, "dt": 2 * TIME_STEP}, "PGS, 4 sweeps, 2 Δt"),
         (COARSE | {"substeps": 4}, "PGS, 3 sweeps, substeps=4, Δt"),
         ({"engine": "pymunk", "sweeps": 10, "dt": TIME_STEP}, "pymunk, 10 iterations, Δt"),
     ],
@@ -135,7 +135,7 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
         "seeds": {"20": {"plain": 2}},
         "model": [20],
         "seconds": 1.0,
-        "settings": {"20": [runs.REFERENCE, COARSE, {"method": "SoftSteps", "substeps": 2, "dt": TIME_STEP}]},
+        "settings": {"20": [runs.REFERENCE, COARSE, {"method": "NNCG", "sweeps": 2, "dt": TIME_STEP}]},
         "peers": {"20": []},
         "steps": {"20": 5},
         "repeats": 1,
@@ -150,14 +150,14 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
     assert {row["name"] for row in rows} == {
         "PGS, 20 sweeps, Δt / 16",
         "PGS, 3 sweeps, Δt",
-        "SoftSteps, 2 substeps, Δt",
+        "NNCG, 2 sweeps, Δt",
         "PGS, 20 sweeps, slop=0.1, Δt / 16",
         "PGS, 20 sweeps, position_sweeps=0, Δt / 16",
     }
     table = json.loads((tmp_path / "runs.json").read_text())
     found = dc.recommend(dc.circles_in_box(20), accuracy="preview", table=table)
     assert found.us > 0
-    assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "SoftSteps, 2 substeps, Δt"}
+    assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
 
 
 def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
@@ -165,7 +165,7 @@ def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
     colours = {"method": "BatchedPGS", "sweeps": 3, "dt": TIME_STEP, "order": "colours"}
     tiny = script.QUICK | {
         "sizes": [20], "seeds": {"20": {"plain": 2}}, "model": [], "seconds": 1.0, "peers": {"20": []},
-        "settings": {"20": [runs.REFERENCE, COARSE, COARSE | {"method": "BatchedPGS"}]},
+        "settings": {"20": [runs.REFERENCE, COARSE, COARSE | {"method": "PSOR"}]},
         "steps": {"20": 5}, "repeats": 1,
     }  # fmt: skip
     monkeypatch.setattr(script, "QUICK", tiny)

@@ -298,10 +298,10 @@ def damaged_state(rng, whole: State) -> tuple[str, State]:
 
 def api_call(whole: State):
     """rng -> a call of the public interface with hostile arguments, and its text."""
-    solvers = (PGS(sweeps=3), PGS(sweeps=3, islands=True), METHODS["NNCG"](sweeps=3), METHODS["SoftSteps"]())
+    solvers = (PGS(sweeps=3), PGS(sweeps=3, islands=True), METHODS["NNCG"](sweeps=3))
     numbers = {name: (lambda v, cls=cls, name=name: cls(**{name: v})) for cls, name in (
-        (PGS, "sweeps"), (METHODS["PSOR"], "omega"), (METHODS["BatchedPGS"], "threads"), (METHODS["APGD"], "tolerance"),
-        (METHODS["SoftSteps"], "hertz"), (PGS, "precision"), (PGS, "substeps"), (World, "box"), (World, "scales"),
+        (PGS, "sweeps"), (METHODS["PSOR"], "omega"), (METHODS["BatchedPGS"], "threads"), (PGS, "tolerance"),
+        (PGS, "precision"), (PGS, "substeps"), (World, "box"), (World, "scales"),
     )}  # fmt: skip
     numbers |= {
         "make_bodies": lambda v: dc.make_bodies(v),

@@ -5,19 +5,15 @@ How many sweeps each needs, and what a sweep costs, is measured by `scripts/run_
 
 # The order of the imports is the order of `METHODS`.
 # isort: off
-from deep_contact.physics.solvers.registry import METHODS, Loop, describe, register
+from deep_contact.physics.solvers.registry import METHODS, Loop, describe, register, solver_from
 from deep_contact.physics.solvers.pgs import PGS, PRECISIONS
 from deep_contact.physics.solvers.batched import BatchedPGS
 from deep_contact.physics.solvers.psor import PSOR
-from deep_contact.physics.solvers.symmetric import SymmetricPGS
 from deep_contact.physics.solvers.nncg import NNCG
 from deep_contact.physics.solvers.nesterov import NesterovPGS
-from deep_contact.physics.solvers.apgd import APGD
-from deep_contact.physics.solvers.soft_steps import SoftSteps
 # isort: on
 
 __all__ = [
-    "APGD",
     "METHODS",
     "NNCG",
     "PGS",
@@ -26,8 +22,7 @@ __all__ = [
     "BatchedPGS",
     "Loop",
     "NesterovPGS",
-    "SoftSteps",
-    "SymmetricPGS",
     "describe",
     "register",
+    "solver_from",
 ]

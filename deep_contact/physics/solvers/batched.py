@@ -80,35 +80,25 @@ from deep_contact.physics.solvers.registry import Loop, register, tolerance_argu
 from deep_contact.physics.step import log_step
 from deep_contact.state import Bodies
 
-ORDERS = ("levels", "colours")
-"""Orders of the batches: see `physics.batches`."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class BatchedPGS(PGS):
     """Projected Gauss-Seidel in batches of contacts that share no circle, eight at a time: for large scenes.
 
-    order: "levels" keeps the order of the contacts, so that it is PGS up to rounding; "colours" changes it (see
-    `deep_contact.physics.batches`). threads: at most so many, for "colours" only; they change no bit of the result. By
-    default those that pay: one for every `CIRCLES_A_THREAD` circles, no more than there are cores. The other options
-    are those of `PGS`. Position correction goes in the same batches.
+    threads: at most so many; they change no bit of the result. By default those that pay: one for every
+    `CIRCLES_A_THREAD` circles, no more than there are cores. The other options are those of `PGS`. Position correction
+    goes in the same batches.
 
-    Finding the batches costs a part of each step in which contacts have changed, so few sweeps do not repay it.
-    Weakness: in a chain of contacts, as in a column, a level is one contact and fills one lane of eight. Colours fill
-    more lanes, but their order is not that of the list, so they may need more sweeps.
+    Weakness: the order of the contacts is not that of the list, so it may need more sweeps than PGS. Finding the
+    batches costs a part of each step in which contacts have changed, so few sweeps do not repay it.
     """
 
-    order: str = "levels"
     threads: int | None = None
 
     def __post_init__(self):
         super().__post_init__()
-        validation.one_of("order", self.order, ORDERS)
-        if self.threads is None:
-            return
-        validation.integer("threads", self.threads, least=1, most=MOST_SWEEPS)
-        if self.threads > 1 and self.order != "colours":
-            raise ValueError(f"threads: expected 1 with order={self.order!r}, got {self.threads}")
+        if self.threads is not None:
+            validation.integer("threads", self.threads, least=1, most=MOST_SWEEPS)
 
 
 CIRCLES_A_THREAD = 1500
@@ -116,10 +106,9 @@ CIRCLES_A_THREAD = 1500
 
 
 class BatchSettings(NamedTuple):
-    """Settings of `BatchedPGS`. colours: order by colours; otherwise by levels."""
+    """Settings of `BatchedPGS`."""
 
     tolerance: float
-    colours: bool
 
 
 @njit(cache=True, fastmath=CONTRACT)
@@ -235,7 +224,7 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
     """The same for the rows of one solve, with a plan and tiles of its own."""
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
-    plan = plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, settings.colours, make_plan(n, m))
+    plan = plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, make_plan(n, m))
     tiles = fill_tiles(rows, solver_bodies, plan, make_tiles(n, 1, 1, solver_bodies.dtype))
     sweeps = relax_tiles(settings, plan, tiles, friction, theta, Crew(0, 1, np.zeros(24, np.int64)))
     empty_tiles(plan, tiles, rows, solver_bodies)
@@ -340,7 +329,7 @@ def advance_together(given, options, workspace, log, shared, crew):
         if crew.rank == 0:
             contacts = shared.contacts
             if not is_plan_of(shared.plan, n, contacts, shared.solved):
-                shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, settings.colours, shared.plan)
+                shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
             shared.tiles = with_room(shared.plan, shared.tiles)
         wait(crew)
         plan, tiles, contacts = shared.plan, shared.tiles, shared.contacts
@@ -459,18 +448,14 @@ class _Run:
 
 def threads_of(solver, n_bodies: int) -> int:
     """On how many threads a solver runs a scene of so many circles here."""
-    if getattr(solver, "order", None) != "colours":
+    if not isinstance(solver, BatchedPGS):
         return 1
     return crew_size(solver.threads, n_bodies, CIRCLES_A_THREAD)
 
 
-def _settings(solver: BatchedPGS) -> BatchSettings:
-    return BatchSettings(tolerance_argument(solver), solver.order == "colours")
-
-
 register(
     BatchedPGS,
-    _settings,
+    lambda solver: BatchSettings(tolerance_argument(solver)),
     (Loop(BatchSettings, relax_in_batches, frictionless=False),),
     advance=_Run,
 )

@@ -8,7 +8,8 @@ from outside this package registers in the same way; `tests/physics/test_registr
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import NamedTuple
 
@@ -48,6 +49,9 @@ class Entry(NamedTuple):
 
 METHODS: dict[str, type] = {}
 """Name in a state file -> options class."""
+
+GONE = ("SoftSteps", "APGD", "SymmetricPGS")
+"""Methods that old files may name."""
 
 _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}
@@ -105,6 +109,24 @@ def tolerance_argument(solver) -> float:
     if solver.tolerance == FOLLOWS_SCENE:
         raise ValueError(f"tolerance: expected a number or None, of for_state(solver, state), got {solver.tolerance!r}")
     return -1.0 if solver.tolerance is None else float(solver.tolerance)
+
+
+def solver_from(method: str, options: Mapping):
+    """The solver that a file names by its method and options; None, with a warning, for one that is gone.
+
+    Raises ValueError for an unknown method, and what the method raises for its options.
+    """
+    options = dict(options)
+    order = options.pop("order", "colours") if method == "BatchedPGS" else "colours"
+    if order not in ("colours", "levels"):
+        raise ValueError(f"order: expected colours, got {order!r}")
+    if order == "levels" or method in GONE:
+        name = "BatchedPGS(order='levels')" if order == "levels" else method
+        warnings.warn(f"solver: {name} is no longer part of Deep Contact; the default is taken instead", stacklevel=2)
+        return None
+    if method not in METHODS:
+        raise ValueError(f"method: expected one of {', '.join(sorted(METHODS))}, got {method!r}")
+    return METHODS[method](**options)
 
 
 def describe(solver) -> str:

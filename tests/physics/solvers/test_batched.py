@@ -13,8 +13,6 @@ from deep_contact.physics.solvers import batched
 from deep_contact.physics.step import StepWorkspace, make_log
 from deep_contact.studies import engines
 
-ORDERS = ("levels", "colours")
-
 
 @pytest.fixture(scope="module")
 def pile():
@@ -22,10 +20,10 @@ def pile():
     return engines.packed_pile(2500, seed=3, steps=10)
 
 
-def plan_of(state, order):
+def plan_of(state):
     """The plan of a state's contacts."""
     n, m = state.bodies.count, state.contacts.count
-    return batches.plan_batches(*state.contacts[:2], n, order == "colours", batches.make_plan(n, m))
+    return batches.plan_batches(*state.contacts[:2], n, batches.make_plan(n, m))
 
 
 def circles_of(state, contacts):
@@ -34,9 +32,8 @@ def circles_of(state, contacts):
     return pair[pair < state.bodies.count]
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_every_contact_has_one_place_of_its_own(order, pile):
-    plan, m = plan_of(pile, order), pile.contacts.count
+def test_every_contact_has_one_place_of_its_own(pile):
+    plan, m = plan_of(pile), pile.contacts.count
     assert m > 2 * batches.BLOCK
     assert np.unique(plan.place[:m]).size == m
     tiles = plan.count[batches.TILES]
@@ -48,7 +45,7 @@ def test_a_plan_holds_as_long_as_the_pairs_are_the_same(pile):
     n, contacts = pile.bodies.count, pile.contacts
     fresh = batches.make_plan(n, contacts.count)
     assert not batches.is_plan_of(fresh, n, contacts, contacts)
-    plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, True, fresh)
+    plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, fresh)
     others = contacts._replace(body_a=contacts.body_a.copy(), body_b=contacts.body_b.copy())
     assert batches.is_plan_of(plan, n, others, contacts)
     others.body_b[-1] += 1
@@ -57,10 +54,9 @@ def test_a_plan_holds_as_long_as_the_pairs_are_the_same(pile):
     assert not batches.is_plan_of(plan, n, fewer, contacts)
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_a_plan_that_is_kept_changes_no_bit(order):
+def test_a_plan_that_is_kept_changes_no_bit():
     # A pile of a hundred at rest, whose pairs are mostly those of the step before.
-    solver = dc.BatchedPGS(sweeps=10, order=order)
+    solver = dc.BatchedPGS(sweeps=10)
     rest = dc.simulate(dc.circles_in_box(100, seed=3), steps=400, solver=solver).state
     once, pairs, state = dc.simulate(rest, steps=40, solver=solver).state, [], rest
     for _ in range(40):  # each with a plan of its own
@@ -71,10 +67,9 @@ def test_a_plan_that_is_kept_changes_no_bit(order):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_no_circle_occurs_twice_in_a_batch(order, pile):
+def test_no_circle_occurs_twice_in_a_batch(pile):
     # By brute force, batch by batch, not only tile by tile: within a batch no tile may wait for another.
-    plan, m = plan_of(pile, order), pile.contacts.count
+    plan, m = plan_of(pile), pile.contacts.count
     block = np.searchsorted(plan.first[1 : plan.count[batches.BLOCKS] + 1], plan.place[:m] // 8, side="right")
     for key in np.unique(block * m + plan.batch[:m]):
         circles = circles_of(pile, np.flatnonzero(block * m + plan.batch[:m] == key))
@@ -82,12 +77,12 @@ def test_no_circle_occurs_twice_in_a_batch(order, pile):
 
 
 def test_phases_of_circles_in_order_are_shared(pile):
-    assert batched.phases_are_shared(plan_of(pile, "colours"))
-    assert not batched.phases_are_shared(plan_of(shuffled(pile), "colours"))
+    assert batched.phases_are_shared(plan_of(pile))
+    assert not batched.phases_are_shared(plan_of(shuffled(pile)))
 
 
 def test_blocks_of_a_phase_share_no_circle(pile):
-    plan, m = plan_of(pile, "colours"), pile.contacts.count
+    plan, m = plan_of(pile), pile.contacts.count
     blocks = np.arange(m) // batches.BLOCK
     seen = []
     for p in range(plan.count[batches.PHASES]):
@@ -101,15 +96,7 @@ def test_blocks_of_a_phase_share_no_circle(pile):
     )
 
 
-def test_levels_keep_the_order_of_every_circle(pile):
-    plan = plan_of(pile, "levels")
-    for circle in range(0, pile.bodies.count, 7):
-        mine = np.flatnonzero((pile.contacts.body_a == circle) | (pile.contacts.body_b == circle))
-        assert (np.diff(plan.place[mine] // 8) > 0).all()
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_more_contacts_than_a_mask_has_colours(order):
+def test_more_contacts_than_a_mask_has_colours():
     # A circle of 10 m with 90 small ones on it: 90 batches at the least, each with one of its contacts.
     angle = 2 * np.pi * np.arange(90) / 90
     position = np.vstack([[[15.0, 15.0]], 15 + 10.3 * np.column_stack([np.cos(angle), np.sin(angle)])])
@@ -117,76 +104,80 @@ def test_more_contacts_than_a_mask_has_colours(order):
         position, radius=np.r_[10.0, np.full(90, 0.32)], velocity=np.r_[[[0, 0]], 15 - position[1:]]
     )
     state = dc.simulate(dc.State(name="sun", world=dc.World(gravity=(0, 0)), bodies=bodies), steps=0).state
-    plan = plan_of(state, order)
+    plan = plan_of(state)
     of_the_large = np.flatnonzero(state.contacts.body_a == 0)
     assert of_the_large.size == 90
     assert np.unique(plan.place[of_the_large] // 8).size == 90
     exact = dc.PGS(sweeps=20_000, tolerance=1e-12)
     expected = dc.solve_contacts(state, solver=exact, start=None)
-    found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=20_000, tolerance=1e-12, order=order), start=None)
+    found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=20_000, tolerance=1e-12), start=None)
     np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
 
 
-@pytest.mark.parametrize("precision", ["double", "single"])
-def test_levels_are_the_sequential_sweep(precision, pile):
-    # Same contacts, same order for every circle: the same numbers up to rounding, θ and all.
-    options = {"sweeps": 30, "tolerance": None, "precision": precision}
-    expected = dc.solve_contacts(pile, solver=dc.PGS(**options))
-    found = dc.solve_contacts(pile, solver=dc.BatchedPGS(**options))
-    unit = np.finfo(np.float32 if precision == "single" else np.float64).eps
-    tolerance = 1e3 * unit * np.abs(expected.velocities).max()
-    np.testing.assert_allclose(found.velocities, expected.velocities, atol=tolerance)
-    np.testing.assert_allclose(found.record.theta, expected.record.theta, atol=10 * tolerance)
-
-
-@pytest.mark.parametrize("order", ORDERS)
-def test_the_fixed_point_is_that_of_sequential_sweeps(order, frictionless_states):
+def test_the_fixed_point_is_that_of_sequential_sweeps(frictionless_states):
     # Without friction there is one solution, whatever the order.
     for state in frictionless_states:
         exact = {"sweeps": 200_000, "tolerance": 1e-13}
         expected = dc.solve_contacts(state, solver=dc.PGS(**exact))
-        found = dc.solve_contacts(state, solver=dc.BatchedPGS(order=order, **exact))
+        found = dc.solve_contacts(state, solver=dc.BatchedPGS(**exact))
         assert found.record.status == expected.record.status == "converged"
         np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_a_solution_with_friction_stands_still(order, falling_states):
+def test_a_solution_with_friction_stands_still(falling_states):
     # With friction there may be several: each is left where it is by a sweep in any order.
     for state in falling_states[::4]:
         expected = dc.solve_contacts(state, solver=dc.PGS(sweeps=100_000, tolerance=1e-12))
         if expected.record.status == "converged":
             start = (expected.normal_impulses, expected.tangent_impulses)
-            found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=1, order=order), start=start)
+            found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=1), start=start)
             np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
 
 
-@pytest.mark.parametrize("order", ORDERS)
-def test_batches_keep_momentum(order):
+def test_batches_keep_momentum():
     scene = dc.drifting_circles(60, size=40.0, sigma_coef=0.9, speed=3.0, seed=2)
     state = dc.simulate(scene, steps=20).state
     inside = state.contacts.body_b < 60
     assert inside.any()
     # Walls take momentum, so their contacts go.
     state = state.replace(contacts=type(state.contacts)(*(field[inside] for field in state.contacts)))
-    found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=50, order=order), start=None)
+    found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=50), start=None)
     after = state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities)
     np.testing.assert_allclose(momentum(after), momentum(state.bodies), atol=1e-10)
 
 
-def test_positions_are_corrected_as_contact_by_contact(pile):
-    # One sweep over deep overlaps, circles and walls alike: those of a circle come in the same order.
+def in_the_order_of_batches(plan):
+    """The contacts of a plan in the order in which its sweeps relax them."""
+    m = plan.count[batches.CONTACTS]
+    turn = np.argsort(plan.order[: plan.count[batches.BLOCKS]])
+    return np.lexsort((plan.place[:m], turn[np.arange(m) // batches.BLOCK]))
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+def test_a_sweep_is_the_sequential_one_in_the_order_of_the_batches(precision, pile):
+    # The same numbers up to rounding, θ and all.
+    rows, solver_bodies, friction = engine.step_problem(pile, dc.PGS(precision=precision))
+    unit, found = np.finfo(solver_bodies.dtype).eps, []
+    for solver, order in ((dc.PGS, in_the_order_of_batches(plan_of(pile))), (dc.BatchedPGS, slice(None))):
+        copies, v, theta = contact_solver.Rows(*(f[order].copy() for f in rows)), solver_bodies.copy(), np.empty(30)
+        settings = engine.settings_of(solver(tolerance=None))
+        engine.solve_velocities(copies, friction, settings, v, theta)
+        found.append((v, theta))
+    tolerance = 1e3 * unit * np.abs(solver_bodies[:, :3]).max()
+    for one, other in zip(*found):
+        np.testing.assert_allclose(one, other, atol=10 * tolerance)
+
+
+def test_positions_are_corrected_in_the_order_of_the_batches(pile):
     rng = np.random.default_rng(0)
     deep = pile.bodies._replace(position=pile.bodies.position + rng.uniform(-0.15, 0.15, pile.bodies.position.shape))
     state = dc.simulate(pile.replace(bodies=deep, contacts=None), steps=0).state
     expected, found = (deep._replace(position=deep.position.copy()) for _ in range(2))
-    plan, n = plan_of(state, "levels"), state.bodies.count
-    room = position_correction.make_correction_room(n, state.contacts.count)
-    position_correction.correct_positions(expected, state.contacts, state.world.box, NO_SEGMENTS, state.scales, 3, room)
-    solver_bodies = np.zeros((n + 4, 4))
-    rows, _ = contact_solver.contact_rows(
-        deep, state.contacts, solver_bodies, 0.0, 1.0, contact_solver.make_rows(0, solver_bodies.dtype)
-    )
+    plan, n = plan_of(state), state.bodies.count
+    sorted_contacts = type(state.contacts)(*(field[in_the_order_of_batches(plan)] for field in state.contacts))
+    for _ in range(3):
+        position_correction.correct_in_turn(expected, sorted_contacts, state.world.box, NO_SEGMENTS, state.scales)
+    rows, solver_bodies, _ = engine.step_problem(state)
     tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1, solver_bodies.dtype))
     batched.correct_positions_in_batches(plan, tiles, found, state.world.box, state.scales, 3, ALONE)
     assert np.abs(expected.position - deep.position).max() > 0.05
@@ -231,7 +222,7 @@ def test_threads_change_no_bit(scene, precision, on_step, pile):
             state,
             steps=20,
             on_step=on_step,
-            solver=dc.BatchedPGS(sweeps=15, order="colours", threads=threads, precision=precision),
+            solver=dc.BatchedPGS(sweeps=15, threads=threads, precision=precision),
         )
         for threads in (1, 2)
     )
@@ -274,7 +265,7 @@ def test_batches_search_for_contacts_as_often_as_pgs():
 
 
 def test_walls_stay_as_they_are(pile):
-    solver = dc.BatchedPGS(sweeps=5, tolerance=6e-5, order="colours")
+    solver = dc.BatchedPGS(sweeps=5, tolerance=6e-5)
     rows, solver_bodies, friction = engine.step_problem(pile, solver)
     engine.solve_velocities(rows, friction, engine.settings_of(solver), solver_bodies, np.empty(5))
     np.testing.assert_array_equal(solver_bodies[-4:], 0.0)
@@ -283,9 +274,8 @@ def test_walls_stay_as_they_are(pile):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"order": "contacts"}, "order: expected one of levels, colours, got 'contacts'"),
-        ({"order": "colours", "threads": 0}, "threads: expected an integer >= 1, got 0"),
-        ({"threads": 2}, "threads: expected 1 with order='levels', got 2"),
+        ({"threads": 0}, "threads: expected an integer >= 1, got 0"),
+        ({"threads": 1.5}, "threads: expected an integer >= 1, got 1.5"),
     ],
 )
 def test_bad_options_are_refused(options, message):

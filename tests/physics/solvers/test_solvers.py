@@ -2,33 +2,24 @@
 
 import numpy as np
 import pytest
-from conftest import kinetic_energy, momentum, solved_states
+from conftest import solved_states
 from scipy import optimize
 
 import deep_contact as dc
-from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION
 from deep_contact.physics import engine, metrics
-from deep_contact.physics.collision import make_contacts
-from deep_contact.physics.contact_solver import apply_impulses, contact_rows, integrate_velocities, make_rows, sweep
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
-from deep_contact.physics.scenes import single_body
-from deep_contact.physics.solvers import METHODS, apgd, describe, nesterov, soft_steps
+from deep_contact.physics.solvers import METHODS, describe, nesterov
 from deep_contact.physics.solvers.psor import LARGEST_OMEGA, better_omega
 from deep_contact.physics.solvers.registry import for_state
-from deep_contact.simulation import ready
-from deep_contact.state import State, World, make_bodies
-from deep_contact.warm_start import Builtin
 
 PAST_NEED = {"sweeps": 100_000, "tolerance": 1e-11}
 EXACT = [
     dc.PGS(**PAST_NEED),
     dc.PSOR(**PAST_NEED),
     dc.PSOR(**PAST_NEED, omega=1.0, adaptive=True),
-    dc.SymmetricPGS(**PAST_NEED),
     dc.NNCG(**PAST_NEED),
     dc.NesterovPGS(**PAST_NEED),
-    dc.APGD(**PAST_NEED),
 ]
 """Methods that solve the rigid contact problem, far past need."""
 
@@ -154,13 +145,6 @@ def test_omega_goes_back_where_theta_grew_and_no_further_than_is_safe(rate, omeg
     np.testing.assert_allclose(better_omega(rate ** np.arange(12.0), 11, omega), expected, rtol=1e-12)
 
 
-def test_symmetric_sweeps_go_there_and_back(falling_states):
-    A, b, mu, impulse = problem_of(falling_states[5])
-    for k in range(4):
-        impulse = swept(A, b, mu, impulse, backwards=k % 2 == 1)
-    assert_impulses(dc.solve_contacts(falling_states[5], solver=dc.SymmetricPGS(sweeps=4, tolerance=None)), impulse)
-
-
 @pytest.mark.parametrize("sweeps", [2, 3, 6, 20])
 def test_nncg_is_fletcher_and_reeves_on_sweeps(falling_states, sweeps):
     # Silcowitz et al. 2010, Algorithm 3: λ ← λ + β p, p ← β p − ∇f with −∇f the sweep's change; p ← 0 where β > 1.
@@ -177,41 +161,7 @@ def test_nncg_is_fletcher_and_reeves_on_sweeps(falling_states, sweeps):
     assert_impulses(dc.solve_contacts(falling_states[5], solver=dc.NNCG(sweeps=sweeps, tolerance=None)), impulse)
 
 
-def test_apgd_is_nesterov_with_backtracking_and_restarts(falling_states):
-    # Mazhar et al. 2015, Algorithm 1, in λ / √D: the next θ of the momentum solves θ² + θ_k² θ − θ_k² = 0.
-    A, b, mu, before = problem_of(falling_states[5])
-    mass, y, lipschitz, momentum, theta = 1 / A.diagonal(), before, 2.0, 1.0, []
-    restarts = doubled = 0
-    for _ in range(40):
-        g = A @ y + b
-        free = y - mass * g / lipschitz
-        impulse = np.maximum(free, 0.0)
-        impulse[1::2] = np.clip(free[1::2], -mu * impulse[::2], mu * impulse[::2])
-        step = impulse - y
-        theta.append(lipschitz * np.abs(step).max())
-        if step @ A @ step > lipschitz * (step**2 / mass).sum():
-            lipschitz, doubled = 2 * lipschitz, doubled + 1
-            continue
-        restart = g @ (impulse - before) > 0
-        after = 1.0 if restart else np.roots([1, momentum**2, -(momentum**2)]).max()
-        share = 0.0 if restart else momentum * (1 - momentum) / (momentum**2 + after)
-        momentum, restarts = after, restarts + restart
-        y, before, lipschitz = impulse + share * (impulse - before), impulse, 0.9 * lipschitz
-    assert restarts > 0
-    assert doubled > 0
-    record = dc.solve_contacts(falling_states[5], solver=dc.APGD(sweeps=40, tolerance=None)).record
-    np.testing.assert_allclose(record.theta, theta, rtol=1e-7, atol=1e-11 * impulse.max())
-
-
-def test_kinetic_is_twice_the_kinetic_energy_of_all_circles():
-    # s = ω r of a disc: I ω² = m s² / 2. The four walls at the end are not moved.
-    rng = np.random.default_rng(0)
-    change, solver_bodies = rng.normal(size=(7, 4)), rng.uniform(0.5, 2.0, (7, 4))
-    expected = sum((x**2 + y**2 + s**2 / 2) / w for (x, y, s), w in zip(change[:3, :3], solver_bodies[:3, 3]))
-    np.testing.assert_allclose(apgd.kinetic(change, solver_bodies), expected, rtol=1e-14)
-
-
-@pytest.mark.parametrize("method", [dc.PSOR, dc.SymmetricPGS, dc.NNCG, dc.NesterovPGS])
+@pytest.mark.parametrize("method", [dc.PSOR, dc.NNCG, dc.NesterovPGS])
 def test_the_first_sweep_is_that_of_pgs(method, falling_states):
     options = {"omega": 1.0} if method is dc.PSOR else {}
     for state in falling_states[::5]:
@@ -230,19 +180,6 @@ def test_velocities_stay_those_of_the_impulses(solver, falling_states):
     velocity = contact_problem(state).velocities(impulse).reshape(-1, 3)
     np.testing.assert_allclose(solution.velocities, velocity[:, :2], atol=1e-9)
     np.testing.assert_allclose(solution.angular_velocities, velocity[:, 2], atol=1e-9)
-
-
-def test_gradient_steps_do_not_depend_on_the_order_of_contacts(falling_states):
-    # The same pile with its circles numbered backwards: APGD ends at the same velocities, PGS does not.
-    state = falling_states[6]
-    backwards = state.replace(
-        bodies=type(state.bodies)(*(np.ascontiguousarray(field[::-1]) for field in state.bodies)), contacts=None
-    )
-    for method, same in ((dc.APGD, True), (dc.PGS, False)):
-        solver = method(sweeps=40, tolerance=None)
-        one = dc.solve_contacts(state, solver=solver, start=None).velocities
-        other = dc.solve_contacts(backwards, solver=solver, start=None).velocities[::-1]
-        assert np.allclose(one, other, atol=1e-9) == same
 
 
 def test_nncg_needs_under_half_of_the_sweeps_of_pgs():
@@ -333,13 +270,13 @@ def test_what_is_not_finite_any_more_is_called_diverged(falling_states):
     # Beyond float32, and past the face of the package, which refuses such a start.
     state = falling_states[5]
     huge = np.full(state.contacts.count, 1e45)
-    for method in (dc.PGS, dc.NNCG, dc.NesterovPGS, dc.APGD):
+    for method in (dc.PGS, dc.NNCG, dc.NesterovPGS):
         assert engine.solve(state, method(precision="single"), huge, huge).record.status == "diverged"
 
 
 @pytest.mark.parametrize("method", METHODS.values(), ids=METHODS.keys())
 def test_every_method_goes_on_from_a_file_as_if_never_stopped(method, tmp_path):
-    solver = method() if method is dc.SoftSteps else method(sweeps=25)
+    solver = method(sweeps=25)
     scene = dc.circles_in_box(40, radius=(0.5, 1.5), restitution=0.3, seed=10)
     through = dc.simulate(scene, steps=140, solver=solver).state
     stopped = dc.simulate(scene, steps=70, solver=solver).state
@@ -349,176 +286,6 @@ def test_every_method_goes_on_from_a_file_as_if_never_stopped(method, tmp_path):
     resumed = dc.simulate(state, steps=70).state
     np.testing.assert_array_equal(resumed.bodies.position, through.bodies.position)
     np.testing.assert_array_equal(resumed.bodies.velocity, through.bodies.velocity)
-
-
-def test_soft_steps_fall_freely_in_small_steps():
-    # Symplectic Euler with h = Δt / 4: after N small steps y = y_0 − g h² N (N + 1) / 2.
-    steps, h, g = 20, 0.01 / 4, 9.81
-    state = dc.simulate(single_body(height=20.0), steps=steps, solver=dc.SoftSteps()).state
-    n = 4 * steps
-    fallen = single_body(height=20.0).bodies.position[0, 1] - state.bodies.position[0, 1]
-    np.testing.assert_allclose(fallen, g * h**2 * n * (n + 1) / 2, rtol=1e-12)
-
-
-def test_soft_column_carries_k_weights_and_keeps_its_height():
-    n, weight = 8, np.pi * 9.81 * 0.01
-    state = dc.simulate(dc.column(n), steps=400, solver=dc.SoftSteps()).state
-    below = {
-        a: p for a, b, p in zip(state.contacts.body_a, state.contacts.body_b, state.contacts.normal_impulse) if b < n
-    }
-    np.testing.assert_allclose([below[n - 1 - k] for k in range(1, n)], weight * np.arange(1, n), rtol=1e-3)
-    sunk = dc.column(n).bodies.position[:, 1] - state.bodies.position[:, 1]
-    assert (sunk <= 2 * LINEAR_SLOP * np.arange(1, n + 1)).all()
-
-
-def test_soft_steps_keep_momentum_and_make_no_energy():
-    scene = dc.drifting_circles(40, size=40.0, sigma_coef=0.9, speed=3.0, seed=2)
-    before = scene
-    for _ in range(30):
-        after = dc.step(before, solver=dc.SoftSteps())
-        if before.contacts is not None and (before.contacts.body_b < 40).all():
-            np.testing.assert_allclose(momentum(after.bodies), momentum(before.bodies), atol=1e-9)
-        # What had penetrated at the start of a step is pushed out, and the relaxing sweep takes the push back.
-        assert kinetic_energy(after.bodies) <= kinetic_energy(before.bodies) * (1 + 1e-9)
-        before = after
-
-
-@pytest.mark.parametrize("restitution", [0.5, 1.0])
-def test_soft_head_on_pair_ends_as_newton_says(restitution):
-    scene = dc.two_bodies(speed=4.0, radius=(1.0, 0.5), restitution=restitution)
-    solution = dc.solve_contacts(scene, solver=dc.SoftSteps(), start=None)
-    closing = solution.velocities[0, 0] - solution.velocities[1, 0]
-    np.testing.assert_allclose(closing, -restitution * 4.0, rtol=1e-9)
-
-
-def test_soft_pile_comes_to_rest():
-    state = dc.simulate(dc.circles_in_box(50, seed=5), steps=900, solver=dc.SoftSteps()).state
-    assert np.median(np.hypot(*state.bodies.velocity.T)) < 1e-2
-    assert metrics.penetration(state) < 3 * LINEAR_SLOP
-
-
-def test_a_soft_bounce_keeps_momentum_along_any_normal():
-    # Without friction and with e = 1 nothing of the energy is lost: circles of 1 and 3 kg along (0.6, 0.8).
-    bodies = make_bodies([[10.0, 10.0], [11.2, 11.6]], velocity=[[2.0, 3.0], [-1.0, 0.5]], spin=1.0, mass=[1.0, 3.0])
-    world = World(gravity=(0, 0), friction=0.0, restitution=1.0)
-    scene = State(name="oblique", world=world, bodies=bodies)
-    solution = dc.solve_contacts(scene, solver=dc.SoftSteps(), start=None)
-    after = bodies._replace(velocity=solution.velocities, spin=solution.angular_velocities)
-    np.testing.assert_allclose(momentum(after), momentum(bodies), rtol=1e-12)
-    np.testing.assert_allclose(kinetic_energy(after), kinetic_energy(bodies), rtol=1e-12)
-    change = after.velocity[1] - bodies.velocity[1]
-    np.testing.assert_allclose(change / np.hypot(*change), [0.6, 0.8], rtol=1e-9)
-
-
-SPRING = soft_steps.SoftSettings(substeps=4, hertz=30.0, damping_ratio=0.7, push_speed=1e9)
-
-
-def soft_row(scene, *, gap, start=0.0, speed=0.0):
-    """One contact for a small step: its rows with λ_n = `start` applied, solver bodies, masses and gap."""
-    state = ready(scene)
-    contacts = state.contacts._replace(normal_start=np.array([start]), tangent_start=np.zeros(1))
-    bodies = state.bodies._replace(velocity=state.bodies.velocity + speed * np.array([0.0, 1.0]))
-    solver_bodies = np.empty((bodies.count + 4, 4))
-    integrate_velocities(bodies, (0.0, 0.0), 0.0, solver_bodies)
-    rows, _ = contact_rows(bodies, contacts, solver_bodies, 0.0, 1.0, make_rows(1, solver_bodies.dtype))
-    apply_impulses(rows, solver_bodies)
-    return rows, solver_bodies, rows.data[:, 2].copy(), np.array([gap])
-
-
-@pytest.mark.parametrize("start", [0.0, 0.3])
-@pytest.mark.parametrize(("scene", "hertz"), [(dc.two_bodies(speed=0.0), 30.0), (single_body(), 60.0)])
-def test_soft_contacts_are_springs_by_implicit_euler(scene, hertz, start):
-    # m v' = −k C − c v with C' = v, k = m ω², c = 2 ζ m ω: v₁ = (v₀ − h ω² C₀) / (1 + 2 ζ ω h + ω² h²), whatever
-    # impulse the row starts from. Walls are twice as stiff. C: the gap beyond the slop.
-    h, zeta, omega, gap = 0.0025, 0.7, 2 * np.pi * hertz, -0.01
-    rows, solver_bodies, mass, gaps = soft_row(scene, gap=gap, start=start)
-    soft_steps.soften(rows, gaps, mass, SPRING, h, scene.bodies.count)
-    sweep(rows, 0.0, solver_bodies)
-    a, b = rows.body[0]
-    apart = (solver_bodies[b, :2] - solver_bodies[a, :2]) @ rows.data[0, :2]
-    np.testing.assert_allclose(apart, -h * omega**2 * gap / (1 + 2 * zeta * omega * h + (omega * h) ** 2), rtol=1e-12)
-
-
-def test_springs_push_no_faster_than_asked_and_no_stiffer_than_the_small_step_allows():
-    h, scene = 0.0025, single_body()
-    for hertz, push, expected in ((30.0, 0.2, 0.2), (1e4, 1e9, None), (100.0, 1e9, None)):
-        rows, _, mass, gaps = soft_row(scene, gap=-0.5)
-        settings = soft_steps.SoftSettings(substeps=4, hertz=hertz, damping_ratio=10.0, push_speed=push)
-        soft_steps.soften(rows, gaps, mass, settings, h, 1)
-        omega = 2 * np.pi * 2 * min(hertz, 0.25 / h)  # a quarter of the small steps a second, twice that for walls
-        np.testing.assert_allclose(rows.data[0, 6], expected or 0.5 * omega / (20 + h * omega), rtol=1e-12)
-
-
-@pytest.mark.parametrize(("speed", "expected"), [(-10.0, -4.0), (-3.0, -3.0)])
-def test_open_contacts_may_close_within_the_small_step(speed, expected):
-    # A gap of 0.01 m leaves 4 m/s for h = 0.0025 s, in both sweeps.
-    h = 0.0025
-    for stage in ("soften", "harden"):
-        rows, solver_bodies, mass, gaps = soft_row(single_body(), gap=0.01, speed=speed)
-        if stage == "soften":
-            soft_steps.soften(rows, gaps, mass, SPRING, h, 1)
-        else:
-            soft_steps.harden(rows, gaps, mass, h)
-        sweep(rows, 0.0, solver_bodies)
-        np.testing.assert_allclose(solver_bodies[0, 1], expected, rtol=1e-12)
-
-
-def test_the_second_sweep_takes_the_push_back():
-    rows, solver_bodies, mass, gaps = soft_row(single_body(), gap=-0.01)
-    soft_steps.soften(rows, gaps, mass, SPRING, 0.0025, 1)
-    sweep(rows, 0.0, solver_bodies)
-    soft_steps.harden(rows, gaps, mass, 0.0025)
-    sweep(rows, 0.0, solver_bodies)
-    np.testing.assert_allclose(solver_bodies[0, :2], 0.0, atol=1e-15)
-    np.testing.assert_array_equal(rows.data[:, 2], mass)
-
-
-def test_gaps_follow_the_bodies_along_the_normal():
-    # Separation and slop, plus what b has moved more than a along n; a wall does not move.
-    contacts = make_contacts(2)
-    contacts.body_a[:], contacts.body_b[:] = [0, 1], [1, 2]
-    contacts.normal[:], contacts.separation[:] = [[0.6, 0.8], [0.0, -1.0]], [-0.02, 0.03]
-    origin = np.array([[1.0, 2.0], [3.0, 5.0]])
-    moved = origin + np.array([[0.01, 0.02], [0.05, -0.04]])
-    gap = np.empty(2)
-    soft_steps.find_gaps(contacts, moved, origin, LINEAR_SLOP, gap)
-    expected = [-0.02 + LINEAR_SLOP + 0.6 * 0.04 + 0.8 * -0.06, 0.03 + LINEAR_SLOP - 0.04]
-    np.testing.assert_allclose(gap, expected, rtol=1e-12)
-
-
-def test_soft_steps_move_and_turn_no_further_than_the_engine():
-    scene = single_body(height=10.0)
-    fast = scene.bodies._replace(velocity=np.array([[-3e4, 4e4]]), spin=np.array([-1e5]))
-    bodies = dc.step(scene.replace(bodies=fast, world=World(gravity=(0, 0))), solver=dc.SoftSteps()).bodies
-    moved = bodies.position - scene.bodies.position
-    np.testing.assert_allclose(moved, [[-0.6 * MAX_TRANSLATION, 0.8 * MAX_TRANSLATION]], rtol=1e-12)
-    np.testing.assert_allclose(bodies.velocity, moved / 0.01, rtol=1e-12)
-    np.testing.assert_allclose([bodies.angle[0], bodies.spin[0] * 0.01], -MAX_ROTATION, rtol=1e-12)
-
-
-@pytest.mark.parametrize("precision", ["double", "single"])
-def test_soft_steps_leave_no_velocity_beyond_the_largest(precision):
-    # A bounce is given after the last small step: off a heavy circle at 190 m/s a light one would part at 380 m/s.
-    bodies = make_bodies([[10.0, 15.0], [12.0, 15.0]], velocity=[[190.0, 0.0], [0.0, 0.0]], mass=[1e3, 1.0])
-    scene = State(name="bounce", world=World(gravity=(0, 0), restitution=1.0), bodies=bodies)
-    after = dc.step(scene, solver=dc.SoftSteps(precision=precision)).bodies
-    # Cut in the precision of the sweeps: 24 bits.
-    np.testing.assert_allclose(after.velocity[1], [MAX_TRANSLATION / scene.dt, 0.0], rtol=1e-6)
-
-
-def test_the_options_of_soft_steps_say_what_a_step_costs():
-    solver = dc.SoftSteps(substeps=3)
-    assert (solver.sweeps, solver.position_sweeps, solver.tolerance) == (6, 0, None)
-    assert dc.simulate(dc.column(2), steps=1, solver=solver).sweeps[0] == 6
-
-
-def test_solving_softly_leaves_the_state_alone(falling_states):
-    state = falling_states[5]
-    before = [field.copy() for part in (state.bodies, state.contacts) for field in part]
-    solution = dc.solve_contacts(state, solver=dc.SoftSteps(), start=Builtin()(state, None))
-    assert np.abs(solution.velocities - state.bodies.velocity).max() > 0
-    for one, other in zip(before, [field for part in (state.bodies, state.contacts) for field in part]):
-        np.testing.assert_array_equal(one, other)
 
 
 def test_description_tells_what_differs():
@@ -534,9 +301,8 @@ def test_description_tells_what_differs():
         (dc.PSOR, {"friction_omega": 1, "adaptive": True}, "friction_omega: expected None with adaptive=True, got 1"),
         (dc.PSOR, {"adaptive": "yes"}, "adaptive: expected True or False, got 'yes'"),
         (dc.NNCG, {"precision": "half"}, "precision: expected one of double, single, got 'half'"),
-        (dc.APGD, {"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
-        (dc.SoftSteps, {"substeps": 0}, "substeps: expected an integer >= 1, got 0"),
-        (dc.SoftSteps, {"hertz": float("inf")}, "hertz: expected a finite number > 0, got inf"),
+        (dc.NNCG, {"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
+        (dc.PGS, {"substeps": 0}, "substeps: expected an integer >= 1, got 0"),
     ],
 )
 def test_methods_refuse_bad_options(method, options, message):
