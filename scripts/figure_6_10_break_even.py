@@ -1,4 +1,4 @@
-"""python scripts/figure_6_10_break_even.py: error against wall time, and where the learned start pays for itself."""
+"""python scripts/figure_6_10_break_even.py: where the time of a learned start is repaid, from given states."""
 
 from itertools import product
 
@@ -6,41 +6,29 @@ import numpy as np
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure, parallel_map
-from deep_contact.studies.break_even import (
-    CLASSICAL,
-    FEWEST,
-    LEARNED,
-    best_setting,
-    costs_of,
-    errors_of_pile,
-    interval,
-    median_ratio,
-    piles_of,
-    ratios,
-    times_of_pile,
-)
-from deep_contact.studies.held_out import start_of
+from deep_contact.studies import learned_starts
+from deep_contact.studies.learned_starts import CLASSICAL, FEWEST, LEARNED, best_timed, time_ratios
+from deep_contact.studies.starts import start_of
 
 TOLERANCES = (0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
 
 
 def compute(options, seed, jobs, progress):
     """Errors pile by pile, in parallel; then times in this process alone: nothing may run beside what is timed."""
-    starts = {name: name for name in CLASSICAL}
-    starts["far field"] = {"model": options["model"]}
+    starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
     tasks = [
         {**options, "circles": count, "kind": kind, "seed": s, "starts": starts}
         for count, kind in product(options["counts"], options["kinds"])
         for s in figures.seeds(seed + 20_000, options["piles"][str(count)])
     ]
-    piles = parallel_map(errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
+    piles = parallel_map(learned_starts.errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
     made = {name: start_of(description) for name, description in starts.items()}
     for pile, task in zip(piles, progress(tasks, text="times")):
-        pile.update(times_of_pile(task, made, options["repeats"]))
+        pile.update(learned_starts.times_of_pile(task, made, options["repeats"]))
     return {"sweeps": options["sweeps"], "piles": piles}
 
 
-def counts_of(data):
+def sizes_of(data):
     """Numbers of circles, rising."""
     return sorted({pile["circles"] for pile in data["piles"]})
 
@@ -51,97 +39,65 @@ def kinds_of(data):
 
 
 def claims(data):
-    """Whether there is a region where a learned start wins in wall time, and its cost in sweeps."""
-    cases = product(counts_of(data), kinds_of(data), LEARNED, TOLERANCES)
-    known = {case: found for case in cases if (found := interval(data, *case))}
-    wins = {case: found for case, found in known.items() if found[1] < 1}
-    ties = {case: found for case, found in known.items() if found[0] <= 1 <= found[1]}
+    """Whether the learned start reaches some error first, and what it costs."""
+    cases = product(sizes_of(data), kinds_of(data), TOLERANCES)
+    found = {case: learned_starts.median_with_interval(time_ratios(data, *case)) for case in cases}
+    found = {case: interval for case, interval in found.items() if interval}
+    known = sorted((high, middle, low, case) for case, (middle, low, high) in found.items())
     shown = [
-        {"where": ", ".join(map(str, case)), "ratio": median_ratio(data, *case), "from": low, "to": high}
-        for case, (low, high) in sorted((wins or ties).items(), key=lambda item: item[1][1])[:3]
+        {"where": ", ".join(map(str, case)), "ratio": middle, "from": low, "to": high}
+        for high, middle, low, case in known[:3]
     ]
-    cost = {name: {} for name in LEARNED}
-    for name, count in product(cost, counts_of(data)):
-        start, sweep = costs_of(piles_of(data, circles=count), name)
-        cost[name][f"{count} circles"] = {"ms": 1e3 * start, "in sweeps": start / sweep}
-    smallest = cost["far field"][f"{counts_of(data)[0]} circles"]["ms"]
-    text = "somewhere a learned start reaches an error sooner than the best classical setting (95 %)"
-    measured = {"cases": len(known), "wins": len(wins), "ties": len(ties), "best": shown, **cost}
-    found = [Claim(text, None, bool(wins), measured)]
-    text = "network, splat and gather together take at most 0.5 ms for 100 circles on one core"
-    return [*found, Claim(text, None, smallest <= 0.5, {"ms": smallest})]
+    wins, ties = sum(k[0] < 1 for k in known), sum(k[2] <= 1 <= k[0] for k in known)
+    prices = {f"{n} circles": learned_starts.price_of(data, n) for n in sizes_of(data)}
+    measured = {"cases": len(known), "wins": wins, "ties": ties, "best": shown, LEARNED: prices}
+    least = next(iter(prices.values()))["ms"]
+    return [
+        Claim("somewhere a learned start reaches an error sooner than the best classical setting (95 %)", None,
+              wins > 0, measured),
+        Claim("network, splat and gather together take at most 0.5 ms for 100 circles on one core", None,
+              least <= 0.5, {"ms": least}),
+    ]  # fmt: skip
 
 
 def table(data):
-    """Rows: time to an error from a learned start over that of the best classical setting, by pile; and which it is."""
+    """Rows: time to an error from the network over that of the best classical setting, by pile; and which it is."""
     rows = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]]
-    for kind, count in product(kinds_of(data), counts_of(data)):
-        for start in LEARNED:
-            found = [median_ratio(data, count, kind, start, error) for error in TOLERANCES]
-            cost, _ = costs_of(piles_of(data, circles=count, kind=kind), start)
-            rows.append([count, kind, start, 1e3 * cost, *found])
-        best = [best_setting(data, count, kind, CLASSICAL, error) for error in TOLERANCES]
-        names = [f"{one[0]}, {one[1]}" if one and np.isfinite(np.median(one[2])) else None for one in best]
+    for kind, count in product(kinds_of(data), sizes_of(data)):
+        ratios = [time_ratios(data, count, kind, error) for error in TOLERANCES]
+        cost = learned_starts.price_of(data, count)["ms"]
+        rows.append([count, kind, LEARNED, cost, *(float(np.median(r)) if r.size else None for r in ratios)])
+        best = [best_timed(data, count, kind, CLASSICAL, error) for error in TOLERANCES]
+        names = [name if seconds.size and np.isfinite(np.median(seconds)) else None for name, seconds in best]
         rows.append([count, kind, "best classical", None, *names])
     return rows
 
 
 def draw(data, options):
-    """Above: error against wall time, by number of circles. Below: the break-even maps.
+    """Time from the network over that of the best classical setting, by circles and error asked for.
 
-    The maps are grey where there are fewer than `FEWEST` states.
+    Grey where there are fewer than `FEWEST` states.
     """
-    counts, kinds = counts_of(data), kinds_of(data)
-    maps = list(product(kinds, LEARNED))
-    columns = max(len(counts), len(maps))
-    figure, axes = plotting.subplots(2, columns, size=(3.4 * columns, 6.8))
-    for axis, count in zip(axes[0], counts):
-        draw_errors(axis, data, options, count)
-    axes[0, 0].legend(fontsize=7)
-    for axis, (kind, start) in zip(axes[1], maps):
-        draw_map(axis, data, kind, start)
-    for axis in (*axes[0][len(counts) :], *axes[1][len(maps) :]):
-        axis.set_axis_off()
-    return figure
-
-
-def draw_errors(axis, data, options, count):
-    """Error against the median time to it: of the best classical setting, and of each learned start."""
-    solved = [pile for pile in piles_of(data, circles=count) if pile["errors"]]
-    if not solved:
-        axis.set_axis_off()
-        axis.set_title(f"{count:,} circles:\nno reference within {options['past_need']:,} sweeps")
-        return
-    kind = solved[-1]["kind"]
-    errors = np.geomspace(1.0, 0.005, 40)
-    groups = {"best classical": CLASSICAL} | {start: {start: solvers} for start, solvers in LEARNED.items()}
-    styles = plotting.styles_of(list(groups))
-    for name, settings in groups.items():
-        seconds = [np.median(best_setting(data, count, kind, settings, error)[2]) for error in errors]
-        shown = np.isfinite(seconds) & (np.array(seconds) > 0)
-        axis.plot(1e3 * np.array(seconds)[shown], errors[shown], **styles[name])
-    plotting.label_axes(axis, "wall time", "relative velocity error", x_unit="ms", title=f"{count:,} circles, {kind}")
-    plotting.log_axes(axis)
-
-
-def draw_map(axis, data, kind, start):
-    """Time from a start over that of the best classical setting, by number of circles and error."""
-    counts = counts_of(data)
-    cells = [[(data, count, kind, start, error) for error in TOLERANCES] for count in counts]
-    values = np.array([[median_ratio(*case) for case in row] for row in cells], dtype=np.float64)
-    states = np.array([[ratios(*case).size for case in row] for row in cells])
-    coloured = np.where(states >= FEWEST, np.log10(np.maximum(values, 0.1)), np.nan)
-    picture = axis.imshow(coloured, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
-    for (row, column), value in np.ndenumerate(values):
-        text = "–" if np.isnan(value) else f"{value:.0f}" if value >= 10 else f"{value:.2g}"
-        color = plotting.GREY if np.isnan(coloured[row, column]) else "white" if not 0.2 < value < 5 else "black"
-        axis.text(column, row, text, ha="center", va="center", fontsize=7, color=color)
-    axis.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES], fontsize=7)
-    axis.set_yticks(range(len(counts)), [f"{count:,}" for count in counts])
-    axis.grid(False)
-    plotting.label_axes(axis, "velocity error asked for", "circles", title=f"{start}, {kind}:\ntime over the rival's")
-    bar = axis.figure.colorbar(picture, ax=axis, ticks=[-1, 0, 1])
+    kinds, counts = kinds_of(data), sizes_of(data)
+    figure, axes = plotting.subplots(1, len(kinds), size=(5.0 * len(kinds), 3.6), squeeze=False)
+    for axis, kind in zip(axes[0], kinds):
+        cells = [[time_ratios(data, count, kind, error) for error in TOLERANCES] for count in counts]
+        values = np.array([[np.median(r) if r.size else np.nan for r in row] for row in cells])
+        enough = np.array([[r.size >= FEWEST for r in row] for row in cells])
+        coloured = np.where(enough, np.log10(np.maximum(values, 0.1)), np.nan)
+        picture = axis.imshow(coloured, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
+        for (row, column), value in np.ndenumerate(values):
+            text = "–" if np.isnan(value) else f"{value:.0f}" if value >= 10 else f"{value:.2g}"
+            color = plotting.GREY if not enough[row, column] else "black" if 0.2 < value < 5 else "white"
+            axis.text(column, row, text, ha="center", va="center", fontsize=8, color=color)
+        axis.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES])
+        axis.set_yticks(range(len(counts)), [f"{count:,}" for count in counts])
+        axis.grid(False)
+        plotting.label_axes(axis, "velocity error asked for", "circles", title=f"{kind} piles")
+    bar = figure.colorbar(picture, ax=axes, ticks=[-1, 0, 1])
     bar.set_ticklabels(["0.1", "1", "10"])
+    bar.set_label("time of the network's start over\nthat of the best classical setting")
+    return figure
 
 
 FIGURE = Figure(

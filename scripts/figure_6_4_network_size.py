@@ -5,23 +5,25 @@ as width_24.h5 on images whose nodes lie d mean radii apart. Where there are non
 """
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
+from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.break_even import sweep_times
+from deep_contact.studies import timing
 from deep_contact.studies.chapter_5 import networks_info
-from deep_contact.studies.held_out import (
+from deep_contact.studies.learned_starts import (
     cells_of,
     errors_on_scenes,
     mean_errors,
     ratios_to_builtin,
-    start_of,
-    start_us,
+    sweep_time,
     timing_state,
 )
+from deep_contact.studies.starts import start_of
 
 SHIPPED = "models/model.h5"
 MARKERS = "^sDv"
@@ -34,13 +36,13 @@ def compute(options, seed, jobs, progress):
     """Errors of every network on the same states of held-out scenes, and their times, one after the other."""
     networks = files(options["folder"])
     starts = {"builtin": "builtin"} | {name: {"model": path} for name, path in networks.items()}
-    scenes = errors_on_scenes(starts, options, seed=seed + 10_000, jobs=jobs, progress=progress)
+    (scenes,) = errors_on_scenes(starts, options, seed=seed + 10_000, jobs=jobs, progress=progress, with_all=[])
     info, state, repeats = networks_info(networks), timing_state(), options["repeats"]
     found = [
         {
             "name": name,
             "weights": info[name]["parameters"],
-            "us": start_us(start_of(starts[name]), state, repeats),
+            "us": 1e6 * timing.fastest(partial(start_of(starts[name]), state, PGS()), repeats),
             "spacing": spacing_of(name),
         }
         for name in networks
@@ -49,7 +51,7 @@ def compute(options, seed, jobs, progress):
         "after": options["after"],
         "networks": sorted(found, key=lambda network: (network["spacing"], network["weights"])),
         "scenes": scenes,
-        "sweep_us": 1e6 * sweep_times(state, repeats=repeats)["PGS"],
+        "sweep_us": 1e6 * sweep_time(state, "PGS", repeats),
     }
 
 
@@ -72,7 +74,7 @@ def claims(data):
     """Whether size pays, in error and in time."""
     found = []
     for network in data["networks"]:
-        ratio = ratios_to_builtin(data["scenes"], network["name"], "all")[:, 0]
+        ratio = ratios_to_builtin(data["scenes"], network["name"])[:, 0]
         network["ratio"] = {f"after {k}": float(value) for k, value in zip(data["after"], ratio)}
     at = "after 10" if 10 in data["after"] else f"after {data['after'][-1]}"
     sizes = [network for network in data["networks"] if network["spacing"] == 1]
@@ -102,9 +104,9 @@ def table(data):
     """Rows: weights, time, and the error left after some sweeps over Builtin's, with its 95 % interval."""
     rows = [["network", "weights", "μs", "in sweeps", *(f"error({k}) / Builtin's" for k in data["after"])]]
     for network in data["networks"]:
-        cells = cells_of(ratios_to_builtin(data["scenes"], network["name"], "all"))
+        cells = cells_of(ratios_to_builtin(data["scenes"], network["name"]))
         rows.append([network["name"], network["weights"], network["us"], network["us"] / data["sweep_us"], *cells])
-    builtin = mean_errors(data["scenes"], "builtin", "all").mean(axis=0)
+    builtin = mean_errors(data["scenes"], "builtin").mean(axis=0)
     rows.append(["builtin, its error", None, None, None, *(float(value) for value in builtin)])
     return rows
 
@@ -116,8 +118,7 @@ def draw(data, options):
     coarse = [network for network in data["networks"] if network["spacing"] > 1]
     weights = [network["weights"] for network in sizes]
     every, others = (
-        np.array([ratios_to_builtin(data["scenes"], network["name"], "all") for network in group])
-        for group in (sizes, coarse)
+        np.array([ratios_to_builtin(data["scenes"], network["name"]) for network in group]) for group in (sizes, coarse)
     )
     for i, k in enumerate(data["after"]):
         line = left.plot(weights, every[:, i, 0], marker="o", markersize=4, label=f"after {k} sweeps")

@@ -5,9 +5,9 @@ The networks of models/comparison were trained alike but for the one setting tha
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.held_out import (
+from deep_contact.studies.learned_starts import (
     CLASSICAL,
-    after_few,
+    FEW,
     best_errors,
     best_settings,
     cells_of,
@@ -38,7 +38,7 @@ def compute(options, seed, jobs, progress):
     paths = {name: f"{options['folder']}/{name}.h5" for name in NETWORKS}
     starts = {name: name for name in CLASSICAL} | {name: {"model": path} for name, path in paths.items()}
     settings = {"seed": seed + 40_000, "jobs": jobs, "progress": progress, "with_all": [*CLASSICAL, PLAIN]}
-    scenes = errors_on_scenes(starts, options, **settings)
+    (scenes,) = errors_on_scenes(starts, options, **settings)
     budget = {name: budget_of(path) for name, path in paths.items()}
     return {"after": options["after"], "scenes": scenes, "budget": budget}
 
@@ -55,7 +55,7 @@ def budget_of(path):
 
 def claims(data):
     """Whether contact rows, the correction and the loss through the solver each pay."""
-    few = after_few(data)
+    few = [data["after"].index(k) for k in FEW]
     found = {name: ratios_to_builtin(data["scenes"], name, "off")[few, 0] for name in NETWORKS}
 
     goals = {

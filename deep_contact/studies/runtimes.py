@@ -1,4 +1,4 @@
-"""Runtimes of the far-field network, and the parts of a start: Table 6.3. All times in μs, the least of several."""
+"""Times of the far-field network by runtime, and of the parts of its start: Table 6.3. In μs, the least of several."""
 
 from __future__ import annotations
 
@@ -10,10 +10,8 @@ import numpy as np
 
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
-from deep_contact.studies import timing
-from deep_contact.studies.break_even import start_times, sweep_times
-from deep_contact.studies.piles import pile, states_of
-from deep_contact.warm_start import Builtin, Scaled
+from deep_contact.studies import piles, timing
+from deep_contact.studies.learned_starts import sweep_time
 
 RUNTIMES = ("Numba", "XLA", "TensorFlow")
 """`cnn.convolution`; one program of TensorFlow's compiler; one call per layer."""
@@ -26,25 +24,18 @@ def times_in_process(task: Mapping) -> dict[str, list]:
 
 
 def times(task: Mapping) -> dict[str, list]:
-    """Times of all networks, runtimes and batches on the image of a settling pile, and of the parts of a start.
+    """Times of all networks, runtimes and batches on the image of a settling pile.
 
     task: "models": paths, "count" of circles, "threads", "batches": images at once, "repeats", "seed".
     Returns {"times": [{"network", "circles", "threads", "runtime", "batch", "us": per image}], "stages":
-    [{"network", "circles", "threads", **`parts_of_start`}], "starts": [{"start", "circles", "us", "sweep"}]: that
-    without an image, on rows that have been built, and a sweep of PSOR}; the stages and starts with one thread only.
+    [{"network", "circles", "threads", **`parts_of_start`}], with one thread only}.
     """
     from deep_contact.cnn.far_field import describe
     from deep_contact.cnn.inference import limit_threads, load_model, network_file
 
     limit_threads(task["threads"])
-    state = states_of(pile("settling", task["count"], task["seed"]), count=1)[0]
-    found = {"times": [], "stages": [], "starts": []}
-    if task["threads"] == 1:
-        starts = {"builtin": Builtin(), "scaled": Scaled()}
-        took = {name: us[0] for name, us in start_times([state], starts, repeats=task["repeats"]).items()}
-        sweep = sweep_times(state, repeats=task["repeats"])["PSOR"]
-        us = 1e6 * (took["scaled"] - took["builtin"])
-        found["starts"] = [{"start": "scaled", "circles": task["count"], "us": us, "sweep": 1e6 * sweep}]
+    state = piles.states_of(piles.pile("settling", task["count"], task["seed"]), count=1)[0]
+    found: dict = {"times": [], "stages": []}
     for path in task["models"]:
         model = load_model(network_file(path))
         image = describe(state, model.spec).image
@@ -98,5 +89,5 @@ def parts_of_start(model, state: State, repeats: int) -> dict[str, float]:
         "run": _us(lambda: model.run(description.image), repeats),
         "read": _us(read, repeats),
         "all": _us(lambda: start(state, PGS()), repeats),
-        "sweep": 1e6 * sweep_times(state, repeats=repeats)["PGS"],
+        "sweep": 1e6 * sweep_time(state, "PGS", repeats),
     }

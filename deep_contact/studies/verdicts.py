@@ -1,8 +1,8 @@
 """Verdicts on claims about starts, by the thesis's own measure: the mean θ after each sweep (Eq 2.30).
 
 A claim says that one start's θ over another's lies within a range. Whether it does is decided at each stored number of
-sweeps, by the interval of the ratio over scenes: 95 % of bootstrap resamplings of the scenes, the same ones for both
-starts, so that what is common to both falls out. Beside it stands our own measure, the sweeps to a threshold.
+sweeps, by the interval of the ratio over scenes (`interval`), whose resamplings draw the same scenes for both starts,
+so that what is common to both cancels. Beside it stands our own measure, the sweeps to a threshold.
 """
 
 from __future__ import annotations
@@ -10,15 +10,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
+from scipy import stats
 
 from deep_contact.reporting.figures import Claim
 
 FEWEST = 10
 """Scenes from which on a claim is judged."""
-
-RESAMPLINGS = 2000
-COVERAGE = (2.5, 97.5)
-"""Percentiles of the resamplings that bound an interval."""
 
 SMALLEST = 1e-15
 """θ below which a solve has come to rest, N·s: the rounding of impulses of some N·s in float64."""
@@ -39,15 +36,31 @@ def scenes_of(part: Mapping) -> int:
     return len(next(iter(part.values()))["scenes"]["states"])
 
 
-def resampled(part: Mapping, name: str, quantity: str = "theta") -> np.ndarray:
-    """A start's mean over the states of some scenes: of all scenes in row 0, of a resampling in each other row.
+def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
+    """[value, low, high], (3, …): a statistic of scenes and its bootstrap interval of 95 % by percentiles (Efron 1979).
 
-    part: one mode of `starts.compare_starts`' data. quantity: "theta", for rows of θ by sweep, or "sweeps", for
-    rows of one number. The same scenes are drawn for every start.
+    statistic: numbers of the scenes that are drawn, (rows, count), one row a resampling -> (rows, …). count: of scenes.
+    One scene has no spread: its interval is the value.
+    """
+    value = statistic(np.arange(count)[None])[0]
+    if count == 1:
+        return np.stack([value] * 3)
+    found = stats.bootstrap(
+        (np.arange(count),), lambda drawn, axis: np.moveaxis(statistic(np.atleast_2d(drawn)), 0, -1),
+        vectorized=True, method="percentile", n_resamples=resamples, random_state=0,
+    )  # fmt: skip
+    return np.stack([value, *found.confidence_interval])
+
+
+def mean_over_states(part: Mapping, name: str, drawn: np.ndarray, quantity: str = "theta") -> np.ndarray:
+    """A start's mean over the states of the scenes drawn, (rows, scenes) -> (rows, k).
+
+    part: one mode of `starts.compare_starts`' data. quantity: "theta", for curves of θ by sweep, or "sweeps", for one
+    number a scene.
     """
     scenes = part[name]["scenes"]
     count = len(scenes["states"])
-    weights = np.vstack([np.ones(count), _drawn(count)]) * np.asarray(scenes["states"])
+    weights = (drawn[:, :, None] == np.arange(count)).sum(axis=1) * np.asarray(scenes["states"])
     values = np.asarray(scenes[quantity], dtype=float).reshape(count, -1)
     return np.maximum(weights @ values / weights.sum(axis=1, keepdims=True), SMALLEST)
 
@@ -55,17 +68,19 @@ def resampled(part: Mapping, name: str, quantity: str = "theta") -> np.ndarray:
 def intervals(
     part: Mapping, first: Names, second: Names, *, quantity: str = "theta", of: Callable | None = None
 ) -> np.ndarray:
-    """[ratio, lower, upper end of its interval], (3, k): largest of the first starts over smallest of the second.
+    """[ratio, low, high], (3, k): largest of the first starts over smallest of the second.
 
-    of: taken of each resampled curve before the ratio, (rows, k) -> (rows,); by default the curve itself.
+    of: taken of each curve before the ratio, (rows, k) -> (rows,); by default the curve itself.
     """
 
-    def values(names):
-        found = [resampled(part, name, quantity) for name in ([names] if isinstance(names, str) else names)]
-        return [curve if of is None else of(curve)[:, None] for curve in found]
+    def ratio(drawn):
+        def values(names):
+            found = [mean_over_states(part, n, drawn, quantity) for n in ([names] if isinstance(names, str) else names)]
+            return found if of is None else [of(curve)[:, None] for curve in found]
 
-    ratio = np.maximum.reduce(values(first)) / np.minimum.reduce(values(second))
-    return np.vstack([ratio[:1], np.percentile(ratio[1:], COVERAGE, axis=0)])
+        return np.maximum.reduce(values(first)) / np.minimum.reduce(values(second))
+
+    return interval(ratio, scenes_of(part))
 
 
 def decided(found: np.ndarray, within: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -158,18 +173,15 @@ def judged_values(
 
     first, second: a number a scene, >= 0, (scenes,) each. also: more for `measured`.
     """
-    count = len(first)
-    weights = np.vstack([np.ones(count), _drawn(count)])
-    top, bottom = (np.maximum(weights @ np.asarray(values, dtype=float), SMALLEST) for values in (first, second))
-    ratio = top / bottom
-    found = np.array([ratio[0], *np.percentile(ratio[1:], COVERAGE)])[:, None]
-    measured = {"scenes": count, "ratio and its interval": found[:, 0].tolist(), "range": _range(within)}
-    return Claim(text, thesis, *_of_enough(count, *verdict(found, within), measured | dict(also or {})))
+    first, second = (np.asarray(values, dtype=float) for values in (first, second))
 
+    def ratio(drawn):
+        return np.maximum(first[drawn].mean(axis=1), SMALLEST) / np.maximum(second[drawn].mean(axis=1), SMALLEST)
 
-def _drawn(count: int) -> np.ndarray:
-    """How often each scene is drawn in each resampling, (resamplings, scenes)."""
-    return np.random.default_rng(0).multinomial(count, np.full(count, 1.0 / count), RESAMPLINGS)
+    found = interval(ratio, len(first))
+    measured = {"scenes": len(first), "ratio and its interval": found.tolist(), "range": _range(within)}
+    judged = verdict(found[:, None], within)
+    return Claim(text, thesis, *_of_enough(len(first), *judged, measured | dict(also or {})))
 
 
 def _of_enough(count: int, holds: bool | None, text: str, measured: dict) -> tuple:

@@ -1,0 +1,458 @@
+"""Learned starts against classical ones: Figures 6.4, 6.8 to 6.10 and 6.12, Tables 6.2 and 6.3.
+
+A setting is a start and the solver that follows it. A learned start with its best solver is compared with the best
+classical setting, chosen after the fact. Errors are velocity errors (`metrics`): on states that are given, or along
+runs that each setting drives itself. Times are measured apart, with nothing else running. Seeds of scenes are none
+that a network was trained on.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from itertools import product
+
+import numpy as np
+
+from deep_contact.constants import THETA_TOLERANCE
+from deep_contact.physics import metrics
+from deep_contact.physics.engine import solve, step_problem
+from deep_contact.physics.scenes import circles_in_box, lattice_in_box
+from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
+from deep_contact.reporting.figures import parallel_map, seeds
+from deep_contact.simulation import simulate, solve_contacts
+from deep_contact.state import State
+from deep_contact.studies import piles, timing
+from deep_contact.studies.starts import REFERENCE, solved_states, start_of
+from deep_contact.studies.verdicts import interval
+from deep_contact.warm_start import WarmStart
+
+BASE = "PSOR 1.75 | 1.45"
+"""The best PSOR along runs: ω of the normal rows, and of the friction rows."""
+
+SOLVERS = {
+    "PGS": PGS(),
+    "PSOR 1.3": PSOR(omega=1.3),
+    "PSOR 1.5": PSOR(omega=1.5),
+    "PSOR 1.7": PSOR(omega=1.7),
+    BASE: PSOR(omega=1.75, friction_omega=1.45),
+    "PSOR 1.8 | 1.4": PSOR(omega=1.8, friction_omega=1.4),
+    "PSOR adaptive": PSOR(adaptive=True),
+    "NesterovPGS": NesterovPGS(),
+    "NNCG": NNCG(),
+}
+SOLVERS["PSOR"] = SOLVERS[BASE]
+
+CLASSICAL = ("none", "builtin", "scaled")
+"""Starts that nothing was trained for."""
+
+
+def parts_of(setting: str) -> tuple[str, str]:
+    """(Start, solver) of a setting's name: "builtin, NNCG", or "builtin", which PGS follows."""
+    start, _, solver = setting.partition(", ")
+    return start, solver or "PGS"
+
+
+def errors_after(state: State, start: tuple, solver: str, sweeps: Sequence[int], references: Sequence) -> list[float]:
+    """Distances to the nearest reference after so many sweeps of a solver of `SOLVERS` from the impulses `start`."""
+    ends = [solve(state, replace(SOLVERS[solver], sweeps=k, tolerance=None), *start) for k in sweeps]
+    return [metrics.nearest_velocity_error(state, end, references) for end in ends]
+
+
+# ---- errors on states of held-out scenes: Figures 6.4, 6.8, 6.9, Table 6.2 ----
+
+FEW = (3, 10, 30)
+"""Numbers of sweeps that the claims are about."""
+
+OFF = 0.05
+"""Velocity error of Builtin's start above which a better start can matter."""
+
+ENOUGH = {"sweeps": 5000, "tolerance": THETA_TOLERANCE}
+"""How far runs are solved, and sweeps are counted."""
+
+FOLLOWING = ("PGS", "PSOR 1.3", BASE, "NesterovPGS", "NNCG")
+"""Solvers that follow a start where several are tried."""
+
+TRAINED = {"circles": [70, 110], "radius": [1.0, 1.0], "friction": 0.3, "dt": 0.01, "columns": None}
+"""The scenes of the training data."""
+
+
+def errors_on_scenes(
+    starts: Mapping[str, object],
+    options: Mapping,
+    *,
+    seed: int,
+    jobs,
+    progress: Callable,
+    with_all: Sequence[str],
+    kinds: Sequence[Mapping] = ({},),
+) -> list[list[dict]]:
+    """Errors of settings on the same states of scenes of each kind.
+
+    starts: name -> description (`starts.start_of`), among them "builtin". options: number of "scenes", "steps",
+    "every" or the number of "states" of a scene, and the numbers of sweeps "after" which errors are measured. with_all:
+    starts that all of `FOLLOWING` follow; PGS follows the others. kinds: what each changes of `TRAINED`.
+    Returns for each kind, scene by scene, {"step": (k,), "sweeps": {setting: (k,) sweeps until θ is below the
+    tolerance}, "errors": {setting: (k, len(after))}}.
+    """
+    tasks = [
+        {**options, "starts": starts, "with_all": with_all, "kind": {**TRAINED, **kind}, "number": i, "seed": s}
+        for i, kind in enumerate(kinds)
+        for s in seeds(seed + i, options["scenes"])
+    ]
+    found = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
+    return [[f for f, task in zip(found, tasks) if task["number"] == i] for i in range(len(kinds))]
+
+
+def _errors_on_scene(task: Mapping) -> dict:
+    starts = {name: start_of(description) for name, description in task["starts"].items()}
+    settings = [f"{name}, {s}" if s != "PGS" else name for name in starts for s in _following(name, task["with_all"])]
+    steps = round(task["steps"] * TRAINED["dt"] / task["kind"]["dt"])  # as much time in every kind
+    count = task.get("states") or task["steps"] // task["every"]
+    scene = scene_of_kind(task["kind"], task["seed"])
+    found: dict = {"step": [], "sweeps": {n: [] for n in settings}, "errors": {n: [] for n in settings}}
+    for state in solved_states(scene, steps=steps, every=max(1, steps // count), solver=PGS(**ENOUGH)):
+        solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
+        given = {name: start(state, PGS(**ENOUGH)) for name, start in starts.items()}
+        errors = {}
+        for name in settings:
+            start, solver = parts_of(name)
+            errors[name] = errors_after(state, given[start], solver, task["after"], [solution])
+        if not np.isfinite(list(errors.values())).all():
+            continue  # contacts without anything to solve
+        found["step"].append(state.step)
+        for name in settings:
+            start, solver = parts_of(name)
+            found["errors"][name].append(errors[name])
+            found["sweeps"][name].append(solve(state, replace(SOLVERS[solver], **ENOUGH), *given[start]).record.sweeps)
+    return found
+
+
+def _following(start: str, with_all: Sequence[str]) -> Sequence[str]:
+    return FOLLOWING if start in with_all else FOLLOWING[:1]
+
+
+def scene_of_kind(kind: Mapping, seed: int) -> State:
+    """A scene with the fields of `TRAINED`: a loose lattice where the thesis's box would be too small."""
+    rng = np.random.default_rng(seed)
+    count = int(rng.integers(kind["circles"][0], kind["circles"][1] + 1))
+    look = {"radius": kind["radius"], "friction": kind["friction"], "seed": rng}
+    if count > 120 or kind["radius"][1] > 1.0 or kind["columns"]:
+        scene = lattice_in_box(count, columns=kind["columns"], gap=0.3, **look)
+    else:
+        scene = circles_in_box(count, **look)
+    return scene.replace(dt=kind["dt"])
+
+
+def mean_errors(scenes: Sequence[Mapping], setting: str, where: str = "all") -> np.ndarray:
+    """Mean velocity errors of a setting, (scenes, numbers of sweeps).
+
+    where: "all" states, or only those where Builtin is "off" by more than `OFF`; scenes without any are left out.
+    """
+    means = []
+    for scene in scenes:
+        found, builtin = (np.array(scene["errors"][name]) for name in (setting, "builtin"))
+        chosen = builtin[:, 0] > OFF if where == "off" else np.ones(len(found), bool)
+        if chosen.any():
+            means.append(found[chosen].mean(axis=0))
+    return np.array(means)
+
+
+def best_settings(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "all") -> list[str]:
+    """For each number of sweeps the setting of some starts with the least mean error."""
+    names = [name for name in scenes[0]["errors"] if parts_of(name)[0] in starts]
+    means = np.array([mean_errors(scenes, name, where).mean(axis=0) for name in names])
+    return [names[i] for i in means.argmin(axis=0)]
+
+
+def best_errors(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "all") -> np.ndarray:
+    """`mean_errors` of the best setting of some starts for each number of sweeps."""
+    names = best_settings(scenes, starts, where)
+    return np.column_stack([mean_errors(scenes, name, where)[:, i] for i, name in enumerate(names)])
+
+
+def ratios_of(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Ratio of the means over scenes of two errors, (scenes, k), with its interval, (k, 3)."""
+    one, other = np.asarray(one), np.asarray(other)
+    return interval(lambda drawn: one[drawn].mean(axis=1) / other[drawn].mean(axis=1), len(one)).T
+
+
+def ratios_to_builtin(scenes: Sequence[Mapping], setting: str, where: str = "all") -> np.ndarray:
+    """`ratios_of` a setting to PGS from Builtin."""
+    return ratios_of(mean_errors(scenes, setting, where), mean_errors(scenes, "builtin", where))
+
+
+def ratios_to_best(scenes: Sequence[Mapping], start: str, where: str = "all") -> np.ndarray:
+    """`ratios_of` a start with its best solver to the best classical setting."""
+    return ratios_of(best_errors(scenes, [start], where), best_errors(scenes, CLASSICAL, where))
+
+
+def cells_of(ratios: np.ndarray, digits: int = 3) -> list[str]:
+    """Ratios with their intervals as text, one for each number of sweeps."""
+    return [f"{r:.{digits}f} ({low:.{digits}f}–{high:.{digits}f})" for r, low, high in ratios]
+
+
+# ---- times of starts and sweeps ----
+
+
+def timing_state() -> State:
+    """A state of 100 circles on which starts and sweeps are timed."""
+    return simulate(circles_in_box(100, seed=1), steps=200, solver=NNCG()).state
+
+
+def start_time(start: WarmStart, state: State, repeats: int) -> float:
+    """Seconds of a start on a state whose rows have been built: the least of the repeats."""
+    if hasattr(start, "from_problem"):
+        problem = step_problem(state)
+        return timing.fastest(lambda: start.from_problem(state, PGS(), problem), repeats)
+    return timing.fastest(lambda: start(state, PGS()), repeats)
+
+
+def sweep_time(state: State, solver: str, repeats: int) -> float:
+    """Seconds of a sweep of a solver over a state's contacts."""
+
+    def swept(k):
+        solve_contacts(state, solver=replace(SOLVERS[solver], sweeps=k, tolerance=None))
+
+    return timing.sweep_time(swept, state.contacts.count, repeats=repeats)
+
+
+# ---- time to an error from given states: Figure 6.10 ----
+
+TIMED = {
+    "none": ("PSOR",),
+    "builtin": ("PGS", "PSOR", "NNCG", "NesterovPGS"),
+    "scaled": ("PSOR", "NNCG", "NesterovPGS"),
+    "far field": ("PSOR", "NNCG", "NesterovPGS"),
+}
+"""Start -> the solvers that follow it."""
+
+LEARNED = "far field"
+
+FEWEST = 10
+"""Fewest states that decide a case."""
+
+
+def errors_of_pile(task: Mapping) -> dict:
+    """Errors of the settings of `TIMED` by sweeps on states of one pile.
+
+    task: "circles", "kind", "seed", "starts": name -> description, "states" and "every" of the pile, "sweeps",
+    "past_need": sweeps to the references, "exact": numbers of circles whose references are exact.
+    """
+    starts = {name: start_of(description) for name, description in task["starts"].items()}
+    states, found = _states_of_pile(task), []
+    for state in states:
+        given = {name: start(state, PGS()) for name, start in starts.items()}
+        far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
+        ends = [solve(state, solver, *impulses) for impulses in given.values() for solver in far]
+        references = piles.references_from(state, ends, exact=task["circles"] in task["exact"])
+        if references:
+            found.append(
+                {
+                    name: {s: errors_after(state, given[name], s, task["sweeps"], references) for s in TIMED[name]}
+                    for name in starts
+                }
+            )
+        else:
+            found.append({})
+    return {
+        "circles": task["circles"],
+        "kind": task["kind"],
+        "contacts": float(np.mean([state.contacts.count for state in states])),
+        "used": [i for i, errors in enumerate(found) if errors],
+        "errors": [errors for errors in found if errors],
+    }
+
+
+def times_of_pile(task: Mapping, starts: Mapping[str, WarmStart], repeats: int) -> dict:
+    """Seconds of every start on every state of a pile, and of a sweep of every solver on the last one."""
+    states, solvers = _states_of_pile(task), {solver for of_start in TIMED.values() for solver in of_start}
+    return {
+        "start_seconds": {name: [start_time(start, s, repeats) for s in states] for name, start in starts.items()},
+        "sweep_seconds": {name: sweep_time(states[-1], name, repeats) for name in sorted(solvers)},
+    }
+
+
+def _states_of_pile(task: Mapping) -> list[State]:
+    start = piles.pile(task["kind"], task["circles"], task["seed"])
+    return piles.states_of(start, count=task["states"], every=task["every"])
+
+
+def sweeps_to(found: Sequence[float], sweeps: Sequence[int], error: float) -> float:
+    """Sweeps after which an error stays within `error`, interpolated in its logarithm; infinite if it does not.
+
+    found: errors after each of `sweeps`, increasing.
+    """
+    off = np.asarray(found, dtype=np.float64)
+    above = np.flatnonzero(~(off <= error))
+    if above.size == 0:
+        return float(sweeps[0])
+    last = int(above[-1])
+    if last == len(off) - 1:
+        return np.inf
+    high, low = np.log(off[last]), np.log(max(off[last + 1], 1e-300))
+    share = (high - np.log(error)) / (high - low) if high > low else 1.0
+    return float(sweeps[last] + share * (sweeps[last + 1] - sweeps[last]))
+
+
+def piles_of(data: Mapping, **values) -> list[dict]:
+    """The piles with these values, such as circles=100, kind="settling"."""
+    return [pile for pile in data["piles"] if all(pile[name] == value for name, value in values.items())]
+
+
+def price_of(data: Mapping, circles: int, start: str = LEARNED) -> dict[str, float]:
+    """Median time of a start, "ms", and "in sweeps" of PGS."""
+    here = piles_of(data, circles=circles)
+    seconds = float(np.median(np.concatenate([pile["start_seconds"][start] for pile in here])))
+    return {"ms": 1e3 * seconds, "in sweeps": seconds / float(np.median([p["sweep_seconds"]["PGS"] for p in here]))}
+
+
+def best_timed(data: Mapping, circles: int, kind: str, starts: Iterable[str], error: float) -> tuple[str, np.ndarray]:
+    """(Name, seconds to an error on each state) of the setting of some starts with the least median time.
+
+    The time is infinite where the error is not reached, and there are no states where nothing was solved.
+    """
+    found = {}
+    for start, solver in ((name, solver) for name in starts for solver in TIMED[name]):
+        found[f"{start}, {solver}"] = np.array(
+            [
+                pile["start_seconds"][start][i]
+                + sweeps_to(errors[start][solver], data["sweeps"], error) * pile["sweep_seconds"][solver]
+                for pile in piles_of(data, circles=circles, kind=kind)
+                for i, errors in zip(pile["used"], pile["errors"])
+            ]
+        )
+    return min(found.items(), key=lambda one: np.median(one[1]) if one[1].size else np.inf)
+
+
+def time_ratios(data: Mapping, circles: int, kind: str, error: float) -> np.ndarray:
+    """Time of the learned start with its best solver over that of the best classical setting, state by state.
+
+    0 where only the learned start reaches the error. Empty where neither does on half of the states.
+    """
+    (_, one), (_, other) = (best_timed(data, circles, kind, s, error) for s in ([LEARNED], CLASSICAL))
+    done = np.isfinite(one) | np.isfinite(other)
+    return one[done] / other[done] if 2 * done.sum() > done.size else np.empty(0)
+
+
+def median_with_interval(ratios: np.ndarray) -> list[float] | None:
+    """[median, low, high]; None from fewer than `FEWEST` states."""
+    if ratios.size < FEWEST:
+        return None
+    return interval(lambda drawn: np.median(ratios[drawn], axis=1), ratios.size).tolist()
+
+
+# ---- runs of their own: Figure 6.12 ----
+
+
+def error_along_run(task: Mapping) -> float:
+    """Mean velocity error of the steps of a run that a setting drives.
+
+    task: "circles", "seed", "setting", "start": its description, "sweeps", "steps", "every": steps between two that
+    are judged, "past_need": sweeps of NNCG from where a step ends to its reference.
+    """
+    solver = replace(SOLVERS[parts_of(task["setting"])[1]], sweeps=task["sweeps"], tolerance=None)
+    start, errors = start_of(task["start"]), []
+    scene = _falling(task["circles"], task["seed"])
+    run = simulate(scene, steps=task["steps"], solver=solver, warm_start=start, record=task["every"])
+    for state in list(run.trajectory)[1:]:
+        if state.contacts.count:
+            end = solve(state, solver, *start(state, solver))
+            far = NNCG(sweeps=task["past_need"], tolerance=1e-9)
+            reference = solve(state, far, end.normal_impulses, end.tangent_impulses)
+            errors.append(metrics.velocity_error(state, end, reference))
+    return float(np.mean(errors))
+
+
+def _falling(circles: int, seed: int) -> State:
+    """A square lattice, loose or very loose, that falls on the floor and settles."""
+    return lattice_in_box(circles, gap=0.1 if seed % 2 else 0.2, seed=seed)
+
+
+def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable) -> list[dict]:
+    """For each size, setting and number of sweeps {"circles", "setting", "sweeps", "error": of each scene, "seconds":
+    of a step}.
+
+    starts: name -> description. options: "runs": {circles as text: {"scenes", "sweeps": numbers, "settings": names}},
+    "steps", "every", "past_need", "repeats".
+    """
+    entries, tasks = [], []
+    for text, plan in options["runs"].items():
+        chosen = [int(s % 100_000) + 300_000 for s in seeds(seed + int(text), plan["scenes"])]
+        for name, sweeps in product(plan["settings"], plan["sweeps"]):
+            entries.append({"circles": int(text), "setting": name, "sweeps": sweeps})
+            common = entries[-1] | {key: options[key] for key in ("steps", "every", "past_need")}
+            tasks += [common | {"start": starts[parts_of(name)[0]], "seed": s} for s in chosen]
+    errors = iter(parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text="runs"))
+    for entry in entries:
+        entry["error"] = [next(errors) for _ in range(options["runs"][str(entry["circles"])]["scenes"])]
+    for text in options["runs"]:
+        here = [entry for entry in entries if entry["circles"] == int(text)]
+        scene, runs = _falling(int(text), 1), {}
+        for name, sweeps in {(_timed_as(entry["setting"]), entry["sweeps"]) for entry in here}:
+            start, solver = parts_of(name)
+            how = {"solver": replace(SOLVERS[solver], sweeps=sweeps, tolerance=None), "steps": options["steps"]}
+            how["warm_start"] = start_of(starts[start])
+            runs[name, sweeps] = lambda how=how, scene=scene: simulate(scene, **how)
+        took = timing.interleaved(runs, repeats=options["repeats"], clock=time.thread_time)
+        for entry in here:
+            entry["seconds"] = took[_timed_as(entry["setting"]), entry["sweeps"]] / options["steps"]
+    return entries
+
+
+def _timed_as(setting: str) -> str:
+    """The setting whose time is taken for one: PSOR with any fixed ω does the same operations."""
+    start, solver = parts_of(setting)
+    return f"{start}, {BASE}" if isinstance(SOLVERS[solver], PSOR) and not SOLVERS[solver].adaptive else setting
+
+
+def curve(entries: Sequence[Mapping], circles: int, setting: str) -> tuple[np.ndarray, np.ndarray]:
+    """(seconds (c,), errors (c, scenes)) of a setting by its numbers of sweeps.
+
+    No time is longer than that of more sweeps: a run of very few sweeps can take longer, because it has more positions
+    to correct.
+    """
+    here = [entry for entry in entries if (entry["circles"], entry["setting"]) == (circles, setting)]
+    here.sort(key=lambda entry: entry["sweeps"])
+    seconds = np.minimum.accumulate([entry["seconds"] for entry in here[::-1]])[::-1]
+    return seconds, np.array([entry["error"] for entry in here])
+
+
+def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarray | None:
+    """Errors (scenes,) at a time, interpolated in logarithms; beyond the last time the last ones.
+
+    None if the fewest sweeps take longer.
+    """
+    if seconds < times[0]:
+        return None
+    k = int(np.searchsorted(times, seconds, side="right"))
+    if k == len(times):
+        return errors[-1]
+    low, high = np.log(times[k - 1]), np.log(times[k])
+    share = (np.log(seconds) - low) / (high - low)
+    return np.exp((1 - share) * np.log(errors[k - 1]) + share * np.log(errors[k]))
+
+
+def settings_of(entries: Sequence[Mapping], circles: int) -> list[str]:
+    """The settings that were run with so many circles."""
+    return list(dict.fromkeys(entry["setting"] for entry in entries if entry["circles"] == circles))
+
+
+def at_equal_times(entries: Sequence[Mapping], columns: Sequence[int]) -> list[dict]:
+    """Errors of all settings at the time of so many sweeps of `BASE` from Builtin, for every size.
+
+    Returns [{"circles", "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best": the
+    classical setting of the least mean error}].
+    """
+    found = []
+    for circles, sweeps in product(dict.fromkeys(entry["circles"] for entry in entries), columns):
+        here = [e["sweeps"] for e in entries if (e["circles"], e["setting"]) == (circles, f"builtin, {BASE}")]
+        if sweeps not in here:
+            continue
+        seconds = float(curve(entries, circles, f"builtin, {BASE}")[0][sorted(here).index(sweeps)])
+        errors = {name: error_at(seconds, *curve(entries, circles, name)) for name in settings_of(entries, circles)}
+        means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}
+        best = min(means, key=means.get)
+        found.append({"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors, "best": best})
+    return found
