@@ -267,7 +267,7 @@ def _swept(blocks: Blocks, impulse, sweeps):
     """The impulses after sweeps of PGS, (m, 2), in the cone, which those of a sweep leave by what λ_n fell in it."""
     impulse = impulse.copy()
     for _ in range(sweeps):
-        sweep(blocks, impulse, 1.0, 1.0, False)
+        sweep(blocks, impulse)
     for i in range(impulse.shape[0]):
         bound = blocks.mu[i] * impulse[i, 0]
         impulse[i, 1] = max(-bound, min(impulse[i, 1], bound))

@@ -1,9 +1,9 @@
-"""The solvers on a contact problem of matrices, A λ + b: for problems of which no bodies are known.
+"""PGS and NesterovPGS on a contact problem of matrices, A λ + b: for problems of which no bodies are known.
 
 The engine's sweeps walk from contact to body and back and never see A. Here a sweep gathers the velocities of a
 contact's two rows from A's blocks of 2 × 2, one for every contact with which it shares a body. The blocks on the
 diagonal may couple normal and tangent, as they do for shapes other than circles, and μ may differ from contact to
-contact. Methods and options are those of `solvers`; in exact arithmetic their sweeps are the engine's.
+contact. In exact arithmetic the sweeps are the engine's.
 """
 
 from __future__ import annotations
@@ -18,9 +18,8 @@ from scipy import sparse
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
 from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem, finite
-from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
+from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers import nesterov as with_momentum
-from deep_contact.physics.solvers import nncg as with_directions
 from deep_contact.validation import integer, number
 
 CHECK_EVERY = 10
@@ -80,10 +79,10 @@ def solve_problem(
 ) -> tuple[np.ndarray, ConvergenceRecord]:
     """Impulses of a contact problem with friction, (2 m,), and how the sweeps went. The problem stays as it is.
 
-    solver: `PGS` (the default), `PSOR`, `SymmetricPGS`, `NNCG`, `NesterovPGS` or `APGD`, in double precision; their
-    tolerance is a number, or None. start: λ to start from, (2 m,); by default 0. error: stop as well once
-    `siconos_error` is no larger, looked at every `CHECK_EVERY` sweeps; the record's status is "converged" then.
-    Impulses are returned in the friction cone. Raises ValueError naming the argument.
+    solver: `PGS` (the default) or `NesterovPGS`, in double precision; its tolerance is a number, or None. start: λ to
+    start from, (2 m,); by default 0. error: stop as well once `siconos_error` is no larger, looked at every
+    `CHECK_EVERY` sweeps; the record's status is "converged" then. Impulses are returned in the friction cone. Raises
+    ValueError naming the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
     loop = _LOOPS.get(type(solver))
@@ -101,7 +100,7 @@ def solve_problem(
     theta = np.empty(integer("sweeps", solver.sweeps))
     blocks = blocks_of(problem)
     pairs = impulse.reshape(-1, 2)
-    done, met = loop(blocks, pairs, stop, theta, solver)
+    done, met = loop(blocks, pairs, stop, theta)
     record = convergence_record(theta[:done], solver, blocks.mu.size)
     if met and record.status == "max_sweeps":
         record = record._replace(status="converged")
@@ -121,19 +120,17 @@ def gather(blocks, impulse, i):
 
 
 @njit(cache=True)
-def sweep(blocks, impulse, omega_n, omega_t, backwards):
+def sweep(blocks, impulse):
     """A sweep over all contacts, in place, the friction row before the normal row. Returns θ, N·s."""
-    m = impulse.shape[0]
     theta = 0.0
-    for step in range(m):
-        i = m - 1 - step if backwards else step
+    for i in range(impulse.shape[0]):
         u_n, u_t = gather(blocks, impulse, i)
         own = blocks.diagonal[i]
         old_n, old_t = impulse[i, 0], impulse[i, 1]
         largest = blocks.mu[i] * old_n
-        new_t = old_t - omega_t * own[5] * (u_t + own[2] * old_n + own[3] * old_t)
+        new_t = old_t - own[5] * (u_t + own[2] * old_n + own[3] * old_t)
         new_t = max(-largest, min(new_t, largest))
-        new_n = max(0.0, old_n - omega_n * own[4] * (u_n + own[0] * old_n + own[1] * new_t))
+        new_n = max(0.0, old_n - own[4] * (u_n + own[0] * old_n + own[1] * new_t))
         theta = max(theta, max(abs(new_n - old_n), abs(new_t - old_t)))
         impulse[i, 0], impulse[i, 1] = new_n, new_t
     return theta
@@ -166,34 +163,13 @@ def is_met(blocks, impulse, stop, k):
 
 
 @njit(cache=True)
-def _relax_plain(blocks, impulse, stop, theta, omega_n, omega_t, symmetric):
-    least = min(omega_n, omega_t)
+def _relax_plain(blocks, impulse, stop, theta):
+    """PGS."""
     for k in range(theta.shape[0]):
-        theta[k] = sweep(blocks, impulse, omega_n, omega_t, symmetric and k % 2 == 1) / least
+        theta[k] = sweep(blocks, impulse)
         met = is_met(blocks, impulse, stop, k)
         if is_over(theta[k], stop.tolerance) or met:
             return k + 1, met
-    return theta.shape[0], False
-
-
-@njit(cache=True)
-def _relax_directions(blocks, impulse, stop, theta):
-    """NNCG: see `solvers.nncg.relax_nncg`. Velocities are gathered, so that only impulses are extrapolated."""
-    flat = impulse.reshape(impulse.size)
-    last, along = flat.copy(), np.zeros_like(flat)
-    last_size = np.inf
-    for k in range(theta.shape[0]):
-        theta[k] = sweep(blocks, impulse, 1.0, 1.0, False)
-        met = is_met(blocks, impulse, stop, k)
-        if is_over(theta[k], stop.tolerance) or met or k + 1 == theta.shape[0]:
-            return k + 1, met
-        size = with_directions.squared_distance(flat, last)
-        beta = size / last_size if last_size > 0.0 else 0.0
-        last_size = size
-        if beta > 1.0:
-            with_directions.reset(flat, last, along)
-        else:
-            with_directions.extrapolate(flat, last, along, beta)
     return theta.shape[0], False
 
 
@@ -205,7 +181,7 @@ def _relax_momentum(blocks, impulse, stop, theta):
     t, bound = 1.0, with_momentum.FIRST_MOMENTUM
     last_size, before, now = np.inf, np.inf, 0.0
     for k in range(theta.shape[0]):
-        theta[k] = sweep(blocks, impulse, 1.0, 1.0, False)
+        theta[k] = sweep(blocks, impulse)
         met = is_met(blocks, impulse, stop, k)
         if is_over(theta[k], stop.tolerance) or met or k + 1 == theta.shape[0]:
             return k + 1, met
@@ -229,63 +205,4 @@ def _relax_momentum(blocks, impulse, stop, theta):
     return theta.shape[0], False
 
 
-@njit(cache=True)
-def _relax_gradient(blocks, impulse, stop, theta):
-    """APGD: see `solvers.apgd.relax_apgd`. An evaluation of the gradient is a product with A."""
-    y, before = impulse.copy(), impulse.copy()
-    u, u_y = np.empty_like(impulse), np.empty_like(impulse)
-    velocities(blocks, y, u_y)
-    u_before = u_y.copy()
-    lipschitz, momentum = 2.0, 1.0
-    k = 0
-    while k < theta.shape[0]:
-        largest = size = slope = 0.0
-        for i in range(impulse.shape[0]):
-            d_n, d_t = blocks.diagonal[i, 4], blocks.diagonal[i, 5]
-            new_n = max(y[i, 0] - d_n * u_y[i, 0] / lipschitz, 0.0)
-            bound = blocks.mu[i] * new_n
-            new_t = max(-bound, min(y[i, 1] - d_t * u_y[i, 1] / lipschitz, bound))
-            p_n, p_t = new_n - y[i, 0], new_t - y[i, 1]
-            largest = max(largest, max(abs(p_n), abs(p_t)))
-            size += p_n * p_n / d_n + p_t * p_t / d_t
-            slope += u_y[i, 0] * (new_n - before[i, 0]) + u_y[i, 1] * (new_t - before[i, 1])
-            impulse[i, 0], impulse[i, 1] = new_n, new_t
-        theta[k] = largest * lipschitz
-        k += 1
-        velocities(blocks, impulse, u)
-        bend = ((impulse - y) * (u - u_y)).sum()
-        if bend > lipschitz * size * (1.0 + 1e-9) and k < theta.shape[0] and theta[k - 1] > 0.0:
-            lipschitz *= 2.0
-            continue
-        met = is_met(blocks, impulse, stop, k - 1)
-        if is_over(theta[k - 1], stop.tolerance) or met:
-            return k, met
-        share = 0.0
-        if slope > 0.0:
-            momentum = 1.0
-        else:
-            after = 0.5 * momentum * (math.sqrt(momentum * momentum + 4.0) - momentum)
-            share = momentum * (1.0 - momentum) / (momentum * momentum + after)
-            momentum = after
-        # Velocities are linear in the impulses, so theirs is extrapolated instead of gathered again.
-        y[:] = impulse + share * (impulse - before)
-        u_y[:] = u + share * (u - u_before)
-        before[:] = impulse
-        u_before[:] = u
-        lipschitz *= 0.9
-    return theta.shape[0], False
-
-
-def _over_relaxed(blocks, impulse, stop, theta, solver):
-    if solver.adaptive:
-        raise ValueError("adaptive: expected False on a problem of matrices, got True")
-    tangent = solver.omega if solver.friction_omega is None else solver.friction_omega
-    return _relax_plain(blocks, impulse, stop, theta, float(solver.omega), float(tangent), False)
-
-
-_LOOPS = {
-    PGS: lambda blocks, impulse, stop, theta, _: _relax_plain(blocks, impulse, stop, theta, 1.0, 1.0, False),
-    PSOR: _over_relaxed,
-    NNCG: lambda blocks, impulse, stop, theta, _: _relax_directions(blocks, impulse, stop, theta),
-    NesterovPGS: lambda blocks, impulse, stop, theta, _: _relax_momentum(blocks, impulse, stop, theta),
-}
+_LOOPS = {PGS: _relax_plain, NesterovPGS: _relax_momentum}

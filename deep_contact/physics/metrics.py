@@ -1,36 +1,20 @@
 """How wrong the solution of a step is: every error defined once, with its unit and source.
 
 θ is a stopping rule, not an error: it is the size of the last step, and a method that creeps takes small steps far
-from the solution. Below, a solution is held against the contact problem itself (`residual`, `approach`: what is left
-unsolved) and against a solution, as `physics.exact` finds them (`velocity_error`). Impulses are not compared: with
-friction a pile has many that give the same velocities.
+from the solution. Below, a solution is held against the contact problem itself (`residual`: what is left unsolved) and
+against a solution, as `physics.exact` finds them (`velocity_error`). Impulses are not compared: with friction a pile
+has many that give the same velocities.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from deep_contact.physics.engine import ContactSolution, contacts_of
 from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import Bodies, State
-
-
-class SolutionErrors(NamedTuple):
-    """Errors of one solution of one state's contact problem.
-
-    | field    | meaning                                                         | unit |
-    |----------|-----------------------------------------------------------------|------|
-    | velocity | `velocity_error` against the reference                          | –    |
-    | residual | `residual`: the worst violated row, either way                  | m/s  |
-    | approach | `approach`: the worst approach speed left                       | m/s  |
-    """
-
-    velocity: float
-    residual: float
-    approach: float
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -137,48 +121,6 @@ def residual(state: State, solution: ContactSolution) -> float:
     return float(max(np.abs(wrong_n).max(), np.abs(wrong_t).max()))
 
 
-def approach(state: State, solution: ContactSolution) -> float:
-    """Worst approach speed left after the solve, m/s: how fast some contact still closes. 0 if none does."""
-    normal = row_velocities(state, solution.velocities, solution.angular_velocities)[0]
-    return float(max(0.0, -normal.min(initial=0.0)))
-
-
 def penetration(state: State) -> float:
     """Deepest penetration at the state's positions, m, felt surfaces of the walls included (`scales.wall_skin`)."""
     return float(max(0.0, -contacts_of(state).separation.min(initial=0.0)))
-
-
-def solution_errors(state: State, solution: ContactSolution, reference: ContactSolution) -> SolutionErrors:
-    """All errors of one solution of a state that has contacts."""
-    return SolutionErrors(
-        velocity_error(state, solution, reference), residual(state, solution), approach(state, solution)
-    )
-
-
-def distances(states: Sequence[State], reference: Sequence[State]) -> np.ndarray:
-    """Root mean square distance of the circles' centres between two runs, state by state, m, (states,).
-
-    A pile is chaotic: small errors grow exponentially, so distances mean something only up to `time_together`.
-    Raises ValueError if the runs differ in length, times or number of circles.
-    """
-    if len(states) != len(reference):
-        raise ValueError(f"states: expected {len(reference)}, as the reference has, got {len(states)}")
-    found = np.empty(len(states))
-    for k, (state, other) in enumerate(zip(states, reference)):
-        if state.bodies.count != other.bodies.count or not np.isclose(state.time, other.time, atol=1e-9):
-            raise ValueError(
-                f"states[{k}]: expected {other.bodies.count} circles at {other.time} s, as in the reference, "
-                f"got {state.bodies.count} at {state.time} s"
-            )
-        offset = state.bodies.position - other.bodies.position
-        found[k] = np.sqrt(np.mean((offset**2).sum(axis=1)))
-    return found
-
-
-def time_together(states: Sequence[State], reference: Sequence[State], *, share: float = 0.01) -> float:
-    """Time until a run is further from the reference than `share` of the mean radius (`distances`), s.
-
-    The time of the last state if it never is.
-    """
-    far = np.flatnonzero(distances(states, reference) > share * reference[0].bodies.radius.mean())
-    return float(states[far[0] if far.size else -1].time)

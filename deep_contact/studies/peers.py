@@ -1,12 +1,12 @@
 """The same scene in other engines: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
 
-Tests use them as oracles, benchmarks for comparison; nothing else in the package needs them. All three adapters have
-`step(dt, sweeps, position_sweeps)`, `bodies()` and `contact_count()`, and are built from a `deep_contact.state.State`:
-its circles with equal masses, its box, gravity, friction and restitution. Slop, thresholds and largest speeds are the
-engines' own, which are absolute, so that circles far from 1 m fare there as they do for anybody; what an adapter sets,
-Chipmunk's slop and the walls' radius, follows the scene as ours does (`State.scales`). Sleeping and continuous
-collision are off, warm starting is on. The contacts of the state are not passed on: a fresh world starts its first
-step from zero.
+Tests use them as oracles, benchmarks and studies for comparison. All three adapters have `step(dt, sweeps,
+position_sweeps)`, `bodies()` and `contact_count()`, and are built from a `deep_contact.state.State`: its circles with
+equal masses, its box, gravity, friction and restitution. Slop, thresholds and largest speeds are the engines' own,
+which are absolute lengths and speeds; what an adapter sets, Chipmunk's slop and the walls' radius, follows the scene
+(`State.scales`). Sleeping and continuous collision are off, warm starting is on. The contacts of the state are not
+passed on: a fresh world starts its first step from zero. Every adapter raises ImportError where its package is not
+installed, and ValueError for a bad state.
 """
 
 from __future__ import annotations
@@ -56,18 +56,14 @@ class _Peer:
         """The bodies now. The masses are the engine's (float32 in Box2D), the radii ours."""
         columns = [[getattr(body, name) for body in self._bodies] for name in self._fields]
         position, velocity = (np.array([tuple(xy) for xy in column]).reshape(-1, 2) for column in columns[:2])
-        angle, spin, mass = map(np.array, columns[2:])
-        return self._checked(position, velocity, angle, spin, mass)
-
-    def _checked(self, position, velocity, angle, spin, mass) -> Bodies:
-        return check_bodies(Bodies(position, velocity, angle, spin, mass, self._state.bodies.radius))
+        return check_bodies(Bodies(position, velocity, *map(np.array, columns[2:]), self._state.bodies.radius))
 
 
 class Box2D23(_Peer):
     """Box2D 2.3 through `pybox2d` 2.3.10, the engine of the thesis.
 
     The box is one loop shape, as in the thesis; its edges have a skin of 0.01 m. Segments are edge shapes, each on its
-    own, so their joints are felt. Raises ImportError where Box2D is not installed, ValueError for a bad state.
+    own, so their joints are felt.
     """
 
     name, package = "Box2D 2.3", "Box2D"
@@ -111,8 +107,6 @@ class Pymunk(_Peer):
     and the positional bias to 20 % of the penetration a step. Chipmunk multiplies friction and restitution of the two
     shapes (where Box2D takes root and maximum), so each shape is given the root. Two differences remain: restitution
     acts at any approach speed, and positions are integrated before contacts are looked for.
-
-    Raises ImportError where pymunk is not installed, ValueError for a bad state.
     """
 
     name = package = "pymunk"
@@ -173,8 +167,6 @@ class Box2D3(_Peer):
     integration of positions in between. `sweeps` is the number of substeps here, so its "sweep" is such a
     pair; contacts are looked for once a step. `position_sweeps` is ignored. Walls are capsules of the skin's radius,
     because v3's segments have none. It makes contacts ahead of touch, from `SPECULATIVE_DISTANCE` on.
-
-    Raises ImportError where pyb2d3 is not installed, ValueError for a bad state.
     """
 
     name, package = "Box2D v3", "pyb2d3"
@@ -214,15 +206,19 @@ class Box2D3(_Peer):
         cosine, sine = batch.get_rotations().astype(np.float64).T
         velocity, spin = batch.get_linear_velocities(), batch.get_angular_velocities()
         mass = np.array([body.mass for body in self._bodies])
-        return self._checked(batch.get_positions(), velocity, np.arctan2(sine, cosine), spin, mass)
+        radius = self._state.bodies.radius
+        return check_bodies(Bodies(batch.get_positions(), velocity, np.arctan2(sine, cosine), spin, mass, radius))
 
     def contact_count(self) -> int:
-        """Contacts that the next step will solve, found from the positions.
+        """Contacts that the next step will solve: gaps of at most the speculative distance. pyb2d3 shows none."""
+        from scipy.spatial import cKDTree
 
-        pyb2d3 exposes neither manifolds nor counters; Box2D makes a contact where the gap is at most the
-        speculative distance.
-        """
-        return _pairs_within(self._batch.get_positions(), self._state)
+        position, radius = self._batch.get_positions().astype(np.float64), self._state.bodies.radius
+        skin = self._state.scales.wall_skin
+        to_walls = _wall_distances(position, self._state.world) - radius[:, None] - skin
+        near = cKDTree(position).query_pairs(2 * radius.max() + SPECULATIVE_DISTANCE, output_type="ndarray")
+        gap = np.hypot(*(position[near[:, 1]] - position[near[:, 0]]).T) - radius[near].sum(axis=1)
+        return int((gap <= SPECULATIVE_DISTANCE).sum() + (to_walls <= SPECULATIVE_DISTANCE).sum())
 
 
 ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
@@ -262,14 +258,3 @@ def _wall_distances(position: np.ndarray, world: World) -> np.ndarray:
         share = np.clip((position - ends[0]) @ along / (along @ along), 0.0, 1.0)
         found.append(np.hypot(*(ends[0] + share[:, None] * along - position).T))
     return np.stack(found, axis=1)
-
-
-def _pairs_within(position: np.ndarray, state: State) -> int:
-    """Number of pairs, of two circles or a circle and a wall, whose gap is at most `SPECULATIVE_DISTANCE`."""
-    from scipy.spatial import cKDTree
-
-    position, radius = position.astype(np.float64), state.bodies.radius
-    to_walls = _wall_distances(position, state.world) - radius[:, None] - state.scales.wall_skin
-    near = cKDTree(position).query_pairs(2 * radius.max() + SPECULATIVE_DISTANCE, output_type="ndarray")
-    gap = np.hypot(*(position[near[:, 1]] - position[near[:, 0]]).T) - radius[near].sum(axis=1)
-    return int((gap <= SPECULATIVE_DISTANCE).sum() + (to_walls <= SPECULATIVE_DISTANCE).sum())

@@ -160,7 +160,7 @@ def test_granular_flow_of_siconos(name, contacts):
     problem = read_problem(OUTSIDE / f"fc2d_granularflowonwall_{name}.dat.gz")
     assert problem.friction.size == contacts
     assert (problem.friction == 0.5).all()
-    for solver in (dc.PGS, dc.NNCG, dc.NesterovPGS):
+    for solver in (dc.PGS, dc.NesterovPGS):
         impulse, record = solve_problem(problem, solver(sweeps=10_000, tolerance=None), error=1e-5)
         assert record.status == "converged"
         assert siconos_error(problem, impulse) <= 1e-5

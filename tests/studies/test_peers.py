@@ -13,7 +13,7 @@ from box2d_recorder import RecordingBox2D
 
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World, make_bodies
-from deep_contact.studies import engines, peers
+from deep_contact.studies import peers
 
 MODULES = {peers.Box2D23: "Box2D", peers.Pymunk: "pymunk", peers.Box2D3: "pyb2d3"}
 FLOAT32 = 1e-6
@@ -311,14 +311,3 @@ def test_bad_state_is_refused_by_name(engine):
     bad = state.bodies._replace(mass=np.array([np.nan]))
     with pytest.raises(ValueError, match=r"bodies\.mass"):
         engine(state.replace(bodies=bad))
-
-
-def test_benchmark_recovers_the_costs_of_its_model():
-    """t = overhead + cost k m: exact however the contacts differ between the blocks of 10 and of 100 sweeps."""
-    contacts = np.array([700, 710, 740, 760])  # of all 4 steps of a block
-    seconds = 4 * 30e-6 + 5e-9 * np.array(engines.BLOCKS) * contacts
-    found = engines.costs(seconds, contacts, 4)
-    assert found["sweep_ns"] == pytest.approx(5)
-    assert found["overhead_us"] == pytest.approx(30)
-    assert found["step_us"] == pytest.approx(30 + 5e-3 * 10 * 1460 / 8)
-    assert found["contacts"] == pytest.approx(2910 / 16)

@@ -11,13 +11,13 @@ from deep_contact.physics import batches, collision, contact_solver, engine, pos
 from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.physics.solvers import batched
 from deep_contact.physics.step import StepWorkspace, make_log
-from deep_contact.studies import engines
+from deep_contact.studies.piles import packed_pile
 
 
 @pytest.fixture(scope="module")
 def pile():
     """A pile of unlike circles that still moves, large enough for several blocks; with its contacts."""
-    return engines.packed_pile(2500, seed=3, steps=10)
+    return packed_pile(2500, seed=3, steps=10)
 
 
 def plan_of(state):

@@ -1,0 +1,551 @@
+"""python scripts/benchmark.py NAME [--out FILE] [--quick] …: timings, in turns, of which the least counts.
+
+NAME   what is timed
+engine ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
+step   whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
+transfer, xml   splat and gather beside a k-d tree; writing and reading a state
+outside  FILE …: fc2d or FCLIB files, or piles of our own, to Siconos's error, by our solvers, Siconos and pinocchio
+disks  steps of Siconos's bench-disks: ours whole, and Siconos's solver alone
+starts steps of a falling pile as matrices, solved from nothing and from last step's impulses
+
+Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 where times are of the processor (outside, disks, starts). The
+result is data/reference's benchmark_NAME.json (xml: benchmark_state_xml.json). pinocchio 4 and Debian's Siconos need
+different NumPys: run where one is, then --add where the other is, with --only and one of ours in both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+import deep_contact as dc
+from deep_contact import sph
+from deep_contact.compiled import crew
+from deep_contact.io.fclib import read_problem
+from deep_contact.io.files import write_json
+from deep_contact.io.simulation_h5 import read_simulation, write_simulation
+from deep_contact.physics.lcp import check_problem, contact_problem, natural_residual, siconos_error
+from deep_contact.physics.scenes import lattice_in_box
+from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
+from deep_contact.reporting import results
+from deep_contact.simulation import ready
+from deep_contact.sph.neighbours import splat_by_tree
+from deep_contact.state import State
+from deep_contact.studies import peers, piles, rivals, timing
+from deep_contact.studies.starts import solved_states
+
+PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
+SLOWEST = 0.05
+"""Root mean square speed of a settled pile, m/s."""
+
+TIME_STEP, POSITION_SWEEPS = 0.01, 3
+FEW, MANY = 10, 100
+BLOCKS = (FEW, MANY, MANY, FEW)
+"""Sweeps of the blocks of steps that are timed. In this order a pile's change while it falls cancels out."""
+
+WARM_UP = 10
+"""Steps of each engine before timing: caches, search for pairs and starting impulses settle."""
+
+LARGE = 100_000
+"""Circles from which on piles are packed instead of dropped."""
+
+
+def solver_of(sweeps: int, method=PGS, **options):
+    """Options with a fixed number of sweeps and of position sweeps."""
+    return method(sweeps=sweeps, tolerance=None, position_sweeps=POSITION_SWEEPS, **options)
+
+
+def stored_pile(kind: str, n_bodies: int, seed: int) -> State:
+    """A pile of `PILES`, made if it is not there. kind: "settled", "packed" or "falling" (a contact a circle)."""
+    path = PILES / f"{kind}_{n_bodies}_seed_{seed}.h5"
+    if not path.exists():
+        state = (
+            piles.packed_pile(n_bodies, seed=seed, steps=50)
+            if kind == "packed"
+            else lattice_in_box(n_bodies, seed=seed)
+        )
+        for _ in range(0 if kind == "packed" else 300):
+            state = dc.simulate(state, steps=10, dt=TIME_STEP, solver=solver_of(FEW)).state
+            slow = kind == "falling" or piles.rms_speed(state) < SLOWEST
+            if state.contacts.count >= n_bodies and slow:
+                break
+        write_simulation(path, [state])
+    return read_simulation(path).state(0)
+
+
+# ---- engines ----
+
+
+class Ours:
+    """Our engine as users run it, one `simulate` for a block of steps. options: of `solver_of`."""
+
+    def __init__(self, state: State, **options):
+        self.state, self.options = state, options
+
+    def run(self, steps: int, sweeps: int) -> None:
+        """Do so many steps."""
+        self.state = dc.simulate(self.state, steps=steps, solver=solver_of(sweeps, **self.options)).state
+
+    def count(self, steps: int, sweeps: int) -> int:
+        """Do so many steps. Returns the sum of their contacts."""
+        done = dc.simulate(self.state, steps=steps, solver=solver_of(sweeps, **self.options))
+        self.state = done.state
+        return int(done.contacts.sum())
+
+
+class OursByStep(Ours):
+    """Our engine by `step`, which validates the state every time."""
+
+    def run(self, steps: int, sweeps: int) -> None:
+        """Do so many steps."""
+        for _ in range(steps):
+            self.state = dc.step(self.state, solver=solver_of(sweeps))
+
+
+class Peer:
+    """An adapter of `peers`, with the methods of `Ours`."""
+
+    def __init__(self, state: State, *, adapter):
+        self.world = adapter(state)
+
+    def run(self, steps: int, sweeps: int) -> None:
+        """Do so many steps."""
+        for _ in range(steps):
+            self.world.step(TIME_STEP, sweeps, POSITION_SWEEPS)
+
+    def count(self, steps: int, sweeps: int) -> int:
+        """Do so many steps. Returns the sum of their contacts."""
+        contacts = 0
+        for _ in range(steps):
+            before = self.world.contact_count() if self.world.counts_next_step else 0
+            self.run(1, sweeps)
+            contacts += before if self.world.counts_next_step else self.world.contact_count()
+        return contacts
+
+
+PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()} | {
+    f"{name}, two threads": partial(Peer, adapter=partial(adapter, threads=2))
+    for name, adapter in peers.ENGINES.items()
+    if adapter.takes_threads
+}
+ENGINES = {
+    "ours": Ours,
+    "in colours": partial(Ours, method=BatchedPGS, threads=1),
+    "two threads": partial(Ours, method=BatchedPGS, threads=2),
+    "dc.step": OursByStep,
+} | PEERS
+"""Name -> callable that takes a state and returns an engine that can `run` and `count`."""
+
+GOALS = (
+    ("A sweep costs at most a quarter of pybox2d's", "sweep_ns", ("Box2D 2.3",), 0, 4.0),
+    ("A step is at least 2x faster than pybox2d's and pymunk's from 1,000 on", "step_us", ("Box2D 2.3", "pymunk"),
+     1000, 2.0),
+    ("The overhead is below pybox2d's and pymunk's", "overhead_us", ("Box2D 2.3", "pymunk"), 0, 1.0),
+    ("The overhead is below Box2D v3's from 1,000 on", "overhead_us", ("Box2D v3",), 1000, 1.0),
+)  # fmt: skip
+"""Claim, cost, engines, the smallest pile that counts, and the factor to reach."""
+
+
+def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, float]:
+    """The unknowns of: time of a step = overhead + cost · sweeps · contacts. seconds, contacts: of `BLOCKS`, (4,).
+
+    A sweep of Box2D v3 is a substep, which goes over the contacts twice; one of pymunk corrects positions as well.
+    """
+    few = np.array(BLOCKS) == FEW
+    slope, overhead = timing.slope_and_overhead(
+        (FEW * contacts[few].sum(), seconds[few].sum()), (MANY * contacts[~few].sum(), seconds[~few].sum())
+    )
+    steps_few = steps * few.sum()
+    return {
+        "contacts": float(contacts.sum() / (steps * len(BLOCKS))),
+        "sweep_ns": float(1e9 * slope),
+        "overhead_us": float(1e6 * overhead / steps_few),
+        "step_us": float(1e6 * seconds[few].sum() / steps_few),
+    }
+
+
+def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
+    """Name of the engine -> its `costs` on a pile, from which every repeat starts. Contacts are counted untimed."""
+    worlds, contacts, runs, setup = {}, {}, {}, {}
+    for name, engine in ENGINES.items():
+
+        def restart(name=name, engine=engine):
+            worlds[name] = engine(state)
+            worlds[name].run(WARM_UP, FEW)
+
+        restart()
+        contacts[name] = np.array([worlds[name].count(steps, sweeps) for sweeps in BLOCKS])
+        setup[name, 0] = restart
+        for block, sweeps in enumerate(BLOCKS):
+            runs[name, block] = lambda name=name, sweeps=sweeps: worlds[name].run(steps, sweeps)
+    least = timing.interleaved(runs, repeats=repeats, setup=setup)
+    seconds = {name: np.array([least[name, block] for block in range(len(BLOCKS))]) for name in ENGINES}
+    return {name: costs(seconds[name], contacts[name], steps) for name in ENGINES}
+
+
+def benchmark_engine(given) -> dict:
+    """Ours and the peers on settled and falling piles."""
+    sizes, repeats = given.sizes or ([100, 1000] if given.quick else [100, 1000, 10_000]), given.repeats or 5
+    cases = []
+    for n_bodies in sizes:
+        for kind in ("settled", "falling"):
+            # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
+            steps = int(np.clip(300_000 // n_bodies, 10, 10 if given.quick else 200 if kind == "settled" else 30))
+            state = stored_pile(kind, n_bodies, given.seed).replace(contacts=None, solver=None, solved=False)
+            measured = costs_of_engines(state, steps, repeats)
+            names = ("sweep_ns", "overhead_us", "step_us")
+            ratios = {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}
+            case = {"n_bodies": n_bodies, "kind": kind, "rms_speed": piles.rms_speed(state), "steps": 4 * steps}
+            cases.append(case | {"engines": measured, "ratios": ratios})
+            for name, cost in measured.items():
+                say(f"{n_bodies} {kind}, {name}", {key: f"{cost[key]:.4g}" for key in names})
+    options = {"sizes": sizes, "repeats": repeats, "quick": given.quick, "dt": TIME_STEP, "sweeps": [FEW, MANY]}
+    options |= {"position_sweeps": POSITION_SWEEPS}
+    options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
+    return {
+        "id": "B.1",
+        "title": "Cost of a sweep and of a step, against other engines",
+        "options": options,
+        "claims": claims(cases),
+        "data": {"cases": cases},
+    }
+
+
+def claims(cases: list[dict]) -> list[results.Claim]:
+    """The goals of the engine, by its worst measured ratios."""
+    found = []
+    for text, cost, names, smallest, factor in GOALS:
+        met = {
+            f"{name}, {case['kind']}, {case['n_bodies']}": case["ratios"][name][cost]
+            for case in cases
+            for name in names
+            if case["n_bodies"] >= smallest
+        }
+        if met:
+            worst = min(met, key=met.get)
+            holds = bool(met[worst] > factor or (met[worst] == factor and factor > 1))
+            found.append(results.Claim(text, None, holds, {"worst case": worst, "ratio": met[worst]}))
+    return found
+
+
+# ---- whole steps ----
+
+RUNS = {
+    "PGS": solver_of(FEW),
+    "colours": solver_of(FEW, BatchedPGS, threads=1),
+    "colours, two threads": solver_of(FEW, BatchedPGS, threads=2),
+}
+"""Name -> solver whose steps are timed."""
+
+MEMORY = """
+import deep_contact as dc
+from deep_contact.studies.piles import packed_pile
+dc.simulate(packed_pile({n_bodies}, steps=0), steps=5, solver=dc.PGS(sweeps=10, tolerance=None, position_sweeps=3))
+with open("/proc/self/status") as status:
+    print(*(line.split()[1] for line in status if line.startswith("VmHWM")))
+"""
+"""What a process does whose largest memory is measured. (What `getrusage` tells is no less than its parent's.)"""
+
+
+def benchmark_step(given) -> dict:
+    """Microseconds of a step in a run, memory of large runs, and many piles of 100 in one call."""
+    sizes = given.sizes or ([100, 1000] if given.quick else [100, 1000, 3000, 10_000, 100_000, 1_000_000])
+    repeats, runs = given.repeats or (5 if given.quick else 10), []
+    for n_bodies in sizes:
+        steps = max(5, min(200, 200_000 // n_bodies))
+        for kind in ("packed",) if n_bodies >= LARGE else ("settled", "falling"):
+            state = dc.simulate(stored_pile(kind, n_bodies, given.seed), steps=WARM_UP, solver=solver_of(FEW)).state
+            calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in RUNS.items()}
+            least = timing.interleaved(calls, repeats=max(2, min(repeats, 3_000_000 // n_bodies)))
+            us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
+            runs.append({"n_bodies": n_bodies, "kind": kind, "us": us})
+            say(f"{n_bodies} {kind}", {name: f"{one:,.1f} µs" for name, one in us.items()})
+    memory = {str(n): peak_memory(n) for n in sizes if n >= LARGE and Path("/proc/self/status").exists()}
+    options = {"sizes": sizes, "repeats": repeats, "quick": given.quick, "dt": TIME_STEP, "sweeps": FEW}
+    return {
+        "id": "B.2",
+        "title": "Time of a step in a run",
+        "options": options | {"position_sweeps": POSITION_SWEEPS},
+        "claims": [],
+        "data": {"runs": runs, "memory_mb": memory, "many": many_piles(given.seed, min(repeats, 5), 600 if not given.quick else 20)},
+    }
+
+
+def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
+    """Settled piles of 100 by `simulate_many`: μs of a step on one core and on all, and in one long run ("bare")."""
+    states, solver = [stored_pile("settled", 100, seed + k) for k in range(count)], solver_of(FEW)
+    calls = {
+        "bare": partial(dc.simulate, states[0], solver=solver, steps=20 * steps),
+        "one core": partial(dc.simulate_many, states, threads=1, solver=solver, steps=steps),
+        "all cores": partial(dc.simulate_many, states, solver=solver, steps=steps),
+    }
+    done = {"bare": 20 * steps, "one core": count * steps, "all cores": count * steps}
+    us = {name: 1e6 * seconds / done[name] for name, seconds in timing.interleaved(calls, repeats=repeats).items()}
+    say("many piles of 100", us)
+    return {"cores": crew.cores(), "us": us}
+
+
+def peak_memory(n_bodies: int) -> float:
+    """The largest memory, MB, of a process that runs a packed pile by PGS, its interpreter and code included."""
+    done = subprocess.run([sys.executable, "-c", MEMORY.format(n_bodies=n_bodies)], capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"memory: the process failed:\n{done.stderr}")
+    return int(done.stdout) * 1024 / 1e6
+
+
+# ---- transfer and state files ----
+
+
+def benchmark_transfer(given) -> dict:
+    """The calls of a step with images: 100 bodies and 170 contacts on the thesis's grid, and a k-d tree beside."""
+    rng, box = np.random.default_rng(given.seed), (0.0, 0.0, 30.0, 30.0)
+    options = {"h": 0.5, "kernel": "poly6", "normalization": "particle"}
+    consistent, kernel = options | {"normalization": "consistent"}, {"h": 0.5, "kernel": "poly6"}
+    grid = sph.Grid.over_box(box, 0.5)
+    bodies, contacts = (
+        (rng.uniform(0, 30, (n, 2)), rng.normal(size=(n, channels))) for n, channels in ((100, 4), (170, 2))
+    )
+    image, position = sph.splat(grid, *contacts, **options), contacts[0]
+    density = sph.density(grid, position, **kernel)
+
+    def both(splat, **more):
+        splat(grid, *bodies, **options, **more)
+        splat(grid, *contacts, **options, **more)
+
+    def round_trip():
+        return sph.gather(grid, sph.splat(grid, *contacts, **consistent), position, **consistent)
+
+    calls = {
+        "splat of 100 bodies, 4 channels": lambda: sph.splat(grid, *bodies, **options),
+        "splat of 170 contacts, 2 channels": lambda: sph.splat(grid, *contacts, **options),
+        "splat of both": lambda: both(sph.splat),
+        "density of 170 contacts": lambda: sph.density(grid, position, **kernel),
+        "gather of 170 contacts, bilinear": lambda: sph.gather(grid, image, position),
+        "gather of 170 contacts, consistent": lambda: sph.gather(
+            grid, image, position, normalization="consistent", density=density
+        ),
+        "splat, density and consistent gather": round_trip,
+        "k-d tree, splat of both": lambda: both(splat_by_tree),
+        "k-d tree, all nodes in one query": lambda: both(splat_by_tree, one_query=True),
+    }
+    case = {name: timing.fastest(call, 3 if "tree" in name else given.repeats or 5000) for name, call in calls.items()}
+    trees = {
+        "k-d tree / splat of both": "splat of both",
+        "k-d tree, one query / splat of both": "all nodes in one query",
+    }
+    ratio = {name: case[f"k-d tree, {tree}"] / case["splat of both"] for name, tree in trees.items()}
+    say("µs", {name: f"{1e6 * seconds:.4g}" for name, seconds in case.items()})
+    return {"options": options, "spacing": 0.5, "case": case, "ratio": ratio}
+
+
+def benchmark_xml(given) -> dict:
+    """Writing and reading a state of 100 circles, plain and compressed. The goals are 4 ms and 6 ms."""
+    state, repeats = dc.simulate(dc.circles_in_box(100, seed=given.seed), steps=400).state, given.repeats or 200
+    found = {"circles": state.bodies.count, "contacts": state.contacts.count, "repeats": repeats}
+    with tempfile.TemporaryDirectory() as folder:
+        for suffix in (".xml", ".xml.gz"):
+            path = Path(folder) / f"state{suffix}"
+            runs = {"write": partial(dc.write_state, path, state), "read": partial(dc.read_state, path)}
+            seconds = timing.interleaved(runs, repeats=repeats, reduce=np.array)
+            found[suffix] = {"bytes": path.stat().st_size} | {
+                way: {"min_ms": float(1e3 * s.min()), "median_ms": float(1e3 * np.median(s))}
+                for way, s in seconds.items()
+            }
+            say(suffix, found[suffix])
+    return found
+
+
+# ---- solvers of others ----
+
+
+def chosen_rivals(given) -> tuple[dict, dict]:
+    """The solvers to run, by name, and why others are missing."""
+    solvers, missing = rivals.methods(given.tolerance)
+    return {name: solve for name, solve in solvers.items() if name in (given.only or solvers)}, missing
+
+
+def added(given, found: dict) -> dict:
+    """What was found; with --add the rows of the file that is there as well, ours of this run as "…, again"."""
+    if not given.add:
+        return found
+    first = json.loads(given.out.read_text(encoding="utf-8"))
+    for key in ("tolerance", "contacts"):
+        if first[key] != found[key]:
+            raise ValueError(f"{key}: expected {first[key]} as in the first run, got {found[key]}")
+
+    def both(one, other):
+        return one | {f"{name}, again" if name in one else name: row for name, row in other.items()}
+
+    if "solvers" in found:
+        first["solvers"] = both(first["solvers"], found["solvers"])
+    for table in {"seconds", "error"} & set(found):
+        first[table] = {title: both(row, found[table][title]) for title, row in first[table].items()}
+    missing = {name: why for name, why in first["missing"].items() if name in found["missing"]}
+    return first | {"missing": missing, "second_provenance": results.provenance(seed=given.seed)}
+
+
+def benchmark_outside(given) -> dict:
+    """Processor time of every solver on every problem, and Siconos's error of what it returned.
+
+    A solver that takes more than `MOST` seconds runs once, and on no larger problem: None there.
+    """
+    solvers, missing = chosen_rivals(given)
+    problems = {Path(path).name.split(".")[0]: read_problem(path) for path in given.files}
+    for count in given.sizes or [100, 300]:
+        state = piles.states_of(piles.pile("settling", count, given.seed), count=1)[0]
+        problems[f"settling pile of {count}"] = check_problem(contact_problem(state))
+    seconds, errors, slow = {}, {}, set()
+    for title, problem in sorted(problems.items(), key=lambda item: item[1].friction.size):
+        runs = {name: partial(solve, problem, None) for name, solve in solvers.items() if name not in slow}
+        first = {name: timing.timed(run, time.process_time) for name, run in runs.items()}
+        slow |= {name for name, (took, _) in first.items() if took > MOST}
+        rest = {name: run for name, run in runs.items() if name not in slow}
+        least = timing.interleaved(rest, repeats=given.repeats or 5, clock=time.process_time)
+        seconds[title] = {name: least.get(name, first[name][0] if name in first else None) for name in solvers}
+        found = {name: siconos_error(problem, impulse) for name, (_, impulse) in first.items()}
+        errors[title] = {name: min(found[name], 1.0) if name in found else None for name in solvers}  # NaN is 1.0
+        say(f"{title}, {problem.friction.size} contacts", seconds[title])
+    contacts = {title: int(problems[title].friction.size) for title in seconds}
+    found = {
+        "tolerance": given.tolerance,
+        "contacts": contacts,
+        "seconds": seconds,
+        "error": errors,
+        "missing": missing,
+    }
+    return added(given, found)
+
+
+MOST = 20.0
+
+
+def benchmark_starts(given) -> dict:
+    """Seconds and unsolved steps of every solver from every start, over 40 steps in which a pile of 100 lands."""
+    solvers, missing = chosen_rivals(given)
+    solver = PGS(sweeps=FEW, tolerance=None)
+    scene = dc.simulate(dc.circles_in_box((given.sizes or [100])[0], seed=given.seed), steps=100, solver=solver).state
+    states = solved_states(scene, steps=40, solver=solver)
+    problems = [check_problem(contact_problem(state)) for state in states]
+    carried = [np.column_stack([s.contacts.normal_start, s.contacts.tangent_start]).ravel() for s in states]
+    found = {}
+    for name, solve in solvers.items():
+        for problem in problems:
+            solve(problem, None)  # rivals build their form of it then
+        found[name] = {}
+        for start, guesses in {"none": [None] * len(states), "carried": carried}.items():
+            took, impulses = timing.timed(lambda: list(map(solve, problems, guesses)), time.process_time)  # noqa: B023
+            unsolved = sum(not siconos_error(*pair) <= given.tolerance for pair in zip(problems, impulses))
+            found[name][start] = {"seconds": took, "unsolved": unsolved, "steps": len(states)}
+        say(name, found[name])
+    contacts = [state.contacts.count for state in states]
+    found = {"tolerance": given.tolerance, "contacts": contacts, "solvers": found, "missing": missing}
+    return added(given, found)
+
+
+def benchmark_disks(given) -> dict:
+    """Steps of ours, and Siconos's NSGS to the tolerance of its own benchmark, at states along a run."""
+    sizes, every, repeats = given.sizes or [32], 500, given.repeats or 5
+    solvers = {
+        f"ours, {sweeps} sweeps": PSOR(omega=1.5, friction_omega=1.5, sweeps=sweeps, tolerance=None)
+        for sweeps in (40, 800)
+    }
+    rival, missing = None, None
+    try:
+        rival = rivals.siconos("NSGS", 1e-2)
+    except ImportError as error:
+        missing = str(error)
+    sides = {}
+    for side in sizes:
+        state, rows = dc.bench_disks(side), []
+        for _ in range(1 if given.quick else 4):
+            state = dc.simulate(state, steps=every, solver=solvers["ours, 40 sweeps"]).state
+            rows.append(disks_at(ready(state), solvers, rival, repeats))
+            say(f"{side}², step {state.step}", rows[-1]["seconds"])
+        sides[str(side)] = rows
+    options = {"omega": 1.5, "sweeps": [40, 800], "every": every, "repeats": repeats}
+    return {"options": options, "missing": missing, "sides": sides}
+
+
+def disks_at(state: State, solvers: dict, rival, repeats: int, steps: int = 10) -> dict:
+    """Seconds and errors at one state, velocities against the exact solution, or the best that was found."""
+    problem = check_problem(contact_problem(state))
+    start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
+    near = dc.solve_contacts(state, solver=NNCG(sweeps=20_000, tolerance=1e-12))
+    exact = dc.solve_exactly(state, near.normal_impulses, near.tangent_impulses).solution
+    reference = min((impulses(one) for one in (near, exact)), key=lambda found: natural_residual(problem, found))
+    solved = {name: impulses(dc.solve_contacts(state, solver=solver)) for name, solver in solvers.items()}
+    calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in solvers.items()}
+    if rival is not None:
+        calls["Siconos"] = partial(rival, problem, start)
+        solved["Siconos"] = rival(problem, start)
+    seconds = timing.interleaved(calls, repeats=repeats, clock=time.process_time)
+    scale = reference @ (problem.A @ reference)
+
+    def energy_error(found):  # ‖v − v*‖ / ‖v* − v⁻‖, since v − v* = M⁻¹ Jᵀ (λ − λ*)
+        return float(np.sqrt(max(0.0, (found - reference) @ (problem.A @ (found - reference))) / scale))
+
+    return {
+        "step": state.step,
+        "contacts": state.contacts.count,
+        "seconds": {name: took / (steps if name in solvers else 1) for name, took in seconds.items()},
+        "velocity_error": {name: energy_error(one) for name, one in solved.items()},
+        "siconos_error": {name: siconos_error(problem, one) for name, one in solved.items()},
+        "reference_residual": natural_residual(problem, reference),
+    }
+
+
+def impulses(solution) -> np.ndarray:
+    """λ_n, λ_t of every contact, (2 m,), as `contact_problem` numbers them."""
+    return np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
+
+
+# ---- the script ----
+
+BENCHMARKS = {
+    name.removeprefix("benchmark_"): function
+    for name, function in list(globals().items())
+    if name.startswith("benchmark_")
+}
+
+
+def say(name: str, values: dict) -> None:
+    """Print a row."""
+    print(f"{name}: {', '.join(f'{key} {value}' for key, value in values.items())}", flush=True)
+
+
+def main(arguments=None) -> None:
+    """Run a benchmark and write its file."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("name", choices=BENCHMARKS)
+    parser.add_argument("files", nargs="*", type=Path, help="of outside: fc2d or FCLIB files")
+    parser.add_argument("--out", type=Path, help="the file (build/results/benchmark_NAME.json)")
+    parser.add_argument("--sizes", type=int, nargs="*", help="numbers of circles; of disks: discs along a side")
+    parser.add_argument("--repeats", type=int, help="timed runs")
+    parser.add_argument("--seed", type=int, default=0, help="of the piles")
+    parser.add_argument("--tolerance", type=float, default=1e-5, help="Siconos's error that is asked for")
+    parser.add_argument("--only", nargs="*", metavar="SOLVER", help="solvers of outside and starts")
+    parser.add_argument("--add", action="store_true", help="add the solvers to the file that is there")
+    parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
+    given = parser.parse_args(arguments)
+    if min([*(given.sizes or [1]), given.repeats or 1]) < 1:
+        parser.error(f"expected sizes and repeats of at least 1, got {given.sizes} and {given.repeats}")
+    given.out = given.out or Path(f"build/results/benchmark_{'state_xml' if given.name == 'xml' else given.name}.json")
+    begin = time.perf_counter()
+    found = BENCHMARKS[given.name](given)
+    provenance = results.provenance(seed=given.seed, wall_s=time.perf_counter() - begin)
+    found.setdefault("provenance", provenance)
+    write = results.write_results if "claims" in found else write_json
+    print(f"written: {write(given.out, found) or given.out}")
+
+
+if __name__ == "__main__":
+    main()
