@@ -276,7 +276,11 @@ def benchmark_step(given) -> dict:
         "title": "Time of a step in a run",
         "options": options | {"position_sweeps": POSITION_SWEEPS},
         "claims": [],
-        "data": {"runs": runs, "memory_mb": memory, "many": many_piles(given.seed, min(repeats, 5), 600 if not given.quick else 20)},
+        "data": {
+            "runs": runs,
+            "memory_mb": memory,
+            "many": many_piles(given.seed, min(repeats, 5), 600 if not given.quick else 20),
+        },
     }
 
 
