@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -51,8 +53,8 @@ _CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1)
 _MANY = 3000
 """Circles from which on memory is kept between two calls of compiled code."""
 
-_CHUNK = 2e7
-"""Contacts times sweeps between two checks for an interrupt: about a fifth of a second."""
+_WORK, _SECONDS = 20_000_000, 0.2
+"""Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
 
 
 class Simulation(NamedTuple):
@@ -179,6 +181,11 @@ def simulate(
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
+    return _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_step)
+
+
+def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_step=None, stopped=None) -> Simulation:
+    """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
     integer("steps", steps)
     every = steps + 1 if record is None else integer("record", record, least=1)
     if dt is not None:
@@ -196,14 +203,14 @@ def simulate(
     state = state.replace(solver=solver)
     substeps = solver.substeps if isinstance(solver, PGS) else 1
     if substeps == 1:
-        state, log, frames = _advance(state, steps, start, sleep, None if record is None else every, on_step)
+        state, log, frames = _advance(state, steps, start, sleep, None if record is None else every, on_step, stopped)
     else:
         state, log, frames = _advance(
-            _in_substeps(state, substeps), steps * substeps, start, sleep, record and every * substeps, on_step
+            _in_substeps(state, substeps), steps * substeps, start, sleep, record and every * substeps, on_step, stopped
         )
         state, frames = _in_steps(state, solver), [_in_steps(frame, solver) for frame in frames]
         log = _log_of_steps(log, substeps)
-    return Simulation(state, *log, trajectory=None if record is None else Trajectory.from_states(frames))
+    return Simulation(state, *log[:4], trajectory=None if record is None else Trajectory.from_states(frames))
 
 
 def simulate_many(
@@ -229,16 +236,17 @@ def simulate_many(
     start = warm_start_of(warm_start)
     if not isinstance(start, (Builtin, NoStart)):
         raise ValueError(f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
-    options = {"steps": steps, "dt": dt, "warm_start": start, "accuracy": accuracy, "sleep": sleep, "record": record}
     states = [check_types(state) for state in states]
     for one in (solver, *(state.solver for state in states)):
         if (getattr(one, "threads", None) or 1) > 1:
             # Crews beside one thread a core would wait for each other.
             raise ValueError(f"solver: expected one with threads=1 for many scenes, got {one!r}")
 
+    stopped = threading.Event()
+
     def run(number: int) -> Simulation:
         try:
-            return simulate(states[number], solver=solver, **options)
+            return _simulate(states[number], steps, dt, solver, start, accuracy, sleep, record, stopped=stopped)
         except (ValueError, FloatingPointError) as error:
             raise type(error)(f"states[{number}]: {error}") from error
 
@@ -247,11 +255,14 @@ def simulate_many(
         try:
             return [future.result() for future in found]
         except BaseException:
+            stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _advance(state: State, steps: int, start, sleep: bool, record: int | None, on_step) -> tuple[State, StepLog, list]:
+def _advance(
+    state: State, steps: int, start, sleep: bool, record: int | None, on_step, stopped
+) -> tuple[State, StepLog, list]:
     """So many steps of a state with its solver: the state after them, their log, the recorded states."""
     solver = state.solver
     # Builtin and NoStart need nothing from Python between two steps.
@@ -267,9 +278,12 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
     solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision])
     frames = [] if record is None else [state]
     done = 0
+    work = _WORK // 8
     while done < steps:
-        work = max(1, state.contacts.count) * (solver.sweeps + 20)
-        count = 1 if by_step else min(steps - done, every - done % every, max(1, int(_CHUNK / work)))
+        if stopped is not None and stopped.is_set():
+            raise KeyboardInterrupt
+        most = 1 if by_step else 1 + work // (10 * state.bodies.count + 50)
+        count = min(steps - done, every - done % every, most)
         before, contacts = state, state.contacts
         if isinstance(start, Builtin):
             normal, tangent = contacts.normal_start, contacts.tangent_start  # which no step writes into
@@ -288,8 +302,12 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
             before = contacts = normal = tangent = None  # a million circles have 200 MB of them
         given = step_input(state, options.settings, scales)
         workspace = StepWorkspace(solver_bodies, theta, still)
-        chunk = StepLog(*(column[done : done + count] for column in log))
+        chunk = StepLog(*(column[done : done + count] for column in log[:4]), np.array([0, work]))
+        begun = time.perf_counter()
         solved, found = advance(given, options, workspace, chunk)
+        # How a run is divided changes no bit of it.
+        work = min(_WORK, 2 * work, 1 + int(work * _SECONDS / (time.perf_counter() - begun)))
+        count = int(chunk.progress[0])
         if not np.isfinite(state.bodies.position.sum()):
             _raise_diverged(state.bodies, state.step + count)
         if on_step is not None:
@@ -299,8 +317,8 @@ def _advance(state: State, steps: int, start, sleep: bool, record: int | None, o
         done += count
         number = state.step + count
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
-        time = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
-        state, given, solved = state.replace(contacts=found, time=time, step=number, solved=False), None, None
+        now = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
+        state, given, solved = state.replace(contacts=found, time=now, step=number, solved=False), None, None
         if record is not None and (done % every == 0 or done == steps):
             frames.append(state)
     return state, log, frames
@@ -322,8 +340,8 @@ def _in_steps(state: State, solver: PGS) -> State:
 
 def _log_of_steps(log: StepLog, substeps: int) -> StepLog:
     """The log of substeps, step by step: see `Simulation`."""
-    contacts, sweeps, theta, relaxations = (column.reshape(-1, substeps) for column in log)
-    return StepLog(contacts[:, -1], sweeps.sum(axis=1), theta[:, -1], relaxations.sum(axis=1))
+    contacts, sweeps, theta, relaxations = (column.reshape(-1, substeps) for column in log[:4])
+    return StepLog(contacts[:, -1], sweeps.sum(axis=1), theta[:, -1], relaxations.sum(axis=1), log.progress)
 
 
 def with_time_step(state: State, dt: float) -> State:

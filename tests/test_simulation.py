@@ -102,7 +102,7 @@ def test_a_bad_record_is_refused():
 
 
 def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):
-    # Compiled code is not interrupted, so no call of it may do more than `_CHUNK` relaxations: 0.1 to 0.5 s.
+    # Compiled code is not interrupted, so no call of it may do more than `_WORK` relaxations and one step.
     scene, calls = dc.simulate(dc.lattice_in_box(400, seed=1), steps=30).state, []
     solver = dc.PGS(sweeps=100, tolerance=None)
     real = simulation.advance_of
@@ -111,16 +111,16 @@ def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):
         advance, options = real(*arguments)
 
         def counted(given, options, workspace, log):
-            calls.append(log.contacts.shape[0])
-            return advance(given, options, workspace, log)
+            found = advance(given, options, workspace, log)
+            calls.append(log.relaxations[: log.progress[0]])
+            return found
 
         return counted, options
 
     monkeypatch.setattr(simulation, "advance_of", watched)
     dc.simulate(scene, steps=1200, solver=solver)
-    contacts = scene.contacts.count
-    assert sum(calls) == 1200
-    assert max(calls) * contacts * solver.sweeps <= simulation._CHUNK
+    assert sum(call.size for call in calls) == 1200
+    assert max(call[:-1].sum() for call in calls) < simulation._WORK
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.5])
@@ -128,7 +128,7 @@ def test_memory_kept_between_calls_changes_no_bit(monkeypatch, friction):
     # From the second call on, a run without friction has no tangents left to sweep, and other memory.
     scene = dc.simulate(dc.lattice_in_box(60, seed=1), steps=60, solver=dc.PGS(sweeps=10)).state
     scene = scene.replace(world=dc.World(box=scene.world.box, friction=friction))
-    monkeypatch.setattr(simulation, "_CHUNK", 0)  # every step is a call
+    monkeypatch.setattr(simulation, "_WORK", 0)  # every step is a call
     expected = dc.simulate(scene, steps=12)
     monkeypatch.setattr(simulation, "_MANY", 1)
     found = dc.simulate(scene, steps=12)

@@ -4,15 +4,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
 
+# compiled in: deep_contact.compiled.boxing
+
 
 @cache
 def prepare_numba() -> None:
-    """Make Numba's cache safe, and keep SciPy out of processes that do not use it. Call it before `njit` is used."""
+    """Make Numba's cache and Ctrl-C safe, and keep SciPy out of processes that do not use it.
+
+    Call it before `njit` is used.
+    """
     from numba.np import linalg
 
-    from deep_contact.compiled import code_cache
+    from deep_contact.compiled import boxing, code_cache
 
     code_cache.install()
+    boxing.install()
     # Numba imports scipy.linalg only to know whether it can compile `np.dot`, which takes a quarter of the time to the
     # first step. This package depends on SciPy, and Numba checks again when it compiles a call of BLAS.
     check, linalg.ensure_blas = linalg.ensure_blas, lambda: None

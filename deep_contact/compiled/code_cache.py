@@ -6,7 +6,7 @@ file imports, directly or not. A file that must not import what is compiled into
 `# compiled in: deep_contact.…`. Numba also trusts the bytes of its cache, and damaged ones end the process; here they
 carry a checksum, and what is damaged is compiled again. And it keeps code by the names of the argument types: code for
 a class of another package would outlive a change of that class, and no process without that class could read what lies
-beside it. Here such code is not kept.
+beside it. Here such code is not kept. Where no folder can be written, Numba raises; here nothing is kept then.
 
 All replace details of `numba.core.caching`, and hold for everything that the process compiles.
 """
@@ -17,11 +17,13 @@ import hashlib
 import io
 import pickle
 import re
+import warnings
 from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
 from numba.core import caching
+from numba.core.dispatcher import Dispatcher
 
 _ROOT = Path(__file__).resolve().parents[2]
 _IMPORT = re.compile(
@@ -31,6 +33,7 @@ _IMPORT = re.compile(
 _KNOWN = {"builtins", "copyreg", "deep_contact", "numba", "numpy"}
 """Packages whose types compiled code is kept for."""
 
+_enable = Dispatcher.enable_caching
 _stamp_of_one_file = caching._SourceFileBackedLocatorMixin.get_source_stamp
 
 
@@ -38,6 +41,25 @@ def install() -> None:
     """Make the caches of this process behave as the module says."""
     caching.IndexDataCacheFile = _CheckedFile
     caching._SourceFileBackedLocatorMixin.get_source_stamp = _stamp
+    Dispatcher.enable_caching = _enable_caching
+
+
+def _enable_caching(dispatcher) -> None:
+    try:
+        _enable(dispatcher)
+    except RuntimeError as error:
+        if "no locator" not in str(error):
+            raise
+        _warn_once()
+
+
+@cache
+def _warn_once() -> None:
+    warnings.warn(
+        "compiled code: expected a folder to keep it in, beside the package, in the home folder or in NUMBA_CACHE_DIR; "
+        "none can be written, so every process compiles anew",
+        stacklevel=2,
+    )
 
 
 def _stamp(locator):

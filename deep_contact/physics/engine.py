@@ -70,8 +70,9 @@ class StepMemory(NamedTuple):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance(given, options, workspace, log):
-    """Do as many steps as the log has rows: the bodies move in place. Returns (contacts solved last, contacts found).
+    """Do as many steps as the log has rows, or until the work in `log.progress` is done: the bodies move in place.
 
+    Returns (contacts solved last, contacts found).
     The contacts solved last are for reading only: they may lie in memory that the next steps write into.
     given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`.
     log: `StepLog`, filled.
@@ -120,7 +121,8 @@ def advance_with(memory, front_buffer, given, options, workspace, log):
             bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
         )
         front_buffer, back_buffer = back_buffer, front_buffer
-        log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations)
+        if log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations):
+            break
     return solved, contacts
 
 

@@ -60,7 +60,8 @@ def advance_sleeping(given, options, workspace, log):
     for k in range(log.contacts.shape[0]):
         if awake == 0:
             solved = contacts
-            log_step(log, k, 0, 0, theta, 0)
+            if log_step(log, k, 0, 0, theta, 0):
+                break
             continue
         active, active_buffer = awake_contacts(contacts, still, active_buffer)
         integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
@@ -84,7 +85,8 @@ def advance_sleeping(given, options, workspace, log):
         )
         front_buffer, back_buffer = back_buffer, front_buffer
         awake = wake_and_put_to_sleep(bodies, contacts, segments, given.dt, scales, parent, shortest, still)
-        log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
+        if log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations):
+            break
     return solved, own_contacts(contacts)
 
 

@@ -58,23 +58,34 @@ class StepWorkspace(NamedTuple):
 
 
 class StepLog(NamedTuple):
-    """What the steps log, (steps,) each: number of contacts, of sweeps, last θ (N·s), relaxations."""
+    """What the steps log, (steps,) each: number of contacts, of sweeps, last θ (N·s), relaxations.
+
+    progress: (2,), the steps that this call has done, and the work, in relaxations, after which it ends.
+    """
 
     contacts: np.ndarray
     sweeps: np.ndarray
     theta: np.ndarray
     relaxations: np.ndarray
+    progress: np.ndarray
 
 
 def make_log(steps: int) -> StepLog:
-    """A log for so many steps."""
-    return StepLog(np.zeros(steps, np.int64), np.zeros(steps, np.int64), np.zeros(steps), np.zeros(steps, np.int64))
+    """A log for so many steps, which one call may do all."""
+    columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64))
+    return StepLog(*columns, np.array([0, np.iinfo(np.int64).max]))
 
 
 @njit(cache=True)
 def log_step(log, k, contacts, sweeps, theta, relaxations):
-    """Write the k-th step into the log. contacts: number of them. theta: of the step's sweeps."""
+    """Write the k-th step into the log. contacts: number of them. theta: of the step's sweeps.
+
+    Returns whether the call ends here, its work being done.
+    """
     log.contacts[k] = contacts
     log.sweeps[k] = sweeps
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
     log.relaxations[k] = relaxations
+    log.progress[0] = k + 1
+    log.progress[1] -= relaxations + 20 * contacts
+    return log.progress[1] <= 0

@@ -84,7 +84,8 @@ def make_room(sizes, constants, segments, friction, settings, sweeps, position_s
     """A `Room` for steps of so many sweeps."""
     n = sizes.shape[0] // 2
     workspace = StepWorkspace(np.empty((n + 4, 4)), np.empty(sweeps), np.empty(0))
-    log = StepLog(np.empty(1, np.int64), np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64))
+    whole = np.empty(1, np.int64)
+    log = StepLog(whole, np.empty(1, np.int64), np.empty(1), np.empty(1, np.int64), np.zeros(2, np.int64))
     memory = make_memory(n, workspace.solver_bodies.dtype, friction)
     return Room(sizes, constants, segments, friction, settings, position_sweeps, memory, workspace, log)
 

@@ -5,9 +5,11 @@ import sys
 
 import numpy as np
 import pytest
+from numba import njit
 from numba.core import caching
 
 import deep_contact.compiled as compiled
+from deep_contact.compiled import code_cache
 from deep_contact.compiled.code_cache import source_stamp
 
 SOURCES = {
@@ -118,3 +120,12 @@ def test_numba_compiles_what_needs_blas_without_importing_it_before():
 
     compiled.prepare_numba()
     assert njit(lambda a: np.dot(a, a))(np.full((2, 2), 2.0)).tolist() == [[8.0, 8.0], [8.0, 8.0]]
+
+
+def test_without_a_folder_to_keep_code_in_functions_are_compiled_and_one_warning_says_so(monkeypatch):
+    monkeypatch.setattr(caching.CacheImpl, "_locator_classes", [])
+    code_cache._warn_once.cache_clear()
+    with pytest.warns(UserWarning, match="compiled code: expected a folder to keep it in") as warned:
+        functions = [njit(cache=True)(lambda x: x + 1) for _ in range(2)]
+    assert [function(1) for function in functions] == [2, 2]
+    assert len(warned) == 1

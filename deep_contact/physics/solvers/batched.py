@@ -256,8 +256,8 @@ class _Shared:
 
     plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. front, back: buffers
     for them. cells: `Cells`. room: `CorrectionRoom`. told: what a thread tells the others, (size, 8): whether a circle
-    of its share is fast, whether all are finite, whether there is a list of near pairs. found: pairs of its share that
-    touch, (size, 8).
+    of its share is fast, whether all are finite, whether there is a list of near pairs, whether the call ends. found:
+    pairs of its share that touch, (size, 8).
     """
 
     def __init__(self, *values):
@@ -357,7 +357,8 @@ def advance_together(given, options, workspace, log, shared, crew):
                     bodies, contacts, given.box, segments, scales, options.position_sweeps, shared.room
                 )
             shared.solved = contacts
-            log_step(log, k, contacts.body_a.shape[0], sweeps, theta, sweeps * contacts.body_a.shape[0])
+            m = contacts.body_a.shape[0]
+            told[0, 3] = log_step(log, k, m, sweeps, theta, sweeps * m)
             hold(bodies, before, given.box, segments, scales.wall_skin, contacts)
             told[0, 2] = has_list(bodies.position, bodies.radius, shared.cells) and segments.shape[0] == 0
         wait(crew)
@@ -370,6 +371,8 @@ def advance_together(given, options, workspace, log, shared, crew):
             shared.contacts, buffer = contacts_at(*where, shared.cells, shared.back)
             carry_impulses(contacts, shared.contacts, options.carry)
             shared.back, shared.front = shared.front, buffer
+        if told[0, 3]:
+            break
 
 
 @njit(cache=True, error_model="numpy")

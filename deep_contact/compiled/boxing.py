@@ -1,0 +1,56 @@
+"""Let compiled code hand its results over without running Python.
+
+Numba turns a result into Python objects by code that reads classes through a function of Python, and looks at no error
+there. A Ctrl-C that came while the compiled code ran is raised by the first line of Python, which is in the middle of
+this: the process ends with a segmentation fault. Here the classes are constants that C reads, and Ctrl-C is raised
+behind the call.
+
+This replaces details of `numba.core.pythonapi`, and holds for everything that the process compiles.
+"""
+
+from __future__ import annotations
+
+from functools import wraps
+
+from numba.core import types
+from numba.core.boxing import box_namedtuple, box_tuple
+from numba.core.pythonapi import PythonAPI, _boxers
+
+_new_tuple = tuple.__new__
+
+
+def install() -> None:
+    """Make the results of all functions that are compiled from here on safe."""
+    PythonAPI.from_native_value = _from_native_value
+    _boxers.functions[types.NamedTuple] = _boxers.functions[types.NamedUniTuple] = _box_named_tuple
+
+
+_unpickling = PythonAPI.from_native_value
+
+
+@wraps(_unpickling)
+def _from_native_value(self, typ, val, env_manager=None):
+    if env_manager is None or "unserialize" in vars(self):
+        return _unpickling(self, typ, val, env_manager)
+
+    def constant(found):
+        pointer = env_manager.read_const(env_manager.add_const(found))
+        self.incref(pointer)
+        return pointer
+
+    self.serialize_object, self.unserialize = lambda found: found, constant
+    try:
+        return _unpickling(self, typ, val, env_manager)
+    finally:
+        del self.serialize_object, self.unserialize
+
+
+def _box_named_tuple(typ, val, c):
+    if not (typ.instance_class.__new__.__doc__ or "").startswith("Create new instance of"):
+        return box_namedtuple(typ, val, c)  # a class that makes its instances itself
+    parts = [c.pyapi.unserialize(c.pyapi.serialize_object(one)) for one in (_new_tuple, typ.instance_class)]
+    parts.append(box_tuple(typ, val, c))
+    made = c.pyapi.call_function_objargs(parts[0], parts[1:])
+    for part in parts:
+        c.pyapi.decref(part)
+    return made
