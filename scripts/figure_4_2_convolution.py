@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from deep_contact.cnn import worked_examples as worked
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import chapter_4 as worked
 
 
 def compute(options, seed, jobs, progress):
@@ -18,7 +18,7 @@ def compute(options, seed, jobs, progress):
         "Keras Conv2D": worked.keras_convolution(image[..., None], kernel[..., None, None])[..., 0],
         "SciPy correlate2d": signal.correlate2d(image, kernel, mode="valid"),
         "SciPy convolve2d": signal.convolve2d(image, kernel, mode="valid"),
-        "Eq 4.1, flipped kernel": worked.correlate(image, worked.flipped(kernel)),
+        "Eq 4.1, flipped kernel": worked.correlate(image, kernel[::-1, ::-1]),
     }
     rng = np.random.default_rng(seed)
     deep_image, deep_kernel = rng.normal(size=(32, 32, 3)), rng.normal(size=(3, 3, 3, 4))
@@ -28,7 +28,7 @@ def compute(options, seed, jobs, progress):
     sizes = []
     for n, k, s in options["sizes"]:
         found = worked.keras_convolution(np.zeros((n, n, 1)), np.zeros((k, k, 1, 1)), stride=s)
-        sizes.append({"I": n, "K": k, "s": s, "Eq 4.2": worked.output_size(n, k, s), "Keras": found.shape[0]})
+        sizes.append({"I": n, "K": k, "s": s, "Eq 4.2": (n - k) / s + 1, "Keras": found.shape[0]})
     return {
         "image": image,
         "kernel": kernel,

@@ -3,11 +3,11 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn import worked_examples as worked
 from deep_contact.cnn.images import input_image
 from deep_contact.cnn.inference import load_model, network_file
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import chapter_4 as worked
 from deep_contact.studies import starts
 
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from deep_contact.cnn import worked_examples as worked
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import chapter_4 as worked
 
 
 def compute(options, seed, jobs, progress):

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from deep_contact.cnn import worked_examples as worked
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import chapter_4 as worked
 
 LATE = "Eq 4.18, output weights updated before"
 
@@ -18,11 +18,10 @@ def compute(options, seed, jobs, progress):
     target, rate = options["target"], options["rate"]
     found = worked.backpropagate(x, w_h, w_o, target)
     automatic = worked.automatic_gradients(x, w_h, w_o, target)
-    step_o, _ = worked.momentum_step(w_o, automatic["output"], rate=rate)
-    step_h, _ = worked.momentum_step(w_h, automatic["hidden"], rate=rate)
+    step_o, step_h = w_o - rate * automatic["output"], w_h - rate * automatic["hidden"]  # Eq 4.8, the first step
     chain = found.chain
     common = chain["∂L/∂e"] * chain["∂e/∂y"]
-    early, late = (worked.printed_hidden_update(w_h, w, x, found, rate) for w in (w_o, step_o))
+    early, late = (w_h + 2 * rate * found.e * np.outer(x, w) for w in (w_o, step_o))
     loss = {"before": found.loss, "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss}
     output, hidden = automatic["output"], automatic["hidden"]
     return {
@@ -38,7 +37,7 @@ def compute(options, seed, jobs, progress):
         },
         "chain, automatic": {name: automatic[name] for name in chain},
         "updated": {
-            "output": {"Eq 4.14": worked.printed_output_update(w_o, found, rate), "Eq 4.8": step_o},
+            "output": {"Eq 4.14": w_o + rate * found.v * found.e, "Eq 4.8": step_o},
             "hidden": {"Eq 4.18": early, LATE: late, "Eq 4.8": step_h},
         },
     }

@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.io.files import replacing
+from deep_contact.validation import one_of
 
 DPI = 150
 """Dots per inch of every picture."""
@@ -90,30 +91,20 @@ def style():
 def style_of(start: str, *, marker: bool = False) -> dict:
     """Keywords for `ax.plot` of this start: color, linestyle, label, and marker if asked for.
 
-    start: its name in any case, its words separated by spaces, underscores or hyphens. Raises ValueError naming the
-    known starts.
+    Raises ValueError naming the known starts.
     """
-    key = _start_key(start)
-    if key not in START_STYLE:
-        raise ValueError(f"start: expected one of {', '.join(START_STYLE)}, got {start!r}")
-    return {name: value for name, value in START_STYLE[key].items() if marker or name != "marker"}
-
-
-def _start_key(name: str) -> str:
-    return str(name).lower().replace("_", " ").replace("-", " ").strip()
+    look = START_STYLE[one_of("start", start, START_STYLE)]
+    return {name: value for name, value in look.items() if marker or name != "marker"}
 
 
 def styles_of(names: Iterable[str]) -> dict[str, dict]:
     """Name -> keywords for `ax.plot`: starts as `style_of` has them, others with the next free colour and line."""
-    found = {name: style_of(name) if _start_key(name) in START_STYLE else None for name in names}
+    found = {name: style_of(name) if name in START_STYLE else None for name in names}
     taken = {look["color"] for look in found.values() if look}
     # Seven colours and four lines have no common factor: 28 different pairs. Colours of starts come last.
     pairs = ((CYCLE[i % 7], ("-", "--", "-.", ":")[i % 4]) for i in count())
     free = (pair for pair in pairs if pair[0] not in taken or taken >= set(CYCLE))
-    for name, look in found.items():
-        if look is None:
-            found[name] = dict(zip(("color", "linestyle"), next(free)), label=name)
-    return found
+    return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in found.items()}
 
 
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
@@ -364,42 +355,34 @@ def convergence_plot(
 
     curves: name -> θ, N·s; starts have their own style. sweeps: after which each θ was taken, by default every sweep
     from the first. bands: name -> the quartiles (low, high) of the scenes around the curve of that name. threshold:
-    drawn as a horizontal line, N·s.
-
-    A logarithmic axis cannot show θ = 0: values below `floor` are drawn at it, and a note in the picture says so. By
-    default the floor is the power of ten below the smallest θ > 0, but at least 1e-12. Returns the floor. Raises
-    ValueError for a negative or non-finite θ.
+    drawn as a horizontal line, N·s. floor: at which smaller θ are drawn, zero included, with a note; by default the
+    power of ten below the smallest θ > 0, at least 1e-12. Returns the floor. Raises ValueError for a negative or
+    non-finite θ.
     """
     curves = {name: np.asarray(theta, dtype=np.float64) for name, theta in curves.items()}
     for name, theta in curves.items():
         if theta.ndim != 1 or not theta.size or not np.isfinite(theta).all() or (theta < 0).any():
             raise ValueError(f"curves[{name!r}]: expected finite θ >= 0, one a sweep, got {theta}")
+    values = np.concatenate([np.zeros(0), *curves.values()])
     if floor is None:
-        positive = [x for theta in curves.values() for x in theta[theta > 0]] or [1.0]
-        floor = 10.0 ** max(-12, np.floor(np.log10(min(positive)) - 1e-9))
-    styles = styles_of(curves)
-    clipped = False
-    for name, theta in curves.items():
-        x = np.arange(1, theta.size + 1) if sweeps is None else np.asarray(sweeps)
-        clipped |= bool((theta < floor).any())
-        ax.plot(x, np.maximum(theta, floor), **styles[name])
+        floor = 10.0 ** max(-12, np.floor(np.log10(values[values > 0].min(initial=1.0)) - 1e-9))
+    for name, look in styles_of(curves).items():
+        x = np.arange(1, curves[name].size + 1) if sweeps is None else np.asarray(sweeps)
+        ax.plot(x, np.maximum(curves[name], floor), **look)
         if bands and name in bands:
             low, high = (np.maximum(edge, floor) for edge in bands[name])
-            ax.fill_between(x, low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
+            ax.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
     if threshold is not None:
         # Labelled in the legend, where no curve can cross the label.
         ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
-    ax.set_xscale("log")
-    ax.set_yscale("log")
+    ax.set(xscale="log", yscale="log")
     label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
-    if clipped:
+    if (values < floor).any():
         note = f"θ below {floor:.0e}, zero included, is drawn there"
         ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=7, color="#555555", va="bottom")
-    title = "band: quartiles of the scenes" if bands else None
-    if len(curves) > 4:  # a larger legend inside would hide curves
-        ax.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title=title)
-    elif curves:
-        ax.legend(title=title)
+    outside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)} if len(curves) > 4 else {}  # or it would hide curves
+    if curves:
+        ax.legend(title="band: quartiles of the scenes" if bands else None, **outside)
     return float(floor)
 
 

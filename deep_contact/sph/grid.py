@@ -3,7 +3,7 @@
 An image is a C-contiguous array of shape (n_y, n_x, channels), row 0 at y_min; the channels are the quantities that the
 particles carry. A transfer is a splat followed by a gather with the same `normalization`:
 
-* "raw": node j holds Σ_k V_k W(|x_j - x_k|, h) S_k (Eq 3.6; Algorithms 2 and 3, with V = 1).
+* "raw": node j holds Σ_k W(|x_j - x_k|, h) S_k (Algorithms 2 and 3; Eq 3.6 where the values are V_k S_k).
 * "particle": the weights of every particle are divided by their sum over the nodes (Appendix A), so the sum of an image
   is the sum of the values. The thesis reads it back bilinearly (Algorithm 4), which returns between a quarter and all
   of the value of an isolated particle if h is the spacing.
@@ -43,8 +43,7 @@ _RAW, _PARTICLE, _CONSISTENT = range(3)
 _BILINEAR, _SPH = range(2)
 _ERROR, _ZERO, _NEAREST = range(3)
 _CLAMP, _IGNORE = 1, 2
-_DONE, _BAD_POSITION, _BAD_VALUE, _BAD_VOLUME, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED = range(7)
-_NO_VOLUME = np.empty(0)
+_DONE, _BAD_POSITION, _BAD_VALUE, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED = range(6)
 _NO_DENSITY = np.empty((0, 0))
 
 
@@ -72,12 +71,7 @@ class Grid:
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
-        for name, value in (
-            ("origin", origin),
-            ("spacing", spacing),
-            ("shape", shape),
-            ("_geometry", origin + spacing),
-        ):
+        for name, value in zip(("origin", "spacing", "shape", "_geometry"), (origin, spacing, shape, origin + spacing)):
             object.__setattr__(self, name, value)
 
     @classmethod
@@ -214,10 +208,10 @@ def _first_infinite(array):
 
 
 @njit(cache=True, error_model="numpy")
-def _splat_core(geometry, position, values, volume, h, kernel, normalization, unreached, outside, image):
+def _splat_core(geometry, position, values, h, kernel, normalization, unreached, outside, image):
     """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
 
-    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); volume (k,), or empty for 1; image (n_y, n_x, c).
+    geometry: `Grid._geometry`. position (k, 2), m; values (k, c); image (n_y, n_x, c).
     The rest are numbers from the tables above. Checks that all is finite before it writes.
     """
     n_y, n_x, channels = image.shape
@@ -227,9 +221,6 @@ def _splat_core(geometry, position, values, volume, h, kernel, normalization, un
     bad = _first_infinite(values)
     if bad >= 0:
         return _BAD_VALUE, bad
-    bad = _first_infinite(volume.reshape(-1, 1))
-    if bad >= 0:
-        return _BAD_VOLUME, bad
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
     for k in range(position.shape[0]):
         x, in_x = _place(position[k, 0], geometry[0], geometry[2], n_x, outside)
@@ -249,8 +240,6 @@ def _splat_core(geometry, position, values, volume, h, kernel, normalization, un
             i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
             # Raw weights are densities: times the area of a cell they sum to about 1, and so does this one.
             factor = 1.0 / (geometry[2] * geometry[3]) if normalization == _RAW else 1.0
-        if volume.shape[0] > 0:
-            factor *= volume[k]
         n = 0
         for j in range(j0, j1):
             for i in range(i0, i1):
@@ -333,7 +322,6 @@ def splat(
     h: float,
     kernel: str = "poly6",
     normalization: str = "raw",
-    volume=None,
     unreached: str = "error",
     outside: str = "error",
 ) -> np.ndarray:
@@ -341,9 +329,8 @@ def splat(
 
     position: (k, 2), m. values: (k, c) or (k,). h: support radius, m. kernel: one of `KERNELS`, dim = 2.
     normalization: "raw", "particle" or "consistent" (the same image as "particle"); see the module.
-    volume: V_k of Eq 3.6, (k,), m²; only with "raw"; None is 1, as in Algorithms 2 and 3, and gives values per m².
     unreached: for a particle with no node within h. "error"; "zero": it adds nothing; "nearest": it goes to the nearest
-    node (with the weight 1, or V / (dx dy) if raw).
+    node (with the weight 1, or 1 / (dx dy) if raw).
     outside: for a particle outside the grid. "error"; "clamp": it acts from the nearest point of the grid; "ignore": it
     adds nothing. Contacts with a wall lie beyond it by half their penetration: clamp these.
 
@@ -356,17 +343,11 @@ def splat(
     columns = given.reshape(-1, 1) if given.ndim == 1 else given
     if columns.ndim != 2 or columns.shape[0] != position.shape[0]:
         raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {given.shape}")
-    volumes = _NO_VOLUME if volume is None else as_floats("volume", volume)
-    if volume is not None:
-        if normalization != "raw":
-            raise ValueError(f"volume: expected None, since it cancels in {normalization!r}, got an array")
-        if volumes.shape != position.shape[:1]:
-            raise ValueError(f"volume: expected shape ({position.shape[0]},), got {volumes.shape}")
     image = np.zeros((*grid.shape, columns.shape[1]))
     core = compiled_for(_splat_core, kernel)
-    code, k = core(grid._geometry, position, columns, volumes, h, chosen, *codes, image)
+    code, k = core(grid._geometry, position, columns, h, chosen, *codes, image)
     if code != _DONE:
-        raise _error(code, k, grid, position, h, {"values": columns, "volume": volumes})
+        raise _error(code, k, grid, position, h, columns)
     return image if given.ndim == 2 else image.reshape(grid.shape)
 
 
@@ -435,7 +416,7 @@ def gather(
     core = compiled_for(_gather_core, kernel)
     code, k = core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
     if code != _DONE:
-        raise _error(code, k, grid, position, h, {})
+        raise _error(code, k, grid, position, h)
     return out if np.ndim(image) == 3 else out.reshape(-1)
 
 
@@ -480,21 +461,18 @@ def _code(name, given):
         return one_of(name, given, _OPTIONS[name])
 
 
-def _error(code, k, grid, position, h, arrays):
+def _error(code, k, grid, position, h, values=None) -> ValueError:
     """The exception for what a core returned."""
-    at = f"({position[k, 0]}, {position[k, 1]})" if position.shape[0] else ""
+    at = f"({position[k, 0]}, {position[k, 1]})"
     if code == _BAD_POSITION:
         return ValueError(f"position[{k}]: expected finite numbers, got {at}")
     if code == _BAD_VALUE:
-        return ValueError(f"values[{k}]: expected finite numbers, got {arrays['values'][k]}")
-    if code == _BAD_VOLUME:
-        return ValueError(f"volume[{k}]: expected a finite number, got {arrays['volume'][k]}")
+        return ValueError(f"values[{k}]: expected finite numbers, got {values[k]}")
     if code == _BAD_RESULT:
         return ValueError(f"image, density: expected finite numbers around position[{k}] = {at}")
     if code == _IS_OUTSIDE:
         return ValueError(
-            f"position[{k}]: expected a point of the grid {grid.box}, got {at}; "
-            "outside='clamp' or 'ignore' allow for it"
+            f"position[{k}]: expected a point of the grid {grid.box}, got {at}; outside='clamp' allows for it"
         )
     return ValueError(
         f"position[{k}]: expected a node, or density, within reach, got {at} at h = {h}, "

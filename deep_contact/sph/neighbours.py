@@ -1,4 +1,4 @@
-"""Sums over neighbours found by a k-d tree, as the thesis has them: the slow reference of `sph.splat`, and Eq 3.7."""
+"""Sums over neighbours found by a k-d tree, as the thesis has them: the slow reference of `sph.splat`."""
 
 from __future__ import annotations
 
@@ -51,29 +51,3 @@ def splat_by_tree(
             w = np.divide(w, total[found], out=np.zeros_like(w), where=total[found] > 0)
         image[node] = w @ values[found]
     return image.reshape(*grid.shape, -1)
-
-
-def field_of(points, position, values, *, h: float, kernel: str = "poly6", volume=None):
-    """A, ∇A and ∇²A of particles at any points (Eq 3.6, 3.7a and 3.7b): (p, c), (p, c, 2) and (p, c).
-
-    points: (p, 2), m. position: of the particles, (k, 2), m. values: A_k, (k, c). volume: m_k / ρ_k, (k,), m²; 1 by
-    default, as in Algorithms 2 and 3. In units of the values, over m and m² for the derivatives if volumes are given.
-    Raises ValueError for an unknown kernel or h, and for arrays that are not finite numbers.
-    """
-    from scipy.spatial import cKDTree
-
-    h = kernels.check_support_radius(h)
-    points, position = kernels.as_floats("points", points), kernels.as_floats("position", position)
-    values = kernels.as_floats("values", values)
-    weights = np.ones(len(position)) if volume is None else kernels.as_floats("volume", volume)
-    near = cKDTree(position).query_ball_point(points, h)
-    rows = np.repeat(np.arange(len(points)), [len(found) for found in near])
-    columns = np.concatenate([np.array(found, dtype=int) for found in near]) if len(near) else np.zeros(0, dtype=int)
-    apart = points[rows] - position[columns]
-    distance = np.hypot(*apart.T)
-    given = weights[columns, None] * values[columns]
-    found = [np.zeros((len(points), values.shape[1], *shape)) for shape in ((), (2,), ())]
-    np.add.at(found[0], rows, given * kernels.value(kernel, distance, h)[:, None])
-    np.add.at(found[1], rows, given[:, :, None] * kernels.gradient(kernel, apart, h)[:, None, :])
-    np.add.at(found[2], rows, given * kernels.laplacian(kernel, distance, h)[:, None])
-    return tuple(found)

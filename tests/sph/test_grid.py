@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.interpolate import RegularGridInterpolator
 
 from deep_contact import sph
-from deep_contact.sph.neighbours import field_of, splat_by_tree
+from deep_contact.sph.neighbours import splat_by_tree
 
 THESIS = sph.Grid.over_box((0, 0, 30, 30), 0.5)
 SMALL = sph.Grid(origin=(-1.0, 2.0), spacing=(0.5, 0.3), shape=(8, 6))
@@ -26,14 +26,14 @@ def random_particles(grid, count, channels=2, seed=0):
     return position, rng.normal(size=(count, channels))
 
 
-def brute_force(grid, position, values, h, kernel, normalization="raw", volume=None):
+def brute_force(grid, position, values, h, kernel, normalization="raw"):
     """Eq 3.6 over all pairs of a node and a particle."""
     x, y = grid.nodes
     distance = np.hypot(x[None, :, None] - position[:, 0], y[:, None, None] - position[:, 1])
     w = sph.value(kernel, distance, h)
     if normalization == "particle":
         w = w / w.sum(axis=(0, 1))
-    return w * (1 if volume is None else volume) @ values
+    return w @ values
 
 
 # ---- the grid ----
@@ -128,14 +128,6 @@ def test_splat_is_that_of_the_tree(kernel, normalization, one_query):
     witness = splat_by_tree(THESIS, position, values, one_query=one_query, **options)
     image = sph.splat(THESIS, position, values, **options)
     np.testing.assert_allclose(image, witness, rtol=0, atol=1e-12 * np.abs(witness).max())
-
-
-def test_volume_weighs_the_particles():
-    """V_k = m_k/ρ_k of Eq 3.6."""
-    position, values = random_particles(SMALL, 20)
-    volume = np.linspace(0.5, 2, 20)
-    image = sph.splat(SMALL, position, values, h=0.6, volume=volume)
-    np.testing.assert_allclose(image, brute_force(SMALL, position, values, 0.6, "poly6", volume=volume), rtol=1e-12)
 
 
 def test_raw_splat_integrates_to_the_values():
@@ -416,9 +408,6 @@ def test_rounding_beyond_the_last_node_is_not_outside():
         ({"position": [["a", "b"]] * 2}, "position: expected an array of real numbers"),
         ({"values": [1.0, math.nan]}, r"values\[1\].*nan"),
         ({"values": [1.0]}, r"values: expected shape \(2, channels\), got \(1,\)"),
-        ({"volume": [1.0, math.inf]}, r"volume\[1\].*inf"),
-        ({"volume": [1.0]}, r"volume: expected shape \(2,\), got \(1,\)"),
-        ({"volume": [1.0, 1.0], "normalization": "particle"}, "volume: expected None.*'particle'"),
         ({"h": 0.0}, "h: expected a finite number > 0"),
         ({"h": -1}, "h: .*-1"),
         ({"h": math.nan}, "h: .*nan"),
@@ -475,41 +464,3 @@ def test_importing_the_transfer_does_not_import_the_tree():
     """scipy's top level comes with Numba; its k-d tree is for the witness alone."""
     code = "import sys, deep_contact.sph, deep_contact.sph.neighbours; sys.exit('scipy.spatial' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
-
-
-# ---- fields between the particles ----
-
-
-@pytest.mark.parametrize("kernel", ["poly6", "wendland_c2"])
-def test_the_gradient_and_laplacian_of_a_field_are_those_of_finite_differences(kernel):
-    """Eq 3.7a and 3.7b against central differences of Eq 3.6. Both kernels are smooth at the centre."""
-    position, values = random_particles(SMALL, 40)
-    volume = np.random.default_rng(1).uniform(0.5, 2.0, 40)
-    points = random_particles(SMALL, 25, seed=2)[0]
-    step = 1e-4
-
-    def field(shift=(0.0, 0.0)):
-        return field_of(points + shift, position, values, h=0.8, kernel=kernel, volume=volume)
-
-    here, gradient, laplacian = field()
-    steps = [(step, 0.0), (0.0, step)]
-    around = [(field(s)[0], field((-s[0], -s[1]))[0]) for s in steps]
-    found = np.stack([(after - before) / (2 * step) for after, before in around], axis=-1)
-    np.testing.assert_allclose(gradient, found, atol=1e-5 * np.abs(gradient).max())
-    curved = sum((after + before - 2 * here) / step**2 for after, before in around)
-    # W'' of both kernels has a kink or a zero at the edge of the support.
-    np.testing.assert_allclose(laplacian, curved, atol=1e-3 * np.abs(laplacian).max())
-
-
-def test_a_field_at_the_nodes_is_the_image():
-    position, values = random_particles(SMALL, 30)
-    x, y = SMALL.nodes
-    nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-    image = sph.splat(SMALL, position, values, h=0.7, unreached="zero")
-    np.testing.assert_allclose(field_of(nodes, position, values, h=0.7)[0].reshape(image.shape), image, atol=1e-12)
-
-
-def test_far_from_all_particles_a_field_is_zero():
-    found = field_of([[50.0, 50.0]], [[0.0, 0.0]], [[1.0]], h=1.0)
-    assert [part.shape for part in found] == [(1, 1), (1, 1, 2), (1, 1)]
-    assert not any(part.any() for part in found)

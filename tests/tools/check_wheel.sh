@@ -46,6 +46,8 @@ tests=$!
 packages="$("$work/env/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
 "$PYTHON" -m pip --python "$work/env/bin/python" install --quiet --disable-pip-version-check --no-deps --no-index \
     "$work"/deep_contact-*.whl
+# Machine code that the tests have made: whether it fits is told by the contents of the sources.
+find deep_contact -name '*.nb[ic]' | tar cf - -T - | tar xf - -C "$packages"
 "$PYTHON" -c 'import sys; print(*(path for path in sys.path if path.endswith("-packages")), sep="\n")' \
     > "$packages/outside.pth"
 export PATH="$work/env/bin:$PATH"

@@ -7,8 +7,8 @@ import pytest
 from conftest import load_script
 from scipy import signal
 
-from deep_contact.cnn import worked_examples as worked
 from deep_contact.reporting import figures, results
+from deep_contact.studies import chapter_4 as worked
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
@@ -33,7 +33,7 @@ def test_eq_4_1_with_the_kernel_flipped_is_scipys_convolution():
     rng = np.random.default_rng(1)
     image, kernel = rng.normal(size=(6, 5)), rng.normal(size=(3, 3))
     right = signal.convolve2d(image, kernel, mode="valid")
-    np.testing.assert_allclose(worked.correlate(image, worked.flipped(kernel)), right, atol=1e-13)
+    np.testing.assert_allclose(worked.correlate(image, kernel[::-1, ::-1]), right, atol=1e-13)
 
 
 def test_a_kernel_as_deep_as_its_input_is_keras_conv2d(keras):
@@ -80,15 +80,6 @@ def test_sizes_of_table_5_1():
     assert worked.pooled_sizes(61, 4) == [61, 31, 16, 8, 4]
 
 
-def test_dropout_drops_its_share_and_keeps_the_mean():
-    """Section 4.3.2. Five standard deviations of the share and of the mean of 10⁵ values."""
-    found = worked.dropout(np.ones(100_000), 0.25, np.random.default_rng(0))
-    assert np.mean(found == 0) == pytest.approx(0.25, abs=5 * np.sqrt(0.25 * 0.75 / 1e5))
-    assert found.mean() == pytest.approx(1.0, abs=5 * np.sqrt(0.25 / 0.75 / 1e5))
-    with pytest.raises(ValueError, match=r"rate: expected a number from 0 to below 1, got 1\.0"):
-        worked.dropout(np.ones(3), 1.0, np.random.default_rng(0))
-
-
 # ---- backpropagation ----
 
 
@@ -117,21 +108,6 @@ def test_automatic_differentiation_agrees_with_the_equations(keras, example):
     np.testing.assert_allclose(found.hidden, automatic["hidden"], rtol=1e-12)
     for name, factor in found.chain.items():
         np.testing.assert_allclose(factor, automatic[name], rtol=1e-12)
-
-
-def test_eq_4_14_as_printed_is_half_a_step(example):
-    found, w = worked.backpropagate(**example), example["w_output"]
-    right, _ = worked.momentum_step(w, found.output, rate=0.1)
-    np.testing.assert_allclose(worked.printed_output_update(w, found, 0.1) - w, (right - w) / 2, rtol=1e-9)
-
-
-def test_eq_4_18_is_a_step_with_the_old_output_weights_only(example):
-    found, w = worked.backpropagate(**example), example["w_hidden"]
-    right, _ = worked.momentum_step(w, found.hidden, rate=0.1)
-    output, _ = worked.momentum_step(example["w_output"], found.output, rate=0.1)
-    old = worked.printed_hidden_update(w, example["w_output"], example["x"], found, 0.1)
-    np.testing.assert_allclose(old, right, rtol=1e-12)
-    assert np.abs(worked.printed_hidden_update(w, output, example["x"], found, 0.1) - right).max() > 1e-3
 
 
 # ---- inside a network ----

@@ -1,9 +1,7 @@
 """Chapter 4 worked through with numbers, in plain NumPy and by Keras or TensorFlow.
 
-Each computation follows the thesis's equation literally, to be compared with the library: a convolution (Eq 4.1), its
-size (Eq 4.2), a neuron (Eq 4.3, 4.4), max pooling, dropout, backpropagation (Eq 4.11-4.18). They are small and meant
-for reading; only the figures of chapter 4 use them. The last section inspects a trained network. Keras and TensorFlow
-are imported by the functions that need them.
+Each computation follows the thesis's equation literally, to be compared with the library: a convolution (Eq 4.1), a
+neuron (Eq 4.3, 4.4), max pooling, backpropagation (Eq 4.11-4.18). The last section looks into a trained network.
 """
 
 from __future__ import annotations
@@ -19,16 +17,14 @@ import numpy as np
 def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int) -> np.ndarray:
     """The products that Eq 4.1 sums at one place, K_ij · I_{x+i−1, y+j−1}: the shape of the kernel.
 
-    image: (n_y, n_x, ...); kernel: (k_y, k_x, ...) with the same further axes (section 4.2.2: a kernel is as deep as
-    its input). row, column: of the image's node under the kernel's first node, from 0. Raises ValueError if the kernel
-    is not within the image or has another depth.
+    image: (n_y, n_x, ...); kernel: (k_y, k_x, ...) with the same further axes (section 4.2.2). row, column: of the
+    image's node under the kernel's first node, from 0. Raises ValueError unless the kernel lies within the image.
     """
     k_y, k_x = kernel.shape[:2]
     under = image[row : row + k_y, column : column + k_x]
     if row < 0 or column < 0 or under.shape != kernel.shape:
-        raise ValueError(
-            f"kernel: expected one that lies within the image {image.shape} at ({row}, {column}), got {kernel.shape}"
-        )
+        within = f"one that lies within the image {image.shape} at ({row}, {column})"
+        raise ValueError(f"kernel: expected {within}, got {kernel.shape}")
     return kernel * under
 
 
@@ -40,16 +36,6 @@ def correlate(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.n
     (n_y, n_x), (k_y, k_x) = image.shape[:2], kernel.shape[:2]
     rows, columns = range(0, n_y - k_y + 1, stride), range(0, n_x - k_x + 1, stride)
     return np.array([[window_products(image, kernel, i, j).sum() for j in columns] for i in rows])
-
-
-def flipped(kernel: np.ndarray) -> np.ndarray:
-    """The kernel turned by 180°: the correlation with it is the mathematical convolution."""
-    return kernel[::-1, ::-1]
-
-
-def output_size(image: int, kernel: int, stride: int) -> float:
-    """Eq 4.2, (I − K) / s + 1, as it is printed: a whole number only where s divides I − K."""
-    return (image - kernel) / stride + 1
 
 
 def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
@@ -141,7 +127,7 @@ def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed
     return float(np.linalg.norm(gradient) / np.linalg.norm(last))
 
 
-# ---- max pooling and dropout ----
+# ---- max pooling ----
 
 
 def max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
@@ -166,21 +152,11 @@ def pooled_sizes(n: int, times: int) -> list[int]:
     return [-(-n // 2**i) for i in range(times + 1)]
 
 
-def dropout(values: np.ndarray, rate: float, rng: np.random.Generator) -> np.ndarray:
-    """Set each value to zero with probability `rate`, and divide the others by 1 − rate (section 4.3.2).
-
-    Raises ValueError for a rate outside [0, 1).
-    """
-    if not 0 <= rate < 1:
-        raise ValueError(f"rate: expected a number from 0 to below 1, got {rate!r}")
-    return np.where(rng.random(values.shape) < rate, 0.0, values / (1 - rate))
-
-
 # ---- backpropagation, section 4.3.5 ----
 
 
 class Backpropagation(NamedTuple):
-    """The forward and the backward pass of the thesis's example: I inputs, J hidden neurons, one output, all linear.
+    """The passes through the thesis's example: I inputs, J hidden neurons, one output, all linear.
 
     v: hidden values (J,), Eq 4.16. y: output, e: error d − y, loss: e², all Eq 4.11. chain: factors of Eq 4.12 and 4.15
     by name. output: ∂L/∂w_j of the output's weights (J,), Eq 4.13. hidden: ∂L/∂w_ij (I, J), Eq 4.17.
@@ -200,13 +176,8 @@ def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, tar
     v = x @ w_hidden
     y = float(w_output @ v)
     e = float(target - y)
-    chain = {
-        "∂L/∂e": np.array(2 * e),
-        "∂e/∂y": np.array(-1.0),
-        "∂y/∂v": w_output.copy(),
-        "∂y/∂w": v.copy(),
-        "∂v/∂w": np.repeat(x[:, None], w_output.size, axis=1),  # of v_j by w_ij; the others are zero
-    }
+    of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # of v_j by w_ij; the others are zero
+    chain = {"∂L/∂e": np.array(2 * e), "∂e/∂y": np.array(-1.0), "∂y/∂v": w_output, "∂y/∂w": v, "∂v/∂w": of_hidden}
     return Backpropagation(v, y, e, e**2, chain, -2 * v * e, -2 * e * np.outer(x, w_output))
 
 
@@ -229,22 +200,6 @@ def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
     # w_ij acts on v_j alone, so the derivative of the sum of v is that of v_j.
     found |= {"∂y/∂v": (y, v), "∂y/∂w": (y, w_o), "∂v/∂w": (total, w_h)}
     return {name: tape.gradient(*pair).numpy() for name, pair in found.items()}
-
-
-def momentum_step(weights, gradient, *, rate: float, velocity=0.0, gamma: float = 0.0):
-    """(new weights, new velocity) by Eq 4.8: v ← γ v + η ∇L, w ← w − v."""
-    velocity = gamma * np.asarray(velocity) + rate * np.asarray(gradient)
-    return weights - velocity, velocity
-
-
-def printed_output_update(w_output, found: Backpropagation, rate: float) -> np.ndarray:
-    """Eq 4.14 as printed, w_j + α v_j e, its e_j read as the e_l of Eq 4.11."""
-    return w_output + rate * found.v * found.e
-
-
-def printed_hidden_update(w_hidden, w_output, x, found: Backpropagation, rate: float) -> np.ndarray:
-    """Eq 4.18 as printed, w_ij + 2 α e w_j x_i. w_output: the weights it is given, before or after their own update."""
-    return w_hidden + 2 * rate * found.e * np.outer(x, w_output)
 
 
 # ---- inside a trained network ----
