@@ -42,9 +42,9 @@ def figure_of(id):
 
 
 @cache
-def run_of(id, quick, folder, **options):
+def run_of(id, quick, folder):
     """Results of a run made now, drawn as well."""
-    return figures.produce(figure_of(id), options=options, quick=quick, out=folder, jobs=1, echo=lambda line: None)
+    return figures.produce(figure_of(id), quick=quick, out=folder, jobs=1, echo=lambda line: None)
 
 
 @pytest.fixture(scope="module")
@@ -168,18 +168,17 @@ AGREEMENT = {
     "3.6": (of_snapshots, False, 1.15),
     "5.1": (of_snapshots, False, 1.15),
     # One scene and half of the steps, more of them in the fall: measured within a factor of 2. Figure 3.7's starts too.
-    "3.8": (of_thetas, True, 3.0, {"sweeps": 300}),
+    "3.8": (of_thetas, True, 3.0),
     # An eighth of the states of the same pile: measured within 1.16.
     "6.3": (of_transfer, True, 1.4),
 }
-"""Id -> the numbers that do not depend on the size of a run, whether it is a quick one, the factor allowed, options."""
+"""Id -> the numbers that do not depend on the size of a run, whether it is a quick one, the factor allowed."""
 
 
 @pytest.mark.parametrize("id", AGREEMENT)
 def test_what_is_simulated_agrees_within_a_factor(id, folder):
-    numbers, quick, factor, *changes = AGREEMENT[id]
-    options = changes[0] if changes else {}
-    found, stored = numbers(run_of(id, quick, folder, **options)["data"]), numbers(STORED[id]["data"])
+    numbers, quick, factor = AGREEMENT[id]
+    found, stored = numbers(run_of(id, quick, folder)["data"]), numbers(STORED[id]["data"])
     assert found.keys() == stored.keys()
     apart = {name: (found[name], stored[name]) for name in stored if not agree(found[name], stored[name], factor)}
     assert not apart
