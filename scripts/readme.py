@@ -43,7 +43,8 @@ def _text(value, digits: int = 3) -> str:
         return "–".join(map(_text, value))
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.{digits}g}"
-    return "–" if value is None else str(value).replace("|", "\\|")
+    # Files from before batches had one order name it.
+    return "–" if value is None else str(value).replace(", order=colours", "").replace("|", "\\|")
 
 
 def printed(stem: str, having: str | None = None) -> list[list]:
