@@ -1,8 +1,7 @@
 """python scripts/figure_6_11_next_microsecond.py: which part of an error is the solver's, the step's, the model's."""
 
 from deep_contact.constants import TIME_STEP
-from deep_contact.io import shipped
-from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import runs
 
@@ -21,13 +20,9 @@ SOLVED = 20
 
 
 def compute(options, seed, jobs, progress):
-    """The rows of PGS by step and sweeps: from the study's results file, or from a small study made here."""
-    if options["results"]:
-        rows = results.read_results(shipped.find(options["results"]))["data"]["rows"]
-    else:
-        settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in DIVISORS[:3] for k in (2, 5, SOLVED)]
-        seeds = figures.seeds(seed, options["seeds"])
-        rows = runs.small_study(options["n_bodies"], seeds, settings, seconds=options["seconds"])
+    """The rows of PGS by step and sweeps: of the study, or of a small one made here."""
+    settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in DIVISORS[:3] for k in (2, 5, SOLVED)]
+    rows = runs.rows_for(options, seed, settings)["rows"]
     names = {runs.name_of(setting): what for what, setting in runs.MODEL.items()}
     found, model = [], []
     for row in rows:

@@ -1,42 +1,28 @@
 """python scripts/figure_6_1_trade.py: errors of a run against its wall time, ours and other engines'."""
 
 from deep_contact.constants import TIME_STEP
-from deep_contact.io import shipped
 from deep_contact.recommendation import PRESETS
-from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs
 
 SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "penetration": "mean penetration"}
 OURS = {"PGS": plotting.VERMILION, "PSOR": plotting.ORANGE, "BatchedPGS": plotting.BLUE}
-OTHERS = plotting.SKY
 MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 
 
 def compute(options, seed, jobs, progress):
-    """Rows and presets of the study: from its results file, or from a small study made here."""
-    if options["results"]:
-        data = results.read_results(shipped.find(options["results"]))["data"]
-        rows, presets = data["rows"], data["presets"]
-    else:
-        settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in (1, 4) for k in (2, 5, 10)]
-        settings += [{"engine": name, "sweeps": 4, "dt": TIME_STEP} for name in peers.installed()]
-        seeds = figures.seeds(seed, options["seeds"])
-        rows, presets = runs.small_study(options["n_bodies"], seeds, settings, seconds=options["seconds"]), []
-    kept = [row for row in rows if row["kind"] == "plain" and row["errors"] and row["us"] is not None]
-    return {
-        "rows": [
-            {
-                "n_bodies": row["n_bodies"],
-                "name": row["name"],
-                "group": row["setting"].get("engine") or row["setting"]["method"],
-                "us": row["us"],
-                "errors": row["errors"],
-            }
-            for row in kept
-        ],
-        "presets": presets,
-    }
+    """Rows on plain piles, and presets: of the study, or of a small one made here."""
+    settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in (1, 4) for k in (2, 5, 10)]
+    settings += [{"engine": name, "sweeps": 4, "dt": TIME_STEP} for name in peers.installed()]
+    found = runs.rows_for(options, seed, settings)
+    rows = [
+        {key: row[key] for key in ("n_bodies", "name", "us", "errors")}
+        | {"group": row["setting"].get("engine") or row["setting"]["method"]}
+        for row in found["rows"]
+        if row["kind"] == "plain" and row["errors"] and row["us"] is not None
+    ]
+    return {"rows": rows, "presets": found["presets"]}
 
 
 def sizes_of(data):
@@ -48,11 +34,8 @@ def claims(data):
     """For each size: what the cheapest setting within each preset costs, and the cheapest rival."""
     found = []
     for n in sizes_of(data):
-        ratios = {}
-        for row in data["presets"]:
-            rivals = [peer["us"] for peer in row["peers"].values() if peer]
-            if row["n_bodies"] == n and row["ours_plain"] and rivals:
-                ratios[row["preset"]] = min(rivals) / row["ours_plain"]["us"]
+        here = {row["preset"]: runs.cheaper_than_rivals(row) for row in data["presets"] if row["n_bodies"] == n}
+        ratios = {preset: ratio for preset, ratio in here.items() if ratio}
         if ratios:
             text = f"no preset is dearer than with the fastest rival, {n} circles"
             found.append(Claim(text, None, min(ratios.values()) >= 1, ratios))
@@ -87,12 +70,9 @@ def draw(data, options):
         rows = [row for row in data["rows"] if row["n_bodies"] == n]
         for ax, (name, text) in zip(line, SHOWN.items()):
             for row in rows:
-                group, (value, low, high) = row["group"], row["errors"][name]
-                look = {"color": OURS.get(group, OTHERS), "marker": "o"}
-                if group in MARKERS:
-                    look = {"color": plotting.GREY, "marker": MARKERS[group]}
+                value, low, high = row["errors"][name]
                 reach = [[max(0.0, value - low)], [max(0.0, high - value)]]  # an interval may lie beside its value
-                ax.errorbar(row["us"], value, reach, linewidth=0.6, markersize=3.5, **look)
+                ax.errorbar(row["us"], value, reach, linewidth=0.6, markersize=3.5, **look_of(row["group"]))
             ours = [(row["us"], row["errors"][name][0]) for row in rows if row["group"] not in MARKERS]
             ax.plot(*zip(*front_of(ours)), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)
             for preset in ("fast", "balanced", "accurate"):
@@ -101,15 +81,18 @@ def draw(data, options):
                             ha="right", va="bottom", color=plotting.GREY)  # fmt: skip
             plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
             plotting.log_axes(ax)
-    groups = dict.fromkeys(row["group"] for row in data["rows"])
-    for group in groups:
-        look = {"color": OURS.get(group, OTHERS), "marker": "o"}
-        if group in MARKERS:
-            look = {"color": plotting.GREY, "marker": MARKERS[group]}
-        panels[0, 0].plot([], [], linestyle="", markersize=4, label=group, **look)
+    for group in dict.fromkeys(row["group"] for row in data["rows"]):
+        panels[0, 0].plot([], [], linestyle="", markersize=4, label=group, **look_of(group))
     panels[0, 0].plot([], [], color=plotting.BLACK, label="front of ours")
     panels[0, 0].legend(fontsize=6, ncols=2)
     return figure
+
+
+def look_of(group):
+    """Colour and marker of a method, or of another engine."""
+    if group in MARKERS:
+        return {"color": plotting.GREY, "marker": MARKERS[group]}
+    return {"color": OURS.get(group, plotting.SKY), "marker": "o"}
 
 
 FIGURE = Figure(

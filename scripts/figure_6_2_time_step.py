@@ -3,8 +3,7 @@
 import numpy as np
 
 from deep_contact.constants import TIME_STEP
-from deep_contact.io import shipped
-from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import runs
 
@@ -18,12 +17,8 @@ SHOWN = {
 
 
 def compute(options, seed, jobs, progress):
-    """The rows of the well solved settings, by time step: from the study's results file, or from a small study here."""
-    if options["results"]:
-        rows = results.read_results(shipped.find(options["results"]))["data"]["rows"]
-    else:
-        seeds = figures.seeds(seed, options["seeds"])
-        rows = runs.small_study(options["n_bodies"], seeds, runs.LIMIT[:-1], seconds=options["seconds"])
+    """The rows of the well solved settings on plain piles, by time step: of the study, or of a small one made here."""
+    rows = runs.rows_for(options, seed, runs.LIMIT[:-1])["rows"]
     names = {runs.name_of(setting): setting["dt"] for setting in runs.LIMIT}
     return {
         "rows": [

@@ -5,7 +5,7 @@ import numpy as np
 from deep_contact.constants import TIME_STEP
 from deep_contact.io import shipped
 from deep_contact.recommendation import PRESETS
-from deep_contact.reporting import figures, plotting, results
+from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs
 
@@ -16,7 +16,7 @@ MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 def compute(options, seed, jobs, progress):
     """The presets of the study: from its results file, or one preset of a small study made here."""
     if options["results"]:
-        return {"presets": results.read_results(shipped.find(options["results"]))["data"]["presets"]}
+        return {"presets": runs.read_study(shipped.find(options["results"]))["presets"]}
     found = []
     for n in progress(options["sizes"]):
         settings = [{"method": "PGS", "sweeps": 10, "dt": TIME_STEP}]

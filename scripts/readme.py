@@ -19,7 +19,7 @@ from deep_contact.recommendation import PRESETS
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing
-from deep_contact.studies.run_errors import ERRORS
+from deep_contact.studies.runs import ERRORS
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"

@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Mapping
 from concurrent.futures import Executor
+from itertools import islice, product
 from pathlib import Path
 from types import MappingProxyType
 
@@ -24,9 +25,8 @@ from deep_contact import parallel
 from deep_contact.constants import TIME_STEP
 from deep_contact.recommendation.runs import PRESETS, TABLE, recommend
 from deep_contact.reporting import figures, results
-from deep_contact.studies import peers, run_errors, runs
+from deep_contact.studies import runs
 from deep_contact.studies.parts import done
-from deep_contact.studies.run_errors import ERRORS
 
 
 def ladder(method: str, budgets: dict, **options) -> list[dict]:
@@ -109,11 +109,6 @@ QUICK = {
 FUNCTIONS = {"observed": runs.observed, "times": runs.times}
 
 
-def is_peer(setting: dict) -> bool:
-    """Whether a setting is that of another engine."""
-    return "engine" in setting
-
-
 def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, list]:
     """The parts as (name, arguments): observations, the quick ones first, and times.
 
@@ -121,18 +116,16 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
     """
     seen, timed = [], []
     for n in options["sizes"]:
-        settings = options["settings"][str(n)] + options["peers"][str(n)]
-        for kind, seeds in options["seeds"][str(n)].items():
-            model = list(runs.MODEL.values()) if kind == "plain" and n in options["model"] else []
-            for setting in settings + model:
-                if is_peer(setting) and kind != "plain":
-                    continue
-                if (kind, n, runs.name_of(setting)) in known:
-                    continue
-                common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-                count = options["peer_seeds"][str(n)] if is_peer(setting) else seeds
-                seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, count)]
-        times = {"n_bodies": n, "seed": seed, "settings": settings}
+        ours, rivals = options["settings"][str(n)], options["peers"][str(n)]
+        for kind, count in options["seeds"][str(n)].items():
+            plain = kind == "plain"
+            model = list(runs.MODEL.values()) if plain and n in options["model"] else []
+            for setting in [*ours, *(rivals if plain else []), *model]:
+                if (kind, n, runs.name_of(setting)) not in known:
+                    common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
+                    chosen = figures.seeds(seed, options["peer_seeds"][str(n)] if "engine" in setting else count)
+                    seen += [("observed", common | {"seed": s}) for s in chosen]
+        times = {"n_bodies": n, "seed": seed, "settings": ours + rivals}
         times |= {"steps": options["steps"][str(n)], "repeats": options["repeats"]}
         timed += [("times", times | {"phase": phase}) for phase in runs.PHASES]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
@@ -146,7 +139,8 @@ def known_rows(file: Mapping, options: dict, seed: int) -> dict:
             raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
     if file["provenance"]["seed"] != seed:
         raise ValueError(f"seed: expected {seed} in the results, got {file['provenance']['seed']}")
-    return {key_of(row): row for row in file["data"]["rows"] if row["errors"]}
+    kept = (row for row in file["data"]["rows"] if row["errors"] and not runs.is_gone(row["setting"]))
+    return {key_of(row): row for row in kept}
 
 
 def study(options: dict, *, seed: int, jobs: int | Executor, work: Path, before: Mapping | None = None) -> dict:
@@ -164,22 +158,9 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path, before:
         for name, (setting, by_seed) in ensemble.items():
             ensemble[name] = setting, [by_seed[s] for s in sorted(by_seed)]
     times = {(part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)}
-    rows = list((known | {key_of(row): row for row in runs.rows(ensembles, times)}).values())
+    rows = (known | {key_of(row): row for row in runs.rows(ensembles, times)}).values()
     rows = [row | runs.times_of(row["name"], row["n_bodies"], times) for row in rows]
-    curves = {
-        f"{kind}, {n}": {
-            name: {
-                "kinetic": mean_curve(ensemble[name][1], "kinetic"),
-                "height": mean_curve(ensemble[name][1], "height"),
-            }
-            for name in map(runs.name_of, runs.LIMIT)
-            if name in ensemble
-        }
-        for (kind, n), ensemble in ensembles.items()
-    }
-    if before is not None:
-        curves = before["data"]["curves"]
-    return {"errors": ERRORS, "rows": rows, "curves": curves, "presets": presets(rows)}
+    return {"errors": runs.ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
 
 def key_of(row: Mapping) -> tuple[str, int, str]:
@@ -187,69 +168,20 @@ def key_of(row: Mapping) -> tuple[str, int, str]:
     return row["kind"], row["n_bodies"], row["name"]
 
 
-def mean_curve(seen: list, name: str) -> list[float]:
-    """The ensemble's mean of one field, four digits."""
-    mean = sum(getattr(one, name) for one in seen) / len(seen)
-    return [float(f"{value:.4g}") for value in mean]
-
-
-def presets(rows: list[dict]) -> list[dict]:
-    """For each preset and size: our cheapest setting that keeps it, and other engines' cheapest, on plain piles."""
-    found = []
-    for n in sorted({row["n_bodies"] for row in rows}):
-        settings: dict = {}
-        for row in rows:
-            if row["n_bodies"] == n and row["us"] is not None and row["errors"]:
-                settings.setdefault(row["name"], []).append(row)
-        for preset, tolerances in PRESETS.items():
-            best: dict = {}
-            for name, mine in settings.items():
-                whose = mine[0]["setting"].get("engine", "ours")
-                on_plain = [row for row in mine if row["kind"] == "plain"]
-                for scope, judged in (("plain", on_plain), ("all", mine)):
-                    if scope == "all" and whose != "ours":
-                        continue
-                    if runs.meets(runs.worst_errors(judged), tolerances):
-                        key = whose, scope
-                        if key not in best or mine[0]["us"] < best[key]["us"]:
-                            best[key] = {"name": name, "us": mine[0]["us"], **mine[0]["phases"]}
-            found.append(
-                {
-                    "n_bodies": n,
-                    "preset": preset,
-                    "ours": best.get(("ours", "all")),
-                    "ours_plain": best.get(("ours", "plain")),
-                    "peers": {engine: best.get((engine, "plain")) for engine in peers.ENGINES},
-                }
-            )
-    return found
-
-
 def table(data: dict, cpu: str) -> dict:
-    """What `dc.simulate` and `dc.recommend` read: settings with worst errors and times by size."""
+    """What the presets read: settings with errors by size and kind of pile, and times by size."""
     settings: dict = {}
     for row in data["rows"]:
-        if is_peer(row["setting"]) or row["us"] is None or not row["errors"]:
+        if "engine" in row["setting"] or row["us"] is None or not row["errors"]:
             continue
-        entry = settings.setdefault(row["name"], {"setting": row["setting"], "us": {}, "rows": {}})
-        entry["us"][str(row["n_bodies"])] = round(row["us"], 2)
-        entry["rows"].setdefault(str(row["n_bodies"]), []).append(row)
-    found = []
-    for name, entry in settings.items():
-        errors = {
-            n: {
-                row["kind"]: {key: float(f"{value:.3g}") for key, value in runs.worst_errors([row]).items()}
-                for row in mine
-            }
-            for n, mine in entry["rows"].items()
-        }
-        solver = runs.solver_of(entry["setting"])
-        options = {key: value for key, value in entry["setting"].items() if key != "dt"}
-        options |= {} if not hasattr(solver, "islands") else {"tolerance": None}
-        found.append(
-            {"name": name, "options": options, "dt": entry["setting"]["dt"], "us": entry["us"], "errors": errors}
-        )
-    return {"cpu": cpu, "sizes": sorted({row["n_bodies"] for row in data["rows"]}), "settings": found}
+        options = {key: value for key, value in row["setting"].items() if key != "dt"} | {"tolerance": None}
+        new = {"name": row["name"], "options": options, "dt": row["setting"]["dt"], "us": {}, "errors": {}}
+        entry, n = settings.setdefault(row["name"], new), str(row["n_bodies"])
+        entry["us"][n] = round(row["us"], 2)
+        errors = {key: float(f"{value:.3g}") for key, value in runs.worst_errors([row]).items()}
+        entry["errors"].setdefault(n, {})[row["kind"]] = errors
+    sizes = sorted({row["n_bodies"] for row in data["rows"]})
+    return {"cpu": cpu, "sizes": sizes, "settings": list(settings.values())}
 
 
 def claims(data: dict) -> list[results.Claim]:
@@ -259,11 +191,8 @@ def claims(data: dict) -> list[results.Claim]:
         mine = {row["preset"]: row for row in data["presets"] if row["n_bodies"] == n}
         kept = {preset: row["ours"] is not None for preset, row in mine.items()}
         found.append(results.Claim(f"some setting keeps every preset, {n:,} circles", None, all(kept.values()), kept))
-        ratios = {}
-        for preset, row in mine.items():
-            rivals = [peer["us"] for peer in row["peers"].values() if peer]
-            if row["ours_plain"] and rivals:
-                ratios[preset] = min(rivals) / row["ours_plain"]["us"]
+        ratios = {preset: runs.cheaper_than_rivals(row) for preset, row in mine.items()}
+        ratios = {preset: ratio for preset, ratio in ratios.items() if ratio}
         if ratios:
             ahead = sum(ratio >= 5 for ratio in ratios.values()) >= 2 and all(ratio >= 1 for ratio in ratios.values())
             text = f"5 times cheaper than the fastest rival for two presets, dearer for none, {n:,} circles"
@@ -307,43 +236,39 @@ def recommended(kind: str, n_bodies: int, seed: int, dt: float, preset: str) -> 
 def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool) -> dict | None:
     """Errors of the presets on scenes outside the study, and their times beside the predicted ones."""
     cases, parts = [], []
-    for n in options["sizes"]:
-        for kind, dt in options["kinds"].items():
-            count = options["more_seeds"].get(str(n), 0) if kind == "plain" else 0
-            seeds = figures.seeds(seed + 5000, max(count, options["seeds"][str(n)]))  # that no study starts from
-            for preset in [None, *PRESETS]:
-                setting = runs.REFERENCE if preset is None else recommended(kind, n, seeds[0], dt, preset)[0]
-                common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-                mine = [("observed", common | {"seed": s}) for s in seeds]
-                cases.append((n, kind, preset, setting, len(parts), len(parts) + len(mine)))
-                parts += mine
+    for n, (kind, dt) in product(options["sizes"], options["kinds"].items()):
+        count = options["more_seeds"].get(str(n), 0) if kind == "plain" else 0
+        seeds = figures.seeds(seed + 5000, max(count, options["seeds"][str(n)]))  # that no study starts from
+        for preset in [None, *PRESETS]:
+            setting = runs.REFERENCE if preset is None else recommended(kind, n, seeds[0], dt, preset)[0]
+            common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
+            cases.append(({"n_bodies": n, "kind": kind, "preset": preset, "setting": setting}, len(seeds)))
+            parts += [("observed", common | {"seed": s}) for s in seeds]
     found = done(parts, FUNCTIONS, work=work, jobs=jobs, text="scenes")
     if errors_only:
         return None
-    rows, reference = [], None
-    for n, kind, preset, setting, first, end in cases:
-        seen = [runs.observation(stored) for stored in found[first:end]]
-        if preset is None:
-            reference = seen
+    rows, reference, seen = [], None, map(runs.observation, found)
+    for case, count in cases:
+        ensemble = list(islice(seen, count))
+        if case["preset"] is None:
+            reference = ensemble
             continue
-        intervals = run_errors.intervals(seen, reference)
-        met = {name: intervals[name][0] <= most for name, most in PRESETS[preset].items() if intervals[name]}
+        errors = runs.intervals(ensemble, reference)
         # Within the interval: the tolerance is not exceeded beyond what the seeds can tell.
-        within = {name: intervals[name][1] <= most for name, most in PRESETS[preset].items() if intervals[name]}
-        row = {"n_bodies": n, "kind": kind, "preset": preset, "setting": setting, "errors": intervals}
-        rows.append(row | {"met": met, "within": within})
+        judged = [(name, errors[name], most) for name, most in PRESETS[case["preset"]].items() if errors[name]]
+        met = {name: value <= most for name, (value, _, _), most in judged}
+        within = {name: low <= most for name, (_, low, _), most in judged}
+        rows.append(case | {"errors": errors, "met": met, "within": within})
     timed = []
     for n in options["timed"]:
         wanted = {preset: recommended("plain", n, seed + 5000, TIME_STEP, preset) for preset in PRESETS}
         settings = list({runs.name_of(setting): setting for setting, _ in wanted.values()}.values())
         arguments = {"n_bodies": n, "seed": seed + 5000, "settings": settings, "steps": options["steps"][str(n)]}
-        (took,) = done(
-            [("times", arguments | {"repeats": options["repeats"]})], FUNCTIONS, work=work, jobs=1, text="times"
-        )
+        part = ("times", arguments | {"repeats": options["repeats"]})
+        (took,) = done([part], FUNCTIONS, work=work, jobs=1, text="times")
         for preset, (setting, predicted) in wanted.items():
-            timed.append(
-                {"n_bodies": n, "preset": preset, "predicted_us": predicted, "us": took[runs.name_of(setting)]}
-            )
+            us = took[runs.name_of(setting)]
+            timed.append({"n_bodies": n, "preset": preset, "predicted_us": predicted, "us": us})
     return {"rows": rows, "times": timed}
 
 
@@ -352,11 +277,8 @@ def verify_claims(data: dict) -> list[results.Claim]:
     found = []
     for preset in PRESETS:
         mine = [row for row in data["rows"] if row["preset"] == preset]
-        shares = {
-            name: sum(row[key][name] for row in mine if name in row[key]) / sum(name in row[key] for row in mine)
-            for key in ("within",)
-            for name in PRESETS[preset]
-        }
+        within = {name: [row["within"][name] for row in mine if name in row["within"]] for name in PRESETS[preset]}
+        shares = {name: sum(kept) / len(kept) for name, kept in within.items()}
         text = f"{preset} meets each of its tolerances, within the interval, in 95 % of kinds and sizes of other scenes"
         found.append(results.Claim(text, None, min(shares.values()) >= 0.95, shares))
     ratios = {f"{row['n_bodies']}, {row['preset']}": row["us"] / row["predicted_us"] for row in data["times"]}
@@ -373,7 +295,7 @@ def main(arguments=None) -> int:
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
     add("--out", type=Path, help="results file (in data/reference; quick: in runs)")
     add("--work", type=Path, default=Path("runs/run_tradeoff"), help="folder of the finished parts")
-    add("--install", action="store_true", help="make these the numbers that dc.simulate and dc.recommend read")
+    add("--install", action="store_true", help="make these the numbers of the presets")
     add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
     add("--add", action="store_true", help="take the errors over that the results file has, and measure times anew")
     add("--verify", action="store_true", help="errors and times of the presets on scenes outside the study")

@@ -1,6 +1,6 @@
 """What a run is worth and what it costs: the presets of `simulate(accuracy=…)`, and `recommend`.
 
-A preset is a table of tolerances on the errors of a run (`studies.run_errors.ERRORS`). Which setting keeps them at the
+A preset is a table of tolerances on the errors of a run (`studies.runs.ERRORS`). Which setting keeps them at the
 least cost is read from what `scripts/run_tradeoff.py --install` measured: errors and times of settings (method, sweeps,
 time step) on falling piles of equal and of mixed circles, with and without friction.
 

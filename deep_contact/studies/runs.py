@@ -1,10 +1,12 @@
 """The trade of speed for accuracy in whole runs: errors and times of settings and of other engines.
 
-Run by `scripts/run_tradeoff.py`, read by `recommend`. A setting is a method with a fixed number of sweeps and a time
-step; an engine's is its iterations and a time step. Every setting runs the same falling piles; `run_errors` holds each
-ensemble against the limit of small steps. Errors need no quiet machine; times are measured one after the other on one.
+Run by `scripts/run_tradeoff.py`, read by the presets. A setting is a method with a fixed number of sweeps and a time
+step; an engine's is its iterations and a time step. Every setting runs the same falling piles. A pile is chaotic: two
+runs differ after a second, whatever the solver. So errors compare means and distributions over ensembles of seeds with
+those of the limit of small steps. Errors need no quiet machine; times are measured one after the other on one.
 
-Time steps are given for circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r).
+Time steps are given for circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r). Errors count lengths in
+mean radii r and times in √(r / g), so speeds in √(g r): the numbers are the same at every scale.
 """
 
 from __future__ import annotations
@@ -13,20 +15,26 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
 from deep_contact.constants import TIME_STEP
+from deep_contact.io import shipped
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
-from deep_contact.reporting import results
+from deep_contact.physics.solvers.registry import GONE
+from deep_contact.recommendation.runs import PRESETS
+from deep_contact.reporting import figures, results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.studies import peers, timing
 from deep_contact.studies.piles import SLOWEST, rms_speed
-from deep_contact.studies.run_errors import Observation, intervals, observe
+from deep_contact.studies.verdicts import interval
+from deep_contact.warm_start import STARTS
 
 INTERVAL = 5 * TIME_STEP
 """Between two observations, s."""
@@ -81,11 +89,12 @@ def solver_of(setting: Mapping):
 
 def name_of(setting: Mapping) -> str:
     """Such as "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; Δt is 0.01 s."""
-    words = [setting.get("engine") or setting["method"]]
-    counted = "sweeps" if "sweeps" in setting else "substeps"
-    number, budget = setting[counted], "iterations" if "engine" in setting else counted
-    words.append(f"{number} {budget if number != 1 else budget[:-1]}")
-    words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", counted, "dt")]
+    budget = "iteration" if "engine" in setting else "sweep"
+    words = [
+        setting.get("engine") or setting["method"],
+        f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}",
+    ]
+    words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "dt")]
     ratio = TIME_STEP / setting["dt"]
     words.append("Δt" if ratio == 1 else f"Δt / {ratio:g}" if ratio > 1 else f"{1 / ratio:g} Δt")
     return ", ".join(words)
@@ -130,6 +139,155 @@ def _states_of_peer(start: State, setting: Mapping, frames: int) -> Iterator[Sta
         yield state.replace(contacts=contacts_of(state))
 
 
+# ---- errors of an ensemble of runs ----
+
+LOADS = np.linspace(0.0, 6.0, 121)
+"""Where the distribution of λ_n / mean λ_n is kept."""
+
+REST = 20
+"""The last so many observations are those at rest."""
+
+TOUCHING = 1e-3
+"""Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
+
+ERRORS = {
+    "energy": "kinetic-energy curve: Σ |⟨E_k⟩ − ⟨E_k⟩*| / Σ ⟨E_k⟩* over the whole run, %",
+    "height": "settled height of the centre of mass: difference, % of the reference's",
+    "creep": "change of the settled height: difference of speeds, % of √(g r)",
+    "penetration": "penetration at rest, mean over contacts, % of r",
+    "penetration_95": "penetration at rest, 95th percentile over contacts, % of r",
+    "penetration_max": "deepest penetration at any time, mean over seeds, % of r",
+    "restlessness": "rms speed at rest above the reference's, % of √(g r)",
+    "contacts": "contacts per circle at rest, gap below 0.1 % of r: difference",
+    "forces": "distribution of λ_n / mean λ_n at rest: Kolmogorov-Smirnov distance, %",
+    "impact": "largest force on the box in an interval: difference, % of the reference's",
+}
+"""Name -> what it is, and its unit. All but the penetrations, which should be 0, are against the reference.
+
+Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv_y / dt), in weights; its
+mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a granular packing (Radjai et
+al., Phys. Rev. Lett. 77, 1996); penetration and restlessness are what engine users look at (Catto, Solver2D, 2024).
+"""
+
+
+class Observation(NamedTuple):
+    """What is looked at of one run, at T equally spaced times.
+
+    | field       | meaning                                                                    | shape    | unit    |
+    |-------------|----------------------------------------------------------------------------|----------|---------|
+    | kinetic     | kinetic energy                                                             | (T,)     | M g r   |
+    | height      | of the centre of mass above the floor                                      | (T,)     | r       |
+    | speed       | root mean square over the circles                                          | (T,)     | √(g r)  |
+    | penetration | mean, 95th percentile and largest over the contacts                        | (T, 3)   | r       |
+    | contacts    | pairs whose gap is below `TOUCHING`, per circle                            | (T,)     | –       |
+    | force       | mean vertical force on the box since the time before                       | (T − 1,) | M g     |
+    | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
+    | interval    | between two times                                                          | ()       | √(r/g)  |
+    """
+
+    kinetic: np.ndarray
+    height: np.ndarray
+    speed: np.ndarray
+    penetration: np.ndarray
+    contacts: np.ndarray
+    force: np.ndarray
+    loads: np.ndarray | None
+    interval: float
+
+
+def observe(states: Iterable[State]) -> Observation:
+    """What is looked at of a run: of its states, with contacts, at equally spaced times (a `Trajectory` has them).
+
+    Impulses are those that unsolved states carry. Raises ValueError without gravity, or with fewer than `REST` states.
+    """
+    rows, momentum, loads, times = [], [], [], []
+    for state in states:
+        bodies = state.bodies
+        g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
+        if g == 0:
+            raise ValueError("states: expected gravity, by which errors of a run are scaled, got none")
+        squares = (bodies.velocity**2).sum(axis=1)
+        kinetic = 0.5 * (bodies.mass @ squares + bodies.inertia @ bodies.spin**2) / (mass * g * r)
+        height = (bodies.mass @ bodies.position[:, 1] / mass - state.world.box[1]) / r
+        speed = np.sqrt(squares.mean() / (g * r))
+        depth = np.maximum(0.0, -state.contacts.separation) / r
+        deep = (depth.mean(), np.percentile(depth, 95), depth.max()) if depth.size else (0.0, 0.0, 0.0)
+        touching = np.count_nonzero(state.contacts.separation <= TOUCHING * r) / bodies.count
+        rows.append((kinetic, height, speed, *deep, touching))
+        momentum.append(bodies.mass @ bodies.velocity[:, 1] / mass / np.sqrt(g * r))
+        impulses = state.contacts.normal_start
+        loads.append(impulses[impulses > 0])
+        times.append(state.time / np.sqrt(r / g))
+    if len(rows) < REST:
+        raise ValueError(f"states: expected at least {REST}, got {len(rows)}")
+    table = np.array(rows)
+    interval = (times[-1] - times[0]) / (len(times) - 1)
+    force = 1.0 + np.diff(momentum) / interval
+    at_rest = np.concatenate([found / found.mean() for found in loads[-REST:] if found.size] or [np.empty(0)])
+    known = np.searchsorted(np.sort(at_rest), LOADS, side="right") / at_rest.size if at_rest.size else None
+    return Observation(table[:, 0], table[:, 1], table[:, 2], table[:, 3:6], table[:, 6], force, known, interval)
+
+
+def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
+    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for an unknown one."""
+    mean, true = _means(found), _means(reference)
+    at_rest = slice(-REST, None)
+    interval = reference[0].interval
+    values = {
+        "energy": np.abs(mean["kinetic"] - true["kinetic"]).sum() / true["kinetic"].sum(),
+        "height": abs(mean["height"][at_rest].mean() / true["height"][at_rest].mean() - 1),
+        "creep": abs(_slope(mean["height"][at_rest], interval) - _slope(true["height"][at_rest], interval)),
+        "penetration": mean["penetration"][at_rest, 0].mean(),
+        "penetration_95": mean["penetration"][at_rest, 1].mean(),
+        "penetration_max": np.mean([one.penetration[:, 2].max() for one in found]),
+        "restlessness": max(0.0, mean["speed"][at_rest].mean() - true["speed"][at_rest].mean()),
+        "contacts": abs(mean["contacts"][at_rest].mean() - true["contacts"][at_rest].mean()),
+        "forces": None if mean["loads"] is None else np.abs(mean["loads"] - true["loads"]).max(),
+        "impact": abs(_peak(found) / _peak(reference) - 1),
+    }
+    return {
+        name: None if value is None else float(value) * (1.0 if name == "contacts" else 100.0)
+        for name, value in values.items()
+    }
+
+
+def intervals(
+    found: Sequence[Observation], reference: Sequence[Observation], *, resamples: int = 400
+) -> dict[str, tuple[float, float, float] | None]:
+    """Each of the `errors` with its interval (`verdicts.interval`): name -> (value, low, high), or None.
+
+    The same seeds are drawn for both ensembles. Raises ValueError where these differ in length.
+    """
+    if len(found) != len(reference):
+        raise ValueError(f"found: expected {len(reference)} runs, as the reference has, got {len(found)}")
+    values = errors(found, reference)
+    known = [name for name, value in values.items() if value is not None]
+
+    def of_seeds(drawn):
+        pairs = [([found[i] for i in row], [reference[i] for i in row]) for row in drawn]
+        return np.array([[errors(*pair)[name] for name in known] for pair in pairs])
+
+    three = interval(of_seeds, len(found), resamples=resamples).T.tolist()
+    return dict.fromkeys(values) | {name: tuple(numbers) for name, numbers in zip(known, three)}
+
+
+def _means(runs: Sequence[Observation]) -> dict:
+    """Mean curves of an ensemble."""
+    names = ("kinetic", "height", "speed", "penetration", "contacts")
+    means = {name: np.mean([getattr(run, name) for run in runs], axis=0) for name in names}
+    known = all(run.loads is not None for run in runs)
+    return means | {"loads": np.mean([run.loads for run in runs], axis=0) if known else None}
+
+
+def _slope(height: np.ndarray, interval: float) -> float:
+    """Of the straight line through the settled heights, √(g r)."""
+    return float(np.polyfit(interval * np.arange(height.size), height, 1)[0])
+
+
+def _peak(runs: Sequence[Observation]) -> float:
+    return float(np.mean([run.force.max() for run in runs]))
+
+
 # ---- times ----
 
 
@@ -142,24 +300,20 @@ def times(
     part of what their users pay. Of piles for which ours takes two threads, they are run on one and on two, where they
     can, and the lesser time counts.
     """
-    start = pile(n_bodies, seed, phase)
-    worlds: dict = {}
+    start, worlds = pile(n_bodies, seed, phase), {}
     runs, setup = {}, {}
     for setting in settings:
         name, count = name_of(setting), round(steps * TIME_STEP / setting["dt"])
-        if "engine" in setting:
-            adapter, scene_of_peer = peers.ENGINES[setting["engine"]], start.replace(dt=setting["dt"], contacts=None)
-            makers = [adapter]
-            if adapter.takes_threads and n_bodies >= 2 * CIRCLES_A_THREAD:
-                makers.append(partial(adapter, threads=2))
-            for make in makers:
-                key = name, make
-                setup[key] = lambda key=key, given=scene_of_peer: worlds.update({key: key[1](given)})
-                runs[key] = lambda key=key, setting=setting, count=count: _step_peer(worlds.pop(key), setting, count)
-        else:
-            state, options = start.replace(dt=setting["dt"]), {"solver": solver_of(setting), "steps": count}
-            options["warm_start"] = setting.get("start", "builtin")
-            runs[name, None] = lambda state=state, options=options: simulate(state, **options)
+        scene_of_run = start.replace(dt=setting["dt"])
+        if "engine" not in setting:
+            options = {"solver": solver_of(setting), "warm_start": setting.get("start", "builtin")}
+            runs[name, 1] = partial(simulate, scene_of_run, steps=count, **options)
+            continue
+        adapter, scene_of_run = peers.ENGINES[setting["engine"]], scene_of_run.replace(contacts=None)
+        two = adapter.takes_threads and n_bodies >= 2 * CIRCLES_A_THREAD
+        for key, make in ((name, 1), adapter), *([((name, 2), partial(adapter, threads=2))] if two else []):
+            setup[key] = lambda key=key, make=make, scene=scene_of_run: worlds.update({key: make(scene)})
+            runs[key] = lambda key=key, setting=setting, count=count: _step_peer(worlds.pop(key), setting, count)
     found: dict[str, float] = {}
     for (name, _), seconds in timing.interleaved(runs, repeats=repeats, setup=setup).items():
         found[name] = min(found.get(name, math.inf), 1e6 * seconds / steps)
@@ -218,6 +372,18 @@ def times_of(name: str, n_bodies: int, took: Mapping) -> dict:
     return {"us": phases.pop("settling", None), "phases": phases}
 
 
+def is_gone(setting: Mapping) -> bool:
+    """Whether a stored setting has a method or a start that is gone; batches by levels named no order."""
+    by_levels = setting.get("method") == "BatchedPGS" and "order" not in setting
+    return by_levels or setting.get("method") in GONE or setting.get("start", "builtin") not in STARTS
+
+
+def read_study(path) -> dict:
+    """The "rows" of a results file whose settings this version still has, and the "presets" that they make."""
+    kept = [row for row in results.read_results(path)["data"]["rows"] if not is_gone(row["setting"])]
+    return {"rows": kept, "presets": presets(kept)}
+
+
 def worst_errors(found: Iterable[Mapping]) -> dict[str, float]:
     """Of rows of one setting and size: the largest of each error over the kinds of piles, unknown ones left out."""
     worst: dict[str, float] = {}
@@ -233,8 +399,53 @@ def meets(worst: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
     return all(worst[name] <= most for name, most in tolerances.items() if name in worst)
 
 
+def presets(found: Sequence[Mapping]) -> list[dict]:
+    """For each size and preset the cheapest setting that keeps it.
+
+    found: rows. Returns [{"n_bodies", "preset", "ours": on all kinds of piles, "ours_plain": on plain ones, "peers":
+    engine -> on plain ones}] with {"name", "us", "impact", "rest"} or None each.
+    """
+
+    def cheapest(n, engine, preset, kinds):
+        kept = []
+        for mine in settings[n].values():
+            judged = [row for row in mine if row["kind"] in kinds]
+            if mine[0]["setting"].get("engine") == engine and meets(worst_errors(judged), PRESETS[preset]):
+                kept.append({"name": mine[0]["name"], "us": mine[0]["us"], **mine[0]["phases"]})
+        return min(kept, key=lambda one: one["us"], default=None)
+
+    settings: dict = {n: {} for n in sorted({row["n_bodies"] for row in found})}
+    for row in found:
+        if row["us"] is not None and row["errors"]:
+            settings[row["n_bodies"]].setdefault(row["name"], []).append(row)
+    return [
+        {
+            "n_bodies": n,
+            "preset": preset,
+            "ours": cheapest(n, None, preset, KINDS),
+            "ours_plain": cheapest(n, None, preset, ["plain"]),
+            "peers": {engine: cheapest(n, engine, preset, ["plain"]) for engine in peers.ENGINES},
+        }
+        for n, preset in product(settings, PRESETS)
+    ]
+
+
+def cheaper_than_rivals(row: Mapping) -> float | None:
+    """Cost of the fastest other engine over ours, on plain piles, for a row of `presets`; None where one is missing."""
+    rivals = [peer["us"] for peer in row["peers"].values() if peer]
+    return min(rivals) / row["ours_plain"]["us"] if rivals and row["ours_plain"] else None
+
+
+def rows_for(options: Mapping, seed: int, settings: Sequence[Mapping]) -> dict:
+    """`read_study` of the file that a figure's options name as "results", or else a small study of these settings."""
+    if options["results"]:
+        return read_study(shipped.find(options["results"]))
+    chosen = figures.seeds(seed, options["seeds"])
+    return {"rows": small_study(options["n_bodies"], chosen, settings, seconds=options["seconds"]), "presets": []}
+
+
 def small_study(n_bodies: int, seeds: Sequence[int], settings: Sequence[Mapping], *, seconds: float) -> list[dict]:
-    """The rows of a study of one size on plain piles, made in this process: for quick forms of the figures."""
+    """The rows of a study of one size on plain piles, made in this process."""
     ensemble = {
         name_of(setting): (
             setting,

@@ -7,7 +7,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.recommendation import PRESETS, runs
-from deep_contact.studies.run_errors import ERRORS
+from deep_contact.studies.runs import ERRORS
 
 
 def entry(name, dt, us, share, **options):

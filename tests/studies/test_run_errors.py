@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.studies import run_errors
-from deep_contact.studies.run_errors import REST, Observation, errors, intervals, observe
+from deep_contact.studies.runs import ERRORS, LOADS, REST, Observation, errors, intervals, observe
 
 
 def states(scene, *, count=40, each=5, **options):
@@ -46,8 +45,8 @@ def test_a_column_at_rest_carries_its_weight():
     # λ of contact k is k weights: 1, 2, 3, 4, 5 over their mean 3.
     for load in (1, 2, 3, 4, 5):
         at = load / 3
-        np.testing.assert_allclose(np.interp(at - 0.06, run_errors.LOADS, seen.loads), (load - 1) / 5, atol=0.02)
-        np.testing.assert_allclose(np.interp(at + 0.06, run_errors.LOADS, seen.loads), load / 5, atol=0.02)
+        np.testing.assert_allclose(np.interp(at - 0.06, LOADS, seen.loads), (load - 1) / 5, atol=0.02)
+        np.testing.assert_allclose(np.interp(at + 0.06, LOADS, seen.loads), load / 5, atol=0.02)
 
 
 def test_penetration_is_that_of_the_contacts():
@@ -82,7 +81,7 @@ def test_an_ensemble_has_no_error_against_itself():
     runs = [observe(states(dc.circles_in_box(30, seed=seed), count=30)) for seed in (1, 2)]
     found = errors(runs, runs)
     absolute = {"penetration", "penetration_95", "penetration_max"}
-    assert found.keys() == run_errors.ERRORS.keys()
+    assert found.keys() == ERRORS.keys()
     assert all(found[name] == 0 for name in found.keys() - absolute)
     assert 0 < found["penetration"] <= found["penetration_95"] <= found["penetration_max"]
 
@@ -98,18 +97,18 @@ def test_an_ensemble_has_no_error_against_itself():
         ("penetration_max", {"penetration": 0.02 + 0.1 * (np.arange(30) == 3)}, 12.0),
         ("restlessness", {"speed": 0.07}, 7.0),
         ("contacts", {"contacts": 1.7}, 0.2),
-        ("forces", {"loads": np.minimum(1, run_errors.LOADS + 0.03)}, 3.0),
+        ("forces", {"loads": np.minimum(1, LOADS + 0.03)}, 3.0),
     ],
 )
 def test_each_error_by_hand(name, changed, expected):
-    loads = np.minimum(1, run_errors.LOADS)
+    loads = np.minimum(1, LOADS)
     reference = [observation(loads=loads)] * 3
     found = errors([observation(**({"loads": loads} | changed))] * 3, reference)
     np.testing.assert_allclose(found[name], expected, rtol=1e-9)
 
 
 def test_calm_is_no_error_and_unknown_forces_are_none():
-    reference = [observation(speed=0.1, loads=np.minimum(1, run_errors.LOADS))]
+    reference = [observation(speed=0.1, loads=np.minimum(1, LOADS))]
     found = errors([observation(speed=0.05)], reference)
     assert found["restlessness"] == 0
     assert found["forces"] is None
