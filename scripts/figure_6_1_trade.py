@@ -84,7 +84,8 @@ def draw(data, options):
     for group in dict.fromkeys(row["group"] for row in data["rows"]):
         panels[0, 0].plot([], [], linestyle="", markersize=4, label=group, **look_of(group))
     panels[0, 0].plot([], [], color=plotting.BLACK, label="front of ours")
-    panels[0, 0].legend(fontsize=6, ncols=2)
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
     return figure
 
 
