@@ -67,7 +67,7 @@ def learned() -> list[list]:
     prices = [claim["far field"][f"{n} circles"] for n in (100, 1000)]
     return [
         ["The network `model.h5` as a start", "Measured", "Figure"],
-        ["velocity error, in times the best classical start's, after 3 / 10 / 30 sweeps", " / ".join(errors), "6.8"],
+        ["velocity error after 3 / 10 / 30 sweeps, over the best classical start's", " / ".join(errors), "6.8"],
         ["time to compute it, 100 / 1,000 circles", " / ".join(f"{p['ms']:.1f} ms" for p in prices), "6.10"],
         ["sweeps of PGS in that time", " / ".join(f"{p['in sweeps']:.0f}" for p in prices), "6.10"],
         ["cases in which it reaches an error sooner", f"{claim['wins']} of {claim['cases']}", "6.10"],
