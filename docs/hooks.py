@@ -53,7 +53,7 @@ def on_files(files, config):
         text = f"# {name}\n\n::: deep_contact.{name}\n"
         files.append(File.generated(config, f"api/{name}.md", content=text))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
-    made = [sys.executable, ROOT / "scripts" / "readme.py", "--appendix"]
+    made = [sys.executable, ROOT / "docs" / "tables.py", "--appendix"]
     appendix = subprocess.run(made, capture_output=True, text=True, check=True, env=os.environ | PATHS).stdout
     files.append(File.generated(config, "appendix.md", content=appendix))
     for path in (ROOT / "data" / "reference").glob("*.png"):

@@ -64,7 +64,7 @@ def main(arguments=None, folder=HERE):
     for name, script in chosen.items():
         work.append((name, [script, *passed_on], Path(given.out) / f"{stem(script)}.json"))
     if given.references:
-        work.append(("tables", [HERE / "readme.py"], None))
+        work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):
         print(f"\n[{number}/{len(work)}] {command[0].name}", flush=True)

@@ -54,13 +54,13 @@ def test_documentation_is_at_most_100_kilobytes():
 
 
 def test_tables_are_those_of_the_results_files():
-    command = [sys.executable, ROOT / "scripts" / "readme.py", "--check"]
+    command = [sys.executable, ROOT / "docs" / "tables.py", "--check"]
     run = subprocess.run(command, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
 
 
 def test_the_appendix_has_every_claim_element_and_erratum():
-    command = [sys.executable, ROOT / "scripts" / "readme.py", "--appendix"]
+    command = [sys.executable, ROOT / "docs" / "tables.py", "--appendix"]
     appendix = subprocess.run(command, capture_output=True, text=True, check=True).stdout
     claims = [claim for path in REFERENCE.glob("*.json") for claim in json.loads(path.read_text()).get("claims", ())]
     assert all(claim["text"].replace("|", "\\|") in appendix for claim in claims)

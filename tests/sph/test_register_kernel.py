@@ -1,5 +1,6 @@
 """`sph.register_kernel`: a kernel of one's own in all that takes a kernel, compiled or not."""
 
+import json
 import math
 import os
 import subprocess
@@ -29,9 +30,9 @@ def wendland_c4(q, dim):
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def registered():
-    """Registered for one test."""
+    """Registered, and compiled into a transfer, once."""
     sph.register_kernel(wendland_c4)
     yield "wendland_c4"
     sph.KERNELS.remove("wendland_c4")
@@ -67,20 +68,6 @@ def test_a_registered_kernel_starts_the_solver(registered):
     np.testing.assert_allclose(found, dc.step(state).bodies.velocity, atol=1e-3)  # both solve to the same tolerance
 
 
-def test_a_kernel_may_be_registered_again_and_those_that_there_are_stay(registered):
-    before = sph.value("poly6", 0.3, 1.0)
-
-    def twice(q, dim):
-        w, first, second = 2.0, 0.0, 0.0
-        return w, first, second
-
-    twice.__name__ = registered
-    assert sph.value(registered, 0.0, 1.0) == pytest.approx(9 / math.pi)
-    assert sph.register_kernel(twice) is twice
-    assert sph.value(registered, 0.0, 1.0) == 2.0
-    assert sph.value("poly6", 0.3, 1.0) == before
-
-
 def test_what_is_no_kernel_is_refused():
     def poly6(q, dim):
         return 1.0, 0.0, 0.0
@@ -99,30 +86,40 @@ def test_what_is_no_kernel_is_refused():
     assert "broken" not in sph.KERNELS
 
 
-BOTH = f"""
-import sys
-sys.path.insert(0, {str(Path(__file__).parent)!r})
-from test_register_kernel import *
-sph.register_kernel(wendland_c4)
-for kernel in sph.KERNELS:
-    options = {{"h": 1.1, "kernel": kernel, "normalization": "consistent"}}
-    image = sph.splat(GRID, POSITION, np.arange(9.0), **options)
-    back = sph.gather(GRID, image, POSITION, **options)
-    print(kernel, image.sum(), *back, sph.gather(GRID, image, POSITION, method="sph", **options)[0])
-    print(sph.value(kernel, 0.5, 2.0), sph.laplacian(kernel, 0.5, 2.0, 3))
-"""
+def transferred():
+    """What every kernel gives, by its name: a transfer there and back, its value and its Laplacian."""
+    found = {}
+    for kernel in sph.KERNELS:
+        options = {"h": 1.1, "kernel": kernel, "normalization": "consistent"}
+        image = sph.splat(GRID, POSITION, np.arange(9.0), **options)
+        back = sph.gather(GRID, image, POSITION, **options)
+        mean = sph.gather(GRID, image, POSITION, method="sph", **options)
+        of_kernel = [sph.value(kernel, 0.5, 2.0), sph.laplacian(kernel, 0.5, 2.0, 3)]
+        found[kernel] = [*image.ravel().tolist(), *back.tolist(), *mean.tolist(), *of_kernel]
+    return found
 
 
-def test_uncompiled_functions_compute_the_same():
+def test_uncompiled_functions_compute_the_same(registered):
     """With NUMBA_DISABLE_JIT=1, as debuggers and coverage need it; fused operations may differ in the last bits."""
-    found = []
-    for disabled in ("0", "1"):
-        environment = os.environ | {"NUMBA_DISABLE_JIT": disabled}
-        run = subprocess.run([sys.executable, "-c", BOTH], env=environment, capture_output=True, text=True, check=True)
-        found.append(run.stdout.split())
-    names, numbers = [], []
-    for words in found:
-        names.append([word for word in words if word[0].isalpha()])
-        numbers.append([float(word) for word in words if not word[0].isalpha()])
-    assert names[0] == names[1] == [*sph.KERNELS, "wendland_c4"]
-    np.testing.assert_allclose(*numbers, rtol=1e-12)
+    code = f"import json, sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); import test_register_kernel as t; "
+    code += "t.sph.register_kernel(t.wendland_c4); print(json.dumps(t.transferred()))"
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    run = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    plain, compiled = json.loads(run.stdout), transferred()
+    assert plain.keys() == compiled.keys() == {*sph.KERNELS}
+    for kernel, numbers in compiled.items():
+        np.testing.assert_allclose(plain[kernel], numbers, rtol=1e-12, err_msg=kernel)
+
+
+def test_a_kernel_may_be_registered_again_and_those_that_there_are_stay(registered):
+    before = sph.value("poly6", 0.3, 1.0)
+
+    def twice(q, dim):
+        w, first, second = 2.0, 0.0, 0.0
+        return w, first, second
+
+    twice.__name__ = registered
+    assert sph.value(registered, 0.0, 1.0) == pytest.approx(9 / math.pi)
+    assert sph.register_kernel(twice) is twice
+    assert sph.value(registered, 0.0, 1.0) == 2.0
+    assert sph.value("poly6", 0.3, 1.0) == before

@@ -1,4 +1,4 @@
-"""python scripts/readme.py [--check | --appendix]: fill the tables of README.md and docs/*.md from data/reference.
+"""python docs/tables.py [--check | --appendix]: fill the tables of README.md and docs/*.md from data/reference.
 
 A table stands between the lines `<!-- table: NAME -->` and `<!-- end -->`. NAME is a function of this file, or a script
 such as figure_6_3, whose printed table is taken (`figure_6_3 poly6`: its rows with that word). With --check nothing is
@@ -289,7 +289,7 @@ def main() -> int:
             with replacing(path) as temporary:
                 temporary.write_text(after, encoding="utf-8")
     if stale:
-        print(f"expected the tables of the results files in {stale}: run python scripts/readme.py", file=sys.stderr)
+        print(f"expected the tables of the results files in {stale}: run python docs/tables.py", file=sys.stderr)
     return int(bool(stale))
 
 
