@@ -34,7 +34,6 @@ import numpy as np
 from deep_contact.io import hdf5
 from deep_contact.io.files import replacing
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.physics.solvers.registry import GONE
 from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.validation import integer, number, one_of
@@ -433,15 +432,13 @@ def _header(attributes: dict) -> dict:
             header[name] = json.loads(attributes[name])
         except (ValueError, RecursionError) as error:
             raise DataFileError(f"{name}: expected JSON, got {attributes[name][:80]!r}: {error}") from None
-    settings = header["solver"]
-    if settings is not None:
-        method = settings.pop("method", None) if isinstance(settings, dict) else None
-        known = isinstance(method, str) and (method in METHODS or method in GONE)
-        _expect(known, f"solver: expected null or a method among {', '.join(METHODS)}, got {attributes['solver']}")
+    if header["solver"] is not None:
         try:
-            header["solver"] = solver_from(method, settings)
+            options = dict(header["solver"])
+            header["solver"] = solver_from(options.pop("method", None), options)
         except (TypeError, ValueError) as error:
-            raise DataFileError(f"solver: expected options of {method}, got {settings!r}: {error}") from None
+            got = attributes["solver"][:200]
+            raise DataFileError(f"solver: expected null, or a method and its options, got {got}: {error}") from None
     return header
 
 

@@ -1,29 +1,27 @@
 """Exact solutions of the contact problem with friction, where sweeps do not come to one: Lemke's pivots.
 
-Why sweeps do not. A pile has more impulses than it needs (it is hyperstatic): λ may move along the null space of
-A = J M⁻¹ Jᵀ at no change of the velocities. While a pile settles, sweeps let λ drift there, slowly and steadily, until
-some row reaches its bound: a contact opens or starts to slip. With that row at its bound the remaining problem, which
-with sliding friction is neither symmetric nor monotone, may have a mode that sweeps make grow instead of decay: the
-residual jumps, and the drift starts anew elsewhere. After 100,000 sweeps no method is at an end (Figure 6.1).
+A pile has more impulses than it needs (it is hyperstatic): λ may move along the null space of A = J M⁻¹ Jᵀ at no change
+of the velocities. Sweeps let λ drift there until a contact opens or starts to slip. The remaining problem, which with
+friction is neither symmetric nor monotone, may have a mode that sweeps make grow: the residual jumps, and the drift
+starts anew elsewhere.
 
-What is done instead. A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, c being the last
-impulses: it takes the null space away and has the solutions of the contact problem as its fixed points. Each step is
-solved exactly by the parametric form of Lemke's algorithm (Lemke 1965; Cottle, Pang and Stone 1992, sections 4.4-4.5;
-for contact with friction see Anitescu and Potra 1997). Every contact is open, sticks or slips one way. c, put on the
-bounds of the states that it shows, solves a problem whose velocities are shifted by q; the shift is then withdrawn,
-t q from t = 1 to 0. Between two changes of a state λ is linear in t, and each change (a pivot) tells which way t goes
-on: with friction it may have to grow again for a while, where a descent would be stuck. ε falls while steps are easy.
+A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, c being the last impulses: it takes the
+null space away and has the solutions of the contact problem as its fixed points. Each step is solved by the parametric
+form of Lemke's algorithm (Lemke 1965; Cottle, Pang and Stone 1992, sections 4.4-4.5; with friction Anitescu and Potra
+1997). Every contact is open, sticks or slips one way. c, put on the bounds of the states that it shows, solves a
+problem whose velocities are shifted by q; the shift is then withdrawn, t q from t = 1 to 0. Between two changes of a
+state λ is linear in t, and each change (a pivot) tells which way t goes on: with friction it may have to grow again for
+a while. ε falls while steps are easy.
 
-What it costs. Where the bodies are known the path is followed in the space of velocities (`proximal_path`): a matrix of
-one 3 × 3 block a body and touching pair is factorised once a step, and a pivot is a solve with its factors. A problem
-of matrices alone has a system of 2 m rows, factorised by SuperLU, and pivots by Woodbury's formula. Either is for
-references, not for the steps of a run.
+Where the bodies are known the path is followed in the space of velocities (`proximal_path`): a matrix of one 3 × 3
+block a body and touching pair is factorised once a step, and a pivot is a solve with its factors. A problem of matrices
+alone has a system of 2 m rows, which SuperLU factorises at every pivot. Either is for references, not
+for the steps of a run.
 
-Where it fails. A proximal step has a solution and the path finds it where the problem is monotone, as it is without
-friction. With friction there is no such guarantee: ε may be too small against a negative mode, and a path can turn
-back for good. It is then given up and taken up elsewhere, with a larger ε, which has sufficed in piles of 1,000 so
-far and is no proof. Settling piles of 10,000 are not solved: 0.8e-3 to 1.8e-3 m/s are left after 6,000 pivots. Where
-solutions are many, which is found depends on the path, so on the start and these constants.
+A path is sure to lead to a solution where the problem is monotone, as it is without friction. With friction ε may be
+too small against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε.
+Settling piles of 1,000 have been solved, those of 10,000 have not. Where solutions are many, which is found depends on
+the path, so on the start and these constants.
 """
 
 from __future__ import annotations
@@ -40,7 +38,7 @@ from deep_contact.physics import metrics, proximal_path
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
-from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite
+from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
 from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
 from deep_contact.physics.proximal_path import (
     MOST_TURNS,
@@ -56,9 +54,8 @@ from deep_contact.state import LARGEST_START, State, check_limits, check_state
 from deep_contact.validation import integer, number
 
 FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-6, 0.1
-"""ε to start with, and its bounds. A drift of λ costs a residual of ε times it, so that it has to be small; but what
-a pivot divides by is of order ε where others hold the contact, and rounding leaves it 16 digits less those of 1 / ε.
-With 1e-9 three of ten piles of 1,000 ended at residuals of 1e-7 (all ten at 1e-8 with 1e-6)."""
+"""ε to start with, and its bounds. A drift of λ costs a residual of ε times it, so ε has to be small; but a pivot
+divides by numbers of order ε where others hold the contact, and rounding leaves 16 digits less those of 1 / ε."""
 
 LEAST_OF_MATRICES = 1e-9
 """The least ε where the bodies are not known: the equations of the impulses divide by nothing small."""
@@ -127,21 +124,23 @@ def solve_exactly(
     integer("most_pivots", most_pivots)
     if isinstance(state, ContactProblem):
         problem = check_problem(state)
-        impulse = _start_of_problem(problem, normal_start, tangent_start)
     elif isinstance(state, State):
         if state.contacts is None:
             raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
         state = check_limits(check_state(state))
         problem = check_problem(contact_problem(state))
-        impulse = _start(state, normal_start, tangent_start)
     else:
         raise ValueError(f"state: expected a State or a ContactProblem, got {state!r}")
+    if normal_start is not None or tangent_start is not None:
+        impulse = _given(problem, normal_start, tangent_start)
+    else:
+        impulse = _start_of_state(state) if isinstance(state, State) else _start_of_problem(problem)
     impulse, factorizations, pivots = _solved(problem, impulse, residual, most_pivots)
     if isinstance(state, State):
         solution = solve(state, PGS(sweeps=0), *projected(impulse[::2], impulse[1::2], state.world.friction))
         least = metrics.residual(state, solution)
     else:
-        solution, least = _solution(problem, impulse), _natural(blocks_of(problem), impulse.reshape(-1, 2))
+        solution, least = _solution(problem, impulse), natural_residual(problem, impulse)
     converged = bool(least <= residual)
     status = "no_contacts" if impulse.size == 0 else "converged" if converged else "max_sweeps"
     solution = solution._replace(record=ConvergenceRecord(np.empty(0), 0, status))
@@ -152,7 +151,7 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
     """Proximal steps from impulses in the cone, (2 m,). Returns the best impulses, factorisations and pivots."""
     blocks = blocks_of(problem)
     impulse = impulse.reshape(-1, 2)
-    best, least = impulse, _natural(blocks, impulse)
+    best, least = impulse, natural_residual(problem, impulse.ravel())
     wrong = least
     epsilon, factorizations, pivots, idle, restarts = FIRST_EPSILON, 0, 0, 0, 0
     step, least_epsilon = None, LEAST_EPSILON
@@ -179,11 +178,11 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
             impulse, sweeps = found, 1
             epsilon = max(least_epsilon, epsilon / (5 if done <= EASY else 2 if done <= FAIR else 1))
         impulse = _swept(blocks, impulse, sweeps)
-        wrong, last = _natural(blocks, impulse), wrong
+        wrong, last = natural_residual(problem, impulse.ravel()), wrong
         if done == 0 and found is not None and 0.9 * last < wrong < 1.1 * last:
             # Nothing changes but λ, along a line: it goes there until a contact stands on a bound.
             impulse = _drifted(blocks, start, found)
-            wrong = _natural(blocks, impulse)
+            wrong = natural_residual(problem, impulse.ravel())
         idle = 0 if done > EASY or wrong < least else idle + 1
         if wrong < least:
             best, least = impulse, wrong
@@ -192,7 +191,7 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         if found is not None:
             # Near the end a sweep adds more than it takes away.
             exact = _swept(blocks, found, 0)
-            at_end = _natural(blocks, exact)
+            at_end = natural_residual(problem, exact.ravel())
             if at_end < least:
                 best, least = exact, at_end
         if idle == MOST_IDLE:
@@ -212,54 +211,31 @@ def _solution(problem: ContactProblem, impulse: np.ndarray) -> ContactSolution:
     )
 
 
-def _start_of_problem(problem: ContactProblem, normal, tangent) -> np.ndarray:
-    """The given impulses in the cone; without, the better of none and what sweeps find, (2 m,)."""
-    if normal is None and tangent is None:
-        blocks, none = blocks_of(problem), np.zeros(problem.b.size)
-        swept, _ = solve_problem(problem, FIRST_SWEEPS)
-        return swept if _natural(blocks, swept.reshape(-1, 2)) < _natural(blocks, none.reshape(-1, 2)) else none
-    shape = problem.friction.shape
-    start = finite("normal_start", normal, shape), finite("tangent_start", tangent, shape)
-    return np.column_stack(projected(*start, problem.friction)).ravel()
+def _start_of_problem(problem: ContactProblem) -> np.ndarray:
+    """The better of no impulses and what sweeps find, (2 m,)."""
+    starts = np.zeros(problem.b.size), solve_problem(problem, FIRST_SWEEPS)[0]
+    return min(starts, key=lambda impulse: np.nan_to_num(natural_residual(problem, impulse), nan=np.inf))
 
 
-def _start(state: State, normal, tangent) -> np.ndarray:
-    """The given impulses in the cone; without, the better of what the state holds and what sweeps find, (2 m,)."""
-    contacts = state.contacts
-    if normal is None and tangent is None:
-        held = contacts.normal_start, contacts.tangent_start
-        plain, swept = (solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS))
-        found = swept if metrics.residual(state, swept) < metrics.residual(state, plain) else plain
-        return np.column_stack(projected(found.normal_impulses, found.tangent_impulses, state.world.friction)).ravel()
-    start = []
+def _start_of_state(state: State) -> np.ndarray:
+    """The better of what the state holds and what sweeps make of it, (2 m,)."""
+    held = state.contacts.normal_start, state.contacts.tangent_start
+    starts = [solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS)]
+    found = min(starts, key=lambda start: np.nan_to_num(metrics.residual(state, start), nan=np.inf))
+    return np.column_stack(projected(found.normal_impulses, found.tangent_impulses, state.world.friction)).ravel()
+
+
+def _given(problem: ContactProblem, normal, tangent) -> np.ndarray:
+    """The impulses in the cone, (2 m,)."""
+    start, count = [], problem.friction.size
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
         array = np.array(np.nan if value is None else value, dtype=np.float64)
         bad = array[~(np.abs(array) <= LARGEST_START)]
-        if array.shape != (contacts.count,) or bad.size:
+        if array.shape != (count,) or bad.size:
             got = "None" if value is None else f"shape {array.shape}" if not bad.size else f"{bad[0]}"
-            raise ValueError(
-                f"{name}: expected {contacts.count} numbers, one a contact, up to {LARGEST_START:g} N·s, got {got}"
-            )
+            raise ValueError(f"{name}: expected {count} numbers, one a contact, up to {LARGEST_START:g} N·s, got {got}")
         start.append(array)
-    return np.column_stack(projected(*start, state.world.friction)).ravel()
-
-
-@njit(cache=True)
-def _natural(blocks: Blocks, impulse):
-    """`lcp.natural_residual` of impulses (m, 2)."""
-    u = np.empty_like(impulse)
-    velocities(blocks, impulse, u)
-    largest = 0.0
-    for i in range(impulse.shape[0]):
-        d_n, d_t = blocks.diagonal[i, 0], blocks.diagonal[i, 3]
-        p_n, p_t = impulse[i, 0], impulse[i, 1]
-        bound = blocks.mu[i] * max(p_n, 0.0)
-        wrong_n = d_n * abs(p_n - max(p_n - u[i, 0] / d_n, 0.0))
-        wrong_t = d_t * abs(p_t - max(-bound, min(p_t - u[i, 1] / d_t, bound)))
-        if not wrong_n + wrong_t < np.inf:
-            return np.nan
-        largest = max(largest, max(wrong_n, wrong_t))
-    return largest
+    return np.column_stack(projected(*start, problem.friction)).ravel()
 
 
 @njit(cache=True)
@@ -348,7 +324,7 @@ class _StepOfBodies:
 
 
 class _StepOfMatrices:
-    """The same of a problem without bodies, by the equations of its impulses."""
+    """The same of a problem without bodies, by the equations of its impulses, which every pivot factorises anew."""
 
     def __init__(self, problem: ContactProblem):
         self.A, self.diagonal = problem.A, problem.A.diagonal()
@@ -360,28 +336,43 @@ class _StepOfMatrices:
         x, u, q = (array.ravel() for array in start)
         A = self.A + sparse.diags_array(epsilon * self.diagonal, format="csr")
         t, sign, last, previous, pivots, turns = 1.0, -1.0, -1, OPEN, 0, 0
-        try:
-            system = _System(A, -q, friction, states, most_changes=2 * limit)
-            while True:
-                # How λ and u change as t grows. The path is that of `proximal_path.follow`.
-                dx = system.solve()
-                du = A @ dx + q
-                if pivots:
-                    k = 2 * last
-                    rate = slack(states[last], previous, friction[last], dx[k], dx[k + 1], du[k], du[k + 1])
-                    sign = 1.0 if rate > 0 else -1.0
-                    turns += sign > 0
-                length, contact, new = _first_change(states, friction, x, u, dx, du, sign)
-                if sign < 0 and length >= t and np.isfinite(du).all():
-                    return (x - t * dx).reshape(-1, 2), pivots, 1
-                if contact < 0 or pivots == limit or turns > MOST_TURNS:
-                    return None, pivots, 1
-                x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
-                last, previous = contact, states[contact]
-                states[contact] = new if previous != OPEN else SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
-                system.change(contact, states[contact])
-        except np.linalg.LinAlgError:
-            return None, pivots, 1
+        while True:
+            # How λ and u change as t grows. The path is that of `proximal_path.follow`.
+            dx = _rates(A, q, friction, states)
+            du = A @ dx + q
+            if pivots:
+                k = 2 * last
+                rate = slack(states[last], previous, friction[last], dx[k], dx[k + 1], du[k], du[k + 1])
+                sign = 1.0 if rate > 0 else -1.0
+                turns += sign > 0
+            length, contact, new = _first_change(states, friction, x, u, dx, du, sign)
+            if sign < 0 and length >= t and np.isfinite(du).all():
+                return (x - t * dx).reshape(-1, 2), pivots, 1
+            if contact < 0 or pivots == limit or turns > MOST_TURNS:
+                return None, pivots, 1
+            x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
+            last, previous = contact, states[contact]
+            states[contact] = new if previous != OPEN else SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
+
+
+def _rates(A, q: np.ndarray, friction: np.ndarray, states: np.ndarray) -> np.ndarray:
+    """dλ / dt, (2 m,): A dλ = −q in the rows where u stays 0, and λ on its bounds in the others; NaN if it is singular.
+
+    Bounds are scaled by the diagonal of A, so that all rows are of one size whatever the masses.
+    """
+    still = np.column_stack([states != OPEN, states == STICK]).ravel()
+    slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
+    ratio = np.where(states[slips // 2] == SLIP_UP, -1.0, 1.0) * friction[slips // 2]
+    scale = A.diagonal()
+    edges = sparse.coo_array((ratio * scale[slips], (slips, slips - 1)), shape=A.shape)
+    bounds = sparse.diags_array(np.where(still, 0.0, scale))
+    B = sparse.csr_array(sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges)
+    try:
+        # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
+        factors = splu(B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
+    except RuntimeError:
+        return np.full(q.size, np.nan)
+    return factors.solve(np.where(still, -q, 0.0), trans="T")
 
 
 @njit(cache=True)
@@ -398,75 +389,3 @@ def _first_change(states, friction, x, u, dx, du, sign):
                     if length < least:
                         least, contact, new = length, i, to
     return least, contact, new
-
-
-class _System:
-    """The equations B x = y that states are: rows of A λ = y where u is 0, and bounds of λ elsewhere.
-
-    B is factorised once; rows that change are dealt with by Woodbury's formula. With C = B⁻¹ E the columns of the
-    inverse for the changed rows and D what was added to these rows, x = z − C (I + D C)⁻¹ D z, where z = B⁻¹ y.
-    Bounds are scaled by the diagonal of A, so that all rows are of one size whatever the masses.
-    """
-
-    def __init__(self, A, right: np.ndarray, friction: np.ndarray, states: np.ndarray, *, most_changes: int):
-        self.A, self.right, self.friction, self.scale = A, right, friction, A.diagonal()
-        still = np.column_stack([states != OPEN, states == STICK]).ravel()
-        slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
-        ratio = np.where(states[slips // 2] == SLIP_UP, -1.0, 1.0) * friction[slips // 2]
-        edges = sparse.coo_array((ratio * self.scale[slips], (slips, slips - 1)), shape=A.shape)
-        bounds = sparse.diags_array(np.where(still, 0.0, self.scale), format="csr")
-        self.B = sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges.tocsr()
-        self.y = np.where(still, right, 0.0)
-        try:
-            # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
-            self.factors = splu(
-                self.B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True}
-            )
-        except RuntimeError as error:
-            raise np.linalg.LinAlgError(str(error)) from error
-        self.z = self.factors.solve(self.y, trans="T")
-        self.changed: list[int] = []
-        self.columns = np.empty((most_changes, self.y.size))
-        self.added = np.zeros((most_changes, self.y.size))
-        self.added_columns = np.empty((most_changes, most_changes))
-        self.right_added = np.zeros(most_changes)
-
-    def change(self, contact: int, state: int) -> None:
-        """Let the contact have another state."""
-        for row in (2 * contact, 2 * contact + 1):
-            self._change(row, *self._row(row, state))
-
-    def _row(self, row: int, state: int):
-        """(columns, entries, y) of a row whose contact is in that state."""
-        if state != OPEN and (row % 2 == 0 or state == STICK):
-            inside = slice(self.A.indptr[row], self.A.indptr[row + 1])
-            return self.A.indices[inside], self.A.data[inside], self.right[row]
-        if row % 2 == 0 or state == OPEN:
-            return np.array([row]), self.scale[[row]], 0.0
-        ratio = self.friction[row // 2] * (-1.0 if state == SLIP_UP else 1.0)
-        return np.array([row - 1, row]), self.scale[row] * np.array([ratio, 1.0]), 0.0
-
-    def _change(self, row: int, columns: np.ndarray, entries: np.ndarray, right: float) -> None:
-        count = len(self.changed)
-        k = self.changed.index(row) if row in self.changed else count
-        inside = slice(self.B.indptr[row], self.B.indptr[row + 1])
-        self.added[k] = 0.0
-        self.added[k, columns] = entries
-        self.added[k, self.B.indices[inside]] -= self.B.data[inside]
-        self.right_added[k] = right - self.y[row]
-        if k == count:
-            if not self.added[k].any() and self.right_added[k] == 0.0:
-                return  # A normal row stays as it is where its contact begins or ends to slip.
-            self.changed.append(row)
-            unit = np.zeros(self.y.size)
-            unit[row] = 1.0
-            self.columns[k] = self.factors.solve(unit, trans="T")
-            self.added_columns[:k, k] = self.added[:k] @ self.columns[k]
-        self.added_columns[k, : len(self.changed)] = self.columns[: len(self.changed)] @ self.added[k]
-
-    def solve(self) -> np.ndarray:
-        """x, (2 m,). Raises LinAlgError where B is singular."""
-        k = len(self.changed)
-        z = self.z + self.right_added[:k] @ self.columns[:k]
-        weights = np.linalg.solve(np.eye(k) + self.added_columns[:k, :k], self.added[:k] @ z)
-        return z - weights @ self.columns[:k]

@@ -1,8 +1,7 @@
-"""The contact problem as matrices, and Algorithm 1 of the thesis on them.
+"""The contact problem as matrices, which the engine never builds.
 
-The engine never builds these. They are the same problem in the form of the textbook, to hold the sweeps against, and
-the form in which problems come from other programs (`io.fclib`), where nothing is known of bodies. `matrix_solvers`
-has the other methods for it.
+It is the form of the textbook, to hold the sweeps against, and the form in which problems come from other programs
+(`io.fclib`), where nothing is known of bodies. `matrix_solvers` and `exact` solve it.
 """
 
 from __future__ import annotations
@@ -14,10 +13,8 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.metrics import targets
 from deep_contact.physics.segments import segments_of, surface_velocities
-from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 
 
@@ -177,58 +174,3 @@ def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
     A.sort_indices()
     mu = np.full(m, state.world.friction) if friction else None
     return ContactProblem(A, b, jacobian, inverse_mass, free, mu)
-
-
-def projected_gauss_seidel(
-    A, b: np.ndarray, start: np.ndarray, *, sweeps: int = 3000, tolerance: float | None = None, friction=None
-) -> tuple[np.ndarray, ConvergenceRecord]:
-    """Algorithm 1: pgs(A, b, λ_init), the linear complementarity problem 0 ≤ λ ⟂ A λ + b ≥ 0. Returns (λ, record).
-
-    A: (r, r), sparse or dense, positive diagonal. b, start: (r,). friction: μ, if the rows are pairs (normal,
-    tangent) as `contact_problem` numbers them; each pair then relaxes its tangent row first, within ±μ λ_n.
-    Raises ValueError naming the argument.
-    """
-    A = sparse.csr_array(A)
-    b, impulse = np.asarray(b, dtype=np.float64), np.array(start, dtype=np.float64)
-    size = A.shape[0]
-    for name, value in (("b", b), ("start", impulse)):
-        if value.shape != (size,) or not np.isfinite(value).all():
-            raise ValueError(f"{name}: expected {size} finite numbers, as A has rows, got shape {value.shape}")
-    diagonal = A.diagonal()
-    if A.shape != (size, size) or not (diagonal > 0).all():
-        raise ValueError(f"A: expected a square matrix with a positive diagonal, got shape {A.shape}")
-    if friction is not None and size % 2:
-        raise ValueError(f"A: expected pairs of rows (normal, tangent) with friction, got {size} rows")
-    solver = PGS(sweeps=sweeps, tolerance=tolerance)
-    order = np.arange(size)
-    if friction is not None:
-        order = order.reshape(-1, 2)[:, ::-1].ravel()
-    theta = np.empty(sweeps)
-    limit = -1.0 if tolerance is None else tolerance
-    done = _relax_rows(
-        A.indptr, A.indices, A.data, diagonal, b, impulse, order, -1.0 if friction is None else friction, limit, theta
-    )
-    return impulse, convergence_record(theta[:done], solver, size)
-
-
-@njit(cache=True)
-def _relax_rows(indptr, indices, data, diagonal, b, impulse, order, friction, tolerance, theta):
-    """Sweeps over the rows in the given order; impulse and theta in place. Returns the number of sweeps."""
-    for k in range(theta.shape[0]):
-        largest_change = 0.0
-        for i in order:
-            residual = b[i]
-            for j in range(indptr[i], indptr[i + 1]):
-                residual += data[j] * impulse[indices[j]]
-            new = impulse[i] - residual / diagonal[i]
-            if friction >= 0.0 and i % 2 == 1:
-                largest = friction * impulse[i - 1]
-                new = max(-largest, min(new, largest))
-            else:
-                new = max(0.0, new)
-            largest_change = max(largest_change, abs(new - impulse[i]))
-            impulse[i] = new
-        theta[k] = largest_change
-        if largest_change <= tolerance:
-            return k + 1
-    return theta.shape[0]

@@ -18,8 +18,7 @@ from scipy import sparse
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
 from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem, finite
-from deep_contact.physics.solvers import PGS, NesterovPGS
-from deep_contact.physics.solvers import nesterov as with_momentum
+from deep_contact.physics.solvers import PGS, NesterovPGS, nesterov
 from deep_contact.validation import integer, number
 
 CHECK_EVERY = 10
@@ -177,30 +176,13 @@ def _relax_plain(blocks, impulse, stop, theta):
 def _relax_momentum(blocks, impulse, stop, theta):
     """NesterovPGS: see `solvers.nesterov.relax_nesterov`."""
     flat = impulse.reshape(impulse.size)
-    last, swept_from = flat.copy(), flat.copy()
-    t, bound = 1.0, with_momentum.FIRST_MOMENTUM
-    last_size, before, now = np.inf, np.inf, 0.0
+    last, swept_from, memory = flat.copy(), flat.copy(), nesterov.make_memory()
     for k in range(theta.shape[0]):
         theta[k] = sweep(blocks, impulse)
         met = is_met(blocks, impulse, stop, k)
         if is_over(theta[k], stop.tolerance) or met or k + 1 == theta.shape[0]:
             return k + 1, met
-        size, downhill = with_momentum.step_and_slope(flat, swept_from, last)
-        now += size
-        if size > with_momentum.SUDDEN_GROWTH * last_size:
-            bound = max(0.0, 2.0 * bound - 1.0)
-        if (k + 1) % with_momentum.MOMENTUM_WINDOW == 0:
-            bound = max(0.0, 2.0 * bound - 1.0) if now > before else min(with_momentum.MAX_MOMENTUM, 0.2 + 0.8 * bound)
-            before, now = now, 0.0
-        last_size = size
-        share = 0.0
-        if downhill < 0.0:
-            t = 1.0
-        else:
-            next_t = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * t * t))
-            share = min((t - 1.0) / next_t, bound)
-            t = next_t
-        with_momentum.extrapolate(flat, last, share)
+        nesterov.extrapolate(flat, last, nesterov.next_momentum(k, flat, swept_from, last, memory))
         swept_from[:] = flat
     return theta.shape[0], False
 

@@ -94,6 +94,14 @@ def test_a_chunk_that_unpacks_to_more_than_its_size_is_refused(path):
         read_problem(path)
 
 
+def test_a_chunk_that_was_left_unpacked_is_read(path):
+    noise = np.random.default_rng(0).bytes(2**20)
+    change(path, "fclib_local/W/x", None, shape=(2**18,), dtype="f4", chunks=(2**18,), compression="gzip")
+    with h5py.File(path, "r+") as file:
+        file["fclib_local/W/x"].id.write_direct_chunk((0,), noise, filter_mask=1)
+        assert hdf5.dataset(file, "fclib_local/W/x")[()].tobytes() == noise
+
+
 def test_filters_of_others_are_refused(path):
     change(path, "fclib_local/W/x", np.ones(4), chunks=(4,), scaleoffset=3)
     with pytest.raises(ValueError, match=r"hostile.hdf5: fclib_local/W/x: expected gzip or LZF"):
