@@ -194,7 +194,10 @@ def _view(given) -> int:
 
 def _scene(given):
     import deep_contact as dc
+    from deep_contact.validation import integer
 
+    if given.sweeps is not None:
+        integer("--sweeps", given.sweeps, least=1)
     options = {"n_bodies": given.bodies, "size": given.size, "seed": given.seed}
     options = {name: value for name, value in options.items() if value is not None}
     if given.state is None:

@@ -28,7 +28,6 @@ from deep_contact.physics.engine import (
 from deep_contact.physics.solvers import PGS, PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, StepWorkspace, make_log
-from deep_contact.physics.stepper import Stepper, can_step
 from deep_contact.state import (
     LARGEST_SINGLE_START,
     LARGEST_START,
@@ -43,7 +42,7 @@ from deep_contact.state import (
     check_types,
 )
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import integer, is_text, number
+from deep_contact.validation import integer, number
 from deep_contact.warm_start import Builtin, NoStart, asked, fitting_impulses, warm_start_of
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
@@ -67,7 +66,7 @@ class Simulation(NamedTuple):
     | sweeps      | number of velocity sweeps in each step, (steps,); of its slowest island, with islands     |
     | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
     | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over them              |
-    | trajectory  | the recorded states as a `Trajectory`, the last being `state`; None where none were asked  |
+    | recorded    | the recorded states as a `Trajectory`, the last being `state`; None where none were asked |
 
     With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
     """
@@ -77,7 +76,14 @@ class Simulation(NamedTuple):
     sweeps: np.ndarray
     theta: np.ndarray
     relaxations: np.ndarray
-    trajectory: Trajectory | None = None
+    recorded: Trajectory | None = None
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """The recorded states. Raises ValueError where none were asked for."""
+        if self.recorded is None:
+            raise ValueError("trajectory: expected a run of simulate(…, record=…), got one that recorded no states")
+        return self.recorded
 
     @property
     def status(self) -> np.ndarray:
@@ -103,7 +109,7 @@ class Simulation(NamedTuple):
             found["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
             found["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
             found["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
-        return found | ({} if self.trajectory is None else {"record": notebook.counted(len(self.trajectory), "state")})
+        return found | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
 
 
 def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolution:
@@ -121,35 +127,10 @@ def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolu
 def step(state: State, *, solver=None, warm_start="builtin") -> StateWithContacts:
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
-    For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`.
-    In a loop, state = step(state), the first step resolves what all of them need (`physics.stepper`).
+    For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`, which does
+    many steps in less time than a loop of this.
     """
-    found = _stepped(state, solver) if is_text(warm_start, "builtin") else None
-    return simulate(state, steps=1, solver=solver, warm_start=warm_start).state if found is None else found
-
-
-def _stepped(state: State, solver) -> State | None:
-    """The state after one step by a `Stepper`: its own, or one for it; None where `simulate` has to do it."""
-    stepper = getattr(state, "__dict__", {}).get("_stepper")
-    if stepper is not None and stepper.solves_with(solver):
-        if "_packed" in state.__dict__:
-            return stepper.step(state)
-    else:
-        stepper = None
-    asked = solver if solver is not None else check_types(state).solver
-    if asked is not None and not can_step(asked):
-        return None
-    state = ready(state)
-    if state.world.friction == 0 and state.contacts.tangent_start.any():
-        return None  # only the steps after this one need no tangents
-    if stepper is None or stepper.n_bodies != state.bodies.count:
-        if asked is None:
-            asked, _ = solver_and_start(state)
-        resolved = checked_solver(asked, state)
-        if not can_step(resolved):
-            return None
-        stepper = Stepper(state, asked, resolved)
-    return stepper.step(state)
+    return simulate(state, steps=1, solver=solver, warm_start=warm_start).state
 
 
 def simulate(
@@ -210,7 +191,7 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
         )
         state, frames = _in_steps(state, solver), [_in_steps(frame, solver) for frame in frames]
         log = _log_of_steps(log, substeps)
-    return Simulation(state, *log[:4], trajectory=None if record is None else Trajectory.from_states(frames))
+    return Simulation(state, *log[:4], None if record is None else Trajectory.from_states(frames))
 
 
 def simulate_many(

@@ -212,10 +212,6 @@ class World:
         object.__setattr__(self, "restitution", restitution[0])
 
 
-_STEPPED = {"bodies", "contacts", "name"}
-"""Fields of a state that can be replaced without a change of what its steps need (`physics.stepper`)."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
@@ -247,22 +243,7 @@ class State:
 
     def replace(self: S, **changes) -> S:
         """A copy with some fields changed."""
-        found = replace(self, **changes)
-        if "_stepper" in self.__dict__ and changes.keys() <= _STEPPED:
-            # What steps need is the same; the new arrays are checked by the next one.
-            found.__dict__["_stepper"] = self.__dict__["_stepper"]
-        return found
-
-    def __getattr__(self, name: str):
-        """Bodies and contacts of a state that a `Stepper` has made: views of its numbers, from the first look on."""
-        if name not in ("bodies", "contacts") or "_packed" not in self.__dict__:
-            raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
-        found = self.__dict__[name] = self.__dict__["_stepper"].part(name, *self.__dict__["_packed"])
-        return found
-
-    def __getstate__(self) -> dict:
-        """The fields: what `physics.stepper` keeps beside them stays in this process."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        return replace(self, **changes)
 
     def __eq__(self, other) -> bool:
         if not isinstance(other, State):
@@ -293,9 +274,6 @@ class State:
         world, circles = self.world, (bodies.position, bodies.radius)
         return notebook.picture_of(world.box, *circles, lines, contacts.normal_impulse, world.segments)
 
-
-# The default of a field is an attribute of the class as well, which would hide that a state has no contacts yet.
-del State.contacts
 
 if TYPE_CHECKING:
 

@@ -101,8 +101,9 @@ def has_display() -> bool:
         figure = pyplot.figure()
     except ImportError:  # MPLBACKEND names a backend for windows that cannot be loaded
         return False
-    pyplot.close(figure)
-    return figure.canvas.required_interactive_framework is not None
+    found = figure.canvas.required_interactive_framework is not None
+    pyplot.close(figure)  # which takes the canvas of a window away
+    return found
 
 
 def play(found: Iterator[Frame], *, height: float = 6.0) -> int:

@@ -217,6 +217,7 @@ def test_an_accuracy_picks_the_solver(capsys):
         (["--accuracy", "best"], "accuracy: expected one of preview, fast, balanced, accurate, reference, got 'best'"),
         (["--warm-start", "magic"], "expected one of none, builtin"),
         (["--steps", "-1"], "steps: expected an integer >= 0, got -1"),
+        (["--sweeps", "0"], "--sweeps: expected an integer >= 1, got 0"),
         (["--every", "0", "--out", "run.h5"], "record: expected an integer >= 1, got 0"),
         (["scene.xml", "--bodies", "3"], "expected none beside STATE.xml"),
     ],

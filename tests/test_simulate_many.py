@@ -1,9 +1,12 @@
 """Many scenes at once: each as if it ran alone."""
 
+import threading
+
 import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact import simulation
 
 SCENES = [dc.lattice_in_box(20 + 7 * k, seed=k, gap=0.05) for k in range(6)] + [dc.column(4), dc.single_body()]
 
@@ -37,8 +40,8 @@ def test_options_are_those_of_simulate(options):
     for scene, run in zip(SCENES[:3], many, strict=True):
         one = dc.simulate(scene, steps=25, **options)
         assert one.state == run.state
-        assert (run.trajectory is None) == ("record" not in options)
-        if run.trajectory is not None:
+        assert (run.recorded is None) == ("record" not in options)
+        if run.recorded is not None:
             np.testing.assert_array_equal(one.trajectory.positions, run.trajectory.positions)
 
 
@@ -69,3 +72,34 @@ def test_what_cannot_run_many_times_at_once_is_refused(options, message):
 def test_what_is_no_state_is_refused():
     with pytest.raises(ValueError, match="state: expected a State"):
         dc.simulate_many([SCENES[0], "pile"], steps=1)
+
+
+def test_scenes_run_on_so_many_threads_at_a_time(monkeypatch):
+    both = threading.Barrier(2, timeout=30)
+    monkeypatch.setattr(simulation, "_simulate", lambda *_, **__: (both.wait(), threading.get_ident())[1])
+    assert len(set(dc.simulate_many(SCENES[:2], threads=2))) == 2
+    monkeypatch.setattr(simulation, "_simulate", lambda *_, **__: threading.get_ident())
+    assert len(set(dc.simulate_many(SCENES, threads=1))) == 1
+
+
+def test_the_others_stop_where_one_fails(monkeypatch):
+    begun, ended = threading.Event(), []
+
+    def run(state, *_, stopped):
+        if state is SCENES[0]:
+            begun.wait(30)
+            raise ValueError("bad")
+        begun.set()
+        ended.append(stopped.wait(30))
+
+    monkeypatch.setattr(simulation, "_simulate", run)
+    with pytest.raises(ValueError, match=r"states\[0\]: bad"):
+        dc.simulate_many(SCENES[:2], threads=2)
+    assert ended == [True]
+
+
+def test_a_stopped_run_ends():
+    stopped = threading.Event()
+    stopped.set()
+    with pytest.raises(KeyboardInterrupt):
+        simulation._simulate(SCENES[0], 5, None, None, "builtin", None, False, None, stopped=stopped)

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -105,6 +106,17 @@ def test_without_a_display_there_is_no_window(monkeypatch):
 
     pyplot.switch_backend("agg")
     assert not viewer.has_display()
+
+    class Window:
+        canvas = SimpleNamespace(required_interactive_framework="qt")
+
+    def close(figure):
+        figure.canvas = None
+
+    with monkeypatch.context() as patch:
+        patch.setattr(pyplot, "figure", Window)
+        patch.setattr(pyplot, "close", close)  # as from Matplotlib 3.11 on
+        assert viewer.has_display()
 
     def no_toolkit():
         raise ImportError("cannot load backend 'TkAgg'")

@@ -14,7 +14,7 @@ import functools
 import json
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -123,7 +123,9 @@ def recommend(
     if velocity_error is not None:
         return recommend_step(scene, velocity_error=velocity_error, table=table)
     study = installed() if table is None else table
-    candidates = _candidates(scene, study)
+    substeps = _substeps(scene, study)
+    stiff = stiffness(scene, substeps[TIME_STEP])
+    candidates = _candidates(scene.bodies.count, kinds_of(scene), substeps, stiff and stiff.solver, study)
     if budget_ms is None:
         return _preset(scene, one_of("accuracy", accuracy or "fast", PRESETS), candidates, study)
     limit = 1e3 * number("budget_ms", budget_ms, above=0)
@@ -143,15 +145,26 @@ def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False)
     the study keeps the preset that was asked for.
     """
     name = one_of("accuracy", accuracy or "fast", PRESETS)
-    candidates = _candidates(scene, installed())
-    best = _cheapest([found for found in candidates if not sleep or entry_of(found["solver"]).can_sleep], name)
-    if accuracy is not None and _excess(best, name) > 1:
+    substeps = _substeps(scene, installed())
+    stiff = stiffness(scene, substeps[TIME_STEP])
+    solver, start, is_kept = _chosen(
+        name, sleep, scene.bodies.count, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver
+    )
+    if accuracy is not None and not is_kept:
         warnings.warn(
             f"accuracy={name!r}: no setting of the study keeps its tolerances for {scene.bodies.count:,} circles; the "
             f"nearest is taken (print(dc.recommend(scene, accuracy={name!r})) says more)",
             stacklevel=5,
         )
-    return best["solver"], best["start"]
+    return solver, start
+
+
+@functools.lru_cache(256)
+def _chosen(accuracy: str, sleep: bool, n: int, kinds: tuple, substeps: tuple, stiff) -> tuple[object, str, bool]:
+    """Solver, start and whether the preset is kept: all that `solver_and_start` reads from the installed study."""
+    candidates = _candidates(n, kinds, dict(substeps), stiff, installed())
+    best = _cheapest([found for found in candidates if not sleep or entry_of(found["solver"]).can_sleep], accuracy)
+    return best["solver"], best["start"], _excess(best, accuracy) <= 1
 
 
 @functools.cache
@@ -185,7 +198,17 @@ def substeps_of(scene: State, dt: float) -> int:
 
     At most `MOST_SUBSTEPS`; beyond that the scene's Δt is too long to be mended unasked.
     """
-    ratio = scene.dt / longest_step(scene, dt)
+    return _parts(scene.dt / longest_step(scene, dt))
+
+
+def _substeps(scene: State, study: Mapping) -> dict[float, int]:
+    """`substeps_of` for each time step of the study, and for `TIME_STEP`."""
+    longest = longest_step(scene, 1.0)
+    time_steps = {setting["dt"] for setting in study["settings"]} | {TIME_STEP}
+    return {dt: _parts(scene.dt / (dt * longest)) for dt in sorted(time_steps)}
+
+
+def _parts(ratio: float) -> int:
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
@@ -235,18 +258,16 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
     return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
 
 
-def _candidates(scene: State, study: Mapping) -> list[dict]:
-    """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for the scene's size.
+def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: Mapping) -> list[dict]:
+    """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for n circles of these kinds.
 
     Errors are the largest of the two sizes around the scene's and of the kinds of piles that it is like; times are
     interpolated between the sizes by powers.
-    For a scene that is too stiff for the study there is one setting alone: see `recommendation.stiff`.
+    For a scene that is too stiff for the study there is one setting alone, `stiff`: see `recommendation.stiff`.
     """
-    n, sizes = scene.bodies.count, study["sizes"]
+    sizes, found = study["sizes"], []
     low = str(max((size for size in sizes if size <= n), default=sizes[0]))
     high = str(min((size for size in sizes if size >= n), default=sizes[-1]))
-    found, kinds = [], kinds_of(scene)
-    divided = {dt: substeps_of(scene, dt) for dt in {setting["dt"] for setting in study["settings"]}}
     for setting in study["settings"]:
         if low not in setting["us"] or high not in setting["us"] or is_gone(setting["options"]):
             continue  # Large piles were run with fewer settings.
@@ -254,14 +275,14 @@ def _candidates(scene: State, study: Mapping) -> list[dict]:
         alike = [one[kind] for one in by_kind for kind in kinds if kind in one]
         alike = alike or [errors for one in by_kind for errors in one.values()]  # a study of few kinds
         errors = {name: max(one[name] for one in alike if name in one) for name in alike[0]}
-        k = divided[setting["dt"]]
+        k = substeps[setting["dt"]]
         us = k * _us_at(n, {int(size): us for size, us in setting["us"].items()}) * setting["dt"] / TIME_STEP
         options = dict(setting["options"])
         start = options.pop("start", "builtin")
         solver = solver_from(options.pop("method"), options)
         solver = solver if k == 1 else replace(solver, substeps=k)
         found.append({"solver": solver, "start": start, "us": us, "errors": errors})
-    return _stiff_candidate(scene, found, study) or found
+    return found if stiff is None else [_stiff_candidate(stiff, found)]
 
 
 def is_gone(setting: Mapping) -> bool:
@@ -269,20 +290,15 @@ def is_gone(setting: Mapping) -> bool:
     return setting["method"] in GONE or (setting["method"] == "BatchedPGS" and "order" not in setting)
 
 
-def _stiff_candidate(scene: State, candidates: list[dict], study: Mapping) -> list[dict]:
-    """The setting for a scene that a few sweeps cannot solve; none for others.
+def _stiff_candidate(solver, candidates: list[dict]) -> dict:
+    """The setting for a scene that a few sweeps cannot solve.
 
     us: at most, with all its sweeps, each at the price of one of the study's cheapest. errors: of the study's best.
     """
-    stiff = stiffness(scene, substeps_of(scene, TIME_STEP))
-    if stiff is None:
-        return []
-    solver = stiff.solver
     best = min(candidates, key=lambda found: _excess(found, "reference"))
     each = min(found["us"] / (found["solver"].sweeps * getattr(found["solver"], "substeps", 1)) for found in candidates)
-    return [
-        {"solver": solver, "start": "builtin", "us": each * solver.sweeps * solver.substeps, "errors": best["errors"]}
-    ]
+    us = each * solver.sweeps * solver.substeps
+    return {"solver": solver, "start": "builtin", "us": us, "errors": best["errors"]}
 
 
 def kinds_of(scene: State) -> list[str]:

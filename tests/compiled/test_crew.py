@@ -64,6 +64,42 @@ def test_nobody_waits_for_a_thread_that_is_lost(lost):
         together(2, leave_alone, lost)
 
 
+@njit(nogil=True)
+def wait_for_others(crew):
+    wait(crew)
+
+
+@needs_threads
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("lost", [0, 1])
+def test_nobody_waits_for_an_interrupted_thread(lost):
+    def interrupted(crew):
+        if crew.rank == lost:
+            raise KeyboardInterrupt
+        wait_for_others(crew)
+
+    with pytest.raises(KeyboardInterrupt):
+        together(2, interrupted)
+
+
+def test_a_barrier_is_ready_for_the_next_round_before_it_opens(monkeypatch):
+    """A thread that sees the new round may arrive at the next barrier at once."""
+    board, arrived = np.zeros(24, np.int64), []
+
+    def add(board, i, number):
+        if i == crews.ROUND:
+            arrived.append(board[crews.ARRIVED])
+        board[i] += number
+        return board[i] - number
+
+    monkeypatch.setattr(crews, "_add", add)
+    monkeypatch.setattr(crews, "_read", lambda board, i: board[i])
+    board[crews.ARRIVED] = 1
+    getattr(wait, "py_func", wait)(Crew(1, 2, board))
+    assert arrived == [0]
+    assert (board[crews.ARRIVED], board[crews.ROUND]) == (0, 1)
+
+
 @needs_threads
 @pytest.mark.timeout(60)
 def test_an_interrupt_before_the_first_barrier_ends_all(monkeypatch):
@@ -84,6 +120,11 @@ def test_shares_cover_everything_once(count, size):
     shares = [share_of(count, Crew(rank, size, ALONE.board)) for rank in range(size)]
     assert [k for first, last in shares for k in range(first, last)] == list(range(count))
     assert max(last - first for first, last in shares) - min(last - first for first, last in shares) <= 1
+
+
+def test_without_the_compiler_there_is_one_thread(monkeypatch):
+    monkeypatch.setattr(config, "DISABLE_JIT", 1)
+    assert crew_size(4, 10**6, 1500) == 1
 
 
 @needs_threads

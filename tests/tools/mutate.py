@@ -45,7 +45,6 @@ physics/islands.py=tests/physics/test_islands.py
 physics/sleeping.py=tests/physics/test_sleeping.py
 physics/segments.py=tests/physics/test_segments.py,tests/physics/test_surfaces.py
 physics/continuous.py=tests/physics/test_continuous.py,tests/physics/test_segments.py
-physics/stepper.py=tests/physics/test_stepper.py
 compiled/simd.py=tests/cnn/test_convolution.py,tests/physics/solvers/test_batched.py
 cnn/convolution.py=tests/cnn/test_convolution.py
 cnn/far_field.py=tests/cnn/test_far_field.py,tests/cnn/test_convolution.py
