@@ -20,9 +20,9 @@ from deep_contact.physics.solvers import BatchedPGS, describe
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, stiffness
 from deep_contact.reporting import results
-from deep_contact.simulation import checked_solver, ready, solver_and_start
+from deep_contact.simulation import method_of, ready
 from deep_contact.state import State
-from deep_contact.warm_start import Builtin, NoStart, warm_start_of
+from deep_contact.warm_start import Builtin, NoStart
 
 TABLE = Path(__file__).parent / "reference" / "figure_6_7.json"
 """Results of Figure 6.7, shipped with the package."""
@@ -78,10 +78,7 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     Raises ValueError on arguments that do not hold together, FileNotFoundError where no results are installed.
     """
     scene = ready(scene)
-    if solver is None and scene.solver is None:
-        solver, _ = solver_and_start(scene, sleep=sleep)
-    solver = checked_solver(solver, scene)
-    start = warm_start_of(warm_start)
+    solver, start = method_of(scene, solver, warm_start, sleep=sleep)
     _, options = advance_of(solver, sleep)
     found = table if table is not None else installed_results()
     savings = found["data"]["savings"]

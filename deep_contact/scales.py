@@ -12,14 +12,11 @@ falls asleep, and times are counted in steps.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from deep_contact import constants
-
-if TYPE_CHECKING:
-    from deep_contact.state import State
 
 _GRAVITY = -constants.GRAVITY[1]
 
@@ -83,39 +80,32 @@ class SceneUnits(NamedTuple):
     impulse: float
 
 
-def scene_units(state: State) -> SceneUnits:
-    """The units of a state's scene."""
-    length, speed, felt = _length_and_speeds(state)
-    mass, dt, thesis_dt = mean(state.bodies.mass), state.dt, constants.TIME_STEP
+def scene_units(mass, radius, gravity, dt: float) -> SceneUnits:
+    """The units of a scene. mass: (n,), kg. radius: (n,), m. gravity: (g_x, g_y), m/s². dt: s."""
+    length, speed, felt = _length_and_speeds(radius, gravity, dt)
+    thesis_dt = constants.TIME_STEP
     # In this order the thesis's scene is divided by itself: 1 exactly.
     if felt > 0.0:
-        impulse = mass * math.hypot(*state.world.gravity) * dt / (math.pi * _GRAVITY * thesis_dt)
+        impulse = mean(mass) * math.hypot(*gravity) * dt / (math.pi * _GRAVITY * thesis_dt)
     else:
-        impulse = mass * length / dt / (math.pi * 1.0 / thesis_dt)
+        impulse = mean(mass) * length / dt / (math.pi * 1.0 / thesis_dt)
     return SceneUnits(length, speed, impulse)
 
 
-def _length_and_speeds(state: State) -> tuple[float, float, float]:
+def _length_and_speeds(radius, gravity, dt: float) -> tuple[float, float, float]:
     """Length and speed of `SceneUnits`, and the speed that gravity gives alone: 0 without it."""
-    length = mean(state.bodies.radius)
-    felt = math.sqrt(math.hypot(*state.world.gravity) * length / _GRAVITY)
-    return length, felt if felt > 0.0 else length * constants.TIME_STEP / state.dt, felt
+    length = mean(radius)
+    felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)
+    return length, felt if felt > 0.0 else length * constants.TIME_STEP / dt, felt
 
 
-def contact_scales(state: State) -> ContactScales:
-    """The scales that the steps of a state use: those of its world if they are set, otherwise those of the scene.
+def contact_scales(radius, gravity, dt: float, given: ContactScales | None = None) -> ContactScales:
+    """The scales of a scene's steps: the given ones, or those that follow from its radii, (n,), m, gravity and Δt.
 
     The largest translation is cut to `FASTEST` times Δt in either case.
     """
-    scales = state.world.scales
-    if scales is None:
-        scales = _scales_of_scene(state)
-    return scales._replace(max_translation=min(scales.max_translation, FASTEST * state.dt))
-
-
-def _scales_of_scene(state: State) -> ContactScales:
-    length, speed, felt = _length_and_speeds(state)
-    return ContactScales(
+    length, speed, felt = _length_and_speeds(radius, gravity, dt)
+    scales = given or ContactScales(
         slop=BOX2D.slop * length,
         wall_skin=BOX2D.wall_skin * length,
         max_correction=BOX2D.max_correction * length,
@@ -125,11 +115,12 @@ def _scales_of_scene(state: State) -> ContactScales:
         sleep_spin=BOX2D.sleep_spin * felt / length,
         sleep_time=BOX2D.sleep_time * length / speed,
     )
+    return scales._replace(max_translation=min(scales.max_translation, FASTEST * dt))
 
 
-def theta_tolerance(state: State) -> float:
+def theta_tolerance(mass, radius, gravity, dt: float) -> float:
     """θ at which sweeps end by default, N·s: 6e-5 N·s of the authors' code, in units of the scene's impulses."""
-    return constants.THETA_TOLERANCE * scene_units(state).impulse
+    return constants.THETA_TOLERANCE * scene_units(mass, radius, gravity, dt).impulse
 
 
 def mean(values: np.ndarray) -> float:

@@ -172,14 +172,7 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     if dt is not None:
         state = with_time_step(state, dt)
     state = ready(state)
-    if accuracy is not None and solver is not None:
-        raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
-    if accuracy is not None:
-        solver, warm_start = solver_and_start(state, accuracy, sleep=sleep)
-    elif solver is None and state.solver is None:
-        solver, _ = solver_and_start(state, sleep=sleep)
-    solver = checked_solver(solver, state)
-    start = warm_start_of(warm_start)
+    solver, start = method_of(state, solver, warm_start, accuracy, sleep=sleep)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
     substeps = solver.substeps if isinstance(solver, PGS) else 1
@@ -348,45 +341,36 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
 
 
 def ready(state: State) -> StateWithContacts:
-    """The state validated, with its contacts.
+    """The state checked and completed: valid, within limits, its arrays as compiled code takes them, contacts found.
 
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
     """
     check_types(state)
-    number("time", state.time)
-    number("dt", state.dt, above=0)
-    integer("step", state.step)
-    bodies, contacts, segments = state.bodies, state.contacts, len(state.world.segments)
-    if not (_has_engine_arrays(state) and is_valid(bodies, contacts, segments)):
+    if not (_has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
         state = check_limits(check_state(state))
-    if not _has_settings_within_limits(state):
+    elif not _has_settings_within_limits(state):
         check_limits(state)
     return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
+
+
+def _has_engine_arrays(state: State) -> bool:
+    """Whether all arrays are of the kind that compiled functions were compiled for: what `check_state` makes them."""
+    return state.contacts is not None and all(
+        type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray
+        for part, kinds in ((state.bodies, _BODIES_KIND), (state.contacts, _CONTACTS_KIND))
+        for array, (dtype, ndim) in zip(part, kinds)
+    )
 
 
 def _has_settings_within_limits(state: State) -> bool:
     """Whether the world and Δt are; the arrays are looked at by `is_valid`."""
     world = state.world
     found = {"dt": (state.dt,), "world.box": world.box, "world.gravity": world.gravity}
-    if world.segments:
-        found["world.segments"] = tuple(chain.from_iterable(world.segments))
-    if world.surface_speeds:
-        found["world.surface_speeds"] = world.surface_speeds
-    found["world.friction"] = (world.friction,)
+    found |= {"world.friction": (world.friction,), "world.surface_speeds": world.surface_speeds}
+    found["world.segments"] = tuple(chain.from_iterable(world.segments))
     if world.scales is not None:
         found |= {f"scales.{name}": (getattr(world.scales, name),) for name in ("slop", "wall_skin", "max_correction")}
-    return all(LIMITS[name][0] <= min(values) and max(values) <= LIMITS[name][1] for name, values in found.items())
-
-
-def _has_engine_arrays(state: State) -> bool:
-    """Whether all arrays are of the kind that the compiled functions were compiled for."""
-    if state.contacts is None:
-        return False
-    for part, kinds in ((state.bodies, _BODIES_KIND), (state.contacts, _CONTACTS_KIND)):
-        for array, (dtype, ndim) in zip(part, kinds):
-            if not (type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray):
-                return False
-    return True
+    return all(LIMITS[name][0] <= value <= LIMITS[name][1] for name, values in found.items() for value in values)
 
 
 def _impulses(start, state: State, solver, problem=None) -> tuple[np.ndarray, np.ndarray]:
@@ -407,16 +391,24 @@ def _impulses(start, state: State, solver, problem=None) -> tuple[np.ndarray, np
     return impulses
 
 
-def solver_and_start(state: State, accuracy: str | None = None, *, sleep: bool = False) -> tuple:
-    """(Solver, name of the start) of a preset; of "fast" without one. See `recommendation.runs.solver_and_start`."""
-    from deep_contact.recommendation import runs  # which reads the study
+def method_of(state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep: bool = False) -> tuple:
+    """(Solver, start) of a run from this state: those of a preset, or the given ones, or the state's solver.
 
-    return runs.solver_and_start(state, accuracy, sleep=sleep)
+    Without any of these the solver is that of the preset "fast". Raises ValueError where they do not fit each other.
+    """
+    if accuracy is not None and solver is not None:
+        raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
+    if accuracy is not None or (solver is None and state.solver is None):
+        from deep_contact.recommendation import runs  # which reads the study
+
+        solver, of_preset = runs.solver_and_start(state, accuracy, sleep=sleep)
+        start = start if accuracy is None else of_preset
+    return checked_solver(solver, state), warm_start_of(start)
 
 
 def checked_solver(solver, state: State):
-    """The solver, or the state's, or PGS. Raises ValueError where it does not fit the state."""
-    solver = solver if solver is not None else state.solver if state.solver is not None else PGS()
+    """The solver, or the state's, or PGS, for this state. Raises ValueError where it does not fit the state."""
+    solver = next(found for found in (solver, state.solver, PGS()) if found is not None)
     entry_of(solver)
     if solver.precision == "single":
         check_limits(state, SINGLE_LIMITS)

@@ -239,7 +239,7 @@ class State:
     @property
     def scales(self) -> ContactScales:
         """Lengths, speeds and times of the contact model in the steps of this state (`scales.contact_scales`)."""
-        return contact_scales(self)
+        return contact_scales(self.bodies.radius, self.world.gravity, self.dt, self.world.scales)
 
     def replace(self: S, **changes) -> S:
         """A copy with some fields changed."""
@@ -390,10 +390,6 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 def check_state(state: State) -> State:
     """The state with all arrays validated and owned. Raises ValueError naming the field and the value."""
     check_types(state)
-    number("time", state.time)
-    number("dt", state.dt, above=0)
-    integer("step", state.step)
-    flag("solved", state.solved)
     bodies = check_bodies(state.bodies)
     contacts = state.contacts
     if contacts is not None:
@@ -402,7 +398,7 @@ def check_state(state: State) -> State:
 
 
 def check_types(state) -> State:
-    """The state itself, if it and its parts are of their types. Raises ValueError naming the part."""
+    """The state itself, if it, its parts and its settings are of their types. Raises ValueError naming the part."""
     if not isinstance(state, State):
         raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
     for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
@@ -411,6 +407,10 @@ def check_types(state) -> State:
             raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
     if not isinstance(state.name, str):
         raise ValueError(f"name: expected a text, got {state.name!r}")
+    number("time", state.time)
+    number("dt", state.dt, above=0)
+    integer("step", state.step)
+    flag("solved", state.solved)
     return state
 
 

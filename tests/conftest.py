@@ -6,7 +6,6 @@ import importlib.util
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import deep_contact as dc
@@ -54,9 +53,3 @@ def solved_states(scene, *, steps, every=1, solver=None, **options):
 def momentum(bodies):
     """Total linear momentum, (2,), kg·m/s."""
     return bodies.mass @ bodies.velocity
-
-
-def kinetic_energy(bodies):
-    """Total kinetic energy, J."""
-    linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
-    return 0.5 * (linear + bodies.inertia @ bodies.spin**2)

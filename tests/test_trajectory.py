@@ -4,9 +4,10 @@ import sys
 
 import numpy as np
 import pytest
-from conftest import kinetic_energy, solved_states
+from conftest import solved_states
 
 import deep_contact as dc
+from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.trajectory import Trajectory, load_trajectory
 
 

@@ -22,6 +22,12 @@ def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
     return state.bodies.velocity + state.dt * np.array(state.world.gravity), state.bodies.spin
 
 
+def kinetic_energy(bodies: Bodies) -> float:
+    """Of all circles, translation and rotation, J."""
+    linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
+    return float(0.5 * (linear + bodies.inertia @ bodies.spin**2))
+
+
 def energy_norm(bodies: Bodies, velocity: np.ndarray, spin: np.ndarray) -> float:
     """‖(v, ω)‖_M = √(Σ m |v|² + I ω²), √J: √2 times the root of the kinetic energy.
 

@@ -163,7 +163,7 @@ class _Watch:
         gravity, dt = np.asarray(self.scene.world.gravity), self.scene.dt
         weight = before.mass[:, None] * gravity
         moved = dt * after.velocity
-        gain = kinetic_energy(after) - kinetic_energy(before) - (weight * moved).sum()
+        gain = metrics.kinetic_energy(after) - metrics.kinetic_energy(before) - (weight * moved).sum()
         lift = -(weight * (after.position - before.position - moved)).sum()
         self.sweep_gain += max(0.0, gain) / self.scale
         self.correction += max(0.0, lift) / self.scale
@@ -252,19 +252,13 @@ def rounded_to_float32(state: State) -> State:
     return moved.replace(contacts=found)
 
 
-def kinetic_energy(bodies: Bodies) -> float:
-    """Of all circles, translation and rotation, J."""
-    linear = np.einsum("i,ij,ij->", bodies.mass, bodies.velocity, bodies.velocity)
-    return float(0.5 * (linear + bodies.inertia @ bodies.spin**2))
-
-
 def mechanical_energy(scene: State, bodies: Bodies) -> float:
     """Kinetic energy, and potential energy above the lowest place in the box, J."""
     x_min, y_min, x_max, y_max = scene.world.box
     gravity = np.asarray(scene.world.gravity)
     lowest = np.where(gravity < 0, (x_min, y_min), (x_max, y_max))
     height = bodies.position - lowest
-    return kinetic_energy(bodies) - float(np.einsum("i,ij,j->", bodies.mass, height, gravity))
+    return metrics.kinetic_energy(bodies) - float(np.einsum("i,ij,j->", bodies.mass, height, gravity))
 
 
 # ---- the scenes ----

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import kinetic_energy, momentum, solved_states
+from conftest import momentum, solved_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import optimize
@@ -12,6 +12,7 @@ from scipy import optimize
 import deep_contact as dc
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.lcp import contact_problem
+from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.scenes import single_body
 
 EXACT = dc.PGS(sweeps=20_000, tolerance=1e-13)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from conftest import kinetic_energy
 
 import deep_contact as dc
 from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION, WALL_SKIN
 from deep_contact.physics.engine import is_valid
+from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.scenes import single_body
 from deep_contact.state import State, World, make_bodies
 

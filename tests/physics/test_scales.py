@@ -174,15 +174,18 @@ def test_a_default_box_of_millimetres_rests_within_three_slops():
     assert metrics.penetration(absolute) > 1e-3
 
 
+def measures(state):
+    """What the scales follow."""
+    return state.bodies.mass, state.bodies.radius, state.world.gravity, state.dt
+
+
 @pytest.mark.parametrize("n", [1, 7, 40, 1000])
 def test_the_thesis_scene_has_the_values_of_box2d_exactly(n):
     scene = dc.lattice_in_box(n)
     assert scene.scales == dc.BOX2D
-    assert theta_tolerance(scene) == constants.THETA_TOLERANCE == for_state(dc.PGS(), scene).tolerance
-    assert scene_units(scene) == (1.0, 1.0, 1.0)
-    still = dc.drifting_circles(20)
-    assert scene_units(still) == (1.0, 1.0, 1.0)
-    assert theta_tolerance(still) == constants.THETA_TOLERANCE
+    for found in (scene, dc.drifting_circles(20)):
+        assert scene_units(*measures(found)) == (1.0, 1.0, 1.0)
+        assert theta_tolerance(*measures(found)) == constants.THETA_TOLERANCE == for_state(dc.PGS(), found).tolerance
 
 
 def test_scales_follow_mean_radius_gravity_mass_and_time_step():
@@ -195,7 +198,7 @@ def test_scales_follow_mean_radius_gravity_mass_and_time_step():
     )  # fmt: skip
     np.testing.assert_allclose(scene.scales, expected, rtol=1e-15)
     # m is 2/16 of π kg, g and Δt are twice those of the thesis.
-    np.testing.assert_allclose(theta_tolerance(scene), 6e-5 * 2 / 16 * 2 * 2, rtol=1e-15)
+    np.testing.assert_allclose(theta_tolerance(*measures(scene)), 6e-5 * 2 / 16 * 2 * 2, rtol=1e-15)
 
 
 def test_without_gravity_everything_bounces_and_only_exact_rest_sleeps():
@@ -255,7 +258,7 @@ def test_a_tolerance_of_the_user_is_absolute_and_a_run_holds_numbers():
     assert dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=1e-3)).state.solver.tolerance == 1e-3
     assert dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=None)).state.solver.tolerance is None
     found = dc.simulate(scene, steps=1, solver=dc.PGS()).state.solver
-    assert found == dc.PGS(tolerance=theta_tolerance(scene))
+    assert found == dc.PGS(tolerance=theta_tolerance(*measures(scene)))
     with pytest.raises(ValueError, match="tolerance: expected a finite number >= 0, got 'screen'"):
         dc.PGS(tolerance="screen")
 

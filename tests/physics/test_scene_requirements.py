@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
-from conftest import kinetic_energy, momentum
+from conftest import momentum
 
 import deep_contact as dc
 from deep_contact import simulation
 from deep_contact.physics import engine
 from deep_contact.physics.contact_solver import sweep
+from deep_contact.physics.metrics import kinetic_energy
 
 
 def spinning_scene(**options):

@@ -7,12 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import kinetic_energy, load_script
+from conftest import load_script
 
 import deep_contact as dc
 from deep_contact import simulation
 from deep_contact.constants import LINEAR_SLOP, MAX_CORRECTION
 from deep_contact.physics.engine import contacts_of, solve
+from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.solvers import METHODS
 from deep_contact.simulation import ready
 from deep_contact.state import LIMITS, Bodies, Contacts, State, World, make_bodies
@@ -248,11 +249,11 @@ def solve_gain(state: State, solver, start) -> tuple[float, float]:
     can only lower the kinetic energy that the start leaves.
     """
     gravity = state.dt * np.asarray(state.world.gravity)
-    free = extremes.kinetic_energy(state.bodies._replace(velocity=state.bodies.velocity + gravity))
+    free = kinetic_energy(state.bodies._replace(velocity=state.bodies.velocity + gravity))
 
     def after(options):
         found = solve(state, options, *start)
-        return extremes.kinetic_energy(state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities))
+        return kinetic_energy(state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities))
 
     return after(solver) - free, after(replace(solver, sweeps=0)) - free
 

@@ -19,8 +19,8 @@ import numpy as np
 import deep_contact as dc
 from deep_contact.io.files import write_json
 from deep_contact.recommendation import PRESETS
+from deep_contact.recommendation.runs import solver_and_start
 from deep_contact.reporting import results
-from deep_contact.simulation import solver_and_start
 from deep_contact.studies.extremes import mechanical_energy
 
 PILES = {100: 1_000_000, 1000: 20_000}

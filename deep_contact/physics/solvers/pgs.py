@@ -64,7 +64,9 @@ class PGS:
         """The options with the tolerance of a substep in N·s, if it follows the scene."""
         if self.tolerance != FOLLOWS_SCENE:
             return self
-        return replace(self, tolerance=theta_tolerance(state) / self.substeps)
+        bodies = state.bodies
+        found = theta_tolerance(bodies.mass, bodies.radius, state.world.gravity, state.dt)
+        return replace(self, tolerance=found / self.substeps)
 
 
 class PGSSettings(NamedTuple):
