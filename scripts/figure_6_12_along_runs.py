@@ -87,14 +87,14 @@ FIGURE = Figure(
     options={
         "columns": [10, 20, 50],
         "runs": {
-            "1000": {"scenes": 8, "sweeps": [3, 6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED, *MORE]},
-            "3000": {"scenes": 8, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED]},
-            "10000": {"scenes": 5, "sweeps": [6, 10, 20, 50], "settings": [*CLASSICAL, LEARNED]},
+            "1000": {"scenes": 6, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED, *MORE]},
+            "3000": {"scenes": 5, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED]},
+            "10000": {"scenes": 3, "sweeps": [6, 10, 20, 50], "settings": [*CLASSICAL, LEARNED]},
         },
         "steps": 300,
         "every": 20,
         "past_need": 400,
-        "repeats": 2,
+        "repeats": 1,
         "model": "models/model.h5",
     },
     quick={

@@ -52,9 +52,19 @@ def compute(options, seed, jobs, progress):
     return {"units": units, "cells": cells, "silos": silos, "solvers": solvers}
 
 
+def cells_of(data):
+    """The cells of quantities that are still pushed."""
+    return [cell for cell in data["cells"] if cell["quantity"] in extremes.QUANTITIES]
+
+
+def solvers_of(data):
+    """The outcomes of methods and starts that are still there."""
+    return [outcome for outcome in data["solvers"] if outcome["name"] in extremes.SOLVERS]
+
+
 def ours(data, *quantities):
     """Accepted cells of our engine; of some quantities, or of all."""
-    accepted = [cell for cell in data["cells"] if cell["engine"] == "ours" and cell["verdict"] != REFUSED]
+    accepted = [cell for cell in cells_of(data) if cell["engine"] == "ours" and cell["verdict"] != REFUSED]
     return [cell for cell in accepted if not quantities or cell["quantity"] in quantities]
 
 
@@ -64,10 +74,10 @@ def unearned(cell):
 
 
 def is_inelastic(cell):
-    """Whether a cell has e = 0, is in float64, and has a start that the sweeps can correct in spite of rounding."""
+    """Whether a cell has e = 0, and a start that the sweeps can correct in spite of rounding."""
     if cell["quantity"].startswith("start"):
         return cell["value"] <= MILD_START
-    return (cell["quantity"] != "restitution" or cell["value"] == 0) and "float32" not in cell["quantity"]
+    return cell["quantity"] != "restitution" or cell["value"] == 0
 
 
 def claims(data):
@@ -75,7 +85,7 @@ def claims(data):
     accepted = ours(data)
     inelastic = [cell for cell in accepted if is_inelastic(cell)]
     worst = max(inelastic, key=unearned, default=None)
-    refusals = [cell for cell in data["cells"] if cell["engine"] == "ours" and cell["verdict"] == REFUSED]
+    refusals = [cell for cell in cells_of(data) if cell["engine"] == "ours" and cell["verdict"] == REFUSED]
     not_finite = sum(not cell["finite"] for cell in accepted)
     explained = all("expected" in cell["message"] and "got" in cell["message"] for cell in refusals)
     text = "no accepted scene ends in a number that is not finite"
@@ -91,7 +101,7 @@ def claims(data):
         speed = max(cell["speed"] for cell in parted)
         text = "circles that overlap, up to the whole diameter, are parted without giving them any speed"
         found.append(Claim(text, None, speed == 0.0, {"largest speed (m/s)": speed}))
-    tried = [solver for solver in data["solvers"] if solver["verdict"] != ABSENT]
+    tried = [solver for solver in solvers_of(data) if solver["verdict"] != ABSENT]
     if tried:
         unsafe = [f"{solver['name']}: {solver['verdict']}" for solver in tried if solver["verdict"] != SAFE]
         # θ is the last change and no error: after a start ten times too large it stops far from the solution.
@@ -111,7 +121,7 @@ def claims(data):
 def by_quantity(data):
     """quantity -> engine -> its cells."""
     found = {}
-    for cell in data["cells"]:
+    for cell in cells_of(data):
         found.setdefault(cell["quantity"], {}).setdefault(cell["engine"], []).append(cell)
     return found
 
@@ -130,8 +140,7 @@ def table(data):
     for name, engines in by_quantity(data).items():
         mine = engines["ours"]
         good = [cell for cell in mine if cell["verdict"] == SAFE]
-        # Results from before the slop followed the scene do not have it.
-        worst = max((cell["worst"] / cell.get("slop", LINEAR_SLOP) for cell in good), default=None)
+        worst = max((cell["worst"] / cell["slop"] for cell in good), default=None)
         recovered = max((cell["recovered"] for cell in good if cell["recovered"] is not None), default=None)
         rows.append([
             name, data["units"][name], *(ranges(mine, v) for v in (SAFE, DEGRADED, FAILED, REFUSED)), worst, recovered,
@@ -141,7 +150,7 @@ def table(data):
         settled = {e: found["settled"] / LINEAR_SLOP for e, found in engines.items() if "settled" in found}
         text = "; ".join(f"{engine} {depth:.3g}" for engine, depth in settled.items())
         rows.append([f"silo: {name}", "slops at rest", text, *[None] * 7])
-    for solver in data["solvers"]:
+    for solver in solvers_of(data):
         verdicts = [solver["name"] if solver["verdict"] == v else None for v in (SAFE, DEGRADED, FAILED, REFUSED)]
         worst = None if solver["worst"] is None else solver["worst"] / LINEAR_SLOP
         rows.append(["pile", "", *verdicts, worst, solver["recovered"], None, None])

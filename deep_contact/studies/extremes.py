@@ -22,7 +22,6 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
 from deep_contact.physics import metrics
-from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
 from deep_contact.recommendation.stiff import stiffness
@@ -38,24 +37,19 @@ ENGINES = ("ours", "Box2D 2.3", "pymunk")
 ENERGY_TOLERANCE = 0.01
 """Rise of the mechanical energy that a safe scene may show, as a share of its initial value."""
 
-SWEEPS = 50
-"""Velocity sweeps, or iterations of another engine, where they are not what is pushed."""
+SOLVER = PGS(sweeps=50, tolerance=None)
+"""Of a trial, or the iterations of another engine, where they are not what is pushed."""
 
 ACCURATE = PGS(sweeps=100_000, tolerance=1e-9)
 """The most accurate setting here: it nearly always ends by its tolerance."""
-
-SOLVER = PGS(sweeps=SWEEPS, tolerance=None)
-"""The default of a trial; position correction has its own default."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
     """One scene to run.
 
-    solver: of every engine; ours takes the presets' for a scene that is too stiff for a few sweeps
-    (`recommendation.stiff`) where `recognised` is set. ordered: axis along which the circles have to keep the order of
-    their numbers, or None. single: round the bodies to float32 after every step, as an engine with such a
-    state does.
+    solver: of every engine; ours takes the presets' for a scene that is too stiff for a few sweeps where `recognised`
+    is set. ordered: axis along which the circles have to keep the order of their numbers, or None.
     """
 
     scene: State
@@ -63,20 +57,15 @@ class Trial:
     solver: PGS = SOLVER
     warm_start: object = "builtin"
     ordered: int | None = None
-    single: bool = False
     recognised: bool = True
-
-
-def _as_given(value: float, steps: int) -> int:
-    return steps
 
 
 @dataclass(frozen=True)
 class Quantity:
     """A quantity that is pushed: its unit, the values, those of the quick run, and the scene for a value.
 
-    ordered, single: of `Trial`. steps: of a trial, from the value and the steps asked for. options: value -> more
-    options of `Trial`. peers: whether the other engines have this quantity too.
+    ordered: of `Trial`. steps: of a trial, from the value and the steps asked for. options: value -> more options of
+    `Trial`. peers: whether the other engines have this quantity too.
     """
 
     unit: str
@@ -84,14 +73,13 @@ class Quantity:
     quick: tuple
     scene: Callable[[float], State]
     ordered: int | None = None
-    single: bool = False
-    steps: Callable[[float, int], int] = _as_given
+    steps: Callable[[float, int], int] = lambda value, steps: steps
     options: Callable[[float], dict] = lambda value: {}
     peers: bool = True
 
     def trial(self, value: float, steps: int) -> Trial:
         """The trial of a value. Raises ValueError where no such scene can be built."""
-        fields = {"ordered": self.ordered, "single": self.single, **self.options(value)}
+        fields = {"ordered": self.ordered} | self.options(value)
         return Trial(scene=self.scene(value), steps=self.steps(value, steps), **fields)
 
 
@@ -101,21 +89,11 @@ class Quantity:
 def measure(trial: Trial, engine: str = "ours") -> dict:
     """Run a trial in an engine of `ENGINES`.
 
-    Returns:
-
-    | key           | meaning                                                                                      |
-    |---------------|----------------------------------------------------------------------------------------------|
-    | verdict       | one of `VERDICTS`, see the module                                                            |
-    | message       | why it was refused, or how it failed                                                         |
-    | finite        | whether all numbers were finite in all steps                                                 |
-    | energy        | largest rise of the mechanical energy over its initial value, as a share of the scale        |
-    | sweep_gain    | sum of the rises by the velocity part of single steps, as a share of the scale; ours only    |
-    | correction    | work of position correction against gravity where it lifts, likewise; ours only              |
-    | slop          | of the scene, m                                                                              |
-    | worst         | deepest penetration, m                                                                       |
-    | settled       | deepest penetration of the last tenth of the steps, m                                        |
-    | recovered     | steps until the penetration stays within what position correction leaves, or None            |
-    | speed         | largest speed at the end, m/s                                                                |
+    Returns {"verdict": one of `VERDICTS`, "message": why it was refused, or how it failed, "finite": whether all
+    numbers were, "energy": largest rise of the mechanical energy over its initial value, as a share of the scale,
+    "correction": work of position correction against gravity, likewise, ours only, "slop": of the scene, "worst":
+    deepest penetration, m, "settled": that of the last tenth of the steps, "recovered": steps until the penetration
+    stays within what position correction leaves, or None, "speed": largest at the end, m/s}.
 
     The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
     that is 0, the kinetic energy of all circles at 1 m/s. Raises ValueError on an unknown engine.
@@ -133,7 +111,7 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
         return watch.outcome(ABSENT, "there is no model file")
     except (ValueError, AssertionError, ArithmeticError) as error:
         # An error before the first step is a refusal; later, numbers have left the limits of a state.
-        return watch.outcome(REFUSED if watch.steps == 0 else FAILED, str(error).strip().splitlines()[-1], finite=False)
+        return watch.outcome(REFUSED if not watch.depth else FAILED, str(error).strip().splitlines()[-1], finite=False)
     return watch.outcome()
 
 
@@ -142,75 +120,65 @@ class _Watch:
 
     def __init__(self, trial: Trial):
         self.trial, self.scene = trial, trial.scene
-        self.steps, self.slop = 0, self.scene.scales.slop
-        self.penetration = np.zeros(trial.steps)
+        self.depth: list[float] = []
         with np.errstate(over="ignore"):
             self.first = mechanical_energy(self.scene, self.scene.bodies)
             self.scale = self.first if self.first > 0 else 0.5 * self.scene.bodies.mass.sum()
-        self.energy = self.sweep_gain = self.correction = self.speed = 0.0
-        self.ours = False
+        self.energy = self.correction = self.speed = 0.0
         self.lost = ""
 
     def see(self, bodies: Bodies) -> None:
-        self.penetration[self.steps] = metrics.penetration(self.scene.replace(bodies=bodies))
         self.energy = max(self.energy, (mechanical_energy(self.scene, bodies) - self.first) / self.scale)
         self.speed = float(np.hypot(*bodies.velocity.T).max())
         self.lost = self.lost or self._what_is_lost(bodies)
-        self.steps += 1
+        self.depth.append(metrics.penetration(self.scene.replace(bodies=bodies)))
 
-    def split(self, before: Bodies, after: Bodies) -> None:
-        """Add up the changes of energy in one step of ours: by its velocity part, and by position correction."""
-        gravity, dt = np.asarray(self.scene.world.gravity), self.scene.dt
-        weight = before.mass[:, None] * gravity
-        moved = dt * after.velocity
-        gain = metrics.kinetic_energy(after) - metrics.kinetic_energy(before) - (weight * moved).sum()
-        lift = -(weight * (after.position - before.position - moved)).sum()
-        self.sweep_gain += max(0.0, gain) / self.scale
+    def add_correction(self, before: Bodies, after: Bodies) -> None:
+        """Add the work of one step's position correction against gravity."""
+        corrected = after.position - before.position - self.scene.dt * after.velocity
+        lift = -(before.mass[:, None] * np.asarray(self.scene.world.gravity) * corrected).sum()
         self.correction += max(0.0, lift) / self.scale
-        self.ours = True
 
     def _what_is_lost(self, bodies: Bodies) -> str:
-        x_min, y_min, x_max, y_max = self.scene.world.box
-        outside = (bodies.position < (x_min, y_min)) | (bodies.position > (x_max, y_max))
-        began = self.scene.bodies.position
-        inside_at_first = (began >= (x_min, y_min)) & (began <= (x_max, y_max))
+        step = len(self.depth)
         # Circles that began outside have until the last step to come back.
-        due = inside_at_first if self.steps < self.trial.steps - 1 else True
-        if (outside & due).any():
-            return f"step {self.steps}: circle {int(np.argwhere(outside & due)[0][0])} has left the box"
+        due = _inside(self.scene, self.scene.bodies) if step < self.trial.steps - 1 else True
+        left = ~_inside(self.scene, bodies) & due
+        if left.any():
+            return f"step {step}: circle {int(np.flatnonzero(left)[0])} has left the box"
         axis = self.trial.ordered
         if axis is not None and (np.diff(bodies.position[:, axis]) <= 0).any():
-            return f"step {self.steps}: a circle has passed through another"
+            return f"step {step}: a circle has passed through another"
         return ""
 
     def outcome(self, verdict: str | None = None, message: str = "", *, finite: bool = True) -> dict:
-        depth = self.penetration[: self.steps]
-        allowed = min(POSITION_TOLERANCE * self.slop, 0.1 * float(self.scene.bodies.radius.min()))
+        depth, slop = np.array(self.depth), self.scene.scales.slop
         # Rounding at the circles' coordinates is not penetration.
-        allowed *= 1 + 1e-9
+        allowed = min(POSITION_TOLERANCE * slop, 0.1 * float(self.scene.bodies.radius.min())) * (1 + 1e-9)
         settled = float(depth[-max(1, depth.size // 10) :].max(initial=0.0))
         deep = np.flatnonzero(depth > allowed)
         recovered = int(deep[-1]) + 1 if deep.size else 0
-        if verdict is None:
-            message = self.lost
-            if self.lost or self.energy > 1:
-                verdict = FAILED
-                message = message or f"the energy rose by {self.energy:.3g} of its initial value"
-            else:
-                verdict = SAFE if settled <= allowed and self.energy <= ENERGY_TOLERANCE else DEGRADED
+        if verdict is None and (self.lost or self.energy > 1):
+            verdict, message = FAILED, self.lost or f"the energy rose by {self.energy:.3g} of its initial value"
+        elif verdict is None:
+            verdict = SAFE if settled <= allowed and self.energy <= ENERGY_TOLERANCE else DEGRADED
         return {
             "verdict": verdict,
             "message": message,
             "finite": verdict == REFUSED or (finite and all(np.isfinite([self.energy, self.speed, settled]))),
             "energy": _finite(self.energy),
-            "sweep_gain": _finite(self.sweep_gain) if self.ours else None,
-            "correction": _finite(self.correction) if self.ours else None,
-            "slop": self.slop,
-            "worst": float(depth.max(initial=0.0)) if self.steps else None,
-            "settled": settled if self.steps else None,
+            "correction": _finite(self.correction),
+            "slop": slop,
+            "worst": float(depth.max()) if depth.size else None,
+            "settled": settled if depth.size else None,
             "recovered": None if recovered == depth.size else recovered,
             "speed": _finite(self.speed),
         }
+
+
+def _inside(scene: State, bodies: Bodies) -> np.ndarray:
+    x_min, y_min, x_max, y_max = scene.world.box
+    return ((bodies.position >= (x_min, y_min)) & (bodies.position <= (x_max, y_max))).all(axis=1)
 
 
 def _finite(value: float) -> float | None:
@@ -224,10 +192,7 @@ def _run_ours(trial: Trial, watch: _Watch) -> Iterator[Bodies]:
     for _ in range(trial.steps):
         before = state.bodies
         state = simulate(state, steps=1, solver=solver, warm_start=trial.warm_start).state
-        if trial.single:
-            state = rounded_to_float32(state)
-        else:
-            watch.split(before, state.bodies)
+        watch.add_correction(before, state.bodies)
         yield state.bodies
 
 
@@ -238,18 +203,6 @@ def _run_peer(scene: State, engine: str, solver, steps: int) -> Iterator[Bodies]
     for _ in range(steps):
         world.step(scene.dt, solver.sweeps, solver.position_sweeps)
         yield world.bodies()
-
-
-def rounded_to_float32(state: State) -> State:
-    """The state with positions and velocities rounded to float32; contacts are found again and keep their impulses."""
-    bodies = Bodies(*(field.astype(np.float32).astype(np.float64) for field in state.bodies))
-    moved = state.replace(bodies=bodies)
-    found, old = contacts_of(moved), state.contacts
-    pairs = (contacts.body_a * (bodies.count + 4) + contacts.body_b for contacts in (found, old))
-    _, here, there = np.intersect1d(*pairs, return_indices=True)
-    for name in ("normal_start", "tangent_start", "normal_impulse", "tangent_impulse"):
-        getattr(found, name)[here] = getattr(old, name)[there].astype(np.float32)
-    return moved.replace(contacts=found)
 
 
 def mechanical_energy(scene: State, bodies: Bodies) -> float:
@@ -462,10 +415,6 @@ QUANTITIES: dict[str, Quantity] = {
         "m", (1e-6, 1.0, *_powers(3, 8), 9e8, 1e10), (1e-6, 1e3, 1e6, 9e8, 1e10),
         lambda v: shifted(silo(5), v), ordered=1,
     ),
-    "coordinate, state in float32": Quantity(
-        "m", (1e-6, 1.0, *_powers(3, 7)), (1e-6, 1e3, 1e5, 1e6),
-        lambda v: shifted(silo(5), v), ordered=1, single=True, peers=False,
-    ),
     "sweeps": Quantity(
         "", (0, 1, 2, 5, 10, 100, 1000, 100_000), (0, 1, 10, 1000), lambda v: struck_silo(10),
         ordered=1, steps=_fewer_steps, options=_sweeps,
@@ -503,7 +452,7 @@ def run_case(case: dict) -> dict:
         with np.errstate(over="ignore", invalid="ignore"):
             trial = QUANTITIES[case["quantity"]].trial(case["value"], case["steps"])
     except ValueError as error:
-        nothing = dict.fromkeys(("energy", "sweep_gain", "correction", "worst", "settled", "recovered", "speed"))
+        nothing = dict.fromkeys(("energy", "correction", "worst", "settled", "recovered", "speed"))
         return {"verdict": REFUSED, "message": str(error), "finite": True, **nothing}
     return measure(trial, case["engine"])
 
@@ -543,27 +492,20 @@ def stand(scene: State, engine: str, *, solver, seconds: float) -> dict:
     Returns {"penetration": (seconds,), "speed": (seconds,), "settled": of the second half, m}; where the engine is not
     installed, only {"verdict": ABSENT}. ours runs in whole seconds, as a user runs it.
     """
-    per_second = round(1 / scene.dt)
-    depth, speed = [], []
+    per_second, state, depth, speed = round(1 / scene.dt), scene, [], []
     try:
-        if engine == "ours":
-            run = _seconds_of_ours(scene, solver, per_second)
-        else:
-            run = islice(
-                _run_peer(scene, engine, solver, round(seconds) * per_second), per_second - 1, None, per_second
-            )
-        for bodies in islice(run, round(seconds)):
+        peer = None if engine == "ours" else _run_peer(scene, engine, solver, round(seconds) * per_second)
+        for _ in range(round(seconds)):
+            if peer is None:
+                state = simulate(state, steps=per_second, solver=solver).state
+                bodies = state.bodies
+            else:
+                bodies = next(islice(peer, per_second - 1, None))
             depth.append(metrics.penetration(scene.replace(bodies=bodies)))
             speed.append(float(np.hypot(*bodies.velocity.T).max()))
     except ImportError:
         return {"verdict": ABSENT}
     return {"penetration": depth, "speed": speed, "settled": max(depth[len(depth) // 2 :])}
-
-
-def _seconds_of_ours(state: State, solver, per_second: int) -> Iterator[Bodies]:
-    while True:
-        state = simulate(state, steps=per_second, solver=solver).state
-        yield state.bodies
 
 
 PRESSED = 1e-4

@@ -6,10 +6,10 @@ that only the start differs. Independent, as in the thesis: every start drives a
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
 from functools import partial
+from time import thread_time
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from deep_contact.reporting.figures import Figure, parallel_map, seeds
 from deep_contact.reporting.results import plain
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World, make_bodies
-from deep_contact.studies import verdicts
+from deep_contact.studies import timing, verdicts
 from deep_contact.warm_start import Sph, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
@@ -44,13 +44,11 @@ REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 """Reference solution of velocity errors: a solution swept on, so that it favours no start."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Convergence:
+class Convergence(NamedTuple):
     """How the solves of a run converged from one start.
 
-    theta: mean θ after each sweep, Eq 2.30, (sweeps,), N·s. sweeps: number of sweeps of each step until θ is within
-    `THRESHOLD`, or all of them if θ never is. velocity: relative velocity errors (`cnn.evaluation.velocity_errors`), a
-    row a step, or None if they were not asked for; a row is not finite if nothing was to be solved.
+    theta: mean θ after each sweep, Eq 2.30, (sweeps,), N·s. sweeps: of each step until θ is within `THRESHOLD`, or all
+    of them. velocity: relative velocity errors, a row a step, not finite where nothing was to be solved; or None.
     """
 
     theta: np.ndarray
@@ -106,7 +104,7 @@ def paired(
         found[name] = convergence_of(thetas, sweeps)
         if velocity_sweeps:
             errors = [velocity_errors(goal, given, velocity_sweeps) for goal, given in zip(goals, impulses)]
-            found[name] = replace(found[name], velocity=np.array(errors))
+            found[name] = found[name]._replace(velocity=np.array(errors))
     return found
 
 
@@ -225,19 +223,14 @@ def compare_starts(
     if velocity_sweeps:
         together = [part for task, part in zip(tasks, found) if task[0] == "paired"]
         errors = {name: np.concatenate([part[name].velocity for part in together]) for name in starts}
-        data["velocity"] = _summary_of_errors(errors, velocity_sweeps)
+        kept = np.all([np.isfinite(of_start).all(axis=1) for of_start in errors.values()], axis=0)
+        data["velocity"] = {
+            "sweeps": list(velocity_sweeps),
+            "states": int(kept.sum()),
+            "mean": {name: of_start[kept].mean(axis=0) for name, of_start in errors.items()},
+            "median": {name: np.median(of_start[kept], axis=0) for name, of_start in errors.items()},
+        }
     return data
-
-
-def _summary_of_errors(errors: Mapping[str, np.ndarray], sweeps: Sequence[int]) -> dict:
-    """Mean and median over the states in which every start has a finite error."""
-    kept = np.all([np.isfinite(of_start).all(axis=1) for of_start in errors.values()], axis=0)
-    return {
-        "sweeps": list(sweeps),
-        "states": int(kept.sum()),
-        "mean": {name: of_start[kept].mean(axis=0) for name, of_start in errors.items()},
-        "median": {name: np.median(of_start[kept], axis=0) for name, of_start in errors.items()},
-    }
 
 
 def sampled_sweeps(sweeps: int, points: int = CURVE_POINTS) -> np.ndarray:
@@ -261,11 +254,6 @@ def theta_after(data: dict, mode: str, name: str, sweep: int) -> float:
     """Mean θ of a start after `sweep` sweeps (the nearest number that is stored), N·s."""
     nearest = int(np.argmin(np.abs(np.asarray(data["sweep"]) - sweep)))
     return float(data[mode][name]["theta"][nearest])
-
-
-def mean_sweeps(data: dict, mode: str = "independent") -> dict[str, float]:
-    """Mean number of sweeps to the threshold, by start."""
-    return {name: found["sweeps"]["mean"] for name, found in data[mode].items()}
 
 
 def draw_comparison(data: dict, options: dict):
@@ -440,27 +428,14 @@ def isolated_contacts(count: int, *, seed: int) -> list[State]:
     return states
 
 
-def snapshots(scene: State, times: Sequence[float], *, solver=THOROUGH) -> list[State]:
-    """The solved states of a run at these times, s, each of the step that begins nearest to its time."""
-    wanted = [round(t / scene.dt) for t in times]
-    if not wanted or min(wanted) < 0:
-        raise ValueError(f"times: expected at least one, all >= 0, got {list(times)}")
-    kept: dict[int, State] = {}
-
-    def keep(state: State, record) -> None:
-        if state.step in wanted:
-            kept[state.step] = state
-
-    simulate(scene, steps=max(wanted) + 1, solver=solver, on_step=keep)
-    return [kept[step] for step in wanted]
-
-
 def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
     """Figure 3.6 or 5.1: snapshots of the thesis's scene at these times, s, coloured by speed or impulse."""
 
     def compute(options, seed, jobs, progress):
         scene = circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-        return {"snapshots": [plotting.state_data(state) for state in snapshots(scene, options["times"])]}
+        steps = [round(t / scene.dt) for t in options["times"]]
+        states = solved_states(scene, steps=max(steps) + 1, contacts_only=False)
+        return {"snapshots": [plotting.state_data(states[step]) for step in steps]}
 
     def table(data):
         rows = [["time (s)", "contacts", "mean height (m)", "largest speed (m/s)", "largest λ_n (N·s)"]]
@@ -498,9 +473,6 @@ def contact_time(state: State, *, sweeps: int, repeats: int = 3) -> float:
     It runs on one thread; what else the machine does is not counted.
     """
     solver = PGS(sweeps=sweeps, tolerance=None)
-    best = np.inf
-    for _ in range(repeats):
-        begin = time.thread_time()
-        solve_contacts(state, solver=solver)
-        best = min(best, time.thread_time() - begin)
-    return best
+    return timing.interleaved({"": lambda: solve_contacts(state, solver=solver)}, repeats=repeats, clock=thread_time)[
+        ""
+    ]

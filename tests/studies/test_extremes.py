@@ -274,7 +274,6 @@ def test_sweeps_without_friction_never_add_kinetic_energy_to_what_the_start_left
 def test_energy_of_a_falling_pile_never_rises_but_by_position_correction():
     outcome = measure(Trial(scene=extremes.small_pile(), steps=300, solver=dc.PGS(sweeps=3000, tolerance=1e-9)))
     assert outcome["energy"] <= outcome["correction"] + 1e-12
-    assert outcome["sweep_gain"] < 1e-9  # all of it rounding and what a θ of 1e-9 N·s leaves
     assert outcome["verdict"] == SAFE
 
 
@@ -383,17 +382,6 @@ def test_lifting_by_position_correction_is_counted_apart():
     scene = State(name="lift", world=world, bodies=make_bodies([[1.01, 1.01], [1.01, 2.01]]))
     outcome = measure(Trial(scene=scene, steps=50, solver=dc.PGS(sweeps=500, tolerance=1e-12)))
     assert outcome["correction"] > 0.2
-    assert outcome["sweep_gain"] < 1e-12
-
-
-def test_rounding_to_float32_keeps_the_impulses_of_the_contacts():
-    state = dc.simulate(extremes.pyramid(3), steps=50, solver=TEN).state
-    rounded = extremes.rounded_to_float32(state)
-    np.testing.assert_array_equal(rounded.bodies.position, state.bodies.position.astype(np.float32))
-    # Contacts that carry weight overlap by far more than a rounding; they are found again with what they carried.
-    kept = {pair: p for *pair, p in zip(*rounded.contacts[:2], rounded.contacts.normal_start) for pair in [tuple(pair)]}
-    for a, b, p in zip(*state.contacts[:2], state.contacts.normal_start):
-        assert kept.get((a, b), 0.0) == pytest.approx(p, rel=1e-7, abs=1e-7)
 
 
 def test_an_unknown_engine_or_quantity_is_refused():
