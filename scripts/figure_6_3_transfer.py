@@ -83,37 +83,41 @@ def piles_of(options, radius, seed):
     return [starts.solved_states(scene, steps=600, every=options["every"]) for scene in scenes]
 
 
+CLAIMS = [
+    ("SPH makes an image of the state without losing much: read back, velocities change by under a tenth",
+     "velocities of circles", None, "abstract", (0.0, 0.1)),
+    ("linear interpolation loses information on the way back: read back by SPH weights, less is lost",
+     "SPH gather", "thesis", "section 6.2.1", verdicts.FASTER),
+    ("too small h loses information: at d = 0.25 m, h = d / 2 more than h = d",
+     "h = 0.125", "h = 0.25", "section 3.2.3", verdicts.SLOWER),
+    ("too big h loses information: at d = 0.25 m, h = 2 d more than h = d",
+     "h = 0.5", "h = 0.25", "section 3.2.3", verdicts.SLOWER),
+    ("SPH itself limits the start: with a way back that loses nothing, over a tenth of the error is left",
+     "consistent", "thesis", "section 5.4", (0.1, np.inf)),
+    ("under a tenth of the impulses is lost on the thesis's way through the image", "thesis", None, None, (0.0, 0.1)),
+    ("the authors' code loses less than Algorithm 4: by a spline, for the SPH image",
+     "authors' spline", "thesis", None, verdicts.FASTER),
+    ("the authors' code loses less than Algorithm 4: each node shared out, for the network's image",
+     "authors' sharing", "thesis", None, verdicts.FASTER),
+    ("the authors' sharing loses less than our consistent transfer",
+     "authors' sharing", "consistent", None, verdicts.FASTER),
+]  # fmt: skip
+"""Text, the loss that is judged and the one that it is divided by (None: none), where the thesis says so, the range."""
+
+
 def claims(data):
     """How much the transfer loses, which part of it does, and how exact the consistent transfer is."""
-    scenes = data["by scene"]
-    thesis, gather, consistent, spline, sharing = (scenes[f"{name}, d = h = 0.5"] for name in WAYS)
-    half, equal_h, twice = (scenes[f"d = 0.25, h = {h:g}"] for h in SUPPORTS)
-    ones = [1.0] * len(thesis)
+    losses = {
+        name.removesuffix(", d = h = 0.5").removeprefix("d = 0.25, "): of for name, of in data["by scene"].items()
+    }
+    losses[None] = [1.0] * len(losses["thesis"])
+    found = [
+        verdicts.judged_values(losses[one], losses[other], text, thesis, within=within)
+        for text, one, other, thesis, within in CLAIMS
+    ]
     isolated = max(row["isolated, consistent"] for row in data["rows"])
     equal, mixed = (data["by spacing"][name]["consistent"] for name in ("equal", "mixed"))
     at = data["charted"].index(0.5)
-    image = "SPH makes an image of the state without losing much: read back, velocities change by under a tenth"
-    back = "linear interpolation loses information on the way back: read back by SPH weights, less is lost"
-    limits = "SPH itself limits the start: with a way back that loses nothing, over a tenth of the error is left"
-    small, big = (
-        f"too {size} h loses information: at d = 0.25 m, h = {of} more than h = d"
-        for size, of in (("small", "d / 2"), ("big", "2 d"))
-    )
-    code = "the authors' code loses less than Algorithm 4: by a spline, for the SPH image"
-    network = "the authors' code loses less than Algorithm 4: each node shared out, for the network's image"
-    best = "the authors' sharing loses less than our consistent transfer"
-    impulses = "under a tenth of the impulses is lost on the thesis's way through the image"
-    found = [
-        verdicts.judged_values(scenes["velocities of circles"], ones, image, "abstract", within=(0.0, 0.1)),
-        verdicts.judged_values(gather, thesis, back, "section 6.2.1"),
-        verdicts.judged_values(half, equal_h, small, "section 3.2.3", within=verdicts.SLOWER),
-        verdicts.judged_values(twice, equal_h, big, "section 3.2.3", within=verdicts.SLOWER),
-        verdicts.judged_values(consistent, thesis, limits, "section 5.4", within=(0.1, np.inf)),
-        verdicts.judged_values(thesis, ones, impulses, within=(0.0, 0.1)),
-        verdicts.judged_values(spline, thesis, code),
-        verdicts.judged_values(sharing, thesis, network),
-        verdicts.judged_values(sharing, consistent, best),
-    ]
     text = "the consistent transfer returns an isolated contact exactly"
     found.append(Claim(text, None, isolated < 1e-12, {"worst": isolated}))
     text = "at d = h = 0.5 the consistent transfer changes the impulses of a pile of equal circles by under 1e-3"

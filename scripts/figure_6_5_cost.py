@@ -53,9 +53,8 @@ def fastest_rival(row, phase="us"):
 
 
 def claims(data):
-    """What a circle more costs, what phases cost, and what rivals cost in each of them."""
-    found = []
-    powers = {}
+    """What a circle more costs, and what rivals cost in impact and at rest."""
+    powers, found = {}, []
     for preset in presets_of(data):
         large = [(row["n_bodies"], row["ours_plain"]["us"]) for row in rows_of(data, preset) if row["n_bodies"] >= 1000]
         if len(large) > 1:
@@ -64,10 +63,11 @@ def claims(data):
         text = "a preset's cost grows with circles to the power of at most 1.15, from 1,000 circles on"
         found.append(Claim(text, None, max(powers.values()) <= 1.15, powers))
     for phase in ("impact", "rest"):
-        ratios = {}
-        for row in data["presets"]:
-            if row["ours_plain"] and (rival := fastest_rival(row, phase)):
-                ratios[f"{row['preset']}, {row['n_bodies']}"] = rival[1] / row["ours_plain"][phase]
+        ratios = {
+            f"{row['preset']}, {row['n_bodies']}": rival[1] / row["ours_plain"][phase]
+            for row in data["presets"]
+            if row["ours_plain"] and (rival := fastest_rival(row, phase))
+        }
         if ratios:
             text = f"no preset is dearer than with the fastest rival, {phase}"
             found.append(Claim(text, None, min(ratios.values()) >= 1, ratios))
