@@ -11,8 +11,6 @@ from setuptools.command.build_py import build_py
 SHIPPED = (
     "models/registry.json",
     "models/model.h5",
-    "models/coarse.h5",
-    "models/compact.h5",
     "scripts/figure_*.py",
     "scripts/table_*.py",
     "scripts/all_figures.py",

@@ -72,12 +72,12 @@ def round_as_trained(model) -> None:
         layer.set_weights([w.astype(bfloat16).astype(w.dtype) if w.ndim > 1 else w for w in layer.get_weights()])
 
 
-def measured(model, batches) -> dict[str, float]:
+def measured(model, images) -> dict[str, float]:
     """Appendix B's loss, the same with absolute values, and the root of the squared error over the squared labels."""
     totals, count = np.zeros(3), 0
-    for batch in batches:
-        labels = batch.labels.astype(np.float64)
-        off = np.where(labels != 0, model.predict_on_batch(batch.inputs).reshape(labels.shape) - labels, 0.0)
+    for inputs, labels in (images[k] for k in range(len(images))):
+        labels = labels.astype(np.float64)
+        off = np.where(labels != 0, model.predict_on_batch(inputs) - labels, 0.0)
         totals += np.sum(off**2), np.sum(np.abs(off)), np.sum(labels**2)
         count += labels.size
     squares, absolutes, size = totals.tolist()
@@ -153,20 +153,20 @@ def main() -> int:
     parser.add_argument("--threads", type=int, default=1)
     given = parser.parse_args()
     from deep_contact.cnn.backend import keras
-    from deep_contact.cnn.dataset import ImageBatches, Store
+    from deep_contact.cnn.dataset import Store, evenly
     from deep_contact.cnn.evaluation import BASELINES, held_out_errors
     from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model
     from deep_contact.cnn.model_file import save_model
-    from deep_contact.cnn.training.network import evenly
+    from deep_contact.cnn.training import ImageDataset
 
     limit_threads(given.threads)
     full = load_model(given.model)
     model, spec, box = full.network, full.spec, full.box
     store, split = Store(given.data), full.card["split"]
     chosen = evenly(store.states(split["train"]), given.states)
-    batches = ImageBatches(store, split["train"], spec, states=chosen, shuffle=False)
+    images = ImageDataset(store, chosen, spec, batch_size=32)
     before = keras.Sequential([keras.Input(model.input_shape[1:]), *model.layers[:-1]])
-    features = np.concatenate([before.predict_on_batch(batch.inputs) for batch in batches])
+    features = np.concatenate([before.predict_on_batch(images[k][0]) for k in range(len(images))])
     rank = given.rank or largest_rank(model, given.bytes)
     small = factored(model, right_vectors(features, model.layers[-1].get_weights()[0], rank))
 
@@ -174,7 +174,7 @@ def main() -> int:
         round_as_trained(small)
 
     tested = evenly(store.states(split["test"]), given.held_out)
-    test = ImageBatches(store, split["test"], spec, states=tested, shuffle=False)
+    test = ImageDataset(store, tested, spec, batch_size=32)
     errors = {name: measured(network, test) for name, network in (("full", model), ("factored", small))}
     networks = {"full": model, "cnn": small}
     starts = {name: Cnn(LearnedModel(source=network, spec=spec, box=box)) for name, network in networks.items()}

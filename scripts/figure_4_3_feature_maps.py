@@ -41,7 +41,7 @@ def compute(options, seed, jobs, progress):
                 "border": layer.padding,
                 "stride": int(layer.strides[0]),
                 "input depth": int(layer.input.shape[-1]),
-                "kernel depth": kernel_depth(layer),
+                "kernel depth": int(layer.kernel.shape[2]),
                 "nodes": int(maps.shape[0]),
             }
             for layer, maps in zip(layers, worked.feature_maps(model.network, image, names).values())
@@ -61,12 +61,6 @@ def solved_state(options, seed):
     if not states or not states[-1].contacts.count:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
     return states[-1]
-
-
-def kernel_depth(layer):
-    """Number of maps that a kernel reads: its last axis but one, or the last axis of a transposed convolution."""
-    transposed = type(layer).__name__ == "Conv2DTranspose"
-    return int(layer.kernel.shape[-1 if transposed else -2])
 
 
 def panel(name, maps, labels, chosen):
@@ -141,7 +135,7 @@ def draw_impulses(panels, state, predicted):
     ax.legend()
 
 
-OPTIONS = {"model": "models/compact.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6}
+OPTIONS = {"model": "models/thesis_factored.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6}
 FIGURE = Figure(
     "4.3",
     "Feature maps of the trained network on a state of the falling pile",

@@ -126,7 +126,7 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "model": "models/compact.h5",
+    "model": "models/thesis_factored.h5",
     "rate": 0.1,
     "rate drawn": 0.4,
     "masks": 100,

@@ -41,10 +41,7 @@ def compute(options, seed, jobs, progress):
                 refused[name] = str(error)
         tried = common | fitting | {"copy": starts.start_of("copy")}
         times = chapter_5.time_to_thresholds(states, tried, most=most, repeats=repeats, progress=progress)
-        trees = {
-            name: chapter_5.time_by_tree(states[-1:], start.model.spec, repeats=repeats)
-            for name, start in fitting.items()
-        }
+        trees = dict.fromkeys(fitting, chapter_5.time_by_tree(states[-1:], repeats=repeats))
         x_min, y_min, x_max, y_max = scenes[0].world.box
         about_scenes = {"box": [x_max - x_min, y_max - y_min], "scene": [i for i, s in enumerate(sampled) for _ in s]}
         found[title] = times | about_scenes | {"refused": refused, "splat by k-d tree": trees}

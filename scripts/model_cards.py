@@ -12,9 +12,6 @@ ABOUT = {
     "model.h5": "The model that `dc.load_model()` gives, the far-field network: it corrects Builtin's start by a "
     "coarse image of stress (`deep_contact/cnn/far_field.py`), in a box of any size, and was trained through the "
     'solver; `warm_start="guarded"` uses it where it helps.',
-    "coarse.h5": "The far-field network on images half as fine, for its time.",
-    "compact.h5": "The thesis's way made small and fully convolutional: an image of bodies and contact rows in, an "
-    "image of impulses out. Chapter 5 of the figures shows it.",
     "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",
 }
 HEAD = """# Models
@@ -28,7 +25,7 @@ Plain `keras.models.load_model(path, compile=False)` opens them as well (thesis_
 Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that were used
 neither for training nor for choosing the epoch; phases as in `data/README.md`.
 
-The data of compact.h5 and thesis_factored.h5 are those of `scripts/generate_data.py` before the engine's sweep changed
+The data of thesis_factored.h5 are those of `scripts/generate_data.py` before the engine's sweep changed
 its order of operations: the same command now gives runs that part from them by rounding, with another hash. Those of
 the far-field networks are `python scripts/generate_data.py --simulations 400 --out data/generated/large`.
 
@@ -49,7 +46,7 @@ def card(path: Path) -> str:
     rows = [
         ("architecture", found.get("architecture")),
         ("weights", found.get("parameters")),
-        ("takes", takes(spec, stored["coarsening"], stored["box"])),
+        ("takes", takes(spec, stored["box"])),
         ("gives", gives(spec)),
         ("size", f"{path.stat().st_size / 1e6:.1f} MB"),
         ("command", f"`{found['command']}`" if found.get("command") else None),

@@ -1,12 +1,9 @@
-"""python scripts/train.py [--architecture compact|thesis|"far field"] [--out FOLDER] …: train a network.
+"""python scripts/train.py [--architecture "far field"|thesis] [--out FOLDER] …: train a network.
 
     python scripts/generate_data.py                          # the data, once
-    python scripts/train.py --out runs/compact               # ours
-    python scripts/train.py --architecture thesis --out runs/thesis --epochs 10
-    python scripts/train.py --architecture "far field"       # the far-field network, through the solver
+    python scripts/train.py                                  # the far-field network, through the solver
+    python scripts/train.py --architecture thesis --epochs 10
     python scripts/train.py --from models/model.h5 --epochs 5 --out runs/further    # go on from a model, its settings
-
-With --devices N, TensorFlow shares every batch among N of its devices; the step is the same up to rounding.
 
 Started again with the same flags, a run goes on where it was stopped. At the end <out>/model.h5 is a model file with
 its card, and <out>/history.png the learning curve; --model copies both to another place.
@@ -23,7 +20,7 @@ import typing
 from dataclasses import fields
 from pathlib import Path
 
-from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
+from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
 
 
 class Parser(argparse.ArgumentParser):
@@ -43,46 +40,38 @@ def arguments() -> argparse.ArgumentParser:
     parser.add_argument("--model", default=None, metavar="PATH", help="copy the finished model file there too")
     parser.add_argument("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model file")
     parser.add_argument("--threads", type=int, default=1, help="of TensorFlow")
-    parser.add_argument("--devices", type=int, default=1, metavar="N", help="GPUs that share every batch (1)")
     parser.add_argument("--held-out", type=int, default=300, metavar="N", help="test states for the card")
-    parser.add_argument("--tensorboard", default=None, metavar="DIR", help="write event files there")
     settings = parser.add_argument_group("settings (defaults by architecture)")
     hints = typing.get_type_hints(TrainingConfig)
     special = {
         "options": {"nargs": "*", "type": option, "metavar": "NAME=NUMBER", "help": "of the network"},
-        "phases": {"nargs": "+", "help": "train on these phases only"},
         "sweeps": {"nargs": "+", "type": int, "help": "numbers of sweeps whose errors the far-field network learns"},
+        "targets": {"nargs": "+", "help": "impulses that a network on images predicts"},
         "fractions": {"nargs": 3, "type": float, "help": "train, validation, test"},
     }
     for field in fields(TrainingConfig):
         flag, kind = "--" + field.name.replace("_", "-"), hints[field.name]
-        shown = f"compact: {field.default}"
+        shown = f"far field: {field.default}"
         if field.name in special:
             settings.add_argument(flag, **special[field.name])
         elif kind is bool:
             settings.add_argument(flag, action=argparse.BooleanOptionalAction, help=shown)
         elif isinstance(kind, types.UnionType):
-            inner = next(t for t in typing.get_args(kind) if t is not type(None))
-            settings.add_argument(flag, type=optional(inner), metavar="NUMBER", help=f"or none; {shown}")
+            settings.add_argument(flag, type=integer_or_none, metavar="NUMBER", help=f"or none; {shown}")
         else:
             settings.add_argument(flag, type=kind, help=shown)
     return parser
 
 
 def option(text: str):
-    """NAME=NUMBER or NAME=1,2,4 as (name, value)."""
+    """NAME=NUMBER as (name, value)."""
     name, _, value = text.partition("=")
-    numbers = [float(v) if "." in v or "e" in v else int(v) for v in value.split(",")]
-    return name, numbers if "," in value else numbers[0]
+    return name, float(value) if "." in value or "e" in value else int(value)
 
 
-def optional(kind):
-    """Parser of a number, or None for "none"."""
-
-    def number(text):
-        return None if text.lower() == "none" else kind(text)
-
-    return number
+def integer_or_none(text: str) -> int | None:
+    """An integer, or None for "none"."""
+    return None if text.lower() == "none" else int(text)
 
 
 def configuration(given: dict, from_model) -> TrainingConfig:
@@ -93,34 +82,33 @@ def configuration(given: dict, from_model) -> TrainingConfig:
         from deep_contact.cnn.model_file import read_metadata
 
         return config_of(read_metadata(from_model), **given)
-    configs = {"thesis": thesis_config, "far field": far_field_config}
-    return configs.get(given.get("architecture"), TrainingConfig)(**given)
+    return CONFIGS.get(given.get("architecture"), TrainingConfig)(**given)
 
 
 def learning_curve(history, path):
-    """Draw loss and validation errors against the epoch. Returns the axes of the errors."""
+    """Draw the losses, and the validation errors if there are any, against the epoch. Returns the axes."""
     from deep_contact.reporting import plotting
 
+    errors = [name for name in history[-1] if name.startswith("validation_velocity")]
     with plotting.style():
-        figure, (left, right) = plotting.subplots(1, 2, size=(8.4, 3.4))
+        figure, axes = plotting.subplots(1, 2 if errors else 1, size=(8.4 if errors else 4.2, 3.4), squeeze=False)
     epochs = [line["epoch"] + 1 for line in history]
     for name, label in (("loss", "training"), ("validation_loss", "validation")):
-        left.plot(epochs, [line[name] for line in history], label=label)
-    for name in [name for name in history[-1] if name.startswith("validation_") and name != "validation_loss"]:
-        quantity, _, sweeps = name.removeprefix("validation_").partition("_error")
-        label = f"{quantity}, {sweeps.lstrip('_') or 'no'} sweep{'s' if sweeps else ''}"
-        right.semilogy(epochs, [line.get(name, float("nan")) for line in history], label=label)
-    plotting.label_axes(left, "epoch", "loss")
-    plotting.label_axes(right, "epoch", "relative error, validation")
-    left.legend()
-    right.legend()
+        axes[0, 0].plot(epochs, [line[name] for line in history], label=label)
+    for name in errors:
+        sweeps = name.removeprefix("validation_velocity_error").lstrip("_")
+        label = f"after {sweeps or 'no'} sweep{'s' if sweeps else ''}"
+        axes[0, 1].semilogy(epochs, [line[name] for line in history], label=label)
+    for ax, quantity in zip(axes[0], ("loss", "relative velocity error, validation")):
+        plotting.label_axes(ax, "epoch", quantity)
+        ax.legend()
     plotting.save(figure, path)
-    return right
+    return axes[0]
 
 
 def run(data, out, model, **given) -> None:
     """Train, and print the errors on the test states."""
-    options = {name: given.pop(name) for name in ("threads", "devices", "held_out", "tensorboard", "from_model")}
+    options = {name: given.pop(name) for name in ("threads", "held_out", "from_model")}
     config = configuration(given, options["from_model"])
     out = Path(out or f"runs/{config.architecture.replace(' ', '_')}")
     from deep_contact.cnn.dataset import Store

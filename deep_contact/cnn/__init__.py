@@ -10,10 +10,9 @@ import importlib
 
 _HOME = {
     "architectures": "build",
-    "dataset": "DataFileError ImageBatches Store fit_scales phase read_simulation split_by_simulation write_simulation",
+    "dataset": "DataFileError Store phase read_simulation split_by_simulation write_simulation",
     "evaluation": "",
-    "images": "CHANNELS SOLVER_CHANNELS THESIS_CHANNELS ImageSpec augment image_pair input_image label_image read_back "
-    "state_scale symmetries transform_state",
+    "images": "CHANNELS THESIS_CHANNELS ImageSpec input_image label_image read_back",
     "inference": "Cnn load_model",
     "losses": "",
     "model_file": "",

@@ -47,7 +47,6 @@ def load_model(path=None) -> LearnedModel:
         source=network,
         spec=spec,
         card=metadata["card"],
-        coarsening=metadata["coarsening"],
         box=None if metadata["box"] is None else tuple(metadata["box"]),
         path=path,
     )
@@ -58,14 +57,13 @@ class LearnedModel:
     """A network and what is needed to use it: state in, impulses at its contacts out.
 
     source: the network, as a `keras.Model` or as a file holds it. spec: what its images are made of. card: where it
-    comes from, what it is worth. coarsening: it takes n = 1 (mod coarsening) nodes along an edge. box: (width, height)
-    that a network of fixed size was made for, m, or None. path: the file it was read from, or None.
+    comes from, what it is worth. box: (width, height) that a network of fixed size was made for, m, or None. path: the
+    file it was read from, or None.
     """
 
     source: object
     spec: ImageSpec
     card: dict = field(default_factory=dict)
-    coarsening: int = 1
     box: tuple[float, float] | None = None
     path: Path | None = None
     _compiled: dict = field(default_factory=dict, init=False, compare=False)
@@ -104,20 +102,14 @@ class LearnedModel:
 
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32."""
-        n_y, n_x = image.shape[:2]
-        rows, columns = padded_shape((n_y, n_x), self.coarsening)
-        return self._padded(image).reshape(rows, columns, -1)[:n_y, :n_x]
+        return self._made(image).reshape(*image.shape[:2], -1)
 
-    def _padded(self, image: np.ndarray) -> np.ndarray:
-        """The network's output for the image, padded to a size that it takes."""
-        n_y, n_x = image.shape[:2]
-        rows, columns = padded_shape((n_y, n_x), self.coarsening)
+    def _made(self, image: np.ndarray) -> np.ndarray:
+        """The network's output for the image; the network is compiled once for each size."""
         image = np.ascontiguousarray(image, np.float32)
-        if (rows, columns) != (n_y, n_x):
-            image = np.pad(image, ((0, rows - n_y), (0, columns - n_x), (0, 0)))
-        if (rows, columns) not in self._compiled:
-            self._compiled[rows, columns] = self._compile(image.shape)
-        return self._compiled[rows, columns](image)
+        if image.shape not in self._compiled:
+            self._compiled[image.shape] = self._compile(image.shape)
+        return self._compiled[image.shape](image)
 
     def _compile(self, shape):
         return compiled(self.network, shape)
@@ -146,7 +138,7 @@ class LearnedModel:
             "model": "not in a file" if self.path is None else self.path.name,
             "architecture": str(self.card.get("architecture", "unknown")),
             "weights": f"{sum(array.size for arrays in weights_of(self.source).values() for array in arrays):,}",
-            "takes": takes(self.spec, self.coarsening, self.box),
+            "takes": takes(self.spec, self.box),
             "gives": gives(self.spec),
         }
 
@@ -181,8 +173,8 @@ class FarFieldModel(LearnedModel):
         return self.run(describe(state, self.spec).image)
 
     def run(self, image: np.ndarray) -> np.ndarray:
-        """The network alone: image (n_y, n_x, channels) to coefficients (rows, columns, 12), float32."""
-        return self._padded(image)
+        """The network alone: image (n_y, n_x, channels), n = 1 (mod 8), to coefficients (rows, columns, 12)."""
+        return self._made(image)
 
     def _compile(self, shape):
         if dimensions(self.source):
@@ -194,9 +186,9 @@ class FarFieldModel(LearnedModel):
         """Accept every scene."""
 
 
-def takes(spec: ImageSpec | FarFieldSpec, coarsening: int, box=None) -> str:
+def takes(spec: ImageSpec | FarFieldSpec, box=None) -> str:
     """What a network of this spec takes, in words."""
-    sides = f"n = {coarsening} k + 1 nodes a side" if coarsening > 1 else "any number of nodes a side"
+    sides = "n = 8 k + 1 nodes a side" if isinstance(spec, FarFieldSpec) else "any number of nodes a side"
     if box is not None:
         sides = f"the nodes of a box of {box[0]:g} m × {box[1]:g} m"
     return f"float32 images of {len(spec.channels)} channels, {sides}"
@@ -207,11 +199,6 @@ def gives(spec: ImageSpec | FarFieldSpec) -> str:
     if isinstance(spec, FarFieldSpec):
         return f"{len(spec.targets)} coefficients at every {'second' if spec.coarsening == 2 else spec.coarsening} node"
     return f"images of {', '.join(spec.targets)}"
-
-
-def padded_shape(shape: tuple[int, int], coarsening: int) -> tuple[int, int]:
-    """The next size up with n = 1 (mod coarsening) along both edges."""
-    return tuple(n + (1 - n) % coarsening for n in shape)
 
 
 def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -> Callable[[np.ndarray], np.ndarray]:

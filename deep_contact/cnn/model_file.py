@@ -94,11 +94,11 @@ class StoredNetwork(NamedTuple):
         return model
 
 
-def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coarsening: int = 1, box=None) -> Path:
+def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=None) -> Path:
     """Write a `keras.Model` and its metadata to a file, completely or not at all. Returns the path.
 
-    card: anything that JSON holds. coarsening: `architectures.coarsening(name)`. box: the world's box that a network
-    of fixed size was made for, (x_min, y_min, x_max, y_max), m.
+    card: anything that JSON holds. box: the world's box that a network of fixed size was made for,
+    (x_min, y_min, x_max, y_max), m.
     Raises ValueError where the network does not fit the spec, or has layers that a model file may not hold, and OSError
     where the file cannot be written.
     """
@@ -106,7 +106,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, coars
 
     path = Path(path)
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
-    metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": int(coarsening), "box": size, "card": card}
+    metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": _coarsening(spec), "box": size, "card": card}
     _check_fit(model, spec, size, path)
     config = json.dumps(portable(json.loads(model.to_json())))
     # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
@@ -157,11 +157,19 @@ def read_model(path):
 def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
     """The spec in the metadata of a file. Raises ModelFileError naming the field where it is not one."""
     given = metadata["spec"]
-    kind = FarFieldSpec if isinstance(given, dict) and given.get("kind") == "far field" else ImageSpec
+    kind = FarFieldSpec if given.get("kind") == "far field" else ImageSpec
     try:
-        return kind.from_dict(given)
+        spec = kind.from_dict(given)
     except ValueError as error:
         raise ModelFileError(f"{path}: spec: {error}") from error
+    if metadata["coarsening"] != _coarsening(spec):
+        raise ModelFileError(f"{path}: coarsening: expected {_coarsening(spec)}, got {metadata['coarsening']!r}")
+    return spec
+
+
+def _coarsening(spec: ImageSpec | FarFieldSpec) -> int:
+    """k: networks of this kind take n = 1 (mod k) nodes along an edge."""
+    return 8 if isinstance(spec, FarFieldSpec) else 1
 
 
 def portable(config) -> dict:
@@ -230,6 +238,10 @@ def _read(path: Path) -> tuple[StoredNetwork, dict]:
             names = [n.decode() if isinstance(n, bytes) else n for n in hdf5.attribute(group[layer], "weight_names")]
             if names:
                 weights[layer] = [np.asarray(datasets[f"{layer}/{n}"], np.float32) for n in names]
+        for name, array in datasets.items():
+            if not np.isfinite(array).all():
+                bad = array[~np.isfinite(array)][0]
+                raise ValueError(f"model_weights/{name}: expected finite weights, got {bad}")
     return StoredNetwork(path, config, weights), metadata
 
 
@@ -250,9 +262,10 @@ def _metadata(file) -> dict:
         raise ModelFileError(f"{METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
     if metadata["format"] != FORMAT:
         raise ModelFileError(f"format: expected {FORMAT}, got {metadata['format']!r}")
-    coarsening, box = metadata["coarsening"], metadata["box"]
-    if not isinstance(coarsening, int) or isinstance(coarsening, bool) or coarsening < 1:
-        raise ModelFileError(f"coarsening: expected an integer >= 1, got {coarsening!r}")
+    for name in ("spec", "card"):
+        if not isinstance(metadata[name], dict):
+            raise ModelFileError(f"{name}: expected an object, got {metadata[name]!r}")
+    box = metadata["box"]
     if box is not None and not (
         isinstance(box, list) and len(box) == 2 and all(isinstance(x, (int, float)) and x > 0 for x in box)
     ):

@@ -42,12 +42,22 @@ def path_of(name: str) -> Path:
 
 
 def registered() -> dict[str, dict]:
-    """Name -> {"file": path below the folder, "sha256", "command": how it was trained, "data": their hash}."""
+    """Name -> {"file": path below the folder, "sha256", "command": how it was trained, "data": their hash}.
+
+    Raises ModelFileError where a registry.json is something else.
+    """
     for folder in sorted(_folders(), key=lambda folder: folder != ROOT / "models"):
-        try:
-            return json.loads((folder / "registry.json").read_text(encoding="utf-8"))
-        except FileNotFoundError:
+        path = folder / "registry.json"
+        if not path.is_file():
             continue
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            for name, entry in found.items():
+                if any(not isinstance(entry[field], str) for field in ("file", "sha256", "command")):
+                    raise ValueError(f"{name}: expected texts, got {entry}")
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+            raise ModelFileError(f"{path}: expected a name -> file, sha256 and command, got {error!r}") from None
+        return found
     return {}
 
 

@@ -44,8 +44,6 @@ START_STYLE = {
         ("cnn", PURPLE, "-", "o", "CNN"),
         ("cnn thesis", PURPLE, "--", "P", "CNN, thesis network"),
         ("far field", PURPLE, "-.", "p", "CNN, far field"),
-        ("compact", PURPLE, (0, (3, 1, 1, 1, 1, 1)), "X", "CNN, image of impulses"),
-        ("coarse", PURPLE, ":", "h", "CNN, far field, coarse"),
         ("guarded", ORANGE, "-", "*", "Guarded"),
         ("best classical", BLACK, "-", "o", "Best classical"),
         ("random", GREY, ":", "+", "Random"),

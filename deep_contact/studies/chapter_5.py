@@ -10,16 +10,16 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from deep_contact import sph
-from deep_contact.cnn.dataset import PHASES, Store, phase, simulation_path, write_simulation
+from deep_contact.cnn.dataset import PHASES, Store, evenly, phase, simulation_path, write_simulation
 from deep_contact.cnn.evaluation import velocity_errors
-from deep_contact.cnn.images import input_image, read_back
+from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
+from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.inference import network_file, network_start, one_thread
 from deep_contact.physics.engine import solve
 from deep_contact.physics.solvers import PGS
@@ -31,7 +31,7 @@ from deep_contact.warm_start import Sph, WarmStart
 
 # ---- networks ----
 
-NETWORKS = {"cnn": "models/compact.h5", "cnn thesis": "models/thesis_factored.h5"}
+NETWORKS = {"cnn": "models/model.h5", "cnn thesis": "models/thesis_factored.h5"}
 """Model files of Figures 5.9 and 5.10."""
 
 LABELS = {"cnn": "CNN (ours)", "cnn thesis": "CNN (thesis network)"}
@@ -246,11 +246,19 @@ def staged(start: WarmStart, state: State, solver) -> Staged:
         model = start.model
         model.check_scene(state)
         begin = clock()
-        image = input_image(state, model.spec)
+        if isinstance(model.spec, FarFieldSpec):
+            description = describe(state, model.spec)
+            image = description.image
+        else:
+            image = input_image(state, model.spec)
         splatted = clock()
         out = model.run(image)
         mapped = clock()
-        impulses = projected(*read_back(out, state, model.spec), state.world.friction)
+        if isinstance(model.spec, FarFieldSpec):
+            impulses = correct(out, description, model.spec).T
+        else:
+            impulses = read_back(out, state, model.spec)
+        impulses = projected(*impulses, state.world.friction)
         seconds = {"splat": splatted - begin, "network": mapped - splatted, "gather": clock() - mapped}
         return Staged(impulses, seconds)
     return Staged(start(state, solver), {})
@@ -386,11 +394,11 @@ def mean_sweeps_to(data: Mapping, name: str, criterion: str, phases: Sequence[st
     return float(np.mean(sweeps_of(data, name, criterion), where=np.isin(data["phases"], list(phases))))
 
 
-def time_by_tree(states: Sequence[State], spec, *, repeats: int) -> float:
-    """Median seconds of the splat of the bodies by k-d tree, as the thesis's Algorithm 2 has it."""
+def time_by_tree(states: Sequence[State], *, repeats: int) -> float:
+    """Median seconds of the splat of the bodies by k-d tree, as the thesis's Algorithm 2 has it, d = h = 0.5 m."""
     from deep_contact.sph.neighbours import splat_by_tree
 
-    seconds = []
+    seconds, spec = [], ImageSpec()
     for state in states:
         grid, bodies = spec.grid(state.world), state.bodies
         values = np.column_stack([bodies.mass, bodies.velocity, bodies.spin])
@@ -411,49 +419,16 @@ TARGET_SETS = {
 """Targets of the networks of Table 6.1."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class TargetTask:
-    """One training of Table 6.1, small enough to be sent to another process.
+def train_on_targets(task: tuple) -> str:
+    """Train a network on images, or continue its training. task: (settings of `thesis_config`, data, folder of the run).
 
-    targets: one of `TARGET_SETS`. options: of `architectures.compact`. simulations: number of the first simulations
-    of `data` for training and validation. settings: changes to `TrainingConfig`. out: folder of the run, which is
-    continued if it exists.
+    Returns the path of its model file.
     """
-
-    targets: str
-    options: dict
-    seed: int
-    data: str
-    simulations: int
-    settings: dict
-    out: str
-
-
-def train_on_targets(task: TargetTask) -> str:
-    """Train a network for one impulse or both, or continue its training; the path of its model file."""
     one_thread()
     from deep_contact.cnn import training
 
-    @dataclass(frozen=True, kw_only=True)
-    class Config(training.TrainingConfig):
-        targets: tuple[str, ...] = TARGET_SETS["both"]
-
-        def spec(self):
-            return super().spec().replace(targets=self.targets, target_scales=None)
-
-    config = Config(
-        targets=TARGET_SETS[task.targets],
-        options=task.options,
-        seed=task.seed,
-        simulations=task.simulations,
-        # The masked loss on images is the only one that needs no second impulse. No test side: held-out states are
-        # other simulations.
-        loss="appendix b",
-        fractions=(0.8, 0.2, 0.0),
-        **task.settings,
-    )
-    done = training.train(config, task.data, task.out, verbose=0)
-    return str(done.path)
+    settings, data, out = task
+    return str(training.train(training.thesis_config(**settings), data, out, held_out=20, verbose=0).path)
 
 
 def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], seed: int, progress: Callable) -> Path:
@@ -517,12 +492,11 @@ def one_or_two_networks(
     *,
     data: str,
     out: str,
-    simulations: int,
     held_out: int,
     states: int,
     sweeps: Sequence[int],
-    options: dict,
-    larger: dict,
+    stacks: Sequence,
+    deeper: Sequence,
     settings: dict,
     seeds: Sequence[int],
     jobs: int,
@@ -530,32 +504,25 @@ def one_or_two_networks(
 ) -> dict:
     """Train and compare the `VARIANTS`, once for each seed.
 
-    data: folder of simulations; the first `simulations` are for training, about `states` states of the next `held_out`
-    for the errors. options: of the compact network; larger: of the one that is as large as two. settings: of the
+    data: folder of simulations; about `states` states of the last `held_out` are for the errors, the others for
+    training. stacks: of `architectures.thesis`; deeper: of the network with more convolutions. settings: of the
     training; every network sees the same states in the same order. Returns {"variants": {name: {"parameters", "errors":
-    one a seed, see `errors_of_networks`}}, "sweeps", "seeds", "held-out states"}. Raises ValueError if there are too
-    few simulations.
+    one a seed, see `errors_of_networks`}}, "sweeps", "seeds", "held-out states"}.
     """
     store = Store(data)
-    if len(store.simulations) < simulations + held_out:
-        raise ValueError(f"simulations: expected {simulations + held_out} in {data}, got {len(store.simulations)}")
+    shared = {**settings, "fractions": (0.8, 0.1, 0.1), "simulations": len(store.simulations) - held_out}
     tasks = {}
     for seed in seeds:
         for variant, targets in VARIANTS.items():
             for target in targets:
-                tasks[variant, seed, target] = TargetTask(
-                    targets=target,
-                    options=larger if variant.endswith("as large as two") else options,
-                    seed=seed,
-                    data=data,
-                    simulations=simulations,
-                    settings=settings,
-                    out=str(Path(out) / f"{variant.replace(',', '').replace(' ', '_')}_{target}_{seed}"),
-                )
+                own = {"targets": TARGET_SETS[target], "seed": seed}
+                own["options"] = {"stacks": deeper if variant.endswith("as large as two") else stacks}
+                folder = Path(out) / f"{variant.replace(',', '').replace(' ', '_')}_{target}_{seed}"
+                tasks[variant, seed, target] = (shared | own, data, str(folder))
     trained = parallel_map(train_on_targets, tasks.values(), jobs=jobs, progress=progress, text="networks")
     paths = dict(zip(tasks, trained))
-    tested = store.states(store.simulations[simulations : simulations + held_out])
-    tested = [store.state(*state) for state in tested[:: max(1, len(tested) // states)].tolist()]
+    tested = store.states(store.simulations[-held_out:])
+    tested = [store.state(*state) for state in evenly(tested, states).tolist()]
     found = {}
     for variant, targets in VARIANTS.items():
         networks = [[paths[variant, seed, target] for target in targets] for seed in seeds]

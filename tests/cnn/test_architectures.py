@@ -5,9 +5,7 @@ import numpy as np
 import pytest
 
 from deep_contact.cnn import losses, schedules
-from deep_contact.cnn.architectures import ARCHITECTURES, build, coarsening
-from deep_contact.cnn.evaluation import velocity_errors
-from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec, read_back, state_scale
+from deep_contact.cnn.architectures import ARCHITECTURES, build
 
 TABLE_5_1 = """61 61 32, 61 61 32, 61 61 32, 31 31 32, 31 31 64, 31 31 64, 31 31 64, 31 31 64, 16 16 64, 16 16 64,
 16 16 128, 16 16 128, 16 16 128, 16 16 128, 8 8 128, 8 8 256, 8 8 256, 8 8 256, 8 8 256, 4 4 256, 4 4 256,
@@ -78,49 +76,6 @@ def test_thesis_network_cannot_pull(thesis):
     assert float(np.min(made)) == 0.0
 
 
-def test_compact_network_is_small():
-    assert build("compact", channels=12, density=4, starts=(10, 11)).count_params() < 1_000_000
-
-
-@pytest.mark.parametrize("shape", [(61, 61), (5, 29), (33, 61)])
-def test_compact_network_keeps_the_size(shape):
-    network = build("compact", channels=3, width=8, stem=4, decoder=4)
-    assert network(np.zeros((1, *shape, 3), np.float32)).shape == (1, *shape, 2)
-    assert all(n % coarsening("compact") == 1 for n in shape)
-
-
-def test_untrained_compact_network_gives_half_of_the_start():
-    network = build("compact", channels=3, width=8, stem=4, decoder=4, density=0, starts=(1, 2))
-    image = np.random.default_rng(0).normal(size=(1, 9, 9, 3)).astype(np.float32)
-    # A field of 0 times the density, and a gate of sigmoid(0).
-    np.testing.assert_allclose(network(image), 0.5 * image[..., 1:], rtol=1e-6)
-
-
-def with_random_weights(network, seed=0):
-    rng = np.random.default_rng(seed)
-    network.set_weights([rng.normal(0, 0.1, w.shape) for w in network.get_weights()])
-    return network
-
-
-def test_compact_network_sees_the_whole_box():
-    network = build("compact", channels=1, width=8, stem=4, decoder=4)
-    network.set_weights([np.full_like(w, 0.1 if w.ndim == 4 else 0.0) for w in network.get_weights()])
-    image = np.zeros((1, 61, 61, 1), np.float32)
-    image[0, 0, 0, 0] = 1.0
-    reached = np.asarray(network(image))[0].max(axis=-1)
-    assert reached[0, 60] > 0
-    assert reached[60, 0] > 0
-
-
-def test_compact_network_commutes_with_a_mirror_if_its_kernels_do():
-    network = with_random_weights(build("compact", channels=2, width=8, stem=4, decoder=4))
-    network.set_weights([w + w[:, ::-1] if w.ndim == 4 else w for w in network.get_weights()])
-    image = np.random.default_rng(1).normal(size=(1, 61, 61, 2)).astype(np.float32)
-    mirrored = np.asarray(network(np.ascontiguousarray(image[:, :, ::-1])))[:, :, ::-1]
-    # The strided layers lie on nodes that mirror onto each other; float32 sums in another order.
-    np.testing.assert_allclose(network(image), mirrored, rtol=1e-4, atol=1e-6)
-
-
 @pytest.mark.parametrize("name", ARCHITECTURES)
 def test_networks_are_of_stock_layers(name):
     network = build(name, channels=5, outputs=2, **({"shape": (5, 5)} if name == "thesis" else {}))
@@ -135,12 +90,9 @@ def test_networks_are_of_stock_layers(name):
         ("alexnet", {}, "architecture"),
         ("thesis", {"shape": (61,)}, "shape"),
         ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
-        ("compact", {"channels": 3, "widht": 8}, "options of compact: expected one of channels"),
+        ("far field", {"channels": 3, "widht": 8}, "options of far field: expected one of channels"),
         ("thesis", {"dropout": 1.0}, "dropout"),
-        ("compact", {"channels": 0}, "channels"),
-        ("compact", {"channels": 3, "dilations": (1, 0)}, r"dilations\[1\]"),
-        ("compact", {"channels": 3, "density": 3}, "density"),
-        ("compact", {"channels": 3, "starts": (1,)}, "start"),
+        ("far field", {"channels": 0, "outputs": 1}, "channels"),
     ],
 )
 def test_bad_options_are_named(name, options, field):
@@ -157,76 +109,6 @@ def test_masked_squared_error_is_eq_5_3():
     # g = 0, 1, 1, 0: (1 + 4) / 4
     np.testing.assert_allclose(losses.masked_squared_error(y_true, y_pred), [1.25])
     np.testing.assert_allclose(losses.masked_absolute_error(y_true, y_pred), [0.75])
-
-
-SPEC = ImageSpec(transfer="consistent", channels=SOLVER_CHANNELS, target_scales=(3.0, 0.5), scale_free=True)
-
-
-@pytest.mark.parametrize("spec", [SPEC, ImageSpec(), SPEC.replace(support=0.2, spacing=0.75)])
-def test_loss_reads_what_read_back_reads(spec, falling_states):
-    for state in falling_states[::6]:
-        nodes = spec.shape(state.world)
-        image = np.random.default_rng(0).uniform(0.5, 1.5, size=(*nodes, 2)).astype(np.float32)
-        batch = losses.contact_batch([losses.state_contacts(state, spec)], nodes[0] * nodes[1], spec)
-        scale = state_scale(state) if spec.scale_free else 1.0
-        found = np.asarray(losses.read_at_contacts(image[None], batch)) * scale
-        np.testing.assert_allclose(found, np.stack(read_back(image, state, spec), axis=1), rtol=1e-5)
-
-
-def contacts_of(states, spec=SPEC):
-    return losses.contact_batch([losses.state_contacts(state, spec) for state in states], 61 * 61, spec)
-
-
-def builtin_impulses(states):
-    """Impulses of Builtin's start at the contacts of a batch, over the scale of their state, float32."""
-    starts = [np.stack([s.contacts.normal_start, s.contacts.tangent_start], axis=1) / state_scale(s) for s in states]
-    return np.concatenate(starts).astype(np.float32)
-
-
-def test_velocity_error_is_that_of_the_engine(falling_states, monkeypatch):
-    monkeypatch.setattr(losses, "_FLOOR", 0.0)
-    states = falling_states[3::5]
-    batch = contacts_of(states)
-    found = np.asarray(losses.velocity_errors(builtin_impulses(states), batch))
-    for state, squared in zip(states, found):
-        start = state.contacts.normal_start, state.contacts.tangent_start
-        # float32 against float64
-        assert np.sqrt(squared) == pytest.approx(velocity_errors(state, start, [0])[0], rel=1e-4)
-
-
-@pytest.mark.parametrize("name", losses.CONTACT_LOSSES)
-def test_contact_losses_vanish_at_the_solution_alone(name, falling_states):
-    batch = contacts_of(falling_states[-2:])
-    loss = losses.CONTACT_LOSSES[name]
-    assert float(loss(batch.impulse, batch)) == 0.0
-    assert float(loss(0.9 * batch.impulse, batch)) > 0.0
-
-
-def test_contact_losses_scale_with_nothing(falling_states):
-    state = falling_states[5]
-    world = state.world.__class__(**{**vars(state.world), "gravity": (0.0, 2 * state.world.gravity[1])})
-    contacts = state.contacts
-    doubled = {name: 2 * getattr(contacts, name) for name in contacts._fields if name.endswith(("impulse", "start"))}
-    bodies = state.bodies._replace(velocity=2 * state.bodies.velocity, spin=2 * state.bodies.spin)
-    twice = state.replace(world=world, bodies=bodies, contacts=contacts._replace(**doubled))
-    one, two = contacts_of([state]), contacts_of([twice])
-    # Positively homogeneous: in shares of the state's scale it is the same problem.
-    for name in one._fields:
-        np.testing.assert_allclose(getattr(one, name), getattr(two, name), rtol=1e-5, err_msg=name)
-
-
-def test_gradient_of_the_velocity_loss(falling_states):
-    import tensorflow as tf
-
-    batch, start = contacts_of(falling_states[4:6]), builtin_impulses(falling_states[4:6])
-    impulses = tf.Variable(start)
-    with tf.GradientTape() as tape:
-        loss = losses.squared_velocity_loss(impulses, batch)
-    gradient = np.asarray(tape.gradient(loss, impulses))
-    direction = np.random.default_rng(0).normal(size=gradient.shape).astype(np.float32)
-    ahead, behind = (float(losses.squared_velocity_loss(start + s * direction, batch)) for s in (0.5, -0.5))
-    # The loss is quadratic: central differences are exact but for float32.
-    assert ahead - behind == pytest.approx(np.sum(gradient * direction), rel=1e-3)
 
 
 # ---- schedules ----

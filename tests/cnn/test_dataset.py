@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -20,13 +19,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
-from deep_contact.cnn import dataset
 from deep_contact.cnn.dataset import (
     PHASES,
     DataFileError,
-    ImageBatches,
     Store,
-    fit_scales,
+    evenly,
     phase,
     read_simulation,
     simulation_path,
@@ -34,13 +31,11 @@ from deep_contact.cnn.dataset import (
     start_error,
     write_simulation,
 )
-from deep_contact.cnn.images import CHANNELS, THESIS_CHANNELS, ImageSpec, augment, image_pair
 from deep_contact.io import simulation_h5
 from deep_contact.state import no_contacts
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "scripts" / "generate_data.py"
-SPEC = ImageSpec(channels=tuple(CHANNELS), transfer="consistent", scale_free=True)
 
 
 def run_of(seed, steps=110):
@@ -394,7 +389,7 @@ def test_states_of_a_phase_are_found(folder):
     assert sorted(map(tuple, np.concatenate(by_phase).tolist())) == [(sim, i) for sim in (0, 2) for i in range(70)]
     for name, states in zip(PHASES, by_phase):
         assert all(phase(store.state(sim, index)) == name for sim, index in states[:5])
-    assert store.states((1,), stride=30).tolist() == [[1, 0], [1, 30], [1, 60]]
+    assert evenly(store.states((1,)), 2).tolist() == [[1, 0], [1, 35]]
 
 
 @settings(max_examples=50, deadline=None)
@@ -420,89 +415,6 @@ def test_splits_that_cannot_be_are_refused():
         split_by_simulation(range(9), fractions=(0.5, 0.2, 0.2))
     with pytest.raises(ValueError, match="2 simulations"):
         split_by_simulation(range(2))
-
-
-# ---- batches ----
-
-
-def test_an_epoch_holds_every_state_once_and_repeats(folder):
-    store = Store(folder)
-    batches = ImageBatches(store, (0, 3), SPEC, batch_size=32, seed=4, augment=True)
-    first, again = list(batches.epoch(1)), list(batches.epoch(1))
-    assert len(first) == len(batches) == 5
-    seen = np.concatenate([batch.states for batch in first])
-    assert sorted(map(tuple, seen.tolist())) == [(sim, i) for sim in (0, 3) for i in range(70)]
-    for a, b in zip(first, again):
-        assert all(x.tobytes() == y.tobytes() for x, y in zip(a, b))
-    assert not np.array_equal(seen, np.concatenate([batch.states for batch in batches.epoch(2)]))
-
-
-@pytest.mark.parametrize("augmented", [False, True])
-def test_a_batch_holds_the_images_of_its_states(folder, augmented):
-    store = Store(folder)
-    batch = next(ImageBatches(store, None, SPEC, batch_size=24, augment=augmented).epoch(3))
-    assert (len(set(batch.symmetry.tolist())) > 4) == augmented
-    for i, (sim, index) in enumerate(batch.states):
-        image, label, scale = image_pair(store.state(sim, index), SPEC)
-        image, label = augment(image, label, SPEC, batch.symmetry[i])
-        np.testing.assert_array_equal(batch.inputs[i], image)
-        np.testing.assert_array_equal(batch.labels[i], label)
-        assert batch.scales[i] == scale
-    assert batch.inputs.dtype == batch.labels.dtype == np.float32
-
-
-def test_a_small_cache_reads_each_file_about_once_an_epoch(folder, monkeypatch):
-    """The rule is bounded memory, whatever the data: groups that fit are shuffled one after the other."""
-    bound = int(2.5 * Store(folder).info(0).bytes)
-    batches = ImageBatches(Store(folder, cache_bytes=bound), None, SPEC, batch_size=8)
-    reads = []
-    read = dataset.read_simulation
-    monkeypatch.setattr(dataset, "read_simulation", lambda path: reads.append(path) or read(path))
-    seen = np.concatenate([batch.states for batch in batches.epoch(0)])
-    assert sorted(map(tuple, seen.tolist())) == [(sim, i) for sim in range(4) for i in range(70)]
-    assert len(reads) == 4
-
-
-def test_chosen_states_come_in_their_order(folder):
-    chosen = [[2, 5], [1, 60], [2, 4]]
-    batches = ImageBatches(Store(folder), None, SPEC, batch_size=2, shuffle=False, states=chosen)
-    assert [batch.states.tolist() for batch in batches] == [chosen[:2], chosen[2:]]
-    assert len(ImageBatches(Store(folder), None, SPEC, batch_size=2, states=chosen, drop_last=True)) == 1
-    with pytest.raises(ValueError, match=r"\[1\]"):
-        ImageBatches(Store(folder), (2,), SPEC, states=chosen)
-
-
-def test_boxes_of_two_sizes_make_no_batch(folder, tmp_path):
-    shutil.copy(simulation_path(folder, 0), tmp_path)
-    kept = []
-    dc.simulate(dc.single_body(), steps=1, on_step=lambda state, record: kept.append(state))
-    write_simulation(simulation_path(tmp_path, 1), kept)
-    with pytest.raises(ValueError, match="one size"):
-        ImageBatches(Store(tmp_path), None, SPEC)
-
-
-def test_fitted_scales_bring_every_channel_to_one(folder):
-    """Root mean square over the nodes that are not 0. Vector parts share a scale: their mean square is 1 together."""
-    store = Store(folder)
-    spec = fit_scales(store, (0, 1), SPEC, count=10**6)
-    batch = ImageBatches(store, (0, 1), spec, batch_size=140).batch(store.states((0, 1)))
-    image = np.concatenate([batch.inputs, batch.labels], axis=-1).astype(float)
-    square = np.array([np.mean(channel[channel != 0] ** 2) for channel in np.moveaxis(image, -1, 0)])
-    scales = dict(zip(spec.channels, spec.scales))
-    single = [i for i, name in enumerate(spec.channels) if name not in ("velocity_x", "velocity_y")]
-    single = [i for i in single if not spec.channels[i].startswith("normal_")] + [-2, -1]
-    np.testing.assert_allclose(square[single], 1.0, rtol=1e-5)
-    assert scales["velocity_x"] == scales["velocity_y"] != 1.0
-    assert spec.replace(scales=None, target_scales=None) == SPEC
-    assert fit_scales(store, (0, 1), SPEC, count=20, seed=1) == fit_scales(store, (0, 1), SPEC, count=20, seed=1)
-
-
-def test_a_channel_that_is_never_there_keeps_its_scale(tmp_path):
-    kept = []
-    dc.simulate(dc.single_body(), steps=1, on_step=lambda state, record: kept.append(state))
-    write_simulation(simulation_path(tmp_path, 0), kept)
-    assert fit_scales(Store(tmp_path), None, ImageSpec()).scales[1:] == (1.0,) * 4
-    assert THESIS_CHANNELS[1:] == ("velocity_x", "velocity_y", "spin", "normal_x")
 
 
 # ---- scripts/generate_data.py ----

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from symmetry import transform_state
 
 import deep_contact as dc
 from deep_contact.cnn.far_field import (
@@ -12,7 +13,6 @@ from deep_contact.cnn.far_field import (
     describe,
     window_side,
 )
-from deep_contact.cnn.images import transform_state
 from deep_contact.state import World
 
 SPEC = FarFieldSpec()
@@ -177,7 +177,7 @@ def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):
     # Away from zero, where an untrained network starts, so that it does something.
     last = network.get_layer("coefficients")
     last.set_weights([np.full_like(w, 0.05) for w in last.get_weights()])
-    path = save_model(tmp_path / "far.h5", network, SPEC, {}, coarsening=8)
+    path = save_model(tmp_path / "far.h5", network, SPEC, {})
     model = load_model(path)
     assert isinstance(model, FarFieldModel)
     assert model.spec == SPEC

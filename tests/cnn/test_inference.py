@@ -15,23 +15,26 @@ import deep_contact as dc
 from deep_contact.cnn import far_field, inference, model_file, registry
 from deep_contact.cnn.architectures import build
 from deep_contact.cnn.evaluation import held_out_errors, velocity_errors
-from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec, input_image, read_back
-from deep_contact.cnn.inference import Cnn, FarFieldModel, LearnedModel, load_model, padded_shape, projected
+from deep_contact.cnn.images import CHANNELS, ImageSpec, input_image, read_back
+from deep_contact.cnn.inference import Cnn, FarFieldModel, LearnedModel, load_model, projected
 from deep_contact.cnn.model_file import METADATA, ModelFileError, read_metadata, save_model
 from deep_contact.warm_start import Copy, NoStart, warm_start_of
 
-SPEC = ImageSpec(transfer="consistent", channels=SOLVER_CHANNELS, scale_free=True, target_scales=(2.0, 0.5))
+SPEC = ImageSpec(transfer="consistent", channels=tuple(CHANNELS))
 CARD = {"seed": 3, "command": "python scripts/train.py"}
 BOX = (0.0, 0.0, 30.0, 30.0)
 
 
-def random_network(name="compact", seed=0, **options):
-    """A network with weights by chance, as small as it gets."""
-    keras.utils.set_random_seed(seed)
-    if name == "compact":
-        options = {"channels": len(SPEC.channels), "stem": 4, "width": 8, "decoder": 4, "density": 0} | options
-    network = build(name, **options)
-    rng = np.random.default_rng(seed)
+def random_network(**options):
+    """A network with weights by chance: convolutions that take images of any size, or with `options` the thesis's."""
+    keras.utils.set_random_seed(0)
+    if options:
+        network = build("thesis", stacks=[[4, [2]], [8, [2]]], **options)
+    else:
+        kinds = {"half": (8, 3, "relu"), "quarter": (8, 2, "tanh"), "field": (2, 1, None)}
+        layers = [keras.layers.Conv2D(n, k, padding="same", activation=a, name=m) for m, (n, k, a) in kinds.items()]
+        network = keras.Sequential([keras.Input((None, None, len(SPEC.channels))), *layers])
+    rng = np.random.default_rng(0)
     for weight in network.weights:
         values = rng.normal(0, 0.2, weight.shape)
         # The root of a negative variance is none, of which some processors' rectifiers make 0 and others do not.
@@ -46,7 +49,7 @@ def network():
 
 @pytest.fixture
 def file(tmp_path, network):
-    return save_model(tmp_path / "model.h5", network, SPEC, CARD, coarsening=4)
+    return save_model(tmp_path / "model.h5", network, SPEC, CARD)
 
 
 def changed(path, change):
@@ -63,10 +66,10 @@ def changed(path, change):
 
 def test_round_trip_of_a_model_file(file, network, falling_states):
     model = load_model(file)
-    assert (model.spec, model.card, model.coarsening, model.box) == (SPEC, CARD, 4, None)
+    assert (model.spec, model.card, model.box) == (SPEC, CARD, None)
     for ours, theirs in zip(network.get_weights(), model.network.get_weights()):
         np.testing.assert_array_equal(ours, theirs)
-    plain = LearnedModel(source=network, spec=SPEC, coarsening=4).predict(falling_states[5])
+    plain = LearnedModel(source=network, spec=SPEC).predict(falling_states[5])
     np.testing.assert_array_equal(model.predict(falling_states[5]), plain)
 
 
@@ -106,9 +109,7 @@ def test_far_field_networks_work_without_keras_and_in_silence(use):
     assert run_alone(f"import deep_contact as dc; {state}; {use}{IMPORTED}") == []
 
 
-@pytest.mark.parametrize(
-    "use", ["dc.load_model().network", "import deep_contact.cnn.losses", "dc.load_model('compact')"]
-)
+@pytest.mark.parametrize("use", ["dc.load_model().network", "import deep_contact.cnn.losses"])
 def test_keras_is_imported_on_request_without_a_line_of_its_log(use):
     assert set(run_alone(f"import deep_contact as dc; {use}{IMPORTED}")) == {"keras", "tensorflow"}
 
@@ -152,6 +153,71 @@ def test_changed_weights_are_refused(file):
         f["model_weights"].visititems(lambda _, item: found.append(item) if isinstance(item, h5py.Dataset) else None)
         found[0][...] += 1e-3
     with pytest.raises(ModelFileError, match="digest"):
+        load_model(file)
+
+
+def rewritten(path, weights=lambda group: None, metadata=lambda found: None):
+    """The file with other weights or metadata, and the digest that is theirs."""
+    with h5py.File(path, "r+") as f:
+        weights(f["model_weights"])
+        found = json.loads(f[METADATA][()])
+        metadata(found)
+        found["digest"] = model_file._digest(f.attrs["model_config"], model_file._datasets(f["model_weights"]), found)
+        del f[METADATA]
+        f[METADATA] = json.dumps(found)
+    return path
+
+
+def test_weights_that_are_no_numbers_are_refused_by_name_though_the_digest_is_right(file):
+    def poison(group):
+        group["half/half/bias"][1] = np.nan
+
+    with pytest.raises(
+        ModelFileError, match=r"model\.h5: model_weights/half/half/bias: expected finite weights, got nan"
+    ):
+        load_model(rewritten(file, weights=poison))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("card", None), ("card", -1), ("spec", []), ("coarsening", 4), ("box", [1]), ("format", 2), ("digest", None)],
+)
+def test_metadata_of_another_kind_are_refused_by_name(file, field, value):
+    rewritten(file, metadata=lambda found: found.update({field: value}))
+    if field == "digest":  # a field that is missing
+        with h5py.File(file, "r+") as f:
+            found = json.loads(f[METADATA][()])
+            del f[METADATA], found["digest"]
+            f[METADATA] = json.dumps(found)
+    with pytest.raises(ModelFileError, match=rf"model\.h5: {field if field != 'digest' else METADATA}"):
+        load_model(file)
+
+
+@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000])
+def test_deep_nesting_is_refused(file, text):
+    with h5py.File(file, "r+") as f:
+        del f[METADATA]
+        f[METADATA] = text
+    with pytest.raises(ModelFileError, match=METADATA):
+        load_model(file)
+    with h5py.File(file, "r+") as f:
+        f.attrs["model_config"] = text[:60_000]
+    with pytest.raises(ModelFileError, match="model_config"):
+        load_model(file)
+
+
+@pytest.mark.parametrize("text", ["[]", '{"model": {"file": "model.h5"}}', '{"model": -1}', "[" * 100_000])
+def test_a_registry_that_is_none_is_refused(tmp_path, monkeypatch, text):
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models" / "registry.json").write_text(text)
+    monkeypatch.setattr(registry, "ROOT", tmp_path)
+    with pytest.raises(ModelFileError, match=r"registry\.json: expected"):
+        load_model("model")
+
+
+def test_a_spec_of_scaled_images_is_refused(file):
+    rewritten(file, metadata=lambda found: found["spec"].update(scale_free=True))
+    with pytest.raises(ModelFileError, match="scale_free: expected False"):
         load_model(file)
 
 
@@ -207,8 +273,8 @@ def test_custom_layer_is_not_written(tmp_path):
 @pytest.mark.parametrize(
     ("spec", "field"),
     [
-        (SPEC.replace(channels=("mass",), scales=None), "channels"),
-        (SPEC.replace(targets=("normal_impulse",), target_scales=None), "targets"),
+        (SPEC.replace(channels=("mass",)), "channels"),
+        (SPEC.replace(targets=("normal_impulse",)), "targets"),
     ],
 )
 def test_network_that_does_not_fit_the_spec_is_not_written(tmp_path, network, spec, field):
@@ -221,17 +287,11 @@ FOREIGN = {"kernel_initializer": {"input_axes": None, "output_axes": None}, "qua
 
 
 def test_arguments_that_do_not_shape_a_layer_stay_out_of_keras(file, network):
-    def rewritten(config):
+    def later(config):
         for layer in config["config"]["layers"]:
             layer["config"] |= {name: value for name, value in FOREIGN.items() if layer["class_name"] == "Conv2D"}
 
-    changed(file, rewritten)
-    with h5py.File(file, "r+") as f:
-        metadata = json.loads(f[METADATA][()])
-        datasets = model_file._datasets(f["model_weights"])
-        metadata["digest"] = model_file._digest(f.attrs["model_config"], datasets, metadata)
-        del f[METADATA]
-        f[METADATA] = json.dumps(metadata)
+    rewritten(changed(file, later))
     for ours, theirs in zip(network.get_weights(), load_model(file).network.get_weights()):
         np.testing.assert_array_equal(ours, theirs)
 
@@ -334,7 +394,7 @@ def test_a_model_that_is_missing_is_named(tmp_path, monkeypatch):
 def fixed(tmp_path_factory):
     """A network of one size, as the thesis's, for a box of 6 m × 4 m."""
     path = tmp_path_factory.mktemp("fixed") / "thesis.h5"
-    return load_model(save_model(path, random_network("thesis", shape=(9, 13)), ImageSpec(), {}, box=(0, 0, 6, 4)))
+    return load_model(save_model(path, random_network(shape=(9, 13)), ImageSpec(), {}, box=(0, 0, 6, 4)))
 
 
 def small_state(size=(6.0, 4.0)):
@@ -356,28 +416,21 @@ def test_network_of_fixed_size_refuses_another_box(fixed, size):
 
 def test_network_of_fixed_size_needs_its_box(tmp_path):
     with pytest.raises(ModelFileError, match="box"):
-        save_model(tmp_path / "model.h5", random_network("thesis", shape=(9, 13)), ImageSpec(), {})
+        save_model(tmp_path / "model.h5", random_network(shape=(9, 13)), ImageSpec(), {})
 
 
 @pytest.mark.parametrize("size", [(6.0, 6.0), (7.3, 4.1)])
 def test_convolutional_network_takes_any_box(network, size):
     state = small_state(size)
-    image = LearnedModel(source=network, spec=SPEC, coarsening=4).predict_image(state)
+    image = LearnedModel(source=network, spec=SPEC).predict_image(state)
     assert image.shape == (*SPEC.shape(state.world), 2)
-
-
-@pytest.mark.parametrize(
-    ("shape", "coarsening", "expected"), [((61, 61), 4, (61, 61)), ((62, 64), 4, (65, 65)), ((3, 7), 1, (3, 7))]
-)
-def test_padded_shape(shape, coarsening, expected):
-    assert padded_shape(shape, coarsening) == expected
 
 
 # ---- inference ----
 
 
 def test_inference_is_the_network(network, falling_states):
-    model = LearnedModel(source=network, spec=SPEC, coarsening=4)
+    model = LearnedModel(source=network, spec=SPEC)
     image = input_image(falling_states[5], SPEC)
     np.testing.assert_allclose(model.run(image), np.asarray(network(image[None]))[0], rtol=1e-5, atol=1e-6)
 
@@ -387,7 +440,7 @@ def test_inference_is_traced_once(network, falling_states, monkeypatch):
     monkeypatch.setattr(
         inference, "compiled", lambda *given, **more: compilations.append(given[1]) or (lambda image: image[..., :2])
     )
-    model = LearnedModel(source=network, spec=SPEC, coarsening=4)
+    model = LearnedModel(source=network, spec=SPEC)
     for state in falling_states:
         model.predict(state)
     assert compilations == [(61, 61, len(SPEC.channels))]
@@ -430,14 +483,14 @@ def test_simulation_runs_from_a_network(file):
     assert (run.status == "converged").all()
 
 
-@pytest.mark.parametrize("name", ["compact", "model"])
+@pytest.mark.parametrize("name", ["thesis_factored", "model"])
 def test_without_contacts_the_prediction_is_empty(name):
     state, model = dc.simulate(dc.circles_in_box(2, seed=0), steps=0).state, load_model(name)
     assert [part.shape for part in model.predict(state)] == [(0,), (0,)]
     assert [part.shape for part in Cnn(model)(state, None)] == [(0,), (0,)]
 
 
-@pytest.mark.parametrize("name", ["compact", "model"])
+@pytest.mark.parametrize("name", ["thesis_factored", "model"])
 def test_several_states_and_foreign_byte_orders(name, falling_states):
     model, states = load_model(name), falling_states[4:6]
     expected = [model.predict(state) for state in states]
@@ -462,9 +515,10 @@ def test_a_model_says_what_it_is_takes_and_gives():
     text = repr(load_model())
     for part in ("model.h5", "far field", "115,420", "29 channels", "8 k + 1", "12 coefficients at every second node"):
         assert part in text
-    assert "any number of nodes a side" in inference.takes(ImageSpec(), 1)
-    assert "30 m × 30 m" in inference.takes(ImageSpec(), 1, (30.0, 30.0))
-    assert "<td>images of normal_impulse, tangent_impulse</td>" in load_model("compact")._repr_html_()
+    assert "any number of nodes a side" in inference.takes(ImageSpec())
+    text = load_model("thesis_factored")._repr_html_()
+    assert "30 m × 30 m" in text
+    assert "<td>images of normal_impulse, tangent_impulse</td>" in text
 
 
 def test_the_shipped_model_is_found_from_anywhere(tmp_path, monkeypatch):
@@ -484,7 +538,7 @@ def test_far_field_network_in_numba_is_the_network_in_keras(falling_states):
     # A network whose layers have other shapes never reaches the compiled code.
     weights = model.source.weights | {"far_1": [np.zeros((5, 5, 16, 16), np.float32), np.zeros(16, np.float32)]}
     with pytest.raises(ModelFileError, match="model_config"):
-        FarFieldModel(source=model.source._replace(weights=weights), spec=model.spec, coarsening=8).run(image)
+        FarFieldModel(source=model.source._replace(weights=weights), spec=model.spec).run(image)
 
 
 # ---- what a start is worth ----

@@ -33,5 +33,5 @@ def test_its_keras_model_gives_the_same(name, state):
     model = dc.load_model(name)
     expected = model.predict_image(state)
     # A `keras.Model` instead of what the file holds: the far-field network then runs on weights that Keras has read.
-    image = type(model)(source=model.network, spec=model.spec, coarsening=model.coarsening, box=model.box)
+    image = type(model)(source=model.network, spec=model.spec, box=model.box)
     np.testing.assert_allclose(image.predict_image(state), expected, rtol=0, atol=1e-5 * np.abs(expected).max())

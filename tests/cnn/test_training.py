@@ -2,6 +2,7 @@
 
 import csv
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,18 +16,17 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact.cnn import architectures, losses
-from deep_contact.cnn.dataset import ImageBatches, Store, split_by_simulation, write_simulation
-from deep_contact.cnn.images import CHANNEL_SETS, SYMMETRIES, ImageSpec, transform_state
-from deep_contact.cnn.inference import LearnedModel, limit_threads, load_model
-from deep_contact.cnn.model_file import read_metadata
+from deep_contact.cnn import architectures
+from deep_contact.cnn.dataset import Store, write_simulation
+from deep_contact.cnn.images import ImageSpec, input_image, label_image
+from deep_contact.cnn.inference import limit_threads, load_model
+from deep_contact.cnn.model_file import read_metadata, spec_of
 from deep_contact.cnn.training import ImageDataset, TrainingConfig, config, thesis_config, train
-from deep_contact.cnn.training.image_run import ImageRun
 
 # Before TensorFlow does anything: sums go in another order on more threads.
 limit_threads(1)
 
-TINY = {"stem": 2, "width": 4, "decoder": 2, "dilations": [1, 1]}
+TINY = {"stacks": [[4, [3, 2]], [8, [2]], [8, [2]]], "weight_decay": 0.0}
 TRAIN = Path(__file__).parents[2] / "scripts" / "train.py"
 
 
@@ -48,8 +48,8 @@ def data(tmp_path_factory):
 
 
 def tiny(**changes):
-    settings = {"options": TINY, "epochs": 4, "batch_size": 8, "fractions": (0.6, 0.2, 0.2), "rate": 0.02}
-    return TrainingConfig(**(settings | changes))
+    settings = {"options": TINY, "epochs": 4, "batch_size": 8, "fractions": (0.6, 0.2, 0.2), "rate": 0.01}
+    return thesis_config(**(settings | {"optimizer": "adam", "schedule": "cosine"} | changes))
 
 
 def quietly(config, data, out, **options):
@@ -66,8 +66,8 @@ def undisturbed(data, tmp_path_factory):
 
 
 def test_training_lowers_the_loss(undisturbed):
-    losses = [line["validation_loss"] for line in undisturbed.history]
-    assert losses[-1] < 0.9 * losses[0]
+    losses = [line["loss"] for line in undisturbed.history]
+    assert losses[-1] < losses[0]
 
 
 def test_same_seed_same_history(undisturbed, data, tmp_path):
@@ -101,7 +101,7 @@ class KillAt(keras.callbacks.Callback):
             raise Killed
 
 
-@pytest.mark.parametrize(("epoch", "batch"), [(0, 1), (2, 3), (3, 0)])
+@pytest.mark.parametrize(("epoch", "batch"), [(0, 1), (3, 0)])
 def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path, epoch, batch):
     with pytest.raises(Killed):
         quietly(tiny(), data, tmp_path, callbacks=[KillAt(epoch, batch)])
@@ -112,11 +112,10 @@ def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path
 
 
 def test_killed_process_goes_on_to_the_same_history(undisturbed, data, tmp_path):
-    flags = ["--epochs", "4", "--batch-size", "8", "--fractions", "0.6", "0.2", "0.2", "--held-out", "10"]
-    flags += ["--options", "stem=2", "width=4", "decoder=2", "dilations=1,1", "--rate", "0.02"]
-    process = subprocess.Popen(
-        [sys.executable, TRAIN, "--data", data, "--out", tmp_path, *flags], stderr=subprocess.DEVNULL
-    )
+    code = f"import test_training as t; t.quietly(t.tiny(), {str(data)!r}, {str(tmp_path)!r})"
+    paths = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH"), *sys.path[:3]]))
+    environment = {**os.environ, "PYTHONPATH": paths}
+    process = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
     while not (tmp_path / "last.npz").exists() and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.005)
@@ -125,16 +124,6 @@ def test_killed_process_goes_on_to_the_same_history(undisturbed, data, tmp_path)
     # Whatever epoch it was in, what it left is whole.
     resumed = quietly(tiny(), data, tmp_path)
     assert without_time(resumed.history) == without_time(undisturbed.history)
-
-
-def test_training_writes_nothing_of_tensorflow_s_log(data, tmp_path):
-    flags = ["--epochs", "1", "--batch-size", "8", "--fractions", "0.6", "0.2", "0.2", "--held-out", "2"]
-    flags += ["--options", "stem=2", "width=4", "decoder=2", "dilations=1,1"]
-    environment = {name: value for name, value in os.environ.items() if name != "TF_CPP_MIN_LOG_LEVEL"}
-    command = [sys.executable, TRAIN, "--data", data, "--out", tmp_path, *flags]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
-    assert done.returncode == 0
-    assert not [line for line in done.stderr.splitlines() if "compiling" not in line]
 
 
 def test_history_is_written_as_csv(undisturbed):
@@ -173,20 +162,10 @@ def test_other_settings_do_not_go_on(undisturbed, data):
 
 
 def test_run_of_fixed_rates_can_be_prolonged(data, tmp_path):
-    short = quietly(tiny(epochs=1, schedule="constant"), data, tmp_path)
-    longer = quietly(tiny(epochs=2, schedule="constant"), data, tmp_path)
+    short = quietly(tiny(epochs=1, schedule="algorithm 6"), data, tmp_path)
+    longer = quietly(tiny(epochs=2, schedule="algorithm 6"), data, tmp_path)
     assert longer.history[:1] == short.history
     assert len(longer.history) == 2
-
-
-def test_patience_ends_a_run(data, tmp_path):
-    # At a rate of next to nothing no epoch is better than the one before by more than rounding.
-    done = quietly(tiny(rate=1e-12, schedule="constant", patience=2, epochs=20), data, tmp_path)
-    assert len(done.history) < 20
-    assert len(done.history) - 1 - done.best_epoch == 2
-    # Given again, it has run out already.
-    again = quietly(tiny(rate=1e-12, schedule="constant", patience=2, epochs=20), data, tmp_path)
-    assert again.history == done.history
 
 
 def test_callbacks_of_keras_see_the_history_and_may_stop_the_run(data, tmp_path):
@@ -199,39 +178,65 @@ def test_callbacks_of_keras_see_the_history_and_may_stop_the_run(data, tmp_path)
     done = quietly(tiny(), data, tmp_path / "run", callbacks=callbacks)
     assert len(done.history) == 2
     assert [batch for batch, _ in seen] == 2 * list(range(len(seen) // 2))
-    assert seen[-1][1] == done.history[-1]["loss"]
+    assert seen[-1][1] == pytest.approx(done.history[-1]["loss"])
     with open(tmp_path / "theirs.csv", encoding="utf-8") as file:
         rows = [{name: float(value) for name, value in row.items()} for row in csv.DictReader(file)]
-    assert rows == [line | {"val_loss": line["validation_loss"]} for line in done.history]
+    assert [row["loss"] for row in rows] == [line["loss"] for line in done.history]
+    assert [row["val_masked_squared_error"] for row in rows] == [line["validation_loss"] for line in done.history]
 
 
 def test_progress_is_that_of_keras(data, tmp_path, capfd):
     done = quietly(tiny(epochs=1), data, tmp_path, verbose=2)
     text = capfd.readouterr().out
-    assert f"validation_loss: {done.history[0]['validation_loss']:.4f}" in text
+    assert f"loss: {done.history[0]['loss']:.4f}" in text
 
 
-@pytest.mark.parametrize("spacing", [0.5, 0.7])
-def test_keras_fits_the_batches_of_images(data, spacing):
-    spec = tiny(spacing=spacing, support=spacing).spec()
-    batches = ImageBatches(Store(data), None, spec, batch_size=10, drop_last=True)
-    images = ImageDataset(batches, coarsening=4)
-    first = images[0][0]
-    model = architectures.build("compact", channels=len(spec.channels), stem=2, width=4, decoder=2, dilations=(1,))
-    model.compile("adam", losses.masked_squared_error)
-    model.fit(images, epochs=1, verbose=0)
-    assert not np.array_equal(images[0][0], first)
+# ---- batches ----
+
+
+def test_an_epoch_shows_other_states_in_full_batches_and_repeats(data):
+    store, spec = Store(data), ImageSpec()
+    images = ImageDataset(store, store.states((0, 3)), spec, batch_size=16, seed=4)
+    assert len(images) == 2
+    orders = [images.order.tolist()]
+    images.on_epoch_end()
+    orders.append(images.order.tolist())
+    assert orders[0] != orders[1]
+    assert sorted(orders[0]) == sorted(orders[1]) == store.states((0, 3)).tolist()
+    images.start(0)
+    assert images.order.tolist() == orders[0]
+    inputs, labels = images[1]
+    for image, label, (sim, index) in zip(inputs, labels, orders[0][16:32]):
+        np.testing.assert_array_equal(image, input_image(store.state(sim, index), spec))
+        np.testing.assert_array_equal(label, label_image(store.state(sim, index), spec).ravel())
+    assert (inputs.dtype, labels.dtype) == (np.float32, np.float32)
+
+
+def test_states_to_validate_on_come_in_their_order_and_all_of_them(data):
+    chosen = [[2, 5], [1, 6], [2, 4]]
+    images = ImageDataset(Store(data), chosen, ImageSpec(), batch_size=2)
+    assert [len(images[k][0]) for k in range(len(images))] == [2, 1]
+    assert images.order.tolist() == chosen
+
+
+def test_boxes_of_two_sizes_make_no_batch(data, tmp_path):
+    shutil.copy(data / "sim_0000.h5", tmp_path)
+    state = dc.simulate(dc.single_body(), steps=1).state
+    write_simulation(tmp_path / "sim_0001.h5", [state])
+    store = Store(tmp_path)
+    with pytest.raises(ValueError, match="one size"):
+        ImageDataset(store, store.states(), ImageSpec(), batch_size=2)
 
 
 # ---- going on from a model ----
 
 
 def test_a_run_goes_on_from_a_model(undisturbed, data, tmp_path):
-    settings = config.config_of(read_metadata(undisturbed.path), epochs=1, rate=1e-12, schedule="constant")
+    settings = config.config_of(read_metadata(undisturbed.path), epochs=1, rate=1e-12)
     assert settings.spec() == tiny().spec()
     further = quietly(settings, data, tmp_path, from_model=undisturbed.path)
-    best = undisturbed.history[undisturbed.best_epoch]["validation_loss"]
-    assert further.history[0]["validation_loss"] == pytest.approx(best, rel=1e-5)
+    for ours, theirs in zip(further.model.network.trainable_weights, undisturbed.model.network.trainable_weights):
+        np.testing.assert_allclose(ours, theirs, atol=1e-9)
     assert further.model.spec == undisturbed.model.spec
     with pytest.raises(ValueError, match="from_model: expected None, with which"):
         quietly(tiny(), data, undisturbed.path.parent, from_model=undisturbed.path)
@@ -243,14 +248,7 @@ def test_settings_of_the_shipped_models_are_known():
     root = TRAIN.parents[1] / "models"
     for path in root.glob("*.h5"):
         metadata = read_metadata(path)
-        images = config.config_of(metadata).spec().to_dict()
-        changed = {name for name, value in images.items() if value != metadata["spec"][name]}
-        assert changed <= {"scales", "target_scales"}
-
-
-def test_names_in_the_settings_are_those_of_the_networks_and_losses():
-    assert set(config.ARCHITECTURES) == set(architectures.ARCHITECTURES)
-    assert set(config.LOSSES) == {"appendix b", *losses.CONTACT_LOSSES, *config.FAR_FIELD_LOSSES}
+        assert config.config_of(metadata).spec() == spec_of(metadata, path)
 
 
 def test_thesis_network_trains_on_images(data, tmp_path):
@@ -267,14 +265,14 @@ def test_half_precision_differs_by_its_rounding_alone(undisturbed, data, tmp_pat
     assert keras.config.dtype_policy() == before
     losses = [[line["validation_loss"] for line in run.history] for run in (done, undisturbed)]
     assert losses[0] != losses[1]
-    np.testing.assert_allclose(*losses, rtol=0.02)
+    np.testing.assert_allclose(*losses, rtol=0.05)
     layers = done.model.network.layers
     assert {layer.compute_dtype for layer in layers} == {"float32"}  # of the model file, as of any other
     assert {str(weight.dtype) for layer in layers for weight in layer.weights} == {"float32"}
 
 
 def test_half_precision_goes_on_to_the_same_history(data, tmp_path):
-    config = tiny(precision="mixed_bfloat16", epochs=2, schedule="constant")
+    config = tiny(precision="mixed_bfloat16", epochs=2, schedule="algorithm 6")
     whole = quietly(config, data, tmp_path / "whole")
     quietly(replace(config, epochs=1), data, tmp_path / "parts")
     parts = quietly(config, data, tmp_path / "parts")
@@ -286,64 +284,21 @@ def test_thesis_settings_are_those_of_table_5_2():
     assert (config.optimizer, config.rate, config.batch_size, config.epochs) == ("sgd", 5e-3, 200, 1000)
     assert config.fractions[1] == 0.2
     assert (config.schedule, config.loss) == ("algorithm 6", "appendix b")
-    assert CHANNEL_SETS[config.channels] == ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
-
-
-@pytest.mark.parametrize("k", SYMMETRIES)
-def test_contacts_of_a_turned_image_are_those_of_the_turned_state(data, k):
-    store, settings = Store(data), tiny()
-    split = split_by_simulation(store, fractions=settings.fractions, seed=0)
-    run = ImageRun(settings, store, split, settings.spec())
-    where = store.states(split.train)[10]
-    turned = run.images.contact_batch(run.images.batches.batch([where], [k]))
-    state = transform_state(store.state(*where), k)
-    expected = losses.contact_batch([losses.state_contacts(state, run.spec)], run.shape[0] * run.shape[1], run.spec)
-    image = np.random.default_rng(0).normal(size=(1, *run.shape, 2)).astype(np.float32)
-    found, wanted = (np.asarray(losses.read_at_contacts(image, batch)) for batch in (turned, expected))
-    # The contacts keep their order, and λ_t its sign of before: the mirror is undone where it is read.
-    wanted = wanted * [1.0, -1.0 if k >= 4 else 1.0]
-    np.testing.assert_allclose(found, wanted, rtol=1e-4, atol=1e-5)
-
-
-@pytest.mark.parametrize("spacing", [0.5, 0.7])
-def test_training_pads_as_inference_does(data, spacing):
-    store, settings = Store(data), tiny(spacing=spacing, support=spacing, augment=False)
-    split = split_by_simulation(store, fractions=settings.fractions, seed=0)
-    run = ImageRun(settings, store, split, settings.spec())
-    rng = np.random.default_rng(0)
-    run.model.set_weights([rng.normal(0, 0.2, w.shape) for w in run.model.get_weights()])
-    batch = run.images.batches.batch([store.states(split.train)[10]])
-    images, _ = run.predict(*run.images.arrays(batch))
-    model = LearnedModel(source=run.model, spec=run.spec, coarsening=run.coarsening)
-    np.testing.assert_allclose(np.asarray(images)[0], model.run(batch.inputs[0]), rtol=1e-4, atol=1e-6)
-
-
-def test_event_files_are_written_on_request(data, tmp_path):
-    import tensorflow as tf
-    from tensorflow.python.summary.summary_iterator import summary_iterator
-
-    done = quietly(tiny(epochs=1), data, tmp_path / "run", tensorboard=tmp_path / "events")
-    (path,) = (tmp_path / "events").glob("events.*")
-    values = {v.tag: v for event in summary_iterator(str(path)) for v in event.summary.value}
-    for name in set(done.history[0]) - {"epoch"}:
-        assert values[name].metadata.plugin_data.plugin_name == "scalars"
-        assert tf.make_ndarray(values[name].tensor) == np.float32(done.history[0][name])
+    assert config.spec().channels == ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
 
 
 @pytest.mark.parametrize(
     ("field", "value"),
     [
         ("architecture", "alexnet"),
-        ("channels", "all"),
         ("loss", "mse"),
         ("optimizer", "lbfgs"),
         ("schedule", "step"),
         ("epochs", 0),
         ("batch_size", 1.5),
         ("rate", -1.0),
-        ("momentum", 1.0),
-        ("phases", ("flight",)),
-        ("precision", "float16"),
+        ("sweeps", (3, 1)),
+        ("precision", "mixed_bfloat16"),
     ],
 )
 def test_bad_settings_are_named(field, value):
@@ -386,7 +341,7 @@ def test_the_trend_of_a_training_is_the_power_law_of_its_second_half():
     [
         (["--ratee", "3"], 2, "unrecognized arguments: --ratee 3"),
         (["--rate", "abc"], 2, "invalid float value: 'abc'"),
-        (["--options", "stem"], 2, "invalid option value: 'stem'"),
+        (["--options", "width"], 2, "invalid option value: 'width'"),
         (["--epochs", "0"], 1, "epochs: expected an integer >= 1, got 0"),
         (["--data", "nowhere"], 1, "nowhere: expected files sim_0000.h5"),
         (["--from", "nowhere.h5"], 1, "nowhere.h5 does not exist"),
@@ -423,50 +378,14 @@ def test_help_loads_neither_tensorflow_nor_numba(script):
 
 def test_a_script_goes_on_from_a_model(undisturbed):
     script = load_script("train")
-    settings = script.configuration({"epochs": 2, "options": [("stem", 3)]}, undisturbed.path)
-    assert (settings.epochs, settings.rate, settings.options) == (2, 0.02, {"stem": 3})
+    settings = script.configuration({"epochs": 2, "options": [("dropout", 0.2)]}, undisturbed.path)
+    assert (settings.epochs, settings.rate, settings.options) == (2, 0.01, {"dropout": 0.2})
 
 
 def test_the_learning_curve_names_what_the_columns_hold(tmp_path):
-    errors = {"validation_velocity_error": 0.5, "validation_velocity_error_10": 0.1, "validation_impulse_error": 0.3}
-    line = {"epoch": 0, "loss": 1.0, "validation_loss": 1.0, **errors}
-    right = load_script("train").learning_curve([line], tmp_path / "curve.png")
-    labels = [text.get_text() for text in right.get_legend().get_texts()]
-    assert labels == ["velocity, no sweep", "velocity, 10 sweeps", "impulse, no sweep"]
-
-
-def test_shipped_histories_have_the_columns_of_new_ones():
-    for path in (TRAIN.parents[1] / "models").glob("*_history.csv"):
-        with open(path, encoding="utf-8") as file:
-            columns = next(csv.reader(file))
-        far_field = path.stem not in ("compact_history", "thesis_factored_history")
-        assert ("validation_velocity_error_30" in columns) == far_field
-        assert ("validation_impulse_error" in columns) != far_field
-
-
-def test_nesterov_looks_ahead_as_in_eq_4_9(data, tmp_path, monkeypatch):
-    """Keras keeps the point of the gradient, θ − γ v; Eq 4.9 keeps θ. On L = ½ a θ², both by hand and by Keras."""
-    keras = pytest.importorskip("keras")
-    rate, gamma, a = 0.1, 0.9, 3.0
-    theta, v, ahead = 1.0, 0.0, []
-    for _ in range(6):
-        v = gamma * v + rate * a * (theta - gamma * v)
-        theta -= v
-        ahead.append(theta - gamma * v)
-    made = []
-
-    class Seen(keras.optimizers.SGD):
-        def __init__(self, *arguments, **options):
-            super().__init__(*arguments, **options)
-            made.append((arguments, options))
-
-    monkeypatch.setattr(keras.optimizers, "SGD", Seen)
-    quietly(tiny(optimizer="nesterov", momentum=gamma, rate=rate, epochs=1), data, tmp_path)
-    ((arguments, options),) = made
-    optimizer, weight = Seen(*arguments, **options | {"global_clipnorm": None}), keras.Variable([1.0])
-    optimizer.build([weight])
-    found = []
-    for _ in range(6):
-        optimizer.apply([a * weight.value], [weight])
-        found.append(float(np.asarray(weight.value)[0]))
-    np.testing.assert_allclose(found, ahead, rtol=1e-5)
+    line = {"epoch": 0, "loss": 1.0, "validation_loss": 1.0}
+    curve = load_script("train").learning_curve
+    assert len(curve([line], tmp_path / "curve.png")) == 1
+    errors = {"validation_velocity_error": 0.5, "validation_velocity_error_10": 0.1}
+    _, right = curve([line | errors], tmp_path / "curve.png")
+    assert [text.get_text() for text in right.get_legend().get_texts()] == ["after no sweep", "after 10 sweeps"]

@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from symmetry import SYMMETRIES, transform_state
 
 import deep_contact as dc
-from deep_contact.cnn.images import SYMMETRIES, transform_state
 from deep_contact.io.simulation_h5 import DataFileError, write_simulation
 from deep_contact.io.state_xml import format_state, parse_state
 from deep_contact.io.xml_tree import StateFileError

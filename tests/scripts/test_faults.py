@@ -167,7 +167,7 @@ WRITERS = {
     "json": "results.write_results(out / 'it.json', found)",
     "h5": "dataset.write_simulation(out / 'it.h5', [big], compression=None)",
     "png": "plotting.save(plotting.subplots()[0], out / 'it.png')",
-    "model.h5": "model_file.save_model(out / 'it.model.h5', model, spec, {}, coarsening=stored['coarsening'])",
+    "model.h5": "model_file.save_model(out / 'it.model.h5', model, spec, {})",
 }
 
 FULL = """
@@ -195,7 +195,8 @@ except OSError as error:
 PREPARE = {
     "model.h5": """
 from deep_contact.cnn import model_file, registry
-model, spec, stored = model_file.read_model(registry.path_of("compact"))
+network, spec, _ = model_file.read_model(registry.path_of("model"))
+model = network.build()
 model.to_json()"""
 }
 
@@ -259,22 +260,8 @@ def test_training_survives_a_full_disk_and_two_processes_in_one_folder(tmp_path)
 
     generate = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "170", "--bodies", "8", "9", "--jobs", "1"]
     subprocess.run([*generate, "--simulations", "5", "--out", tmp_path / "data"], check=True, capture_output=True)
-    tiny = [
-        "--batch-size",
-        "8",
-        "--fractions",
-        "0.6",
-        "0.2",
-        "0.2",
-        "--held-out",
-        "5",
-        "--threads",
-        "1",
-        "--rate",
-        "0.01",
-    ]
-    tiny += ["--options", "stem=2", "width=4", "decoder=2", "dilations=1,1", "--data", tmp_path / "data"]
-    tiny += ["--schedule", "constant"]  # of which a run may be prolonged
+    tiny = "--batch-size 8 --fractions 0.6 0.2 0.2 --held-out 5 --threads 1 --rate 0.01 --options width=2".split()
+    tiny += ["--data", tmp_path / "data", "--schedule", "constant"]  # of which a run may be prolonged
 
     def train(out, epochs, **options):
         command = [sys.executable, SCRIPTS / "train.py", "--out", tmp_path / out, "--epochs", epochs, *tiny]

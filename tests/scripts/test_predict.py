@@ -20,22 +20,20 @@ def script():
 def untrained(kind):
     """A network of this kind, as `load_model` gives it."""
     pytest.importorskip("keras")
-    from deep_contact.cnn import architectures, training
+    from deep_contact.cnn import architectures
     from deep_contact.cnn.far_field import FarFieldSpec
-    from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec
+    from deep_contact.cnn.images import ImageSpec
     from deep_contact.cnn.inference import FarFieldModel, LearnedModel
 
     if kind == "far field":
         spec = FarFieldSpec()
         network = architectures.far_field(channels=len(spec.channels), outputs=len(spec.targets), width=2)
-        return FarFieldModel(source=network, spec=spec, coarsening=8)
-    spec = ImageSpec(channels=SOLVER_CHANNELS, transfer="consistent", scale_free=True)
-    options = training.compact_options(spec) | {"stem": 2, "width": 2, "decoder": 2, "dilations": (1,)}
-    network = architectures.compact(channels=len(spec.channels), outputs=len(spec.targets), **options)
-    return LearnedModel(source=network, spec=spec, coarsening=architectures.coarsening("compact"))
+        return FarFieldModel(source=network, spec=spec)
+    network = architectures.thesis(stacks=[[2, [1]]])
+    return LearnedModel(source=network, spec=ImageSpec(), box=(30.0, 30.0))
 
 
-@pytest.mark.parametrize("kind", ["compact", "far field"])
+@pytest.mark.parametrize("kind", ["thesis", "far field"])
 def test_a_state_is_predicted_and_drawn_with_either_kind_of_network(kind, script, tmp_path):
     path, model = ROOT / "data" / "sample" / "impact_154.xml.gz", untrained(kind)
     printed = script.predict_file(path, model, tmp_path, True)

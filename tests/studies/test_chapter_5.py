@@ -9,7 +9,7 @@ from conftest import load_script
 
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
-from deep_contact.cnn.images import SOLVER_CHANNELS, ImageSpec
+from deep_contact.cnn.images import ImageSpec
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures
 from deep_contact.studies import chapter_5, starts
@@ -27,18 +27,21 @@ def layers():
 
 @pytest.fixture(scope="module")
 def networks(tmp_path_factory):
-    """Model files of untrained compact networks, by what they are to learn: each gives half of Builtin's start."""
-    pytest.importorskip("keras")
+    """Model files of networks on images, by what they learn: λ_n is 2 m at each node, λ_t m, in kg to N·s."""
+    keras = pytest.importorskip("keras")
     chapter_5.one_thread()
-    from deep_contact.cnn import architectures, model_file, training
+    from deep_contact.cnn import model_file
 
     files = {}
     for name, targets in chapter_5.TARGET_SETS.items():
-        spec = ImageSpec(channels=SOLVER_CHANNELS, targets=targets, transfer="consistent", scale_free=True)
-        options = training.compact_options(spec) | {"stem": 2, "width": 2, "decoder": 2, "dilations": (1,)}
-        model = architectures.compact(channels=len(spec.channels), outputs=len(targets), **options)
+        layer = keras.layers.Conv2D(len(targets), 1)
+        model = keras.Sequential([keras.Input((None, None, 5)), layer])
+        kernel = np.zeros((1, 1, 5, len(targets)), np.float32)
+        kernel[0, 0, 0] = [2.0 if target == "normal_impulse" else 1.0 for target in targets]
+        layer.set_weights([kernel, np.zeros(len(targets), np.float32)])
+        card = {"architecture": "thesis", "history": [{}], "config": {"states_per_epoch": 3}}
         files[name] = tmp_path_factory.mktemp("models") / f"{name}.h5"
-        model_file.save_model(files[name], model, spec, {"architecture": "compact"}, coarsening=4)
+        model_file.save_model(files[name], model, ImageSpec(targets=targets), card)
     return files
 
 
@@ -179,8 +182,9 @@ def test_the_stages_of_sph_give_its_start(falling_states, transfer):
     assert set(found.seconds) == {"splat", "gather"}
 
 
-def test_the_stages_of_a_network_give_its_start(falling_states, networks):
-    start = chapter_5.network_start(str(networks["both"]))
+@pytest.mark.parametrize("name", ["both", "model.h5"])
+def test_the_stages_of_a_network_give_its_start(falling_states, networks, name):
+    start = chapter_5.network_start(str(networks.get(name, "models/model.h5")))
     found = chapter_5.staged(start, falling_states[5], PGS())
     np.testing.assert_array_equal(found.impulses, start(falling_states[5], PGS()))
     assert set(found.seconds) == {"splat", "network", "gather"}
@@ -254,7 +258,6 @@ def test_thresholds_are_timed_on_the_same_states(falling_states):
 
 
 def test_two_networks_for_one_impulse_each_do_what_one_for_both_does(falling_states, networks):
-    """Untrained, all of them give half of Builtin's start."""
     states = falling_states[3:8]
     both = chapter_5.errors_of_networks([networks["both"]], states, [0, 3])
     each = chapter_5.errors_of_networks([networks["normal"], networks["tangent"]], states, [0, 3])
@@ -265,14 +268,11 @@ def test_two_networks_for_one_impulse_each_do_what_one_for_both_does(falling_sta
 def test_a_network_learns_one_impulse_and_is_not_trained_again(tmp_path):
     pytest.importorskip("keras")
     data = chapter_5.make_states(
-        tmp_path / "data", simulations=2, steps=90, bodies=(40, 50), seed=0, progress=lambda items, **_: items
+        tmp_path / "data", simulations=4, steps=90, bodies=(40, 50), seed=0, progress=lambda items, **_: items
     )
-    settings = {"epochs": 1, "states_per_epoch": 8, "batch_size": 4, "validation_states": 4}
-    options = {"stem": 2, "width": 2, "decoder": 2, "dilations": [1]}
-    task = chapter_5.TargetTask(
-        targets="tangent", options=options, seed=0, data=str(data), simulations=2, settings=settings,
-        out=str(tmp_path / "run"),
-    )  # fmt: skip
+    settings = {"epochs": 1, "states_per_epoch": 8, "batch_size": 4, "validation_states": 4, "spacing": 1.0}
+    settings |= {"fractions": (0.5, 0.25, 0.25), "options": {"stacks": [[2, [1]]]}, "targets": ("tangent_impulse",)}
+    task = settings, str(data), str(tmp_path / "run")
     path = chapter_5.train_on_targets(task)
     trained = (tmp_path / "run" / "best.h5").stat().st_mtime_ns
     assert chapter_5.network_start(path).model.spec.targets == ("tangent_impulse",)

@@ -72,8 +72,7 @@ normal, tangent = dc.load_model().predict(state)
 assert normal.shape == tangent.shape == (state.contacts.count,)
 for start in ("builtin", "cnn", "guarded", (normal, tangent)):
     assert dc.solve_contacts(state, solver=dc.PGS(sweeps=30), start=start).record.sweeps > 0
-for name in ("coarse", "compact"):
-    dc.load_model(name)
+dc.load_model("model")
 try:
     dc.load_model("thesis_factored")
 except FileNotFoundError as error:

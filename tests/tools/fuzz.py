@@ -399,7 +399,7 @@ def models_call(folder: Path):
     """rng -> a read of a damaged network's file, and its text."""
     from deep_contact.cnn import model_file, registry
 
-    path, whole = folder / "fuzz.h5", registry.path_of("coarse").read_bytes()
+    path, whole = folder / "fuzz.h5", registry.path_of("model").read_bytes()
 
     def make(rng):
         path.write_bytes(damaged(whole, rng))

@@ -1,18 +1,18 @@
 """Training a network (section 5.3): `train`, and its settings, `TrainingConfig`.
 
-The settings are in `config`, the loop with checkpoints and history in `run`, the epochs of each kind of network in
-`image_run` and `far_field_run`, and their common part in `network`. All but `config` load TensorFlow.
+The settings are in `config`; `run` has the driver with checkpoints and history, and the training of networks on images
+by Keras; `far_field_run` has the epochs of the far-field network, through the solver. All but `config` load TensorFlow.
 """
 
 from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
 
-_HOME = {"Training": "run", "train": "run", "ImageDataset": "image_run", "compact_options": "image_run"}
-__all__ = [*_HOME, "TrainingConfig", "config_of", "far_field_config", "thesis_config"]
+_FROM_RUN = ("ImageDataset", "Training", "train")
+__all__ = [*_FROM_RUN, "TrainingConfig", "config_of", "far_field_config", "thesis_config"]
 
 
 def __getattr__(name: str):
-    if name not in _HOME:
+    if name not in _FROM_RUN:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
+    from deep_contact.cnn.training import run
 
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(run, name)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from deep_contact.cnn.backend import keras
+from deep_contact.cnn.dataset import evenly
 from deep_contact.cnn.far_field import corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
-from deep_contact.cnn.training.network import NetworkRun, evenly
+from deep_contact.cnn.training.run import NetworkRun
 
 _LEARN_FROM, _JUDGE_BY = 0.02, 0.05
 """Least relative error of Builtin's start in the states of the training and of the validation side."""
@@ -16,15 +17,13 @@ _LEARN_FROM, _JUDGE_BY = 0.02, 0.05
 class FarFieldRun(NetworkRun):
     """A run whose network corrects Builtin, trained through the solver."""
 
-    steps = None  # batches hold windows of one shape, so their number depends on the states
-
-    def __init__(self, config, store, split, spec, *, initial=None):
-        super().__init__(config, store, split, spec)
+    def __init__(self, config, store, split, network):
+        super().__init__(config, network)
+        self.store = store
         self.states = self._states_with_error(split.train, _LEARN_FROM)
         self.training_states = len(self.states)
         self.per_epoch = self.batches_per_epoch() * config.batch_size
         self.validation = evenly(self._states_with_error(split.validation, _JUDGE_BY), config.validation_states)
-        self.build(initial, **config.options)
         # Equal weight for each number of sweeps, although the errors get smaller.
         errors = self.errors(self.validation, learned=False)[:, 1:]
         self.weights = 1.0 / (errors.mean(axis=0) * len(config.sweeps))
@@ -71,11 +70,30 @@ class FarFieldRun(NetworkRun):
         node = np.concatenate([node + k * out[0] * out[1] for k, (node, _) in enumerate(read)]).astype(np.int32)
         return np.stack([d.image for d in descriptions]), node, np.concatenate([weight for _, weight in read])
 
+    def fit(self, callbacks: list, *, epochs: int, first: int, verbose: int) -> None:
+        """Train from epoch `first` on. Keras's own loop knows no gradient that comes from elsewhere."""
+        more = {"add_progbar": verbose != 0, "verbose": verbose, "epochs": epochs, "steps": None}
+        called = keras.callbacks.CallbackList(callbacks, model=self.model, **more)
+        self.model.stop_training = False
+        called.on_train_begin()
+        for epoch in range(first, epochs):
+            called.on_epoch_begin(epoch)
+            loss = self.epoch(epoch, called)
+            found = self.validate()
+            called.on_epoch_end(epoch, {"loss": loss, **found, "val_loss": found["validation_loss"]})
+            if self.model.stop_training:
+                break
+        called.on_train_end()
+
+    def validated(self, logs: dict) -> dict[str, float]:
+        """The columns of the history on the validation states."""
+        return {name: value for name, value in logs.items() if name.startswith("validation_")}
+
     def epoch(self, epoch: int, callbacks: keras.callbacks.CallbackList) -> float:
         """Train on one epoch's states. Returns the mean loss."""
         rng = np.random.default_rng((self.config.seed, epoch))
         states = self.states[rng.permutation(len(self.states))[: self.per_epoch]]
-        symmetry = rng.integers(0, 8, self.per_epoch) if self.config.augment else np.zeros(self.per_epoch, np.int64)
+        symmetry = rng.integers(0, 8, self.per_epoch)
         total, done = 0.0, 0
         for k, batch in enumerate(_by_shape(self.examples(states, symmetry), self.config.batch_size)):
             callbacks.on_train_batch_begin(k)
