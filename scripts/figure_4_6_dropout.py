@@ -1,4 +1,4 @@
-"""python scripts/figure_4_6_dropout.py: dropout on and off, in a small network and in the trained one."""
+"""python scripts/figure_4_6_dropout.py: dropout on and off, in a small network and in the thesis's."""
 
 import numpy as np
 
@@ -13,13 +13,12 @@ from deep_contact.studies import chapter_4 as worked
 def compute(options, seed, jobs, progress):
     """The small network before and after; the trained network's first maps and its prediction, off and on."""
     model = load_model(network_file(options["model"]))
-    rate = options["rate"]
     rng = np.random.default_rng(seed)
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
     image = input_image(state, model.spec)
     off = [read_back(model.run(image), state, model.spec)[0] for _ in range(2)]
-    dropping, source, name = worked.with_dropout(model.network, rate, seed)
+    dropping, source, name = worked.with_dropout(model.network)
     before = worked.feature_maps(dropping, image, [source])[source]
     mean, on = np.zeros_like(before), []
     maps_and_output = dropping_model(dropping, name)
@@ -41,7 +40,6 @@ def compute(options, seed, jobs, progress):
             "weights": [layer.weights.tolist() for layer in layers],
             "dropped": [gone.tolist() for gone in dropped],
         },
-        "own layers": not name.startswith("dropout_after_"),
         "rate": dropping.get_layer(name).rate,
         "layer": source,
         "map": strongest,
@@ -127,7 +125,6 @@ def draw(data, options):
 
 OPTIONS = {
     "model": "models/thesis_factored.h5",
-    "rate": 0.1,
     "rate drawn": 0.4,
     "masks": 100,
     "n_bodies": 100,

@@ -1,8 +1,8 @@
 """python scripts/table_6_1_one_or_two_networks.py: one network for normal and tangent impulses, or one for each.
 
-Goals 7 to 9 of the thesis. Three ways, once for each seed: a narrow network of the thesis's kind for both; one with more
-convolutional layers, as large as two; and two, one for each. Every network sees the same states in the same order, in
-batches of the same size, with the same learning rates. The states and the runs are stored in runs/table_6_1, and a
+Goals 7 to 9 of the thesis. Three ways, once for each seed: a narrow network of the thesis's kind for both; one with
+more convolutional layers, as large as two; and two, one for each. Every network sees the same states in the same order,
+in batches of the same size, with the same learning rates. The states and the runs are stored in runs/table_6_1, and a
 stopped run continues from there.
 """
 
@@ -90,7 +90,7 @@ FIGURE = Figure(
         "deeper": [[8, [3, 3, 3, 3]], [16, [3, 3, 2, 3, 3, 2]], [32, [2, 2, 2, 2]]],
         "settings": {
             **{"spacing": 1.0, "support": 1.0, "optimizer": "adam", "schedule": "cosine", "rate": 2e-3},
-            **{"epochs": 8, "batch_size": 32, "states_per_epoch": 1600, "validation_states": 200},
+            **{"epochs": 4, "batch_size": 32, "states_per_epoch": 1600, "validation_states": 200},
         },
         "seeds": 3,
     },

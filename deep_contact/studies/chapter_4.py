@@ -234,36 +234,26 @@ def strongest(maps: np.ndarray, count: int) -> np.ndarray:
     return np.argsort(-maps.std(axis=(0, 1)), kind="stable")[:count]
 
 
-def with_dropout(model, rate: float, seed: int = 0):
-    """A copy of a trained model with dropout on, as in training: (Keras model, name of a layer, name of its dropout).
+def with_dropout(model):
+    """A copy of a trained model whose dropout works as in training: (Keras model, name of a layer, of its dropout).
 
-    The model's own dropout layers are switched on with their own rates. If it has none, one with `rate` follows every
-    hidden convolution, as in Table 5.2. Everything else stays in inference, batch normalisation included, which would
-    change the numbers too. The names are those of the first layer with dropout and of the dropout after it. Every call
-    draws new masks.
+    Everything else stays in inference, batch normalisation included. The names are those of the first layer with
+    dropout and of the dropout after it. Every call draws new masks.
     """
     from deep_contact.cnn.backend import keras
 
-    own = [layer.name for layer in model.layers if isinstance(layer, keras.layers.Dropout)]
-    hidden = [layer.name for layer in convolutions(model) if getattr(layer.activation, "__name__", "") == "relu"]
     names = [layer.name for layer in model.layers]
-    dropped, dropping = (names[names.index(own[0]) - 1], own[0]) if own else (hidden[0], f"dropout_after_{hidden[0]}")
+    dropping = next(layer.name for layer in model.layers if isinstance(layer, keras.layers.Dropout))
 
     def call(layer, *arguments, **options):
-        if layer.name in own:
-            return layer(*arguments, **{**options, "training": True})
-        if isinstance(layer, keras.layers.BatchNormalization):
+        if isinstance(layer, (keras.layers.Dropout, keras.layers.BatchNormalization)):
             # Keras passes the mode of one layer on to the next ones, unless theirs is given.
-            options = {**options, "training": False}
-        out = layer(*arguments, **options)
-        if not own and layer.name in hidden:
-            number = hidden.index(layer.name)
-            out = keras.layers.Dropout(rate, seed=seed + number, name=f"dropout_after_{layer.name}")(out, training=True)
-        return out
+            options = {**options, "training": isinstance(layer, keras.layers.Dropout)}
+        return layer(*arguments, **options)
 
     functional = keras.Model(model.inputs[0], model.outputs[0])  # a Sequential has no calls to change
     copy = keras.models.clone_model(functional, call_function=call)
     for layer in model.layers:
         if weights := layer.get_weights():
             copy.get_layer(layer.name).set_weights(weights)
-    return copy, dropped, dropping
+    return copy, names[names.index(dropping) - 1], dropping

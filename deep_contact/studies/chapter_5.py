@@ -420,9 +420,9 @@ TARGET_SETS = {
 
 
 def train_on_targets(task: tuple) -> str:
-    """Train a network on images, or continue its training. task: (settings of `thesis_config`, data, folder of the run).
+    """Train a network on images, or continue its training; the path of its model file.
 
-    Returns the path of its model file.
+    task: (settings of `thesis_config`, data, folder of the run).
     """
     one_thread()
     from deep_contact.cnn import training

@@ -72,7 +72,7 @@ def test_a_network_of_other_layers_is_refused_here_and_runs_in_tensorflow(archit
     with pytest.raises(ValueError, match=r"network: expected the layers of architectures\.far_field"):
         Program(model, (9, 9))
     expected = np.asarray(model(image((9, 9))[None]))[0]
-    found = FarFieldModel(source=model, spec=far_field.FarFieldSpec(), coarsening=8).run(image((9, 9)))
+    found = FarFieldModel(source=model, spec=far_field.FarFieldSpec()).run(image((9, 9)))
     np.testing.assert_allclose(found, expected, atol=1e-5)
 
 

@@ -53,7 +53,12 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("figures")
 
 
-GONE = {"6.6": ("solvers", "quantities"), "6.10": ("coarse",), "T 6.3": ("models",)}
+GONE = {
+    **{"6.6": ("solvers", "quantities"), "6.10": ("coarse",), "T 6.3": ("models",)},
+    **{"5.9": ("networks",), "5.10": ("networks",)},
+    "T 6.1": tuple("data network training own_bodies own_steps simulations steps bodies held_out states stacks".split())
+    + ("deeper", "settings"),
+}
 """Id -> options of the stored run that name methods, starts or networks which are gone; their rows are left out."""
 
 

@@ -135,7 +135,7 @@ def test_feature_maps_are_what_the_first_convolution_gives_by_eq_4_1(network):
 
 def test_dropout_is_on_and_all_else_is_in_inference(network):
     image = np.random.default_rng(7).normal(size=(9, 9, 2)).astype(np.float32)
-    copy, before, after = worked.with_dropout(network, 0.5)
+    copy, before, after = worked.with_dropout(network)
     assert (before, after) == ("convolution_1_2", "dropout_1")
     maps = worked.feature_maps(copy, image, [before, after, "pooling_2", "normalization_2"])
     kept = maps[after] != 0
@@ -143,19 +143,6 @@ def test_dropout_is_on_and_all_else_is_in_inference(network):
     assert 0.05 < 1 - kept[maps[before] > 0].mean() < 0.15  # 500 values and more
     # Batch normalisation of an untrained network does next to nothing in inference; in training it would.
     np.testing.assert_allclose(maps["normalization_2"], maps["pooling_2"] / np.sqrt(1.001), rtol=1e-4, atol=1e-6)
-
-
-def test_a_network_without_dropout_gets_one_after_each_hidden_convolution(keras):
-    from deep_contact.cnn import architectures
-
-    model = architectures.build("compact", channels=3)
-    copy, before, after = worked.with_dropout(model, 0.25)
-    assert (before, after) == ("half", "dropout_after_half")
-    added = [layer.rate for layer in copy.layers if isinstance(layer, keras.layers.Dropout)]
-    hidden = [layer for layer in worked.convolutions(model) if layer.activation.__name__ == "relu"]
-    assert added == [0.25] * len(hidden)
-    for layer in hidden:
-        np.testing.assert_array_equal(copy.get_layer(layer.name).get_weights()[0], layer.get_weights()[0])
 
 
 # ---- the figures ----
@@ -193,11 +180,11 @@ def test_without_a_trained_network_its_figures_say_what_to_do(keras, tmp_path, c
 def test_figures_of_a_network_take_the_model_they_are_given(keras, tmp_path, script):
     from deep_contact.cnn import architectures, images, model_file
 
-    model = architectures.build("compact", channels=8, stem=4, width=4, decoder=4, dilations=(1,))
+    model = architectures.build("thesis", shape=(21, 21), stacks=[[4, [3]], [4, [2]]])
     rng = np.random.default_rng(8)
     model.set_weights([w + rng.normal(0.0, 0.3, w.shape) for w in model.get_weights()])
-    spec = images.ImageSpec(channels=images.SOLVER_CHANNELS, transfer="consistent", scale_free=True)
-    path = model_file.save_model(tmp_path / "random.h5", model, spec, {"architecture": "compact"}, coarsening=4)
+    card, box = {"architecture": "thesis"}, (0.0, 0.0, 10.0, 10.0)
+    path = model_file.save_model(tmp_path / "random.h5", model, images.ImageSpec(), card, box=box)
     settings = [f"model={path}", "n_bodies=6", "size=10", "steps=120"]
     arguments = [part for setting in settings for part in ("--set", setting)]
     assert figures.main(load_script(script).FIGURE, [*arguments, "--quick", "--jobs", "1", "--out", str(tmp_path)]) == 0
