@@ -428,7 +428,7 @@ def train_on_targets(task: tuple) -> str:
     from deep_contact.cnn import training
 
     settings, data, out = task
-    return str(training.train(training.thesis_config(**settings), data, out, held_out=20, verbose=0).path)
+    return str(training.train(training.thesis_config(**settings), data, out, verbose=0).path)
 
 
 def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], seed: int, progress: Callable) -> Path:
@@ -510,7 +510,7 @@ def one_or_two_networks(
     one a seed, see `errors_of_networks`}}, "sweeps", "seeds", "held-out states"}.
     """
     store = Store(data)
-    shared = {**settings, "fractions": (0.8, 0.1, 0.1), "simulations": len(store.simulations) - held_out}
+    shared = {**settings, "fractions": (0.8, 0.2, 0.0), "simulations": len(store.simulations) - held_out}
     tasks = {}
     for seed in seeds:
         for variant, targets in VARIANTS.items():
