@@ -56,8 +56,10 @@ def folder(tmp_path_factory):
 GONE = {
     **{"6.6": ("solvers", "quantities"), "6.10": ("coarse",), "T 6.3": ("models",)},
     **{"5.9": ("networks",), "5.10": ("networks",)},
-    "T 6.1": tuple("data network training own_bodies own_steps simulations steps bodies held_out states stacks".split())
-    + ("deeper", "settings"),
+    "T 6.1": (
+        *("data", "network", "training", "own_bodies", "own_steps", "simulations", "steps", "bodies"),
+        *("held_out", "states", "stacks", "deeper", "settings"),
+    ),
 }
 """Id -> options of the stored run that name methods, starts or networks which are gone; their rows are left out."""
 
