@@ -1,18 +1,19 @@
 """Training a network (section 5.3): `train`, and its settings, `TrainingConfig`.
 
-The settings are in `config`; `run` has the driver with checkpoints and history, and the training of networks on images
-by Keras; `far_field_run` has the epochs of the far-field network, through the solver. All but `config` load TensorFlow.
+The settings are in `config`, the driver with checkpoints and history in `run`, the networks on images, which Keras
+trains, in `network`, and the far-field network, trained through the solver, in `far_field_run`. All but `config` load
+TensorFlow.
 """
 
 from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
 
-_FROM_RUN = ("ImageDataset", "Training", "train")
-__all__ = [*_FROM_RUN, "TrainingConfig", "config_of", "far_field_config", "thesis_config"]
+_HOME = {"ImageDataset": "network", "Training": "run", "train": "run"}
+__all__ = [*_HOME, "TrainingConfig", "config_of", "far_field_config", "thesis_config"]
 
 
 def __getattr__(name: str):
-    if name not in _FROM_RUN:
+    if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from deep_contact.cnn.training import run
+    from importlib import import_module
 
-    return getattr(run, name)
+    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

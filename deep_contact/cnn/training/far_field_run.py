@@ -8,7 +8,7 @@ from deep_contact.cnn.backend import keras
 from deep_contact.cnn.dataset import evenly
 from deep_contact.cnn.far_field import corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
-from deep_contact.cnn.training.run import NetworkRun
+from deep_contact.cnn.training.network import NetworkRun
 
 _LEARN_FROM, _JUDGE_BY = 0.02, 0.05
 """Least relative error of Builtin's start in the states of the training and of the validation side."""

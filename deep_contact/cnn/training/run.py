@@ -38,17 +38,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.cnn import architectures, schedules
+from deep_contact.cnn import schedules
 from deep_contact.cnn.backend import keras
 from deep_contact.cnn.dataset import Store, evenly, split_by_simulation
 from deep_contact.cnn.evaluation import BASELINES, held_out_errors
-from deep_contact.cnn.images import ImageSpec, input_image, label_image
 from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model
-from deep_contact.cnn.losses import masked_squared_error
 from deep_contact.cnn.model_file import read_metadata, save_model
 from deep_contact.cnn.training.config import TrainingConfig
+from deep_contact.cnn.training.far_field_run import FarFieldRun
+from deep_contact.cnn.training.network import ImageRun, NetworkRun
 from deep_contact.io.files import replacing
-from deep_contact.reporting.results import package_versions, processor
 
 
 class Training(NamedTuple):
@@ -82,8 +81,6 @@ def train(
     Raises ValueError where the run in `out` was started with other settings or data (`epochs` may differ unless the
     rates depend on it); FloatingPointError where the loss is not finite.
     """
-    from deep_contact.cnn.training.far_field_run import FarFieldRun
-
     store = data if isinstance(data, Store) else Store(data)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -142,49 +139,6 @@ def _initial(from_model, config: TrainingConfig) -> keras.Model | None:
     if initial.spec != config.spec():
         raise ValueError(f"from_model: expected a network for the images {config.spec()}, got one for {initial.spec}")
     return initial.network
-
-
-class NetworkRun:
-    """A network in training. Subclasses have `fit`, which trains it, and set `training_states`, their number.
-
-    box: the world's box of a network of one size, or None.
-    """
-
-    box = None
-
-    def __init__(self, config: TrainingConfig, network: keras.Model | None, **options):
-        self.config, self.spec = config, config.spec()
-        sizes = {"channels": len(self.spec.channels), "outputs": len(self.spec.targets)}
-        self.model = network or architectures.build(config.architecture, **sizes, **(options | config.options))
-        if config.optimizer == "sgd":  # Eq 4.8
-            self.optimizer = keras.optimizers.SGD(config.rate)
-        else:
-            self.optimizer = keras.optimizers.Adam(config.rate, global_clipnorm=1.0)
-        self.optimizer.build(self.model.trainable_variables)
-        self.model.optimizer = self.optimizer  # where Keras's callbacks look for it
-        kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
-        self.variables = {f"{kind}_{i:04d}": v for kind, found in kinds.items() for i, v in enumerate(found)}
-        """All that an epoch changes: weights, statistics, the random states of dropout, the optimizer's."""
-
-    def batches_per_epoch(self) -> int:
-        """Number of full batches of an epoch. Raises ValueError where there are fewer states than one batch has."""
-        states, size = self.training_states, self.config.batch_size
-        if states < size:
-            raise ValueError(f"batch_size: expected at most the {states} states to train on, got {size}")
-        return max(1, min(states, self.config.states_per_epoch or states) // size)
-
-    def card(self) -> dict:
-        """Fields of the model card about the network and its training."""
-        return {
-            "architecture": self.config.architecture,
-            "options": dict(self.config.options),
-            "parameters": int(self.model.count_params()),
-            "trainable_parameters": int(sum(np.prod(v.shape) for v in self.model.trainable_variables)),
-            "training_states": self.training_states,
-            "seed": self.config.seed,
-            "versions": {**package_versions(), "python": sys.version.split()[0], "backend": keras.backend.backend()},
-            "cpu": processor(),
-        }
 
 
 class Record(keras.callbacks.Callback):
@@ -251,72 +205,3 @@ def _check_settings(before: dict, settings: dict, out: Path) -> None:
                 f"{name}: expected {before.get(name)!r}, with which the run in {out} was started, "
                 f"got {settings.get(name)!r}; take another folder, or delete it"
             )
-
-
-# ---- networks on images, trained by Keras ----
-
-
-class ImageDataset(keras.utils.PyDataset):
-    """Batches of images as Keras takes them: item k is (inputs (b, n_y, n_x, c), labels (b, n_y · n_x · t)), float32.
-
-    store, states: (k, 2) of (simulation, index) in it. seed: they come in a random order, another one each epoch, and
-    in full batches only; None: in their order, all of them. states_per_epoch: at most so many, or None.
-    Raises ValueError where two simulations have images of different shapes.
-    """
-
-    def __init__(self, store: Store, states, spec: ImageSpec, *, batch_size: int, seed=None, states_per_epoch=None):
-        super().__init__()
-        self.store, self.spec, self.batch_size, self.seed = store, spec, batch_size, seed
-        self.states = np.asarray(states, np.int64).reshape(-1, 2)
-        count = min(len(self.states), states_per_epoch or len(self.states))
-        self.length = -(-count // batch_size) if seed is None else count // batch_size
-        worlds = [store.info(sim).header["world"] for sim in np.unique(self.states[:, 0]).tolist()]
-        shapes = {spec.shape(world): world for world in worlds}
-        if len(shapes) > 1:
-            raise ValueError(f"states: expected boxes of one size, got {' and '.join(str(w.box) for w in worlds)}")
-        self.box = worlds[0].box if worlds else None
-        self.start(0)
-
-    def __len__(self) -> int:
-        return self.length
-
-    def start(self, epoch: int) -> None:
-        """Take the states in the order of an epoch."""
-        self.epoch, self.order = epoch, self.states
-        if self.seed is not None:
-            self.order = np.random.default_rng((self.seed, epoch)).permutation(self.states)
-
-    def on_epoch_end(self) -> None:
-        self.start(self.epoch + 1)
-
-    def __getitem__(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        chosen = self.order[k * self.batch_size : (k + 1) * self.batch_size].tolist()
-        states = [self.store.state(*state) for state in chosen]
-        labels = np.stack([label_image(state, self.spec) for state in states])
-        return np.stack([input_image(state, self.spec) for state in states]), labels.reshape(len(states), -1)
-
-
-class ImageRun(NetworkRun):
-    """A run whose network predicts images of impulses."""
-
-    def __init__(self, config: TrainingConfig, store: Store, split, network: keras.Model | None):
-        spec, options = config.spec(), {"batch_size": config.batch_size}
-        states, tested = store.states(split.train), evenly(store.states(split.validation), config.validation_states)
-        more = {"seed": config.seed, "states_per_epoch": config.states_per_epoch}
-        self.images = ImageDataset(store, states, spec, **options, **more)
-        self.validation_images = ImageDataset(store, tested, spec, **options)
-        self.training_states, self.box = len(states), self.images.box
-        super().__init__(config, network, shape=spec.shape(store.info(split.train[0]).header["world"]))
-        self.batches_per_epoch()
-
-    def fit(self, callbacks: list, *, epochs: int, first: int, verbose: int) -> None:
-        """Train from epoch `first` on."""
-        loss = {"loss": masked_squared_error, "metrics": [masked_squared_error], "jit_compile": False}
-        self.model.compile(self.optimizer, **loss)
-        self.images.start(first)
-        given = {"validation_data": self.validation_images, "callbacks": callbacks, "shuffle": False}
-        self.model.fit(self.images, epochs=epochs, initial_epoch=first, verbose=verbose, **given)
-
-    def validated(self, logs: dict) -> dict[str, float]:
-        """The columns of the history on the validation states: the loss without the weights' penalty."""
-        return {"validation_loss": float(logs["val_masked_squared_error"])}
