@@ -35,7 +35,7 @@ class ContactScales(NamedTuple):
     | slop                  | penetration that position correction leaves alone                     | m     |
     | wall_skin             | walls are felt this far ahead of their surface                        | m     |
     | max_correction        | largest displacement of one row in one sweep of position correction   | m     |
-    | max_translation       | largest displacement of a body in one step                            | m     |
+    | max_translation       | largest displacement of a body in one step; no limit where e > 0      | m     |
     | restitution_threshold | approach speed above which a contact bounces                          | m/s   |
     | sleep_speed           | a circle is still up to this speed                                    | m/s   |
     | sleep_spin            | and up to this angular velocity                                       | rad/s |
@@ -109,7 +109,7 @@ def contact_scales(radius, gravity, dt: float, given: ContactScales | None = Non
         slop=BOX2D.slop * length,
         wall_skin=BOX2D.wall_skin * length,
         max_correction=BOX2D.max_correction * length,
-        max_translation=BOX2D.max_translation * length,
+        max_translation=BOX2D.max_translation * length if state.world.restitution == 0.0 else math.inf,
         restitution_threshold=BOX2D.restitution_threshold * felt,
         sleep_speed=BOX2D.sleep_speed * felt,
         sleep_spin=BOX2D.sleep_spin * felt / length,

@@ -38,7 +38,6 @@ from deep_contact.physics.contact_solver import (
     apply_impulse,
     arms_of,
     effective_masses,
-    target_of,
 )
 from deep_contact.physics.position_correction import IDLE
 from deep_contact.physics.segments import surface_velocity
@@ -293,9 +292,6 @@ def write_block(given, contacts, plan, tiles, k):
         if s >= 0:
             data[t, ARM_B, j] = surface_velocity(segments[s], normal[0], normal[1])
         data[t, TARGET, j] = 0.0
-        if given.restitution != 0.0:
-            threshold = given.scales.restitution_threshold
-            data[t, TARGET, j] = target_of(given.bodies.velocity, contacts, i, given.restitution, threshold)
         impulse[t, NORMAL, j], impulse[t, TANGENT, j] = contacts.normal_start[i], contacts.tangent_start[i]
         apply_impulse(
             v, a, row_b, (data[t, N_X, j], data[t, N_Y, j]), (data[t, ARM_A, j], data[t, ARM_B, j]),

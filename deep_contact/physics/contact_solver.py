@@ -87,10 +87,10 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(bodies, contacts, solver_bodies, restitution, threshold, buffer, friction=0.0):
+def contact_rows(bodies, contacts, solver_bodies, buffer, friction=0.0):
     """Rows of all contacts with their starting impulses. Returns (rows, buffer): views of the buffer, grown if needed.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). Targets: `write_targets`.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). Targets: 0.
     """
     m = contacts.body_a.shape[0]
     if m > buffer.body.shape[0]:
@@ -100,7 +100,7 @@ def contact_rows(bodies, contacts, solver_bodies, restitution, threshold, buffer
         write_normal_rows(contacts, solver_bodies, rows)
     else:
         write_rows(bodies, contacts, solver_bodies, rows)
-    write_targets(bodies.velocity, contacts, restitution, threshold, rows)
+    rows.data[:, -1] = 0.0
     return rows, buffer
 
 

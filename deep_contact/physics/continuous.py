@@ -142,19 +142,18 @@ def _crossing(i, path, swept):
 
 @njit(cache=True, error_model="numpy")
 def take_back_fall(velocity, time, gravity):
-    """Slow a velocity, (2,), m/s, in place, by the energy of the way that it would have fallen in this time, s.
+    """Change a velocity, (2,), m/s, in place, by the energy of the way that it does not fall, or rise, in this time, s.
 
-    What stops early has not lost that height: with all of its speed it would gain energy from nothing.
+    What stops early has not lost that height, or not won it: with all of its speed its energy would change.
     """
     g = math.hypot(gravity[0], gravity[1])
     if g == 0.0:
         return
     d_x, d_y = gravity[0] / g, gravity[1] / g
     down = velocity[0] * d_x + velocity[1] * d_y
-    if down > 0.0:
-        change = math.sqrt(max(0.0, down * (down - 2.0 * g * time))) - down
-        velocity[0] += change * d_x
-        velocity[1] += change * d_y
+    change = math.copysign(math.sqrt(max(0.0, down * (down - 2.0 * g * time))), down) - down
+    velocity[0] += change * d_x
+    velocity[1] += change * d_y
 
 
 @njit(cache=True, error_model="numpy")

@@ -35,6 +35,7 @@ from deep_contact.physics.contact_solver import (
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
+from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import CorrectionRoom, correct_positions, make_correction_room
 from deep_contact.physics.segments import positions_before, segments_of
 from deep_contact.physics.sleeping import advance_sleeping
@@ -103,10 +104,10 @@ def advance_with(memory, front_buffer, given, options, workspace, log):
     solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
     solved = contacts
     for k in range(log.contacts.shape[0]):
+        if given.restitution > 0.0:
+            rebound(given, contacts)
         integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-        rows, row_buffer = contact_rows(
-            bodies, contacts, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
-        )
+        rows, row_buffer = contact_rows(bodies, contacts, solver_bodies, row_buffer, friction)
         if segments.shape[0] > 0:
             move_surfaces(contacts, segments, solver_bodies, rows)
         apply_impulses(rows, solver_bodies, friction)
@@ -157,13 +158,10 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def build_rows(given, solver_bodies):
-    """Fill the solver bodies of a step, and return its rows. given: `StepInput`."""
+    """Fill the solver bodies of a step, after its impacts, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
     buffer = make_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
-    threshold = given.scales.restitution_threshold
-    rows, _ = contact_rows(
-        given.bodies, given.contacts, solver_bodies, given.restitution, threshold, buffer, given.friction
-    )
+    rows, _ = contact_rows(given.bodies, given.contacts, solver_bodies, buffer, given.friction)
     if given.segments.shape[0] > 0:
         move_surfaces(given.contacts, given.segments, solver_bodies, rows)
     return rows
@@ -241,7 +239,7 @@ class ContactSolution(NamedTuple):
 
 
 class StepProblem(NamedTuple):
-    """The contact problem of a state's next step, built once and handed to the start and to the solver.
+    """The contact problem of a state's next step, after its impacts, built once for the start and for the solver.
 
     rows: `Rows`; their impulses are those that the state starts from. solver_bodies: after gravity, before impulses,
     (n + 4, 4). friction: μ, or None where there are no tangent rows.
@@ -271,11 +269,21 @@ def step_input(state: State, settings: NamedTuple, scales: ContactScales | None 
     return StepInput(state.bodies, state.contacts, box, segments, gravity, friction, restitution, state.dt, scales)
 
 
+def after_impacts(state: State) -> State:
+    """The state with the velocities after the impacts of its next step (`impacts`); itself where e = 0."""
+    if state.world.restitution == 0.0:
+        return state
+    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
+    rebound(StepInput(bodies, state.contacts, *world_arguments(state), state.dt, state.scales), state.contacts)
+    return state.replace(bodies=bodies)
+
+
 def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
     """The contact problem of the state's next step, in the solver's precision; by default with tangents, in float64.
 
     scales: the state's, if they are at hand.
     """
+    state = after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision if solver else "double"])
     if solver is None:
         scales = state.scales if scales is None else scales
@@ -314,6 +322,8 @@ def solve(
     state: State, solver, normal_start: np.ndarray, tangent_start: np.ndarray, problem: StepProblem | None = None
 ) -> ContactSolution:
     """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is.
+
+    Where e > 0 the velocities are those after its impacts as well, whose impulses are not among the solution's.
 
     problem: of `step_problem` for the same state and solver, if it is at hand; it stays as it is.
     """

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from scipy import sparse
 
-from deep_contact.physics.metrics import targets
+from deep_contact.physics.engine import after_impacts
 from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import State
 
@@ -24,7 +24,7 @@ class ContactProblem(NamedTuple):
     | field         | meaning                                                                 | shape    | unit |
     |---------------|-------------------------------------------------------------------------|----------|------|
     | A             | J M⁻¹ Jᵀ, sparse (CSR)                                                  | (r, r)   | 1/kg |
-    | b             | J (v + Δt M⁻¹ F) and surfaces that move, less the targets of bounces    | (r,)     | m/s  |
+    | b             | J (v + Δt M⁻¹ F) and surfaces that move; v after the step's impacts     | (r,)     | m/s  |
     | jacobian      | J, sparse (CSR); J v is what circles give to contacts                   | (r, 3n)  |      |
     | inverse_mass  | diagonal of M⁻¹ for (v_x, v_y, ω) of every circle                       | (3n,)    |      |
     | free_velocity | v + Δt M⁻¹ F, likewise                                                  | (3n,)    |      |
@@ -138,9 +138,9 @@ def _cone_distance(impulse, u, friction):
 
 def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
     """Assemble A and b of a state that has contacts. friction: with tangent rows, or normal rows only."""
-    bodies, contacts = state.bodies, state.contacts
-    if contacts is None:
+    if state.contacts is None:
         raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
+    bodies, contacts = after_impacts(state).bodies, state.contacts
     n, m = bodies.count, contacts.count
     inverse_mass = np.repeat(1 / bodies.mass, 3)
     inverse_mass[2::3] = 1 / bodies.inertia
@@ -167,7 +167,6 @@ def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
     index = (np.concatenate(rows), np.concatenate(columns))
     jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=shape))
     b = jacobian @ free
-    b[:: len(directions)] -= targets(state)
     if friction and state.world.surface_speeds:
         b[1::2] += surface_velocities(contacts, segments_of(state.world), n)
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)

@@ -12,14 +12,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from deep_contact.physics.engine import ContactSolution, contacts_of
+from deep_contact.physics.engine import ContactSolution, after_impacts, contacts_of
 from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import Bodies, State
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
-    """v⁻ = v + Δt g and ω before contacts: velocities (n, 2), m/s, and angular velocities (n,), rad/s (Eq 2.27)."""
-    return state.bodies.velocity + state.dt * np.array(state.world.gravity), state.bodies.spin
+    """v⁻ = v + Δt g and ω before contacts, after impacts: velocities (n, 2), m/s, and spins (n,), rad/s (Eq 2.27)."""
+    bodies = after_impacts(state).bodies
+    return bodies.velocity + state.dt * np.array(state.world.gravity), bodies.spin
 
 
 def kinetic_energy(bodies: Bodies) -> float:
@@ -89,13 +90,6 @@ def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tupl
     return np.einsum("ij,ij->i", apart, normal), along_tangent
 
 
-def targets(state: State) -> np.ndarray:
-    """Normal velocities that the contacts are to part with, (m,), m/s: see `contact_solver.write_targets`."""
-    before = row_velocities(state, state.bodies.velocity, state.bodies.spin)[0]
-    slow = (-state.scales.restitution_threshold <= before) & (before <= 0.0)
-    return np.where(slow, 0.0, -state.world.restitution * before)
-
-
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
     """1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
     bodies, contacts = state.bodies, state.contacts
@@ -112,7 +106,7 @@ def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
 def residual(state: State, solution: ContactSolution) -> float:
     """Complementarity residual, m/s: the largest |λ − Π(λ − k u)| / k over all rows (the natural map).
 
-    u: the row's velocity less its target; k: its effective mass; Π puts λ_n above 0 and λ_t within ±μ λ_n. For a
+    u: the row's velocity; k: its effective mass; Π puts λ_n above 0 and λ_t within ±μ λ_n. For a
     normal row that is |min(λ_n / k, u_n)|: an approach that is left, or a pull apart that is still pushed. 0 in
     every row is Eq 2.27 with Coulomb's law, Eq 2.29. (Cottle, Pang and Stone 1992, section 1.4; Erleben 2013.)
     """
@@ -122,7 +116,7 @@ def residual(state: State, solution: ContactSolution) -> float:
     k_n, k_t = effective_masses(state)
     p_n, p_t = solution.normal_impulses, solution.tangent_impulses
     largest = state.world.friction * np.maximum(p_n, 0.0)
-    wrong_n = (p_n - np.maximum(p_n - k_n * (normal - targets(state)), 0.0)) / k_n
+    wrong_n = (p_n - np.maximum(p_n - k_n * normal, 0.0)) / k_n
     wrong_t = (p_t - np.clip(p_t - k_t * tangent, -largest, largest)) / k_t
     return float(max(np.abs(wrong_n).max(), np.abs(wrong_t).max()))
 

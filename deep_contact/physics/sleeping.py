@@ -28,6 +28,7 @@ from deep_contact.physics.contact_solver import (
     move_surfaces,
     store_impulses,
 )
+from deep_contact.physics.impacts import rebound
 from deep_contact.physics.islands import root_of, unite
 from deep_contact.physics.position_correction import correct_positions, make_correction_room
 from deep_contact.physics.segments import positions_before
@@ -64,11 +65,11 @@ def advance_sleeping(given, options, workspace, log):
                 break
             continue
         active, active_buffer = awake_contacts(contacts, still, active_buffer)
+        if given.restitution > 0.0:
+            rebound(given, active)
         integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
         hold_sleeping(still, solver_bodies)
-        rows, row_buffer = contact_rows(
-            bodies, active, solver_bodies, given.restitution, scales.restitution_threshold, row_buffer, friction
-        )
+        rows, row_buffer = contact_rows(bodies, active, solver_bodies, row_buffer, friction)
         if segments.shape[0] > 0:
             move_surfaces(active, segments, solver_bodies, rows)
         apply_impulses(rows, solver_bodies, friction)

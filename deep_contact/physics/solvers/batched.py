@@ -66,6 +66,7 @@ from deep_contact.physics.contact_solver import (
     stop_fast_circles,
 )
 from deep_contact.physics.convergence import all_finite, is_over
+from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import (
     correct_positions,
     correct_tiles,
@@ -331,6 +332,8 @@ def advance_together(given, options, workspace, log, shared, crew):
             if not is_plan_of(shared.plan, n, contacts, shared.solved):
                 shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
             shared.tiles = with_room(shared.plan, shared.tiles)
+            if given.restitution > 0.0:
+                rebound(given, contacts)
         wait(crew)
         plan, tiles, contacts = shared.plan, shared.tiles, shared.contacts
         before = positions_before(bodies, segments)
