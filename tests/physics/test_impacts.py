@@ -32,7 +32,7 @@ def with_masses(scene, ratio, seed=1):
 def lattices(restitution, speed=10.0):
     """Two blocks of 16 circles that run into each other, without gravity."""
     block = np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(-1, 2) * 2.02
-    position = np.concatenate([block + [3.0, 11.0], block + [18.0, 11.5]])
+    position = np.concatenate([block + np.array([3.0, 11.0]), block + np.array([18.0, 11.5])])
     velocity = np.repeat([[0.5 * speed, 0.0], [-0.5 * speed, 0.0]], 16, axis=0)
     world = World(box=BOX, gravity=(0, 0), restitution=restitution)
     return State(name="lattices", world=world, bodies=dc.make_bodies(position, velocity=velocity))
