@@ -168,33 +168,6 @@ def move_surfaces(contacts, segments, solver_bodies, rows):
 
 
 @njit(cache=True)
-def write_targets(velocity, contacts, restitution, threshold, rows):
-    """Fill the targets of the rows, m/s: −e times v_n before the step, (n, 2), m/s, and before its gravity.
-
-    Newton's law for all contacts at once (Moreau 1988): λ_n ≥ 0, v_n⁺ + e v_n⁻ ≥ 0, and one of them is 0. Contacts that
-    part may be pressed as well, down to an approach of e v_n⁻. The energy changes by ½ Σ λ_n (v_n⁺ + v_n⁻) and the work
-    of gravity, and the sum is 0 for e = 1; with 0 in place of the negative targets, or with gravity in v_n⁻ (Box2D
-    does both), it is positive. Approaches up to the threshold end at 0, so that piles come to rest.
-    """
-    rows.data[:, -1] = 0.0
-    if restitution == 0.0:
-        return
-    for i in range(contacts.body_a.shape[0]):
-        rows.data[i, -1] = target_of(velocity, contacts, i, restitution, threshold)
-
-
-@njit(cache=True)
-def target_of(velocity, contacts, i, restitution, threshold):
-    """The target of the i-th contact, m/s: see `write_targets`."""
-    a, b = contacts.body_a[i], contacts.body_b[i]
-    v_x, v_y = -velocity[a, 0], -velocity[a, 1]
-    if b < velocity.shape[0]:
-        v_x, v_y = v_x + velocity[b, 0], v_y + velocity[b, 1]
-    v_n = v_x * contacts.normal[i, 0] + v_y * contacts.normal[i, 1]
-    return -restitution * v_n if v_n < -threshold or v_n > 0.0 else 0.0
-
-
-@njit(cache=True)
 def apply_impulses(rows, solver_bodies, friction=0.0):
     """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
     if friction is None:
