@@ -266,7 +266,8 @@ def sweep_both(rows, friction, solver_bodies):
     v = solver_bodies
     body, data, impulse = rows.body, rows.data, rows.impulse
     # In the precision of the velocities: a float64 among float32 would make all of them float64.
-    two, mu, theta = v.dtype.type(2.0), v.dtype.type(friction), v.dtype.type(0.0)
+    two, mu, nothing = v.dtype.type(2.0), v.dtype.type(friction), v.dtype.type(0.0)
+    theta = nothing
     # Contacts are sorted by body a, so its velocity stays in registers until the next a: successive contacts of one
     # body need not wait for a trip through memory.
     held = np.uint32(0)
@@ -287,7 +288,7 @@ def sweep_both(rows, friction, solver_bodies):
         x_n, y_n, x_t, y_t = k_n * n_x, k_n * n_y, k_t * n_y, k_t * n_x
         free_n = k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
         free_t = -(k_t * arm_b) * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
-        largest = mu * old_n
+        largest = mu * max(old_n, nothing)  # methods that extrapolate may begin a sweep below 0
         p_t = max(-largest - old_t, min(free_t, largest - old_t))
         p_n = max(free_n, -old_n)
         impulse[i, NORMAL] = old_n + p_n

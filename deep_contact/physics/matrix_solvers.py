@@ -126,7 +126,7 @@ def sweep(blocks, impulse):
         u_n, u_t = gather(blocks, impulse, i)
         own = blocks.diagonal[i]
         old_n, old_t = impulse[i, 0], impulse[i, 1]
-        largest = blocks.mu[i] * old_n
+        largest = blocks.mu[i] * max(old_n, 0.0)
         new_t = old_t - own[5] * (u_t + own[2] * old_n + own[3] * old_t)
         new_t = max(-largest, min(new_t, largest))
         new_n = max(0.0, old_n - own[4] * (u_n + own[0] * old_n + own[1] * new_t))
