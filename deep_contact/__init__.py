@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     )
     from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS, NesterovPGS
     from deep_contact.planning import plan
-    from deep_contact.recommendation import recommend
+    from deep_contact.presets import recommend
     from deep_contact.reporting import figures, plotting, results
     from deep_contact.scales import BOX2D, ContactScales
     from deep_contact.simulation import simulate, simulate_many, solve_contacts, step

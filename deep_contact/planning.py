@@ -18,7 +18,7 @@ from deep_contact.physics.engine import advance_of, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import BatchedPGS, describe
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
-from deep_contact.recommendation.stiff import SUBSTEPS, SWEEPS, stiffness
+from deep_contact.presets import SUBSTEPS, SWEEPS, stiffness
 from deep_contact.reporting import results
 from deep_contact.simulation import method_of, ready
 from deep_contact.state import State

@@ -151,7 +151,7 @@ def simulate(
     solver: options such as `PGS(sweeps=…)`; by default the state's own, or what accuracy="fast" takes.
     warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
-    were measured to keep the tolerances of that preset (`recommendation.PRESETS`) on the errors of a run. Where the
+    were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run. Where the
     scene's circles are too small or too fast for its Δt, the step is divided into substeps.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
@@ -399,9 +399,9 @@ def method_of(state: State, solver=None, start="builtin", accuracy: str | None =
     if accuracy is not None and solver is not None:
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
     if accuracy is not None or (solver is None and state.solver is None):
-        from deep_contact.recommendation import runs  # which reads the study
+        from deep_contact import presets  # which reads the study
 
-        solver, of_preset = runs.solver_and_start(state, accuracy, sleep=sleep)
+        solver, of_preset = presets.solver_and_start(state, accuracy, sleep=sleep)
         start = start if accuracy is None else of_preset
     return checked_solver(solver, state), warm_start_of(start)
 

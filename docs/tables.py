@@ -15,7 +15,7 @@ import re
 import sys
 from pathlib import Path
 
-from deep_contact.recommendation import PRESETS
+from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
 from deep_contact.reporting.results import replacing

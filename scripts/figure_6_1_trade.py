@@ -1,7 +1,7 @@
 """python scripts/figure_6_1_trade.py: errors of a run against its wall time, ours and other engines'."""
 
 from deep_contact.constants import TIME_STEP
-from deep_contact.recommendation import PRESETS
+from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs

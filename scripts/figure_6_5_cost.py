@@ -4,7 +4,7 @@ import numpy as np
 
 from deep_contact.constants import TIME_STEP
 from deep_contact.io import shipped
-from deep_contact.recommendation import PRESETS
+from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs

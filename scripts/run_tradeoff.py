@@ -23,7 +23,7 @@ from types import MappingProxyType
 
 from deep_contact import parallel
 from deep_contact.constants import TIME_STEP
-from deep_contact.recommendation.runs import PRESETS, TABLE, recommend
+from deep_contact.presets import PRESETS, TABLE, recommend
 from deep_contact.reporting import figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done

@@ -24,7 +24,7 @@ from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
 from deep_contact.physics import metrics
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
-from deep_contact.recommendation.stiff import stiffness
+from deep_contact.presets import stiffness
 from deep_contact.scales import mean
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies

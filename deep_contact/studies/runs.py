@@ -27,7 +27,7 @@ from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.physics.solvers.registry import GONE
-from deep_contact.recommendation.runs import PRESETS
+from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, results
 from deep_contact.simulation import simulate
 from deep_contact.state import State

@@ -7,7 +7,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics.continuous import take_back_fall
-from deep_contact.recommendation import PRESETS
+from deep_contact.presets import PRESETS
 from deep_contact.simulation import ready
 from deep_contact.state import State, World
 from deep_contact.studies.extremes import mechanical_energy

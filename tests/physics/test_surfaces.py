@@ -14,7 +14,7 @@ from deep_contact.io.xml_tree import StateFileError
 from deep_contact.physics import metrics
 from deep_contact.physics.lcp import contact_problem, natural_residual
 from deep_contact.physics.solvers import METHODS
-from deep_contact.recommendation.runs import longest_step
+from deep_contact.presets import longest_step
 from deep_contact.state import State, World, make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)

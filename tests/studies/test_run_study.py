@@ -8,7 +8,7 @@ from conftest import load_script
 
 import deep_contact as dc
 from deep_contact.constants import TIME_STEP
-from deep_contact.recommendation import PRESETS
+from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
 from deep_contact.studies import peers, runs
 from deep_contact.studies.parts import done

@@ -18,8 +18,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact.io.files import write_json
-from deep_contact.recommendation import PRESETS
-from deep_contact.recommendation.runs import solver_and_start
+from deep_contact.presets import PRESETS, solver_and_start
 from deep_contact.reporting import results
 from deep_contact.studies.extremes import mechanical_energy
 

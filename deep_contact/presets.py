@@ -1,4 +1,4 @@
-"""What a run is worth and what it costs: the presets of `simulate(accuracy=…)`, and `recommend`.
+"""How accurate, and the cheapest way there: the presets of `simulate(accuracy=…)`, and `recommend`.
 
 A preset is a table of tolerances on the errors of a run (`studies.runs.ERRORS`). Which setting keeps them at the
 least cost is read from what `scripts/run_tradeoff.py --install` measured: errors and times of settings (method, sweeps,
@@ -6,6 +6,12 @@ time step) on falling piles of equal and of mixed circles, with and without fric
 
 A setting's time step is that of circles of r = 1 m under g = 9.81 m/s²; for others it is scaled by √(r / g), and the
 step that a user gives is divided into substeps where it is longer.
+
+The study has no scenes that a few sweeps cannot solve: a sweep carries information one contact further, and a light
+circle under a heavy load gives way, so Projected Gauss-Seidel needs sweeps in proportion to height times load.
+`stiffness` recognises such scenes and takes conjugate gradients to a tolerance that the lightest circle can feel, in
+substeps, which a ratio of masses of 1e8 needs (Figure 6.6). A high pyramid creeps apart at one step of 10 ms however
+well it is solved, since the next solve does not expect what position correction moves: it gets substeps of two sweeps.
 """
 
 from __future__ import annotations
@@ -17,18 +23,19 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
-from deep_contact.physics.solvers import describe, solver_from
+from deep_contact.physics.engine import contacts_of
+from deep_contact.physics.solvers import NNCG, PGS, describe, solver_from
 from deep_contact.physics.solvers.registry import GONE, entry_of
-from deep_contact.recommendation.steps import StepRecommendation, recommend_step
-from deep_contact.recommendation.stiff import stiffness
+from deep_contact.scales import FOLLOWS_SCENE, mean
 from deep_contact.state import State
 from deep_contact.validation import number, one_of
 
-TABLE = Path(__file__).parents[1] / "reference" / "runs.json"
+TABLE = Path(__file__).parent / "reference" / "runs.json"
 """What the study installed, shipped with the package."""
 
 PRESETS = {
@@ -55,11 +62,34 @@ _MARGIN = 0.85
 _NEARLY = 1.05
 """A step that is longer by so much is not divided: radii drawn around 1 m have a mean that is not exactly 1 m."""
 
-MOST_SUBSTEPS = 64
+MOST_SUBSTEPS = 1024
 """A preset divides a step into so many at most."""
 
 FASTEST = 10.0
 """Speed of circles, in √(g r), up to which the study's time steps hold; faster ones get shorter steps."""
+
+MASS_RATIO, LOAD = 100.0, 250.0
+"""Largest ratio of masses that is left to the study's settings, and largest height in circles times load (`_load`)."""
+
+SLENDER = 8.0
+"""A column is so many times as high as it is wide. In wider piles the study has the load of equal densities."""
+
+HEAP, FILLED, TOUCHING = 50.0, 0.75, 1.5
+"""A heap is more circles high than the first, fills less than the second of the rectangle around it (a pyramid half),
+and has more contacts a circle than the third, so that it lies."""
+
+HEAP_ROWS = 12.0
+"""Circles on one another for each substep of two sweeps."""
+
+SWEEPS, SUBSTEPS = 5000, 4
+"""Most sweeps of a substep, and least substeps of a step, for what is solved to a tolerance."""
+
+SHARE = 1e-6
+"""Tolerance, as a share of the impulse that carries the lightest circle for Δt."""
+
+
+class PresetWarning(UserWarning):
+    """What a preset cannot keep in a scene: it names the quantity, and what to do."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,22 +136,16 @@ def recommend(
     *,
     accuracy: str | None = None,
     budget_ms: float | None = None,
-    velocity_error: float | None = None,
     table: Mapping | None = None,
-) -> Recommendation | StepRecommendation:
+) -> Recommendation:
     """The cheapest setting that keeps the tolerances of a preset, or the most accurate within a time.
 
     accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms.
-    velocity_error: of single steps, relative, in place of both: see `recommendation.steps`, a diagnostic of solvers.
     table: what a study installs; by default the one in the package.
     Times are those of the processor of the study. Raises ValueError on a bad wish or on two at once.
     """
-    wishes = {"accuracy": accuracy, "budget_ms": budget_ms, "velocity_error": velocity_error}
-    given = [name for name, value in wishes.items() if value is not None]
-    if len(given) > 1:
-        raise ValueError(f"recommend: expected one of {', '.join(wishes)}, got {', '.join(given)}")
-    if velocity_error is not None:
-        return recommend_step(scene, velocity_error=velocity_error, table=table)
+    if accuracy is not None and budget_ms is not None:
+        raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
     study = installed() if table is None else table
     substeps = _substeps(scene, study)
     stiff = stiffness(scene, substeps[TIME_STEP])
@@ -147,24 +171,28 @@ def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False)
     name = one_of("accuracy", accuracy or "fast", PRESETS)
     substeps = _substeps(scene, installed())
     stiff = stiffness(scene, substeps[TIME_STEP])
-    solver, start, is_kept = _chosen(
+    solver, start, is_kept, dt = _chosen(
         name, sleep, scene.bodies.count, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver
     )
+    told = limits(scene, dt) if accuracy is not None else _too_long(scene, dt)
     if accuracy is not None and not is_kept:
-        warnings.warn(
-            f"accuracy={name!r}: no setting of the study keeps its tolerances for {scene.bodies.count:,} circles; the "
-            f"nearest is taken (print(dc.recommend(scene, accuracy={name!r})) says more)",
-            stacklevel=5,
+        told.append(
+            f"no setting of the study keeps its tolerances for {scene.bodies.count:,} circles; the nearest is taken "
+            f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
         )
+    for sentence in told:
+        warnings.warn(f"accuracy={name!r}: {sentence}", PresetWarning, stacklevel=4)
     return solver, start
 
 
 @functools.lru_cache(256)
-def _chosen(accuracy: str, sleep: bool, n: int, kinds: tuple, substeps: tuple, stiff) -> tuple[object, str, bool]:
-    """Solver, start and whether the preset is kept: all that `solver_and_start` reads from the installed study."""
+def _chosen(
+    accuracy: str, sleep: bool, n: int, kinds: tuple, substeps: tuple, stiff
+) -> tuple[object, str, bool, float]:
+    """Solver, start, whether the preset is kept, and time step of the setting, s, from the installed study."""
     candidates = _candidates(n, kinds, dict(substeps), stiff, installed())
     best = _cheapest([found for found in candidates if not sleep or entry_of(found["solver"]).can_sleep], accuracy)
-    return best["solver"], best["start"], _excess(best, accuracy) <= 1
+    return best["solver"], best["start"], _excess(best, accuracy) <= 1, best["dt"]
 
 
 @functools.cache
@@ -281,7 +309,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
         start = options.pop("start", "builtin")
         solver = solver_from(options.pop("method"), options)
         solver = solver if k == 1 else replace(solver, substeps=k)
-        found.append({"solver": solver, "start": start, "us": us, "errors": errors})
+        found.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
     return found if stiff is None else [_stiff_candidate(stiff, found)]
 
 
@@ -298,7 +326,7 @@ def _stiff_candidate(solver, candidates: list[dict]) -> dict:
     best = min(candidates, key=lambda found: _excess(found, "reference"))
     each = min(found["us"] / (found["solver"].sweeps * getattr(found["solver"], "substeps", 1)) for found in candidates)
     us = each * solver.sweeps * solver.substeps
-    return {"solver": solver, "start": "builtin", "us": us, "errors": best["errors"]}
+    return {"solver": solver, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}
 
 
 def kinds_of(scene: State) -> list[str]:
@@ -343,11 +371,116 @@ def outside(scene: State, study: Mapping) -> list[str]:
             f"{stiff.why}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
             "at rest needs few, and the errors are those of the study's best setting"
         )
-    needed = scene.dt / longest_step(scene, max(setting["dt"] for setting in study["settings"]))
-    if needed > MOST_SUBSTEPS:
-        found.append(f"Δt = {scene.dt:g} s, {needed:.3g} times too long; give at most {scene.dt / needed:.2g} s")
-    if gravity == 0:
-        found.append("no gravity")
-    elif speed > FASTEST * math.sqrt(gravity * radius.mean()):
+    found += limits(scene, max(setting["dt"] for setting in study["settings"]))
+    if gravity > 0 and speed > FASTEST * math.sqrt(gravity * radius.mean()):
         found.append(f"a speed of {speed:.3g} m/s; it has up to {FASTEST * math.sqrt(gravity * radius.mean()):.3g}")
     return found
+
+
+def limits(scene: State, dt: float) -> list[str]:
+    """Sentences on what a preset does not keep in a scene, and what to do. dt: of its setting in the study, s."""
+    found = _too_long(scene, dt)
+    if not any(scene.world.gravity):
+        found.append(
+            "no gravity, which the study's piles have: the energy that collisions leave is not within its tolerances; "
+            "compare with a run of a smaller dt"
+        )
+    return found
+
+
+def _too_long(scene: State, dt: float) -> list[str]:
+    """What to say where a preset's step needs more than `MOST_SUBSTEPS`."""
+    needed = scene.dt / longest_step(scene, dt)
+    if needed <= MOST_SUBSTEPS * _NEARLY:
+        return []
+    return [
+        f"dt = {scene.dt:g} s: circles of {scene.bodies.radius.mean():.3g} m at up to {_fastest(scene):.3g} m/s need "
+        f"{needed:,.0f} substeps, and get {MOST_SUBSTEPS:,}; give a dt of at most "
+        f"{scene.dt * MOST_SUBSTEPS / needed:.2g} s"
+    ]
+
+
+class Stiffness(NamedTuple):
+    """Of a scene that a few sweeps cannot solve: what makes it so, in words, and the solver that is taken for it."""
+
+    why: str
+    solver: PGS
+
+
+def stiffness(scene: State, substeps: int = 1) -> Stiffness | None:
+    """What makes a scene too stiff for a few sweeps, and the solver for it; None where nothing does.
+
+    substeps: that the scene needs for its Δt (`substeps_of`); a solver to a tolerance takes at least `SUBSTEPS`.
+    """
+    bodies = scene.bodies
+    if bodies.count < 2:
+        return None
+    ratio = float(bodies.mass.max() / bodies.mass.min())
+    if ratio > MASS_RATIO:
+        return Stiffness(f"masses differ {ratio:.3g} times", _to_tolerance(scene, substeps))
+    high, wide = _height_and_width(scene)
+    load = _load(scene, column=high > SLENDER * wide)
+    if high * load > LOAD:
+        why = f"{load:.0f} times its own mass lies on a circle, {high:.0f} circles high"
+        return Stiffness(why, _to_tolerance(scene, substeps))
+    if not _is_heap(scene, high, wide):
+        return None
+    parts = substeps * 2 ** math.ceil(math.log2(high / HEAP_ROWS))
+    return Stiffness(f"a heap with slopes {high:.0f} circles high", PGS(sweeps=2, tolerance=None, substeps=parts))
+
+
+def _to_tolerance(scene: State, substeps: int) -> NNCG:
+    substeps = max(SUBSTEPS, substeps)
+    lightest = float(scene.bodies.mass.min()) * math.hypot(*scene.world.gravity) * scene.dt
+    tolerance = SHARE * lightest / substeps if lightest > 0.0 else FOLLOWS_SCENE
+    return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
+
+
+def _axes(scene: State) -> tuple[np.ndarray, np.ndarray] | None:
+    """Positions of the circles up and across, (n,) each, m; None without gravity."""
+    gravity = np.asarray(scene.world.gravity, float)
+    strength = math.hypot(*gravity)
+    if strength == 0.0:
+        return None
+    up = -gravity / strength
+    return scene.bodies.position @ up, scene.bodies.position @ np.array([up[1], -up[0]])
+
+
+def _height_and_width(scene: State) -> tuple[float, float]:
+    """Of all circles, along gravity and across it, in mean diameters; (0, 0) without gravity."""
+    axes = _axes(scene)
+    if axes is None:
+        return 0.0, 0.0
+    high, wide = (float(np.ptp(along)) / (2.0 * mean(scene.bodies.radius)) + 1.0 for along in axes)
+    return min(high, scene.bodies.count), wide  # what falls from far above is no column
+
+
+def _load(scene: State, *, column: bool) -> float:
+    """The most mass that lies above a circle, over its own. In a pile that is no column: what it is more than there
+    would be with equal densities, which the study has.
+
+    What lies above is counted in strips as wide as the largest circle; a circle takes the share of its width.
+    """
+    bodies, axes = scene.bodies, _axes(scene)
+    density = bodies.mass / bodies.radius**2
+    if axes is None or (not column and density.max() <= 1.001 * density.min()):
+        return 0.0
+    up, across = axes
+    widest = float(bodies.radius.max())
+    strip = np.floor((across - across.min()) / (2.0 * widest) + 1e-9)
+    order = np.lexsort((-up, strip))
+    first = np.searchsorted(strip[order], strip[order])  # of the strip that each circle is in
+
+    def above(mass: np.ndarray) -> np.ndarray:
+        sums = np.concatenate([[0.0], np.cumsum(mass[order])])
+        return (sums[:-1] - sums[first]) * (bodies.radius / widest / mass)[order]
+
+    load = above(bodies.mass)
+    return float((load if column else load - above(bodies.radius**2)).max())
+
+
+def _is_heap(scene: State, high: float, wide: float) -> bool:
+    if high <= HEAP or math.sqrt(0.75) * scene.bodies.count >= FILLED * high * wide:
+        return False
+    found = scene.contacts if scene.contacts is not None else contacts_of(scene)
+    return found.count > TOUCHING * scene.bodies.count

@@ -5,8 +5,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics import metrics
-from deep_contact.recommendation import PRESETS
-from deep_contact.recommendation.stiff import stiffness
+from deep_contact.presets import PRESETS, stiffness
 from deep_contact.studies.extremes import leaning_silo, loaded_silo, pyramid, silo
 
 STIFF = {
