@@ -291,7 +291,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
 
     Errors are the largest of the two sizes around the scene's and of the kinds of piles that it is like; times are
     interpolated between the sizes by powers.
-    For a scene that is too stiff for the study there is one setting alone, `stiff`: see `recommendation.stiff`.
+    For a scene that is too stiff for the study there is one setting alone, `stiff`: see `stiffness`.
     """
     sizes, found = study["sizes"], []
     low = str(max((size for size in sizes if size <= n), default=sizes[0]))

@@ -1,6 +1,7 @@
 """Presets and recommendations for runs: what they choose from a study, how they scale, what they say."""
 
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -98,6 +99,59 @@ def test_fast_circles_get_short_steps_without_gravity(study):
     assert dc.recommend(still).solver.substeps == 1
 
 
+@pytest.mark.parametrize("speed", [3.0, -3.0, 300.0, -300.0])
+def test_what_a_fast_surface_drags_gets_short_steps_whichever_way_it_moves(study, speed):
+    world = dc.World(gravity=(0, 0), segments=(((5.0, 5.0), (9.0, 5.0)),), surface_speeds=(speed,))
+    scene = dc.State(name="belt", world=world, bodies=dc.make_bodies([[7.0, 6.0]]))
+    # Δt |v| / r as of circles at `FASTEST` √(g r) in steps of 10 ms.
+    needed = abs(speed) / (presets.FASTEST * math.sqrt(9.81))
+    assert dc.recommend(scene).solver.substeps == 2 ** max(0, math.ceil(math.log2(needed)))
+
+
+def test_a_step_that_is_hardly_longer_than_the_studys_is_not_divided(study):
+    # The mean of radii drawn around 1 m is not 1 m.
+    assert [presets._parts(ratio) for ratio in (0.1, 1.0, 1.04, 1.06, 2.09, 2.2, 1e9)] == [1, 1, 1, 2, 2, 4, 1024]
+    scene = dc.lattice_in_box(100, radius=(0.97, 0.97))
+    assert dc.recommend(scene).solver.substeps == 1
+
+
+def test_a_projectile_gets_steps_as_short_as_each_preset_needs(study):
+    # At 64 substeps at most, presets of shorter steps took the run of the others.
+    scene = dc.circles_in_box(100, seed=1)
+    velocity = scene.bodies.velocity.copy()
+    velocity[0] = (300.0, 0.0)
+    scene = scene.replace(bodies=scene.bodies._replace(velocity=velocity))
+    fast, reference = (dc.recommend(scene, accuracy=name).solver.substeps for name in ("fast", "reference"))
+    assert (fast, reference) == (16, 64)
+    small = dc.lattice_in_box(100, radius=(1e-3, 1e-3)).replace(dt=0.1)
+    assert dc.recommend(small).solver.substeps == 512
+
+
+def test_what_a_preset_cannot_keep_is_said_once_with_what_to_do(study):
+    small = dc.lattice_in_box(10, radius=(1e-3, 1e-3)).replace(dt=1.0)
+    with pytest.warns(presets.PresetWarning) as told:
+        presets.solver_and_start(small, None)
+    assert len(told) == 1
+    text = str(told[0].message)
+    assert "dt = 1 s: circles of 0.001 m at up to 0 m/s need" in text
+    least = float(text.split("give a dt of at most ")[1].split(" s")[0])
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        presets.solver_and_start(small.replace(dt=least), None)
+        presets.solver_and_start(dc.drifting_circles(20), None)  # who asks for no preset is promised none
+    with pytest.warns(presets.PresetWarning, match="'fast': no gravity, .* compare with a run of a smaller dt"):
+        presets.solver_and_start(dc.drifting_circles(20), "fast")
+
+
+def test_a_warning_names_the_line_of_the_user_and_a_loop_says_it_once(study):
+    scene = dc.two_bodies()
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("default")
+        for _ in range(3):
+            dc.simulate(scene, steps=1, accuracy="fast")
+    assert [one.filename for one in told] == [__file__]
+
+
 def test_a_budget_buys_the_most_accurate_setting(study):
     scene = dc.circles_in_box(100)
     assert dc.recommend(scene, budget_ms=0.025).solver == dc.PGS(sweeps=9, tolerance=None)
@@ -119,7 +173,9 @@ def test_a_preset_out_of_reach_is_said(study, monkeypatch):
     found = dc.recommend(scene, accuracy="reference")
     assert not found.reached
     assert "no setting of the study keeps all tolerances" in str(found)
-    with pytest.warns(UserWarning, match="accuracy='reference': no setting of the study keeps its tolerances for 30"):
+    with pytest.warns(
+        presets.PresetWarning, match="accuracy='reference': no setting of the study keeps its tolerances for 30"
+    ):
         dc.simulate(scene, steps=1, accuracy="reference")
 
 

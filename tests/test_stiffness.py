@@ -5,8 +5,9 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics import metrics
+from deep_contact.physics.engine import contacts_of
 from deep_contact.presets import PRESETS, stiffness
-from deep_contact.studies.extremes import leaning_silo, loaded_silo, pyramid, silo
+from deep_contact.studies.extremes import leaning_silo, loaded_silo, pyramid, silo, with_bodies
 
 STIFF = {
     "1000 on top": loaded_silo(5, 1e3),
@@ -53,7 +54,7 @@ def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_wh
         dc.lattice_in_box(2500),
         pyramid(50),
         dc.circles_in_box(400, size=(60.0, 200.0), seed=1),
-        silo(29),
+        silo(15),
         dc.State(name="one", world=dc.World(), bodies=dc.make_bodies([[5.0, 5.0]])),
         dc.State(
             name="two", world=dc.World(box=(0.0, 0.0, 9.0, 400.0)), bodies=dc.make_bodies([[5.0, 1.0], [5.0, 399.0]])
@@ -64,6 +65,55 @@ def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_wh
 def test_what_the_study_covers_is_left_to_it(scene):
     assert stiffness(scene) is None
     assert not dc.plan(scene)["solving stiff piles"].used
+
+
+@pytest.mark.parametrize(
+    ("height", "ratio", "is_stiff"),
+    [(2, 99, False), (3, 60, False), (3, 99, True), (5, 30, False), (5, 99, True), (10, 30, True), (15, 1, False),
+     (20, 1, True), (20, 99, True), (20, 1000, True)],
+)  # fmt: skip
+def test_what_is_stiff_follows_height_and_load(height, ratio, is_stiff):
+    # `height` circles, the top one `ratio` times as heavy: the bottom one carries height − 2 + ratio times its mass.
+    assert (stiffness(loaded_silo(height, ratio)) is not None) == is_stiff
+    assert is_stiff == (height * (height - 2 + ratio) > 250)
+
+
+def test_a_heavy_circle_on_a_pile_is_a_load_and_one_below_it_is_none():
+    pile = dc.lattice_in_box(100)
+    for at, is_stiff in ((pile.bodies.position[:, 1].argmax(), True), (pile.bodies.position[:, 1].argmin(), False)):
+        mass = pile.bodies.mass.copy()
+        mass[at] *= 99
+        assert (stiffness(pile.replace(bodies=pile.bodies._replace(mass=mass))) is not None) == is_stiff
+
+
+def test_a_column_under_a_heavy_top_neither_sinks_nor_leans_below_and_above_a_ratio_of_100():
+    for ratio in (99, 101, 1000):
+        scene = with_bodies(dc.column(20), mass=np.pi * np.array([1.0] * 19 + [ratio]))
+        assert scene.bodies.position[:, 1].argmax() == 19
+        state = dc.simulate(scene, steps=300, accuracy="fast").state
+        np.testing.assert_array_equal(state.bodies.position[:, 0], scene.bodies.position[:, 0])
+        assert np.abs(state.bodies.velocity).max() < 1e-3
+        assert np.abs(state.bodies.position - scene.bodies.position).max() < 0.05
+
+
+@pytest.mark.parametrize("needed", [1, 4, 32])
+def test_what_is_solved_to_a_tolerance_takes_the_substeps_that_its_step_needs(needed):
+    scene = loaded_silo(5, 1e3)
+    solver = stiffness(scene, needed).solver
+    assert solver.substeps == max(4, needed)
+    # A millionth of what carries the lightest circle for a substep.
+    assert solver.tolerance == pytest.approx(1e-6 * np.pi * 9.81 * scene.dt / solver.substeps)
+    long = scene.replace(dt=0.3)
+    assert dc.recommend(long).solver.substeps == 32
+
+
+@pytest.mark.parametrize(("aside", "above", "contacts"), [(0.9999, 1.0, 3.0), (0.9999, 1.1, 1.0), (1.1, 1.1, 0.0)])
+def test_a_heap_lies_and_what_falls_in_its_shape_is_none(aside, above, contacts):
+    # 70 rows: on one another (three contacts a circle), apart (each row a chain: one), all apart (the floor's alone).
+    scene = pyramid(70)
+    scene = with_bodies(scene, position=scene.bodies.position * (aside, above))
+    assert contacts_of(scene).count / scene.bodies.count == pytest.approx(contacts, abs=0.1)
+    assert (stiffness(scene) is not None) == (contacts == 3.0)
 
 
 def test_a_pyramid_of_a_hundred_rows_stands_by_the_substeps_that_are_taken_for_it():

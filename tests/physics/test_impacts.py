@@ -68,7 +68,7 @@ def test_elastic_frictionless_circles_keep_their_energy_whatever_the_masses(rati
 def test_a_circle_that_slides_along_the_floor_rebounds_by_coulomb():
     # p_n = (1 + e) m v_n, p_t = μ p_n against the slip, v_n with half a step of gravity; then the step's gravity.
     world = World(box=BOX, friction=0.1, restitution=0.5)
-    bodies = dc.make_bodies([[15.0, 1.0]], velocity=[[6.0, -4.0]])
+    bodies = dc.make_bodies([[15.0, 1.01]], velocity=[[6.0, -4.0]])
     solution = dc.solve_contacts(State(name="one", world=world, bodies=bodies), solver=dc.PGS())
     v_n, half = 4.0 + 0.5 * 0.01 * 9.81, 0.5 * 0.01 * 9.81
     np.testing.assert_allclose(solution.velocities[0], [6.0 - 0.1 * 1.5 * v_n, 0.5 * v_n - half], rtol=1e-12)
@@ -122,11 +122,11 @@ def test_angular_momentum_changes_by_position_correction_alone():
     scale = state.bodies.mass @ np.abs(state.bodies.velocity[:, 0]) * 10.0
     change = {
         sweeps: abs(
-            angular(dc.simulate(state, steps=40, solver=dc.PGS(sweeps=20, position_sweeps=sweeps)).state.bodies)
+            angular(dc.simulate(state, steps=80, solver=dc.PGS(sweeps=20, position_sweeps=sweeps)).state.bodies)
             - angular(state.bodies)
         )
         / scale
         for sweeps in (0, 10)
     }
     assert change[0] < 1e-13
-    assert 1e-13 < change[10] < 1e-2
+    assert 1e-6 < change[10] < 1e-2

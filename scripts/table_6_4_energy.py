@@ -1,0 +1,99 @@
+"""python scripts/table_6_4_energy.py: what is left of the energy of bouncing circles, preset by preset."""
+
+import warnings
+from itertools import product
+
+import numpy as np
+
+from deep_contact.physics.scenes import circles_in_box
+from deep_contact.presets import PRESETS, PresetWarning, recommend
+from deep_contact.reporting import figures
+from deep_contact.reporting.figures import Claim, Figure, parallel_map
+from deep_contact.simulation import simulate
+from deep_contact.studies.extremes import mechanical_energy, with_bodies
+
+KEPT, GAINED = 0.02, 0.01
+"""Largest change of the energy of elastic circles without friction, and largest gain of any, over that at the start."""
+
+
+def scene_of(case, options):
+    """Circles that fall into the box, of masses that differ up to `ratio` times, drawn evenly in their logarithm."""
+    scene = circles_in_box(
+        options["n_bodies"], restitution=case["restitution"], friction=case["friction"], seed=case["seed"]
+    )
+    share = np.random.default_rng(case["seed"]).uniform(0.0, 1.0, scene.bodies.count)
+    return with_bodies(scene, mass=scene.bodies.mass * case["mass_ratio"] ** share)
+
+
+def run_case(task):
+    """The energy at the end of a run, and the least and the greatest on its way, over that at its start."""
+    case, presets, options = task
+    state = scene_of(case, options)
+    start, found = mechanical_energy(state, state.bodies), []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PresetWarning)
+        for _ in range(options["steps"] // options["every"]):
+            state = simulate(state, steps=options["every"], accuracy=presets[0]).state.replace(solver=None)
+            found.append(mechanical_energy(state, state.bodies) / start)
+    energies = {"end": found[-1], "least": min(found), "greatest": max(found)}
+    return [case | {"preset": preset} | energies for preset in presets]
+
+
+def compute(options, seed, jobs, progress):
+    """Every case with every preset; presets that choose the same setting share a run."""
+    tasks = []
+    for e, mu, ratio in product(options["restitutions"], options["frictions"], options["mass_ratios"]):
+        case = {"restitution": e, "friction": mu, "mass_ratio": ratio, "seed": seed}
+        alike: dict = {}
+        for preset in PRESETS:
+            found = recommend(scene_of(case, options), accuracy=preset)
+            alike.setdefault((found.solver, found.warm_start), []).append(preset)
+        tasks += [(case, presets, options) for presets in alike.values()]
+    found = parallel_map(run_case, tasks, jobs=jobs, progress=progress, text="runs")
+    return {"runs": [row for rows in found for row in rows]}
+
+
+def claims(data):
+    """Whether elastic circles keep their energy, and none gain any."""
+    elastic = [run for run in data["runs"] if run["restitution"] == 1 and run["friction"] == 0]
+    worst = {preset: max(max(1 - r["least"], r["greatest"] - 1) for r in elastic if r["preset"] == preset)
+             for preset in PRESETS}  # fmt: skip
+    gain = {preset: max(r["greatest"] - 1 for r in data["runs"] if r["preset"] == preset) for preset in PRESETS}
+    return [
+        Claim(f"elastic circles without friction keep their energy within {KEPT:.0%} with every preset, whatever their "
+              "masses", None, max(worst.values()) <= KEPT, worst),
+        Claim(f"no preset makes more than {GAINED:.0%} of energy at any restitution, friction and ratio of masses",
+              None, max(gain.values()) <= GAINED, gain),
+    ]  # fmt: skip
+
+
+def table(data):
+    """Rows: preset and restitution; columns: friction and ratio of masses; energy at the end over that at the start."""
+    cases = list(dict.fromkeys((r["friction"], r["mass_ratio"]) for r in data["runs"]))
+    rows = [["preset", "restitution", *(f"μ = {mu:g}, masses 1 to {ratio:g}" for mu, ratio in cases)]]
+    end = {(r["preset"], r["restitution"], r["friction"], r["mass_ratio"]): r["end"] for r in data["runs"]}
+    for preset, e in dict.fromkeys((r["preset"], r["restitution"]) for r in data["runs"]):
+        rows.append([preset, e, *(end[preset, e, *case] for case in cases)])
+    return [rows[0], *sorted(rows[1:], key=lambda row: (list(PRESETS).index(row[0]), row[1]))]
+
+
+FIGURE = Figure(
+    id="T 6.4",
+    title="Mechanical energy of 100 circles after 1,000 steps, over that at the start",
+    options={
+        "n_bodies": 100,
+        "steps": 1000,
+        "every": 50,
+        "restitutions": [0.0, 0.3, 0.8, 1.0],
+        "frictions": [0.0, 0.5],
+        "mass_ratios": [1.0, 100.0, 1e4],
+    },
+    quick={"n_bodies": 20, "steps": 200, "restitutions": [0.0, 1.0], "mass_ratios": [1.0]},
+    compute=compute,
+    claims=claims,
+    table=table,
+    digits=4,
+)
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))
