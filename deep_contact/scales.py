@@ -99,17 +99,19 @@ def _length_and_speeds(radius, gravity, dt: float) -> tuple[float, float, float]
     return length, felt if felt > 0.0 else length * constants.TIME_STEP / dt, felt
 
 
-def contact_scales(radius, gravity, dt: float, given: ContactScales | None = None) -> ContactScales:
+def contact_scales(
+    radius, gravity, dt: float, given: ContactScales | None = None, *, bounces: bool = False
+) -> ContactScales:
     """The scales of a scene's steps: the given ones, or those that follow from its radii, (n,), m, gravity and Δt.
 
-    The largest translation is cut to `FASTEST` times Δt in either case.
+    bounces: whether e > 0, where energy is to be kept and no speed is cut but to `FASTEST`, as in either case.
     """
     length, speed, felt = _length_and_speeds(radius, gravity, dt)
     scales = given or ContactScales(
         slop=BOX2D.slop * length,
         wall_skin=BOX2D.wall_skin * length,
         max_correction=BOX2D.max_correction * length,
-        max_translation=BOX2D.max_translation * length if state.world.restitution == 0.0 else math.inf,
+        max_translation=math.inf if bounces else BOX2D.max_translation * length,
         restitution_threshold=BOX2D.restitution_threshold * felt,
         sleep_speed=BOX2D.sleep_speed * felt,
         sleep_spin=BOX2D.sleep_spin * felt / length,

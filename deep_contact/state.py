@@ -239,7 +239,9 @@ class State:
     @property
     def scales(self) -> ContactScales:
         """Lengths, speeds and times of the contact model in the steps of this state (`scales.contact_scales`)."""
-        return contact_scales(self.bodies.radius, self.world.gravity, self.dt, self.world.scales)
+        world = self.world
+        bounces = world.restitution > 0.0
+        return contact_scales(self.bodies.radius, world.gravity, self.dt, world.scales, bounces=bounces)
 
     def replace(self: S, **changes) -> S:
         """A copy with some fields changed."""
