@@ -118,7 +118,7 @@ def outside() -> list[list]:
     found = stored("benchmark_outside")
     rows = [["method", *(f"{title}, {contacts:,} contacts" for title, contacts in found["contacts"].items())]]
     names = next(iter(found["seconds"].values()))
-    for name in (name for name in names if name != "ours, APGD"):  # in files from before that method went
+    for name in names:
         cells = []
         for title, seconds in found["seconds"].items():
             text = "–" if seconds[name] is None else _text(1e3 * seconds[name])
