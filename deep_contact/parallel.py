@@ -11,8 +11,7 @@ A cluster is started by Dask's own commands, in an environment where this packag
 of the client: a task is sent to them, and they send back what it returns. A task that reads a file, such as a network
 of `models/`, reads the worker's own, below the folder in which the worker was started.
 
-joblib and loky were tried in place of the local pool: their workers outlive a killed parent, get Ctrl-C themselves and
-set the number of Numba's threads, and to prevent that takes more code than the pool.
+The local pool is not joblib's: its workers outlive a killed parent and get Ctrl-C themselves.
 """
 
 from __future__ import annotations
@@ -63,9 +62,7 @@ def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -
     """
     if not isinstance(jobs, Executor) and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
         raise ValueError(f"jobs: expected an integer >= 1 or an Executor, got {jobs!r}")
-    return _finished(
-        function, list(items), jobs
-    )  # a function of its own, so that bad `jobs` raise before the first item
+    return _finished(function, list(items), jobs)  # a generator, which would raise at the first item alone
 
 
 def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator[tuple[int, object]]:

@@ -7,9 +7,10 @@ The choices are those that `simulate` makes from the scene and the options. What
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +29,7 @@ TABLE = Path(__file__).parent / "reference" / "figure_6_7.json"
 """Results of Figure 6.7, shipped with the package."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Choice:
+class Choice(NamedTuple):
     """A part of the model: whether a run uses it, why, and what it was measured to cost or to save."""
 
     part: str
@@ -83,20 +83,15 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     found = table if table is not None else installed_results()
     savings = found["data"]["savings"]
     tangents = not leaves_tangents_out(scene, options.settings)
+    name = warm_start if isinstance(warm_start, str) else type(start).__name__
+    left = {part: _share(one) for part, one in savings.items()}
     choices = (
-        _tangents(scene, solver, tangents, savings),
-        _segments(scene),
-        _islands(scene, solver, savings),
-        _sleeping(sleep, savings),
-        _position_correction(solver, savings),
-        _double_precision(solver, savings),
-        _batches(scene, solver),
-        _threads(scene, solver),
-        _calls(start, savings),
-        _network(warm_start, found["data"]["jobs"]),
+        _tangents(scene, solver, tangents, left["frictionless"]),
+        *_of_the_scene(scene, solver, left),
+        *_of_the_solver(scene, solver, left),
+        *_between_steps(start, name, sleep, left, found["data"]["jobs"]),
         _stiffness(scene, solver),
     )
-    name = warm_start if isinstance(warm_start, str) else type(start).__name__
     return Plan(
         scene=scene.name,
         n_bodies=scene.bodies.count,
@@ -123,9 +118,67 @@ def _share(one: Mapping) -> str:
     return f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
 
 
+def _tangents(scene: State, solver, used: bool, left: str) -> Choice:
+    if scene.world.friction > 0:
+        why = f"friction is {scene.world.friction:g}"
+    elif not used:
+        why = "friction is 0, so nothing turns a circle"
+    elif scene.contacts.tangent_start.any():
+        why = "friction is 0, but the state starts from tangent impulses"
+    else:
+        why = f"friction is 0, but {type(solver).__name__} has no rows without them"
+    return Choice("tangent rows and spin", used, why, f"without them a sweep costs {left}")
+
+
+def _of_the_scene(scene: State, solver, left: Mapping) -> Iterator[Choice]:
+    count, moving = len(scene.world.segments), np.count_nonzero(scene.world.surface_speeds)
+    why = f"the world has {count or 'none'}" + (f", and {moving} surfaces move" if moving else "")
+    saving = "each costs every circle a comparison a step, and positions are corrected contact by contact"
+    yield Choice("static segments", count > 0, why, saving)
+    used = bool(getattr(solver, "islands", False))
+    touching = len(np.unique(islands_of(scene)[scene.contacts.body_a]))
+    why = f"{'asked for' if used else 'not asked for'}; {touching} of them touch something now"
+    one, many = left["islands, one pile"], left["islands, heaps"]
+    yield Choice("islands", used, why, f"with them sweeps × contacts are {one} in one pile, {many} in scattered heaps")
+
+
+def _of_the_solver(scene: State, solver, left: Mapping) -> Iterator[Choice]:
+    why = f"at most {solver.position_sweeps} sweeps, none where nothing is deep"
+    saving = f"without it a step of a resting pile costs {left['no position correction']}"
+    yield Choice("position correction", solver.position_sweeps > 0, why, saving)
+    saving = f"without it a sweep costs {left['single']}"
+    yield Choice("double precision", solver.precision == "double", f"precision is {solver.precision}", saving)
+    n, in_batches = scene.bodies.count, isinstance(solver, BatchedPGS)
+    saving = "eight contacts at a time, in another order than PGS's: sooner at some thousand circles"
+    yield Choice("batches of contacts", in_batches, f"{describe(solver)} for {n:,} circles", saving)
+    threads, asked = threads_of(solver, n), getattr(solver, "threads", None)
+    if asked is not None:
+        why = f"threads={asked} was asked for"
+    elif in_batches:
+        why = f"{threads} for {n:,} circles, one for every {CIRCLES_A_THREAD:,}, and {cores()} cores"
+    else:
+        why = f"{type(solver).__name__} sweeps contact by contact: nothing that threads could share"
+    saving = "batches let them share the stages of a step, and they change no bit of it"
+    yield Choice("threads", threads > 1, why, saving)
+
+
+def _between_steps(start, name: str, sleep: bool, left: Mapping, jobs: Mapping) -> Iterator[Choice]:
+    saving = f"asleep a step costs {left['asleep']}, with one circle awake {left['asleep but for one']}"
+    yield Choice("sleeping", bool(sleep), "asked for" if sleep else "not asked for", saving)
+    used = not isinstance(start, (Builtin, NoStart))
+    why = "the start is asked at every step" if used else "the start needs none, unless on_step does"
+    yield Choice("calls between steps", used, why, f"without them a step costs {left['no call between steps']}")
+    used = name in ("cnn", "guarded")
+    why = "the start predicts" if used else "nothing is predicted by name, so TensorFlow is not loaded"
+    one, other = jobs["simulate"], jobs["predict"]
+    saving = f"a first step after {one['seconds']:.2g} s instead of a first prediction after {other['seconds']:.2g} s"
+    if one["memory_mb"] and other["memory_mb"]:
+        saving += f", in {one['memory_mb']:.0f} instead of {other['memory_mb']:.0f} MB"
+    yield Choice("network", used, why, saving)
+
+
 def _stiffness(scene: State, solver) -> Choice:
-    found = stiffness(scene)
-    substeps = getattr(solver, "substeps", 1)
+    found, substeps = stiffness(scene), getattr(solver, "substeps", 1)
     if found is None or found.solver.tolerance is not None:
         used = solver.tolerance is not None and solver.sweeps >= SWEEPS
         saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"
@@ -135,89 +188,4 @@ def _stiffness(scene: State, solver) -> Choice:
     why = found.why if found else "nothing is too stiff for a few sweeps"
     if found and not used:
         why += f", but {describe(solver)} was asked for"
-    return Choice(part="solving stiff piles", used=used, why=why, saving=saving)
-
-
-def _tangents(scene: State, solver, used: bool, savings: Mapping) -> Choice:
-    if scene.world.friction > 0:
-        why = f"friction is {scene.world.friction:g}"
-    elif not used:
-        why = "friction is 0, so nothing turns a circle"
-    elif scene.contacts.tangent_start.any():
-        why = "friction is 0, but the state starts from tangent impulses"
-    else:
-        why = f"friction is 0, but {type(solver).__name__} has no rows without them"
-    saving = f"without them a sweep costs {_share(savings['frictionless'])}"
-    return Choice(part="tangent rows and spin", used=used, why=why, saving=saving)
-
-
-def _segments(scene: State) -> Choice:
-    count = len(scene.world.segments)
-    why = f"the world has {count}" if count else "the world has none"
-    if moving := np.count_nonzero(scene.world.surface_speeds):
-        why += f", and {moving} surfaces move"
-    saving = "each costs every circle a comparison a step, and positions are corrected contact by contact"
-    return Choice(part="static segments", used=count > 0, why=why, saving=saving)
-
-
-def _islands(scene: State, solver, savings: Mapping) -> Choice:
-    used = bool(getattr(solver, "islands", False))
-    count = len(np.unique(islands_of(scene)[scene.contacts.body_a]))
-    why = f"{'asked for' if used else 'not asked for'}; {count} of them touch something now"
-    one, many = savings["islands, one pile"], savings["islands, heaps"]
-    saving = f"with them sweeps × contacts are {_share(one)} in one pile, {_share(many)} in scattered heaps"
-    return Choice(part="islands", used=used, why=why, saving=saving)
-
-
-def _sleeping(sleep: bool, savings: Mapping) -> Choice:
-    all_of_it, most = savings["asleep"], savings["asleep but for one"]
-    saving = f"asleep a step costs {_share(all_of_it)}, with one circle awake {_share(most)}"
-    return Choice(part="sleeping", used=bool(sleep), why="asked for" if sleep else "not asked for", saving=saving)
-
-
-def _position_correction(solver, savings: Mapping) -> Choice:
-    used, why = solver.position_sweeps > 0, f"at most {solver.position_sweeps} sweeps, none where nothing is deep"
-    saving = f"without it a step of a resting pile costs {_share(savings['no position correction'])}"
-    return Choice(part="position correction", used=used, why=why, saving=saving)
-
-
-def _double_precision(solver, savings: Mapping) -> Choice:
-    saving = f"without it a sweep costs {_share(savings['single'])}"
-    why = f"precision is {solver.precision}"
-    return Choice(part="double precision", used=solver.precision == "double", why=why, saving=saving)
-
-
-def _batches(scene: State, solver) -> Choice:
-    used = isinstance(solver, BatchedPGS)
-    why = f"{describe(solver)} for {scene.bodies.count:,} circles"
-    saving = "eight contacts at a time, in another order than PGS's: sooner at some thousand circles"
-    return Choice(part="batches of contacts", used=used, why=why, saving=saving)
-
-
-def _threads(scene: State, solver) -> Choice:
-    threads, asked = threads_of(solver, scene.bodies.count), getattr(solver, "threads", None)
-    if asked is not None:
-        why = f"threads={asked} was asked for"
-    elif isinstance(solver, BatchedPGS):
-        why = f"{threads} for {scene.bodies.count:,} circles, one for every {CIRCLES_A_THREAD:,}, and {cores()} cores"
-    else:
-        why = f"{type(solver).__name__} sweeps contact by contact: nothing that threads could share"
-    saving = "batches let them share the stages of a step, and they change no bit of it"
-    return Choice(part="threads", used=threads > 1, why=why, saving=saving)
-
-
-def _calls(start, savings: Mapping) -> Choice:
-    used = not isinstance(start, (Builtin, NoStart))
-    why = "the start is asked at every step" if used else "the start needs none, unless on_step does"
-    saving = f"without them a step costs {_share(savings['no call between steps'])}"
-    return Choice(part="calls between steps", used=used, why=why, saving=saving)
-
-
-def _network(warm_start, jobs: Mapping) -> Choice:
-    used = warm_start in ("cnn", "guarded")
-    why = "the start predicts" if used else "nothing is predicted by name, so TensorFlow is not loaded"
-    one, other = jobs["simulate"], jobs["predict"]
-    saving = f"a first step after {one['seconds']:.2g} s instead of a first prediction after {other['seconds']:.2g} s"
-    if one["memory_mb"] and other["memory_mb"]:
-        saving += f", in {one['memory_mb']:.0f} instead of {other['memory_mb']:.0f} MB"
-    return Choice(part="network", used=used, why=why, saving=saving)
+    return Choice("solving stiff piles", used, why, saving)

@@ -29,8 +29,6 @@ from deep_contact.physics.solvers import PGS, PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, StepWorkspace, make_log
 from deep_contact.state import (
-    LARGEST_SINGLE_START,
-    LARGEST_START,
     LIMITS,
     SINGLE_LIMITS,
     Bodies,
@@ -43,7 +41,7 @@ from deep_contact.state import (
 )
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import integer, number
-from deep_contact.warm_start import Builtin, NoStart, asked, fitting_impulses, warm_start_of
+from deep_contact.warm_start import Builtin, NoStart, starting_impulses, warm_start_of
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
@@ -121,7 +119,7 @@ def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolu
     """
     state = ready(state)
     solver = checked_solver(solver, state)
-    return solve(state, solver, *_impulses(start, state, solver))
+    return solve(state, solver, *starting_impulses(start, state, solver))
 
 
 def step(state: State, *, solver=None, warm_start="builtin") -> StateWithContacts:
@@ -262,7 +260,8 @@ def _advance(
         if isinstance(start, Builtin):
             normal, tangent = contacts.normal_start, contacts.tangent_start  # which no step writes into
         else:
-            normal, tangent = _impulses(start, state, solver, step_problem(state, solver, scales) if by_step else None)
+            problem = step_problem(state, solver, scales) if by_step else None
+            normal, tangent = starting_impulses(start, state, solver, problem)
         state = state.replace(
             bodies=Bodies(*(field.copy() for field in state.bodies)),
             contacts=contacts._replace(
@@ -371,24 +370,6 @@ def _has_settings_within_limits(state: State) -> bool:
     if world.scales is not None:
         found |= {f"scales.{name}": (getattr(world.scales, name),) for name in ("slop", "wall_skin", "max_correction")}
     return all(LIMITS[name][0] <= value <= LIMITS[name][1] for name, values in found.items() for value in values)
-
-
-def _impulses(start, state: State, solver, problem=None) -> tuple[np.ndarray, np.ndarray]:
-    if start is None or isinstance(start, str) or callable(start):
-        start = warm_start_of(start)
-        impulses = fitting_impulses(asked(start, state, solver, problem), state)
-        if isinstance(start, Builtin):
-            return impulses  # the state's own, which `ready` has looked at
-    else:
-        impulses = fitting_impulses(start, state)
-    largest = LARGEST_SINGLE_START if solver.precision == "single" else LARGEST_START
-    for name, values in zip(("normal", "tangent"), impulses):
-        bad = np.flatnonzero(np.abs(values) > largest)
-        if bad.size:
-            raise ValueError(
-                f"start: expected {name} impulses of at most {largest:g} N·s, got {values[bad[0]]} at contact {bad[0]}"
-            )
-    return impulses
 
 
 def method_of(state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep: bool = False) -> tuple:

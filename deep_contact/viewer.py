@@ -15,6 +15,7 @@ from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.reporting import plotting
 from deep_contact.simulation import simulate
 from deep_contact.state import State
+from deep_contact.validation import integer
 
 PANELS = (1.0, 0.8)
 """Widths of the scene and of θ, in heights of a frame."""
@@ -35,21 +36,22 @@ def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start=
 
     Raises ValueError at once on counts below one, and with the first step on arguments that `simulate` refuses.
     """
-    for name, value in (("steps", steps), ("every", every)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-            raise ValueError(f"{name}: expected an integer >= 1, got {value!r}")
-    return _frames(scene, steps, every, {"solver": solver, "warm_start": warm_start})
+    steps, every = integer("steps", steps, least=1), integer("every", every, least=1)
 
+    def run(state: State) -> Iterator[Frame]:
+        kept: list[Frame] = []
+        for done in range(0, steps, every):
+            state = simulate(
+                state,
+                steps=min(every, steps - done),
+                solver=solver,
+                warm_start=warm_start,
+                on_step=lambda *solved: kept.append(Frame(*solved)),
+            ).state
+            yield kept.pop()
+            kept.clear()
 
-def _frames(state: State, steps: int, every: int, options: dict) -> Iterator[Frame]:
-    last: list[Frame] = []
-
-    def keep(solved, record):
-        last[:] = [Frame(solved, record)]
-
-    for done in range(0, steps, every):
-        state = simulate(state, steps=min(every, steps - done), on_step=keep, **options).state
-        yield last[0]
+    return run(scene)
 
 
 class Painter:

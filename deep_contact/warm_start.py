@@ -16,7 +16,7 @@ import numpy as np
 from deep_contact.physics.contact_solver import NORMAL, TANGENT
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.line_search import best_share
-from deep_contact.state import State, StateWithContacts
+from deep_contact.state import LARGEST_SINGLE_START, LARGEST_START, State, StateWithContacts
 from deep_contact.validation import integer, one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
@@ -193,19 +193,6 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
 """Name -> what makes the start with its default options."""
 
 
-def asked(start: WarmStart, state: State, solver, problem: StepProblem | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """The impulses of a start, (m,) each, N·s.
-
-    problem: the state's contact problem, if it has been built. A start with a method `from_problem(state, solver,
-    problem)` is handed it, so that rows are built once a step. Starts work in float64 with tangents, so other problems
-    are not handed on.
-    """
-    fits = problem is not None and problem.friction is not None and problem.solver_bodies.dtype == np.float64
-    if not (fits and hasattr(start, "from_problem")):
-        return start(state, solver)
-    return start.from_problem(state, solver, problem)
-
-
 def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
     """(λ_n, λ_t) of the state's solution, (m,) each, N·s.
 
@@ -232,17 +219,33 @@ def warm_start_of(start) -> WarmStart:
     raise ValueError(f"warm_start: expected None, a name or a callable, got {start!r}")
 
 
-def fitting_impulses(start, state: State) -> tuple[np.ndarray, np.ndarray]:
-    """Two arrays of impulses as own float64 arrays, (m,) each. Raises ValueError if they do not fit the contacts."""
+def starting_impulses(start, state: State, solver, problem: StepProblem | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """The impulses of a start, or the two arrays that are given in its place, checked: own float64 arrays, (m,), N·s.
+
+    problem: the state's contact problem, if it has been built. A start with a method `from_problem(state, solver,
+    problem)` is handed it, so that rows are built once a step; it has to have tangents, in float64.
+    Raises ValueError on impulses that do not fit the contacts or are beyond `state.LARGEST_START`.
+    """
+    if start is None or isinstance(start, str) or callable(start):
+        start = warm_start_of(start)
+        if isinstance(start, Builtin):
+            return start(state, solver)  # the state's own, which have been checked
+        fits = problem is not None and problem.friction is not None and problem.solver_bodies.dtype == np.float64
+        if fits and hasattr(start, "from_problem"):
+            start = start.from_problem(state, solver, problem)
+        else:
+            start = start(state, solver)
     try:
         normal, tangent = (np.array(values, dtype=np.float64, order="C") for values in start)
     except (TypeError, ValueError) as error:
         raise ValueError(f"start: expected two arrays of impulses (normal, tangent), got {start!r}") from error
-    m = state.contacts.count
+    m, largest = state.contacts.count, LARGEST_SINGLE_START if solver.precision == "single" else LARGEST_START
     for name, values in (("normal", normal), ("tangent", tangent)):
         if values.shape != (m,):
             raise ValueError(f"start: expected {name} impulses of shape ({m},), one a contact, got {values.shape}")
-        bad = np.flatnonzero(~np.isfinite(values))
+        bad = np.flatnonzero(~(np.abs(values) <= largest))
         if bad.size:
-            raise ValueError(f"start: expected finite {name} impulses, got {values[bad[0]]} at contact {bad[0]}")
+            raise ValueError(
+                f"start: expected {name} impulses of at most {largest:g} N·s, got {values[bad[0]]} at contact {bad[0]}"
+            )
     return normal, tangent

@@ -10,7 +10,7 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact import simulation
+from deep_contact import warm_start
 from deep_contact.constants import LINEAR_SLOP, MAX_CORRECTION
 from deep_contact.physics.engine import contacts_of, solve
 from deep_contact.physics.metrics import kinetic_energy
@@ -227,7 +227,7 @@ def test_what_is_not_a_number_has_no_contacts_and_does_not_end_the_process():
 
 def test_a_solver_that_diverges_beyond_all_numbers_says_so(monkeypatch):
     # 1e50 N·s is no float32: without the limit the sweeps end in NaN, and that is said at once.
-    monkeypatch.setattr(simulation, "LARGEST_SINGLE_START", 1e60)
+    monkeypatch.setattr(warm_start, "LARGEST_SINGLE_START", 1e60)
     state = ready(extremes.silo(3))
     huge = lambda state, solver: (np.full(state.contacts.count, 1e50),) * 2  # noqa: E731
     with pytest.raises(FloatingPointError, match=r"up to step 1: circle 0 \(mass .*the solver diverged; try PGS"):
