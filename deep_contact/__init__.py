@@ -2,6 +2,7 @@
 
 Type checkers and editors see the imports below. At run time they are only read, and `__getattr__` imports a name when
 it is first used: `import deep_contact` costs next to nothing, and a job that predicts nothing never loads TensorFlow.
+(The stubs of `lazy_loader` know neither aliases nor the modules of a package.)
 """
 
 from __future__ import annotations

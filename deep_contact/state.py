@@ -191,25 +191,23 @@ class World:
     surface_speeds: Sequence = ()
 
     def __post_init__(self):
-        box, gravity, friction, restitution = (
-            _numbers(getattr(self, name)) for name in ("box", "gravity", "friction", "restitution")
-        )
+        box, gravity = _numbers(self.box), _numbers(self.gravity)
         if len(box) != 4 or not np.isfinite(box).all() or box[0] >= box[2] or box[1] >= box[3]:
             raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
         if len(gravity) != 2 or not np.isfinite(gravity).all():
             raise ValueError(f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
-        if len(friction) != 1 or not (np.isfinite(friction[0]) and friction[0] >= 0):
-            raise ValueError(f"friction: expected a finite number >= 0, got {self.friction}")
-        if len(restitution) != 1 or not 0 <= restitution[0] <= 1:
-            raise ValueError(f"restitution: expected a number from 0 to 1, got {self.restitution}")
-        if self.scales is not None:
-            object.__setattr__(self, "scales", _checked_scales(self.scales))
-        object.__setattr__(self, "segments", _checked_segments(self.segments))
-        object.__setattr__(self, "surface_speeds", _checked_speeds(self.surface_speeds, len(self.segments)))
-        object.__setattr__(self, "box", box)
-        object.__setattr__(self, "gravity", gravity)
-        object.__setattr__(self, "friction", friction[0])
-        object.__setattr__(self, "restitution", restitution[0])
+        segments = _checked_segments(self.segments)
+        checked = {
+            "box": box,
+            "gravity": gravity,
+            "friction": number("friction", self.friction, low=0),
+            "restitution": number("restitution", self.restitution, low=0, high=1),
+            "scales": _checked_scales(self.scales),
+            "segments": segments,
+            "surface_speeds": _checked_speeds(self.surface_speeds, len(segments)),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
@@ -469,7 +467,9 @@ def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
     return found if any(found) else ()
 
 
-def _checked_scales(scales) -> ContactScales:
+def _checked_scales(scales) -> ContactScales | None:
+    if scales is None:
+        return None
     if not isinstance(scales, ContactScales):
         raise ValueError(f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
     # Floats, whatever was given: compiled code is compiled for those.

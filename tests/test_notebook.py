@@ -1,7 +1,6 @@
 """What notebooks and editors show: short reprs, inline pictures; and states that compare."""
 
 import dataclasses
-from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -149,7 +148,3 @@ def test_what_a_user_gave_is_copied():
     bodies = dc.make_bodies(position)
     position[:] = 5.0
     assert bodies.position.tolist() == [[1.0, 1.0]]
-
-
-def test_the_package_says_that_it_has_types():
-    assert (Path(dc.__file__).parent / "py.typed").exists()

@@ -64,7 +64,7 @@ TWO = [[1.0, 1.0], [4.0, 1.0]]
         (lambda: dc.World(gravity=-9.81), r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
         (lambda: dc.World(gravity="down"), "gravity: expected two finite numbers, .* got down"),
         (lambda: dc.World(box="wide"), "box: expected finite .* got wide"),
-        (lambda: dc.World(friction="much"), "friction: expected a finite number >= 0, got much"),
+        (lambda: dc.World(friction="much"), "friction: expected a finite number >= 0, got 'much'"),
         (lambda: dc.World(restitution=None), "restitution: expected a number from 0 to 1, got None"),
         (
             lambda: dc.make_bodies(TWO, radius=[1, 1, 1]),

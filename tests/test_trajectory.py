@@ -1,7 +1,5 @@
 """`deep_contact.trajectory`: a run as arrays, as a file, as a table and as an animation."""
 
-import sys
-
 import numpy as np
 import pytest
 from conftest import solved_states
@@ -58,12 +56,6 @@ def test_a_file_gives_the_same_run(run, tmp_path):
     assert repr(again) == repr(run)
 
 
-def test_it_is_named_in_a_line(run, states):
-    count = sum(state.contacts.count for state in states)
-    times = f"{states[0].time:g} to {states[-1].time:g} s"
-    assert repr(run) == f"Trajectory(12 circles, {len(states)} states, {times}, {count} contacts)"
-
-
 def test_an_animation_has_a_frame_for_each_state(run):
     from matplotlib import pyplot
 
@@ -80,12 +72,6 @@ def test_a_table_has_a_row_for_each_circle_and_time(run):
     assert list(frame.columns) == ["time", "body", "x", "y", "v_x", "v_y", "angle", "spin"]
     row = frame[(frame.time == run.times[3]) & (frame.body == 5)].iloc[0]
     assert (row.x, row.v_y, row.spin) == (run.positions[3, 5, 0], run.velocities[3, 5, 1], run.spins[3, 5])
-
-
-def test_a_table_needs_pandas(run, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pandas", None)
-    with pytest.raises(ImportError):
-        run.to_frame()
 
 
 def test_states_that_are_no_run_are_refused(states):

@@ -7,7 +7,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics.lcp import contact_problem
-from deep_contact.warm_start import STARTS, Bad, Builtin, Copy, Random, Scaled
+from deep_contact.warm_start import Bad, Builtin, Copy, Random, Scaled
 
 
 def mean_sweeps(states, start):
@@ -119,12 +119,3 @@ def test_a_start_with_nan_raises(falling_states):
     bad[2] = np.nan
     with pytest.raises(ValueError, match=r"tangent impulses of at most 1e\+50 N·s, got nan at contact 2"):
         dc.solve_contacts(state, start=(np.zeros_like(bad), bad))
-
-
-def test_a_start_of_the_wrong_size_raises_in_a_run():
-    with pytest.raises(ValueError, match="one a contact"):
-        dc.simulate(dc.column(3), steps=2, warm_start=lambda state, solver: (np.zeros(1), np.zeros(1)))
-
-
-def test_names_are_documented_starts():
-    assert {"none", "builtin", "scaled", "copy", "random", "bad"} <= set(STARTS)
