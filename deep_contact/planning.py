@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled.crew import cores
-from deep_contact.physics.engine import advance_of, leaves_tangents_out
+from deep_contact.physics.engine import Steps, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import BatchedPGS, describe
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
@@ -79,10 +79,10 @@ def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False
     """
     scene = ready(scene)
     solver, start = method_of(scene, solver, warm_start, sleep=sleep)
-    _, options = advance_of(solver, sleep)
+    Steps(solver, scene.bodies.count, sleep=sleep)  # raises ValueError where the solver cannot sleep
     found = table if table is not None else installed_results()
     savings = found["data"]["savings"]
-    tangents = not leaves_tangents_out(scene, options.settings)
+    tangents = not leaves_tangents_out(scene, solver)
     name = warm_start if isinstance(warm_start, str) else type(start).__name__
     left = {part: _share(one) for part, one in savings.items()}
     choices = (

@@ -14,20 +14,19 @@ import numpy as np
 
 from deep_contact import notebook
 from deep_contact.compiled.crew import cores
-from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
     ContactSolution,
-    advance_of,
+    Steps,
     contacts_of,
     is_valid,
     solve,
     step_input,
     step_problem,
 )
-from deep_contact.physics.solvers import PGS, PRECISIONS
+from deep_contact.physics.solvers import PGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
-from deep_contact.physics.step import StepLog, StepWorkspace, make_log
+from deep_contact.physics.step import StepLog, make_log
 from deep_contact.state import (
     LIMITS,
     SINGLE_LIMITS,
@@ -46,9 +45,6 @@ from deep_contact.warm_start import Builtin, NoStart, starting_impulses, warm_st
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
 _CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 5
-
-_MANY = 3000
-"""Circles from which on memory is kept between two calls of compiled code."""
 
 _WORK, _SECONDS = 20_000_000, 0.2
 """Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
@@ -240,14 +236,9 @@ def _advance(
     # Builtin and NoStart need nothing from Python between two steps.
     by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
     every = record or steps + 1
-    advance, options = advance_of(solver, sleep)
-    if advance is engine.advance and steps > 1 and state.bodies.count >= _MANY:
-        advance = engine.AdvanceKeepingMemory()
-    options = options._replace(carry=not isinstance(start, NoStart))
-    log, theta = make_log(steps), np.empty(solver.sweeps)
-    still = np.zeros(state.bodies.count if sleep else 0)
+    advance = Steps(solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
+    log = make_log(steps)
     scales = state.scales  # of radii that do not change in a run
-    solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision])
     frames = [] if record is None else [state]
     done = 0
     work = _WORK // 8
@@ -273,18 +264,18 @@ def _advance(
         )
         if on_step is None:
             before = contacts = normal = tangent = None  # a million circles have 200 MB of them
-        given = step_input(state, options.settings, scales)
-        workspace = StepWorkspace(solver_bodies, theta, still)
+        given = step_input(state, solver, scales)
         chunk = StepLog(*(column[done : done + count] for column in log[:4]), np.array([0, work]))
         begun = time.perf_counter()
-        solved, found = advance(given, options, workspace, chunk)
+        solved, found = advance(given, chunk)
         # How a run is divided changes no bit of it.
         work = min(_WORK, 2 * work, 1 + int(work * _SECONDS / (time.perf_counter() - begun)))
         count = int(chunk.progress[0])
         if not np.isfinite(state.bodies.position.sum()):
             _raise_diverged(state.bodies, state.step + count)
         if on_step is not None:
-            convergence = convergence_record(theta[: chunk.sweeps[0]], solver, int(chunk.contacts[0]))
+            theta = advance.memory(given).theta[: chunk.sweeps[0]]
+            convergence = convergence_record(theta, solver, int(chunk.contacts[0]))
             solved = Contacts(*(field.copy() for field in solved))
             on_step(before.replace(contacts=solved, solved=True), convergence)
         done += count

@@ -510,8 +510,7 @@ def find_contacts(position, radius, box, segments, skin, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: (S, 5), m and m/s.
-    skin: of walls and segments, m. cells, buffer: memory to use. Returns (contacts, buffer): views of the buffer, grown
-    if needed.
+    skin: of walls and segments, m. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
     """
     has_list(position, radius, cells)
     return contacts_at(position, radius, box, segments, skin, cells, buffer)
@@ -530,7 +529,7 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer):
         buffer = make_contacts(2 * buffer.body_a.shape[0] + 64)
     contacts = first_contacts(buffer, m)
     write_geometry(position, radius, box, segments, skin, contacts)
-    return contacts, buffer
+    return contacts
 
 
 @njit(cache=True, error_model="numpy")
@@ -662,9 +661,9 @@ def next_contacts(bodies, before, box, segments, skin, cells, solved, warm, buff
     """Contacts of the step after the one that `solved` those given, found where the bodies are now.
 
     before: where they were, (n, 2), m; read only where there are segments (`positions_before`). warm: with the impulses
-    that their pairs had solved; otherwise without. Returns (contacts, buffer): `find_contacts`.
+    that their pairs had solved; otherwise without. Returns the contacts: `find_contacts`.
     """
     hold(bodies, before, box, segments, skin, solved)
-    contacts, buffer = find_contacts(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
+    contacts = find_contacts(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
     carry_impulses(solved, contacts, warm)
-    return contacts, buffer
+    return contacts

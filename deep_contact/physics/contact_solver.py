@@ -67,7 +67,7 @@ SUMS = {"contract", "reassoc"}
 
 
 @njit(cache=True)
-def make_rows(capacity, dtype, friction=0.0):
+def make_rows(capacity, dtype, friction):
     """Uninitialised rows for `capacity` contacts, in the precision of the solver bodies."""
     if friction is None:
         return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 4), dtype), np.empty((capacity, 1), dtype))
@@ -87,10 +87,10 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(bodies, contacts, solver_bodies, buffer, friction=0.0):
-    """Rows of all contacts with their starting impulses. Returns (rows, buffer): views of the buffer, grown if needed.
+def contact_rows(given, contacts, solver_bodies, buffer, friction):
+    """Rows of the contacts with their starting impulses: views of the buffer, or of new memory if it is too small.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). Targets: 0.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). Targets: 0. given: `StepInput`, whose friction is handed in as well.
     """
     m = contacts.body_a.shape[0]
     if m > buffer.body.shape[0]:
@@ -99,9 +99,11 @@ def contact_rows(bodies, contacts, solver_bodies, buffer, friction=0.0):
     if friction is None:
         write_normal_rows(contacts, solver_bodies, rows)
     else:
-        write_rows(bodies, contacts, solver_bodies, rows)
+        write_rows(given.bodies, contacts, solver_bodies, rows)
+        if given.segments.shape[0] > 0:
+            move_surfaces(contacts, given.segments, solver_bodies, rows)
     rows.data[:, -1] = 0.0
-    return rows, buffer
+    return rows
 
 
 @njit(cache=True, error_model="numpy")
@@ -156,10 +158,8 @@ def write_normal_rows(contacts, solver_bodies, rows):
 
 @njit(cache=True)
 def move_surfaces(contacts, segments, solver_bodies, rows):
-    """Let the surfaces of segments, (S, 5), move, in place on rows with friction and on the solver bodies."""
+    """Let the surfaces of segments, (S, 5), move, in place on rows with tangents and on the solver bodies."""
     last = solver_bodies.shape[0] - 1
-    if rows.data.shape[1] <= ARM_B:
-        return
     solver_bodies[last, V_S] = 1.0
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
@@ -168,7 +168,7 @@ def move_surfaces(contacts, segments, solver_bodies, rows):
 
 
 @njit(cache=True)
-def apply_impulses(rows, solver_bodies, friction=0.0):
+def apply_impulses(rows, solver_bodies, friction):
     """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
     if friction is None:
         apply_normal_impulses(rows, solver_bodies)

@@ -1,25 +1,18 @@
 """The engine: what a step does.
 
-`advance` is the algorithm, which behaves as Box2D 2.3 does for circles at e = 0, but for its own continuous collision;
-with sleeping it is `sleeping.advance_sleeping`. `deep_contact.simulation` is the validated interface.
+`advance` is the algorithm, which behaves as Box2D 2.3 does for circles at e = 0, but for its own continuous collision.
+`solvers.batched.advance_by_crew` has the same stages for several threads. `deep_contact.simulation` is the validated
+interface.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.collision import (
-    Cells,
-    find_contacts,
-    make_cells,
-    make_contacts,
-    next_contacts,
-    own_contacts,
-)
+from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (
     NORMAL,
     TANGENT,
@@ -31,24 +24,23 @@ from deep_contact.physics.contact_solver import (
     integrate_positions,
     integrate_velocities,
     make_rows,
-    move_surfaces,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.impacts import rebound
-from deep_contact.physics.position_correction import CorrectionRoom, correct_positions, make_correction_room
+from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import positions_before, segments_of
-from deep_contact.physics.sleeping import advance_sleeping
-from deep_contact.physics.solvers import PRECISIONS
-from deep_contact.physics.solvers.registry import (
-    entry_of,
-    for_state,
-    is_frictionless,
-    make_workspace,
-    relax,
-    settings_of,
+from deep_contact.physics.sleeping import (
+    all_asleep,
+    awake_contacts,
+    hold_sleeping,
+    make_sleep_memory,
+    store_awake_impulses,
+    wake_and_put_to_sleep,
 )
-from deep_contact.physics.step import StepInput, StepOptions, log_step
+from deep_contact.physics.solvers import PRECISIONS
+from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
+from deep_contact.physics.step import StepInput, StepLog, StepMemory, StepOptions, log_step, make_memory
 from deep_contact.scales import ContactScales
 from deep_contact.state import LIMITS, Contacts, State, native
 from deep_contact.validation import flag
@@ -60,91 +52,77 @@ _FINITE = (-np.finfo(np.float64).max, np.finfo(np.float64).max)
 _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
 
 
-class StepMemory(NamedTuple):
-    """Buffers that a step leaves to the next one: `make_memory`. None of them changes a bit of what a step computes."""
-
-    cells: Cells
-    contacts: Contacts
-    rows: Rows
-    correction: CorrectionRoom
-
-
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(given, options, workspace, log):
+def advance(given, options, memory, log):
     """Do as many steps as the log has rows, or until the work in `log.progress` is done: the bodies move in place.
 
-    Returns (contacts solved last, contacts found).
-    The contacts solved last are for reading only: they may lie in memory that the next steps write into.
-    given: `StepInput`. options: `StepOptions`. workspace: `StepWorkspace`.
-    log: `StepLog`, filled.
+    Returns (contacts solved last, contacts found), which lie in memory that the next call writes into.
+    given: `StepInput`. options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
     """
-    n = given.bodies.mass.shape[0]
-    memory, buffer = make_memory(n, workspace.solver_bodies.dtype, given.friction), make_contacts(4 * n + 64)
-    solved, found = advance_with(memory, buffer, given, options, workspace, log)
-    return solved, own_contacts(found)
-
-
-@njit(cache=True)
-def make_memory(n, dtype, friction):
-    """A `StepMemory` for n circles. dtype: of the solver bodies. friction: None for rows without tangents."""
-    return StepMemory(
-        make_cells(n),
-        make_contacts(4 * n + 64),
-        make_rows(4 * n + 64, dtype, friction),
-        make_correction_room(n, 4 * n + 64),
-    )
-
-
-@njit(cache=True, error_model="numpy", nogil=True)
-def advance_with(memory, front_buffer, given, options, workspace, log):
-    """`advance` with a `StepMemory`. The contacts that it returns lie in it or in `front_buffer`, like its contacts."""
-    bodies, contacts, friction, scales = given.bodies, given.contacts, given.friction, given.scales
-    segments, solver_bodies, theta = given.segments, workspace.solver_bodies, workspace.theta
-    cells, back_buffer, row_buffer, room = memory.cells, memory.contacts, memory.rows, memory.correction
-    solver_workspace = make_workspace(options.settings, row_buffer, solver_bodies)
-    solved = contacts
+    bodies, box, segments, scales, friction = given.bodies, given.box, given.segments, given.scales, given.friction
+    solver_bodies, theta, sleep = memory.solver_bodies, memory.theta, memory.sleep
+    workspace = make_workspace(options.settings, memory.rows, solver_bodies)
+    solved = contacts = given.contacts
     for k in range(log.contacts.shape[0]):
-        if given.restitution > 0.0:
-            rebound(given, contacts)
+        solved = contacts
+        if all_asleep(sleep):
+            log_step(log, k, 0, 0, theta, 0)
+            continue
+        active = awake_contacts(solved, sleep)
+        # Velocities.
+        rebound(given, active)
         integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-        rows, row_buffer = contact_rows(bodies, contacts, solver_bodies, row_buffer, friction)
-        if segments.shape[0] > 0:
-            move_surfaces(contacts, segments, solver_bodies, rows)
+        hold_sleeping(solver_bodies, sleep)
+        rows = contact_rows(given, active, solver_bodies, memory.rows, friction)
         apply_impulses(rows, solver_bodies, friction)
-        sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, solver_workspace)
-        store_impulses(rows, contacts)
+        sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
+        store_impulses(rows, active)
+        store_awake_impulses(active, solved, sleep)
+        # Positions.
         before = positions_before(bodies, segments)
         integrate_positions(bodies, solver_bodies, given)
-        room = correct_positions(bodies, contacts, given.box, segments, scales, options.position_sweeps, room)
-
-        solved = contacts
-        contacts, back_buffer = next_contacts(
-            bodies, before, given.box, segments, scales.wall_skin, cells, solved, options.carry, back_buffer
+        correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
+        # The contacts that the next step solves.
+        contacts = next_contacts(
+            bodies, before, box, segments, scales.wall_skin, memory.cells, solved, options.carry, memory.contacts[k % 2]
         )
-        front_buffer, back_buffer = back_buffer, front_buffer
-        if log_step(log, k, solved.body_a.shape[0], sweeps, theta, relaxations):
+        wake_and_put_to_sleep(given, contacts, sleep)
+        if log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations):
             break
     return solved, contacts
 
 
-class AdvanceKeepingMemory:
-    """`advance` for a run of several calls on many circles: the second call does not begin with new memory.
+class Steps:
+    """The steps of a solver: a call does some of them, in memory that it keeps for the next call.
 
-    The first steps in new memory search contacts without a list of those that were near, and touch pages for the first
-    time: at 100,000 circles, with three steps a call, a fifth of all time. Handing it over costs some 20 µs a call.
+    solver: options with numbers in place of what follows the scene (`for_state`). n: circles. sleep: whether islands
+    may sleep; all start awake. carry: see `StepOptions`. Raises ValueError for a solver that cannot sleep.
     """
 
-    def __init__(self):
-        self._memory: dict[bool, tuple] = {}
+    def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
+        entry = entry_of(solver)
+        if flag("sleep", sleep) and not entry.can_sleep:
+            raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
+        self._advance = entry.advance(solver) if entry.advance else advance
+        self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
+        self._solver, self._memory = solver, {}
+        self._sleep = make_sleep_memory(n, 4 * n + 64) if sleep else None
 
-    def __call__(self, given, options, workspace, log):
-        """As `advance`."""
-        with_tangents = given.friction is not None
-        if with_tangents not in self._memory:
-            n = given.bodies.count
-            memory = make_memory(n, workspace.solver_bodies.dtype, given.friction)
-            self._memory[with_tangents] = memory, make_contacts(4 * n + 64)
-        solved, found = advance_with(*self._memory[with_tangents], given, options, workspace, log)
+    def memory(self, given: StepInput) -> StepMemory:
+        """The memory that these steps work in: one for rows with tangents, one for rows without."""
+        key = given.friction is None
+        if key not in self._memory:
+            n, m = given.bodies.count, given.contacts.count
+            dtype, sweeps = PRECISIONS[self._solver.precision], self._solver.sweeps
+            self._memory[key] = make_memory(n, max(4 * n, m + m // 2) + 64, dtype, sweeps, given.friction, self._sleep)
+        return self._memory[key]
+
+    def __call__(self, given: StepInput, log: StepLog) -> tuple[Contacts, Contacts]:
+        """Do as many steps as the log has rows, which is filled: the bodies move in place.
+
+        Returns (contacts solved last, contacts found); the next call may write into the former.
+        """
+        solved, found = self._advance(given, self._options, self.memory(given), log)
         return solved, own_contacts(found)
 
 
@@ -161,10 +139,7 @@ def build_rows(given, solver_bodies):
     """Fill the solver bodies of a step, after its impacts, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
     buffer = make_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
-    rows, _ = contact_rows(given.bodies, given.contacts, solver_bodies, buffer, given.friction)
-    if given.segments.shape[0] > 0:
-        move_surfaces(given.contacts, given.segments, solver_bodies, rows)
-    return rows
+    return contact_rows(given, given.contacts, solver_bodies, buffer, given.friction)
 
 
 @njit(cache=True)
@@ -256,15 +231,15 @@ def world_arguments(state: State) -> tuple:
     return world.box, segments_of(world), world.gravity, world.friction, world.restitution
 
 
-def leaves_tangents_out(state: State, settings: NamedTuple) -> bool:
+def leaves_tangents_out(state: State, solver) -> bool:
     """Whether a step needs no tangent rows: μ = 0, no tangent impulse to start from, and a loop that can do without."""
-    return state.world.friction == 0 and is_frictionless(settings) and not state.contacts.tangent_start.any()
+    return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
 
 
-def step_input(state: State, settings: NamedTuple, scales: ContactScales | None = None) -> StepInput:
+def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
     """What the next steps of a state read; it shares the state's arrays. scales: the state's, if they are at hand."""
     box, segments, gravity, friction, restitution = world_arguments(state)
-    friction = None if leaves_tangents_out(state, settings) else friction
+    friction = None if leaves_tangents_out(state, solver) else friction
     scales = state.scales if scales is None else scales
     return StepInput(state.bodies, state.contacts, box, segments, gravity, friction, restitution, state.dt, scales)
 
@@ -289,30 +264,15 @@ def step_problem(state: State, solver=None, scales: ContactScales | None = None)
         scales = state.scales if scales is None else scales
         given = StepInput(state.bodies, state.contacts, *world_arguments(state), state.dt, scales)
     else:
-        given = step_input(state, settings_of(for_state(solver, state)), scales)
+        given = step_input(state, solver, scales)
     return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
-
-
-def advance_of(solver, sleep: bool = False) -> tuple[Callable, StepOptions]:
-    """The compiled function that does the steps of a solver, and its options, which carry impulses.
-
-    Raises ValueError for a solver that cannot sleep.
-    """
-    entry = entry_of(solver)
-    if flag("sleep", sleep) and not entry.can_sleep:
-        raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
-    options = StepOptions(entry.settings(solver), solver.position_sweeps, carry=True)
-    if entry.advance is not None:
-        return entry.advance(solver), options
-    return (advance_sleeping if sleep else advance), options
 
 
 def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
     bodies, world = native(state).bodies, state.world
     where = bodies.position, bodies.radius, world.box, segments_of(world), state.scales.wall_skin
-    contacts, _ = find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64))
-    contacts = own_contacts(contacts)
+    contacts = own_contacts(find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64)))
     for values in contacts[5:]:
         values[:] = 0.0
     return contacts

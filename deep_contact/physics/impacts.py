@@ -31,12 +31,14 @@ SLOWEST = 1e-4
 
 @njit(cache=True, error_model="numpy")
 def rebound(given, contacts):
-    """Let circles that meet rebound, in place on their velocities and spins. given: `StepInput`, with e > 0.
+    """Let circles that meet rebound, in place on their velocities and spins. given: `StepInput`.
 
     Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
     rebound, so that piles come to rest.
     """
     bodies, restitution, half = given.bodies, given.restitution, -0.5 * given.dt
+    if restitution == 0.0:
+        return
     ground, fastest = (half * given.gravity[0], half * given.gravity[1]), 0.0
     for i in range(contacts.body_a.shape[0]):
         fastest = max(fastest, -parting_speed(bodies, contacts, i, ground))

@@ -97,12 +97,11 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
 
     room: `CorrectionRoom`. What it remembers of the corrections before tells which way costs less; it changes no bit.
     Tiles know walls alone, so with segments it is always contact by contact.
-    Returns the room, a larger one if needed.
     """
-    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
+    n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], room.memory
     if m > room.batch.shape[0]:
-        room = make_correction_room(n, m + m // 2)
-    memory, tiles, done = room.memory, 0, 0
+        room = make_correction_room(n, m)
+    tiles, done = 0, 0
     begin = 0 if memory[SWEEPS] > _FEW else _FEW
     if segments.shape[0] > 0:
         begin = sweeps
@@ -126,7 +125,6 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
     if tiles > 0:
         take_centres(room.centre, bodies)
     memory[SWEEPS] = done
-    return room
 
 
 @njit(cache=True, error_model="numpy")

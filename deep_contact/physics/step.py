@@ -7,6 +7,10 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deep_contact.physics.collision import Cells, make_cells, make_contacts
+from deep_contact.physics.contact_solver import Rows, make_rows
+from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
+from deep_contact.physics.sleeping import SleepMemory
 from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts
 
@@ -43,18 +47,34 @@ class StepOptions(NamedTuple):
     carry: bool
 
 
-class StepWorkspace(NamedTuple):
-    """Where the steps work.
+class StepMemory(NamedTuple):
+    """Where the steps work. What it holds from one call to the next changes no bit of what they compute.
 
     solver_bodies: (n + 4, 4), in the precision of the sweeps; each step fills them
     (`contact_solver.integrate_velocities`). theta: buffer for the θ of one step's sweeps; its length is the largest
-    number of sweeps. still: time for which each circle has been still, (n,), s; infinite while it sleeps; empty where
-    nothing may sleep.
+    number of sweeps. contacts: two buffers, which the steps fill by turns. sleep: None where nothing may sleep.
     """
 
     solver_bodies: np.ndarray
     theta: np.ndarray
-    still: np.ndarray
+    rows: Rows
+    correction: CorrectionRoom
+    cells: Cells
+    contacts: tuple[Contacts, Contacts]
+    sleep: SleepMemory | None
+
+
+def make_memory(n: int, capacity: int, dtype, sweeps: int, friction, sleep: SleepMemory | None = None) -> StepMemory:
+    """Memory of steps of n circles, with room for so many contacts; where there are more, single steps take their own.
+
+    dtype: of the solver bodies. sweeps: the most of a step. friction: None for rows without tangents.
+    """
+    dtype = np.dtype(dtype)
+    return StepMemory(
+        np.empty((n + 4, 4), dtype), np.empty(sweeps), make_rows(capacity, dtype, friction),
+        make_correction_room(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)),
+        sleep,
+    )  # fmt: skip
 
 
 class StepLog(NamedTuple):

@@ -16,11 +16,11 @@ from dataclasses import replace
 import numpy as np
 
 from deep_contact import constants
-from deep_contact.physics.engine import advance_of, step_input, step_problem
+from deep_contact.physics.engine import Steps, step_input
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
-from deep_contact.physics.step import StepWorkspace, make_log
+from deep_contact.physics.step import make_log
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies import piles, timing
@@ -110,24 +110,22 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
 class _Asleep:
     """Steps of `STEP` by circles that have been still for `still`, (n,), s: `simulate` lets all start awake.
 
-    It calls the compiled step itself. `reset` prepares a run, which changes its arguments.
+    It calls the compiled step itself. `reset` prepares a run.
     """
 
     def __init__(self, state: State, still: np.ndarray, steps: int):
-        self._state, self._still, self._steps = state, still, steps
-        self._advance, self._options = advance_of(STEP, sleep=True)
+        self._state, self._still, self._log = state, still, make_log(steps)
 
     def reset(self) -> None:
         bodies, contacts = (
             part._make(field.copy() for field in part) for part in (self._state.bodies, self._state.contacts)
         )
-        state = self._state.replace(bodies=bodies, contacts=contacts)
-        problem = step_problem(state, STEP)
-        workspace = StepWorkspace(problem.solver_bodies, np.empty(STEP.sweeps), self._still.copy())
-        self._arguments = step_input(state, self._options.settings), self._options, workspace, make_log(self._steps)
+        self._given = step_input(self._state.replace(bodies=bodies, contacts=contacts), STEP)
+        self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
+        self._advance.memory(self._given).sleep.still[:] = self._still
 
     def run(self) -> None:
-        self._advance(*self._arguments)
+        self._advance(self._given, self._log)
 
 
 def island_savings(scene: State, *, steps: int, every: int) -> dict:

@@ -58,7 +58,7 @@ def test_pairs_of_all_sizes_equal_brute_force(seed, smallest):
     n = 400
     state = crowd(n, seed, smallest=smallest)
     bodies, cells = state.bodies, make_cells(n)
-    found, _ = find_contacts(
+    found = find_contacts(
         bodies.position,
         bodies.radius,
         state.world.box,
@@ -183,8 +183,8 @@ def test_what_a_search_remembers_changes_no_pair():
             state.bodies.position[7] += 0.5
             state = state.replace(contacts=None)
         bodies, box, skin = state.bodies, state.world.box, state.scales.wall_skin
-        found, _ = find_contacts(bodies.position, bodies.radius, box, NO_SEGMENTS, skin, cells, make_contacts(400))
-        fresh, _ = find_contacts(
+        found = find_contacts(bodies.position, bodies.radius, box, NO_SEGMENTS, skin, cells, make_contacts(400))
+        fresh = find_contacts(
             bodies.position, bodies.radius, box, NO_SEGMENTS, skin, make_cells(60), make_contacts(400)
         )
         searched.append(cells.memory[1] >= 0)
@@ -208,7 +208,7 @@ def test_pairs_are_those_of_a_fresh_search_however_circles_move(move, smallest, 
         if step % 20 == 0:
             way = rng.normal(size=position.shape)
         found, fresh = (
-            find_contacts(position, radius, (0, 0, 22, 22), NO_SEGMENTS, 0.01, of, make_contacts(4000))[0]
+            find_contacts(position, radius, (0, 0, 22, 22), NO_SEGMENTS, 0.01, of, make_contacts(4000))
             for of in (cells, make_cells(120))
         )
         made += cells.memory[0] == 0
@@ -224,7 +224,7 @@ def test_a_heap_whose_list_does_not_fit_is_searched_without_one_for_a_while():
     for _ in range(45):
         position += rng.normal(0, 1e-4, position.shape)
         found, fresh = (
-            find_contacts(position, np.ones(60), (-5, -5, 5, 5), NO_SEGMENTS, 0.01, of, make_contacts(4000))[0]
+            find_contacts(position, np.ones(60), (-5, -5, 5, 5), NO_SEGMENTS, 0.01, of, make_contacts(4000))
             for of in (cells, make_cells(60))
         )
         assert found.body_a.size > 8 * 60 + 40
@@ -240,6 +240,6 @@ def test_what_a_search_by_size_remembers_changes_no_pair():
     for step in range(25):
         bodies.position[:] += rng.normal(0, 1e-4 if step % 10 else 1e-2, bodies.position.shape)
         lasted += cells.memory[0] >= 0
-        found, _ = find_contacts(bodies.position, bodies.radius, box, NO_SEGMENTS, skin, cells, make_contacts(4000))
+        found = find_contacts(bodies.position, bodies.radius, box, NO_SEGMENTS, skin, cells, make_contacts(4000))
         assert list(zip(found.body_a, found.body_b)) == brute_force_pairs(state)
     assert lasted > 15

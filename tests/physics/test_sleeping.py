@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.segments import NO_SEGMENTS
-from deep_contact.physics.sleeping import wake_and_put_to_sleep
+from deep_contact.physics.engine import contacts_of, step_input
+from deep_contact.physics.sleeping import make_sleep_memory, wake_and_put_to_sleep
 from deep_contact.state import World, make_bodies
 
 RESTING = dc.PGS(sweeps=200, tolerance=1e-9)
@@ -70,12 +69,18 @@ def test_nothing_falls_asleep_in_flight():
     np.testing.assert_allclose(run.state.bodies.position[0, 1], 1.01, atol=0.01)
 
 
+def still_after_a_step(scene, still):
+    """For how long the only circle of a scene has been still 0.01 s later; infinite if it has fallen asleep."""
+    scene = scene.replace(contacts=contacts_of(scene))
+    sleep = make_sleep_memory(1, 4)
+    sleep.still[:] = still
+    wake_and_put_to_sleep(step_input(scene, dc.PGS()), scene.contacts, sleep)
+    return sleep.still[0]
+
+
 def test_nothing_sleeps_while_it_penetrates():
     scene = floor_scene([5.0, 0.9], gravity=(0.0, 0.0))
-    contacts = contacts_of(scene)
-    rest, room = np.array([10.0]), np.empty(1)
-    assert wake_and_put_to_sleep(scene.bodies, contacts, NO_SEGMENTS, 0.01, dc.BOX2D, np.empty(1, int), room, rest) == 1
-    assert rest[0] == 10.01
+    assert still_after_a_step(scene, 10.0) == 10.01
 
 
 @pytest.mark.parametrize(
@@ -83,12 +88,8 @@ def test_nothing_sleeps_while_it_penetrates():
 )
 def test_the_tolerances_are_those_of_box2d(velocity, spin, awake):
     # 2° a second are 0.0349 rad/s.
-    bodies = make_bodies([[5.0, 5.0]], velocity=[velocity, 0.0], spin=spin)
-    rest = np.array([1.0])
-    scene = dc.single_body().replace(bodies=bodies)
-    room = np.empty(1, int), np.empty(1)
-    found = wake_and_put_to_sleep(bodies, contacts_of(scene), NO_SEGMENTS, 0.01, dc.BOX2D, *room, rest)
-    assert (found, np.isinf(rest[0])) == (awake, not awake)
+    scene = dc.single_body().replace(bodies=make_bodies([[5.0, 5.0]], velocity=[velocity, 0.0], spin=spin))
+    assert np.isfinite(still_after_a_step(scene, 1.0)) == awake
 
 
 def test_calls_between_steps_change_nothing():

@@ -149,7 +149,7 @@ def test_every_picture_path_and_link_exists(page):
 
 def test_the_stages_of_a_step_are_those_of_the_engine_in_its_order():
     source = (ROOT / "deep_contact" / "physics" / "engine.py").read_text(encoding="utf-8")
-    step = re.search(r"^def advance_with\(.*?^    return ", source, re.DOTALL | re.MULTILINE)[0]
+    step = re.search(r"^def advance\(.*?^    return ", source, re.DOTALL | re.MULTILINE)[0]
     loop = step.partition("for k in")[2]
     stages = re.findall(r"^\d+\. `(\w+)`", TEXTS["docs/solvers.md"], re.MULTILINE)
     assert stages == [name for name in re.findall(r"\b(\w+)\(", loop) if name in stages]

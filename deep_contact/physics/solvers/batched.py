@@ -43,9 +43,7 @@ from deep_contact.physics.collision import (
     first_contacts,
     has_list,
     hold,
-    make_cells,
     make_contacts,
-    own_contacts,
     some_contacts,
     write_geometry,
     write_near_pairs,
@@ -72,7 +70,6 @@ from deep_contact.physics.position_correction import (
     correct_tiles,
     fill_centres,
     fill_ground,
-    make_correction_room,
     take_centres,
 )
 from deep_contact.physics.segments import positions_before
@@ -249,16 +246,15 @@ def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps, crew):
     take_centres(tiles.centre[first:last], mine)
 
 
-_FIELDS = ("plan", "tiles", "solved", "contacts", "front", "back", "cells", "room", "told", "found")
+_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "told", "found")
 
 
 class _Shared:
     """What a crew shares of a run. Rank 0 alone replaces it, between barriers, where it has become too small.
 
-    plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. front, back: buffers
-    for them. cells: `Cells`. room: `CorrectionRoom`. told: what a thread tells the others, (size, 8): whether a circle
-    of its share is fast, whether all are finite, whether there is a list of near pairs, whether the call ends. found:
-    pairs of its share that touch, (size, 8).
+    plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. memory: `StepMemory`.
+    told: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite,
+    whether there is a list of near pairs, whether the call ends. found: pairs of its share that touch, (size, 8).
     """
 
     def __init__(self, *values):
@@ -284,12 +280,12 @@ else:
 
 
 @njit(cache=True)
-def make_shared(n, contacts, dtype, size):
-    """A `Shared` for n circles and a crew of that size, that starts from these contacts. dtype: of the sweeps."""
+def make_shared(contacts, memory, size):
+    """A `Shared` for a crew of that size, that starts from these contacts."""
+    n = memory.cells.cell.shape[0]
     return Shared(
-        make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, dtype), contacts, contacts, make_contacts(4 * n + 64),
-        make_contacts(4 * n + 64), make_cells(n), make_correction_room(n, 0), np.zeros((size, 8), np.bool_),
-        np.zeros((size, 8), np.int64),
+        make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, memory.solver_bodies.dtype), contacts, contacts, memory,
+        np.zeros((size, 8), np.bool_), np.zeros((size, 8), np.int64),
     )  # fmt: skip
 
 
@@ -302,7 +298,7 @@ def go_on(shared, contacts):
 @njit(cache=True)
 def results_in(shared):
     """What `engine.advance` returns."""
-    return shared.solved, own_contacts(shared.contacts)
+    return shared.solved, shared.contacts
 
 
 @njit(cache=True)
@@ -315,14 +311,14 @@ def some_bodies(bodies, first, last):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_together(given, options, workspace, log, shared, crew):
-    """`engine.advance` for `BatchedPGS`, by a crew; positions are corrected in batches as well.
+def advance_by_crew(given, options, log, shared, crew):
+    """`engine.advance` for `BatchedPGS`, by a crew: the same stages, with barriers between them.
 
     Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
     scenes with segments or fast circles need. The contacts are left in `shared`, a `Shared`.
     """
-    bodies, settings, scales, segments, told = given.bodies, options.settings, given.scales, given.segments, shared.told
-    n, theta = bodies.mass.shape[0], workspace.theta
+    bodies, box, segments, scales, memory = given.bodies, given.box, given.segments, given.scales, shared.memory
+    n, theta, told = bodies.mass.shape[0], memory.theta, shared.told
     first, last = share_of(n, crew)
     mine = some_bodies(bodies, first, last)
     mine_a, mine_b = np.empty(4 * (last - first) + 64, np.int64), np.empty(4 * (last - first) + 64, np.int64)
@@ -332,60 +328,59 @@ def advance_together(given, options, workspace, log, shared, crew):
             if not is_plan_of(shared.plan, n, contacts, shared.solved):
                 shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
             shared.tiles = with_room(shared.plan, shared.tiles)
-            if given.restitution > 0.0:
-                rebound(given, contacts)
+            shared.solved = contacts
+            rebound(given, contacts)
         wait(crew)
-        plan, tiles, contacts = shared.plan, shared.tiles, shared.contacts
-        before = positions_before(bodies, segments)
-        integrate_velocities(mine, given.gravity, given.dt, tiles.solver_bodies[first:last])
+        plan, tiles, solved = shared.plan, shared.tiles, shared.solved
+        my_velocities, before = tiles.solver_bodies[first:last], positions_before(bodies, segments)
+        # Velocities.
+        integrate_velocities(mine, given.gravity, given.dt, my_velocities)
         wait(crew)
-        write_blocks(given, contacts, plan, tiles, crew)
-        sweeps = relax_tiles(settings, plan, tiles, given.friction, theta, crew)
-        told[crew.rank, 1] = all_finite(tiles.solver_bodies[first:last])
-        store_blocks(plan, tiles, contacts, crew)
-        told[crew.rank, 0] = move(mine, tiles.solver_bodies[first:last], given)
+        write_blocks(given, solved, plan, tiles, crew)
+        sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, crew)
+        told[crew.rank, 1] = all_finite(my_velocities)
+        store_blocks(plan, tiles, solved, crew)
+        # Positions.
+        told[crew.rank, 0] = move(mine, my_velocities, given)
         wait(crew)
         if told[:, 0].any():
             if crew.rank == 0:
                 stop_fast_circles(bodies, given)
             wait(crew)
         if segments.shape[0] == 0:
-            correct_positions_in_batches(plan, tiles, mine, given.box, scales, options.position_sweeps, crew)
+            correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps, crew)
             wait(crew)
         if crew.rank == 0:
+            if segments.shape[0] > 0:
+                correct_positions(bodies, solved, box, segments, scales, options.position_sweeps, memory.correction)
             if sweeps > 0 and not told[:, 1].all():
                 theta[sweeps - 1] = np.nan
-            if segments.shape[0] > 0:
-                shared.room = correct_positions(
-                    bodies, contacts, given.box, segments, scales, options.position_sweeps, shared.room
-                )
-            shared.solved = contacts
-            m = contacts.body_a.shape[0]
+            m = solved.body_a.shape[0]
             told[0, 3] = log_step(log, k, m, sweeps, theta, sweeps * m)
-            hold(bodies, before, given.box, segments, scales.wall_skin, contacts)
-            told[0, 2] = has_list(bodies.position, bodies.radius, shared.cells) and segments.shape[0] == 0
+            # The contacts that the next step solves.
+            hold(bodies, before, box, segments, scales.wall_skin, solved)
+            told[0, 2] = has_list(bodies.position, bodies.radius, memory.cells) and segments.shape[0] == 0
         wait(crew)
         if told[0, 2]:
-            mine_a, mine_b = find_touching(given, shared, mine_a, mine_b, crew)
+            mine_a, mine_b = find_touching(given, shared, memory.contacts[k % 2], mine_a, mine_b, crew)
             describe_touching(given, options, shared, mine_a, mine_b, crew)
-            wait(crew)
         elif crew.rank == 0:
-            where = bodies.position, bodies.radius, given.box, segments, scales.wall_skin
-            shared.contacts, buffer = contacts_at(*where, shared.cells, shared.back)
-            carry_impulses(contacts, shared.contacts, options.carry)
-            shared.back, shared.front = shared.front, buffer
+            where = bodies.position, bodies.radius, box, segments, scales.wall_skin
+            shared.contacts = contacts_at(*where, memory.cells, memory.contacts[k % 2])
+            carry_impulses(solved, shared.contacts, options.carry)
+        wait(crew)
         if told[0, 3]:
             break
 
 
 @njit(cache=True, error_model="numpy")
-def find_touching(given, shared, mine_a, mine_b, crew):
+def find_touching(given, shared, buffer, mine_a, mine_b, crew):
     """The pairs of this thread's circles that touch, from the list of near ones, into `mine_a` and `mine_b`.
 
-    Returns these, larger ones if needed. `Shared.contacts` has room for the pairs of all threads then.
+    Returns these, larger ones if needed. `Shared.contacts` has room for the pairs of all threads then, in the buffer.
     """
     bodies, (begin, end) = given.bodies, share_of(given.bodies.mass.shape[0], crew)
-    where = bodies.position, bodies.radius, given.box, given.scales.wall_skin, shared.cells, begin, end
+    where = bodies.position, bodies.radius, given.box, given.scales.wall_skin, shared.memory.cells, begin, end
     found = write_near_pairs(*where, mine_a, mine_b)
     while found < 0:
         mine_a, mine_b = np.empty(2 * mine_a.shape[0] + 64, np.int64), np.empty(2 * mine_b.shape[0] + 64, np.int64)
@@ -393,10 +388,10 @@ def find_touching(given, shared, mine_a, mine_b, crew):
     shared.found[crew.rank, 0] = found
     wait(crew)
     if crew.rank == 0:
-        m, buffer = shared.found[:, 0].sum(), shared.back
+        m = shared.found[:, 0].sum()
         if m > buffer.body_a.shape[0]:
-            buffer = make_contacts(m + m // 2)
-        shared.contacts, shared.back, shared.front = first_contacts(buffer, m), shared.front, buffer
+            buffer = make_contacts(m)
+        shared.contacts = first_contacts(buffer, m)
     wait(crew)
     return mine_a, mine_b
 
@@ -432,23 +427,19 @@ def store_blocks(plan, tiles, contacts, crew):
 
 
 class _Run:
-    """`engine.advance` for a run on at most so many threads, and no more than there are cores: the same bits.
-
-    What one call has found out, memory and near pairs, serves the next.
-    """
+    """`engine.advance` for a run on at most so many threads, and no more than there are cores: the same bits."""
 
     def __init__(self, solver: BatchedPGS):
         self._solver, self._shared = solver, None
 
-    def __call__(self, given, options, workspace, log):
+    def __call__(self, given, options, memory, log):
         """As `engine.advance`."""
         if self._shared is None:
-            n = given.bodies.count
-            self._size = threads_of(self._solver, n)
-            self._shared = make_shared(n, given.contacts, workspace.solver_bodies.dtype, self._size)
+            self._size = threads_of(self._solver, given.bodies.count)
+            self._shared = make_shared(given.contacts, memory, self._size)
         else:
             go_on(self._shared, given.contacts)
-        together(self._size, advance_together, given, options, workspace, log, self._shared)
+        together(self._size, advance_by_crew, given, options, log, self._shared)
         return results_in(self._shared)
 
 
@@ -462,6 +453,6 @@ def threads_of(solver, n_bodies: int) -> int:
 register(
     BatchedPGS,
     lambda solver: BatchSettings(tolerance_argument(solver)),
-    (Loop(BatchSettings, relax_in_batches, frictionless=False),),
+    (Loop(BatchSettings, relax_in_batches),),
     advance=_Run,
 )

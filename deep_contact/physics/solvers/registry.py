@@ -28,14 +28,12 @@ class Loop(NamedTuple):
     in place on `rows.impulse` and on the solver bodies, which stay v + M⁻¹ Jᵀ λ; writes the θ of each sweep; stops
     where `convergence.is_over` says so, at the latest after theta.shape[0] sweeps.
     workspace: compiled function (rows, solver_bodies) -> what `relax` needs beside those, made once a run; or None.
-    frictionless: whether `relax` works on rows without tangents (friction None).
     counts_relaxations: whether `relax` returns (sweeps, relaxations). If not, each sweep relaxes every contact once.
     """
 
     settings: type
     relax: Callable
     workspace: Callable | None = None
-    frictionless: bool = True
     counts_relaxations: bool = False
 
 
@@ -44,7 +42,11 @@ class Entry(NamedTuple):
 
     settings: Callable
     advance: Callable | None
-    can_sleep: bool
+
+    @property
+    def can_sleep(self) -> bool:
+        """Whether its steps can leave islands asleep."""
+        return self.advance is None
 
 
 METHODS: dict[str, type] = {}
@@ -61,13 +63,13 @@ def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, adva
     """Make a solver known, under the name of its options.
 
     options: frozen dataclass with `sweeps`, `tolerance`, `position_sweeps` and `precision`. settings: function of the
-    options -> NamedTuple of a type that one of the loops has. advance: function of the options -> compiled function in
-    place of `engine.advance`, for solvers that change the step itself; such solvers cannot put bodies to sleep.
+    options -> NamedTuple of a type that one of the loops has. advance: function of the options -> function in place of
+    `engine.advance`, for a step by several threads, which always has tangent rows and puts nothing to sleep.
     Raises ValueError if another solver has that name.
     """
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
-    _ENTRIES[options] = Entry(settings, advance, can_sleep=advance is None)
+    _ENTRIES[options] = Entry(settings, advance)
     for loop in loops:
         _LOOPS[loop.settings] = loop
 
@@ -93,12 +95,6 @@ def for_state(solver, state: State):
 def settings_of(solver) -> NamedTuple:
     """The settings of a solver from its options."""
     return entry_of(solver).settings(solver)
-
-
-def is_frictionless(settings: NamedTuple) -> bool:
-    """Whether the loop of these settings works on rows without tangents."""
-    loop = _LOOPS.get(type(settings))
-    return loop is not None and loop.frictionless
 
 
 def tolerance_argument(solver) -> float:

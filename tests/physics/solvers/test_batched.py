@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 from conftest import momentum
-from numba import config, njit
+from numba import config
 
 import deep_contact as dc
 from deep_contact.compiled.crew import ALONE
-from deep_contact.physics import batches, collision, contact_solver, engine, position_correction
+from deep_contact.physics import batches, contact_solver, engine, position_correction
 from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.physics.solvers import batched
-from deep_contact.physics.step import StepWorkspace, make_log
+from deep_contact.physics.step import make_log
 from deep_contact.studies.piles import packed_pile
 
 
@@ -232,34 +232,15 @@ def test_threads_change_no_bit(scene, precision, on_step, pile):
     np.testing.assert_array_equal(one.theta, two.theta)
 
 
-@njit
-def memory_of(shared):
-    """`Cells.memory` of a crew."""
-    return shared.cells.memory
-
-
 def test_batches_search_for_contacts_as_often_as_pgs():
     # What is asked twice in a step seems not to have moved in between, and a list is made that does not last.
     state, cells = gas(), []
-    for advance, options in (
-        engine.advance_of(solver)
-        for solver in (dc.PGS(sweeps=3, tolerance=None), dc.BatchedPGS(sweeps=3, tolerance=None))
-    ):
-        problem = engine.step_problem(state)
-        bodies = type(state.bodies)(*(field.copy() for field in state.bodies))
-        contacts = type(state.contacts)(*(field.copy() for field in state.contacts))
-        given = engine.step_input(
-            state.replace(bodies=bodies, contacts=contacts), options.settings._replace(tolerance=-1.0)
-        )
-        workspace = StepWorkspace(problem.solver_bodies, np.empty(3), np.empty(0))
-        if advance is engine.advance:
-            memory = engine.make_memory(state.bodies.count, np.dtype(float), given.friction)
-            buffer = collision.make_contacts(8 * state.bodies.count)
-            engine.advance_with(memory, buffer, given, options, workspace, make_log(6))
-            cells.append(memory.cells.memory)
-        else:
-            advance(given, options, workspace, make_log(6))
-            cells.append(memory_of(advance._shared))
+    for solver in (dc.PGS(sweeps=3, tolerance=None), dc.BatchedPGS(sweeps=3, tolerance=None)):
+        bodies, contacts = (type(part)(*(field.copy() for field in part)) for part in (state.bodies, state.contacts))
+        given = engine.step_input(state.replace(bodies=bodies, contacts=contacts), solver)
+        steps = engine.Steps(solver, state.bodies.count)
+        steps(given, make_log(6))
+        cells.append(steps.memory(given).cells.memory)
     np.testing.assert_array_equal(*cells)
     assert cells[0][1] == -1
 
