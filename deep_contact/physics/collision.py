@@ -44,7 +44,7 @@ have one or two; where one is large, cells are as wide as it is, and the others 
 LEVELS, STEP = 16, 8.0
 """Levels of size: each holds circles down to an eighth of its largest radius, the last all that are left."""
 
-X, Y, PER_METRE, COLUMNS, ROWS, FIRST_CELL = range(6)
+X, Y, PER_METRE, COLUMNS, ROWS, FIRST_CELL, WIDEST = range(7)
 """Columns of `Cells.grid`."""
 
 SEARCHES, PAIRS, WAIT = range(3)
@@ -60,18 +60,18 @@ class Cells(NamedTuple):
 
     | field  | meaning                                                                       | shape        |
     |--------|-------------------------------------------------------------------------------|--------------|
-    | start  | circles `order[start[c]:start[c + 1]]` are in cell c = row * columns + column | (8n + 1000,) |
-    | order  | circles by cell, in a cell by index                                           | (n,)         |
-    | cell   | cell of each circle                                                           | (n,)         |
+    | start  | circles `order[start[c]:start[c + 1]]` are in cell c                          | (8n + 1000,) |
+    | order  | circles by level and cell, in a cell by index                                 | (n,)         |
+    | cell   | of each circle: row * columns + column in the grid of its level               | (n,)         |
     | circle | x, y, radius in the order of `order`                                          | (n, 3)       |
     | anchor | positions at the last sorting                                                 | (n, 2)       |
     | first  | circles `near[first[a]:first[a + 1]]` are near a and come after it            | (n + 1,)     |
     | near   | circles, for each a by index                                                  | (8n + 40,)   |
     | memory | searches since the last sorting, -1 before the first; pairs in `near`, or -1; | (3,)         |
     |        | searches until a list is tried again, after one that did not fit              |              |
-    | level  | of each circle, if they are sorted by size: 0 holds the largest                | (n,)         |
-    | grid   | of a level: corner, m, cells per metre, columns, rows, first cell in `start`   | (16, 6)      |
-    | pair   | near pairs as they were found, the lesser index first                          | (8n + 40, 2) |
+    | level  | of size of each circle: 0 holds the largest                                    | (n,)         |
+    | grid   | of a level: corner, m, cells per metre, columns, rows, first cell in `start`, | (16, 7)      |
+    |        | largest radius, m                                                             |              |
     | gap    | below which a pair is near, m                                                  | (1,)         |
     """
 
@@ -85,7 +85,6 @@ class Cells(NamedTuple):
     memory: np.ndarray
     level: np.ndarray
     grid: np.ndarray
-    pair: np.ndarray
     gap: np.ndarray
 
 
@@ -95,7 +94,7 @@ def make_cells(n):
     return Cells(
         np.empty(8 * n + 1000, np.int64), np.empty(n, np.int64), np.empty(n, np.int64), np.empty((n, 3)),
         np.empty((n, 2)), np.empty(n + 1, np.int64), np.empty(8 * n + 40, np.int32), np.full(3, -1),
-        np.empty(n, np.int64), np.empty((LEVELS, 6)), np.empty((8 * n + 40, 2), np.int32), np.empty(1),
+        np.empty(n, np.int64), np.empty((LEVELS, 7)), np.empty(1),
     )  # fmt: skip
 
 
@@ -135,69 +134,6 @@ def own_contacts(contacts):
 
 
 @njit(cache=True, error_model="numpy")
-def sort_into_cells(position, radius, cells, gap=0.0):
-    """Broad phase: counting sort of the circles into square cells at least one diameter and a gap wide. Fills `cells`.
-
-    position: (n, 2), m. radius: (n,), m. gap: m. Returns (columns, rows) of the grid, which covers the centres.
-    Cells are wider where there would be more than four of them per circle.
-    """
-    n = position.shape[0]
-    x_min = x_max = position[0, 0]
-    y_min = y_max = position[0, 1]
-    largest = radius[0]
-    for i in range(n):
-        x_min = min(x_min, position[i, 0])
-        x_max = max(x_max, position[i, 0])
-        y_min = min(y_min, position[i, 1])
-        y_max = max(y_max, position[i, 1])
-        largest = max(largest, radius[i])
-    most = 4.0 * n + 16.0
-    width = max(2.0 * largest + gap, math.sqrt((x_max - x_min) * (y_max - y_min) / most))
-    width = max(width, max(x_max - x_min, y_max - y_min) / (n + 4.0))
-    per_metre = 1.0 / width
-    columns = int((x_max - x_min) * per_metre) + 1
-    rows = int((y_max - y_min) * per_metre) + 1
-    start, cell = cells.start, cells.cell
-    start[: columns * rows + 1] = 0
-    for i in range(n):
-        column = int((position[i, 0] - x_min) * per_metre)
-        row = int((position[i, 1] - y_min) * per_metre)
-        cell[i] = row * columns + column
-        start[cell[i] + 1] += 1
-    for c in range(columns * rows):
-        start[c + 1] += start[c]
-    # Filled from the back, which leaves start[c + 1] where cell c begins; start is then read one further.
-    for i in range(n - 1, -1, -1):
-        start[cell[i] + 1] -= 1
-        k = start[cell[i] + 1]
-        cells.order[k] = i
-        cells.circle[k, 0] = position[i, 0]
-        cells.circle[k, 1] = position[i, 1]
-        cells.circle[k, 2] = radius[i]
-    for c in range(columns * rows):
-        start[c] = start[c + 1]
-    start[columns * rows] = n
-    return columns, rows
-
-
-@njit(cache=True, error_model="numpy")
-def write_pairs(position, radius, box, skin, cells, body_a, body_b):
-    """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
-
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. skin: of the walls, m. body_b is a
-    circle, or n + wall. cells: `Cells`, about which `has_list` was asked at these positions; if they have a list, it
-    saves work and changes no pair. Returns the number of pairs, or -1 if they do not fit.
-    """
-    n = position.shape[0]
-    if cells.memory[PAIRS] >= 0:
-        return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
-    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
-    if n == 0 or not math.isfinite(position.sum()):
-        return 0
-    return search_cells(position, radius, box, skin, cells, body_a, body_b)
-
-
-@njit(cache=True, error_model="numpy")
 def has_list(position, radius, cells):
     """Whether the pairs that touch are among those that `cells` remembers; they are found anew where that pays."""
     n, memory, half, x, y, apart = position.shape[0], cells.memory, 0.49 * cells.gap[0], 0.0, 0.0, math.inf
@@ -226,41 +162,6 @@ def has_list(position, radius, cells):
     memory[SEARCHES], memory[PAIRS] = 0, -1
     cells.anchor[:], cells.gap[0] = position, gap
     return False
-
-
-@njit(cache=True, error_model="numpy")
-def search_cells(position, radius, box, skin, cells, body_a, body_b):
-    """`write_pairs` by the cells, without a list; where circles crowd in a few of them, by levels of size."""
-    n = position.shape[0]
-    columns, rows = sort_into_cells(position, radius, cells)
-    if is_crowded(cells, n, columns * rows):
-        if find_near_by_levels(position, radius, cells.gap[0], cells):
-            return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
-        columns, rows = sort_into_cells(position, radius, cells)
-    circle, order = cells.circle, cells.order
-    m = 0
-    for a in range(n):
-        x, y, r = position[a, 0], position[a, 1], radius[a]
-        row = cells.cell[a] // columns
-        column = cells.cell[a] - row * columns
-        first = m
-        for neighbour_row in range(max(row - 1, 0), min(row + 2, rows)):
-            # The cells of a row lie side by side, so three of them are one run of circles.
-            start = cells.start[neighbour_row * columns + max(column - 1, 0)]
-            stop = cells.start[neighbour_row * columns + min(column + 1, columns - 1) + 1]
-            if m + (stop - start) + 4 > body_a.shape[0]:
-                return -1
-            for k in range(start, stop):
-                dx = circle[k, 0] - x
-                dy = circle[k, 1] - y
-                reach = circle[k, 2] + r
-                # Written always and kept if it touches: cheaper than a branch nobody can predict.
-                body_b[m] = order[k]
-                m += (dx * dx + dy * dy <= reach * reach) & (order[k] > a)
-        _sort_run(body_b, first, m)
-        m = write_walls(x, y, r + skin, box, n, body_b, m)
-        body_a[first:m] = a
-    return m
 
 
 @njit(cache=True)
@@ -294,158 +195,167 @@ def smallest_of(values):
 
 
 @njit(cache=True, error_model="numpy")
-def find_near(position, radius, gap, cells):
-    """Fill the list of pairs no farther apart than the gap, m. Without a list if the pairs do not fit."""
-    n = position.shape[0]
-    columns, rows = sort_into_cells(position, radius, cells, gap)
-    circle, order, near = cells.circle, cells.order, cells.near
-    cells.anchor[:], cells.gap[0] = position, gap
-    cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
-    if is_crowded(cells, n, columns * rows):
-        if find_near_by_levels(position, radius, gap, cells):
-            return
-        columns, rows = sort_into_cells(position, radius, cells, gap)
-    m = 0
-    for a in range(n):
-        x, y, r = position[a, 0], position[a, 1], radius[a] + gap
-        row = cells.cell[a] // columns
-        column = cells.cell[a] - row * columns
-        first = m
-        for neighbour_row in range(max(row - 1, 0), min(row + 2, rows)):
-            start = cells.start[neighbour_row * columns + max(column - 1, 0)]
-            stop = cells.start[neighbour_row * columns + min(column + 1, columns - 1) + 1]
-            if m + (stop - start) > near.shape[0]:
-                return
-            for k in range(start, stop):
-                dx = circle[k, 0] - x
-                dy = circle[k, 1] - y
-                reach = circle[k, 2] + r
-                near[m] = order[k]
-                m += (dx * dx + dy * dy <= reach * reach) & (order[k] > a)
-        _sort_run(near, first, m)
-        cells.first[a] = first
-    cells.first[n] = m
-    cells.memory[PAIRS] = m
+def sort_into_cells(position, radius, gap, cells):
+    """Broad phase: sort the circles into cells (`sort_level`). Fills `cells`. Returns the number of levels of size.
+
+    position: (n, 2), m. radius: (n,), m. gap: m. There is one level for all circles, unless they crowd in the cells of
+    the largest.
+    """
+    cells.level[:] = 0
+    count, _ = sort_level(0, position, radius, gap, 0, 0, cells)
+    levels = choose_levels(radius, cells.level) if is_crowded(cells, radius.shape[0], count) else 1
+    if levels > 1:
+        cell = circle = 0
+        for number in range(levels):
+            cell, circle = sort_level(number, position, radius, gap, cell, circle, cells)
+    return levels
+
+
+@njit(cache=True, error_model="numpy")
+def sort_level(number, position, radius, gap, first_cell, first_circle, cells):
+    """Counting sort of the circles of one level into square cells at least one diameter and a gap wide.
+
+    Fills `grid`, and `start` and `order` from a cell and a circle on; returns the ones after the last. The grid covers
+    the centres. Cells are wider where there would be more than about four of them per circle.
+    """
+    n, level, grid = position.shape[0], cells.level, cells.grid
+    x_min = y_min = math.inf
+    x_max = y_max = -math.inf
+    inside, widest = 0, 0.0
+    for i in range(n):
+        if level[i] == number:
+            inside += 1
+            widest = max(widest, radius[i])
+            x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
+            y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
+    if inside == 0:
+        grid[number, :] = 0.0
+        return first_cell, first_circle
+    high, wide = y_max - y_min, x_max - x_min
+    width = max(2.0 * widest + gap, math.sqrt(wide * high / (4.0 * inside + 16.0)))
+    per_metre = (1.0 - 1e-12) / max(width, max(wide, high) / (inside + 4.0))
+    columns, rows = int(wide * per_metre) + 1, int(high * per_metre) + 1
+    grid[number, X], grid[number, Y], grid[number, PER_METRE], grid[number, WIDEST] = x_min, y_min, per_metre, widest
+    grid[number, COLUMNS], grid[number, ROWS], grid[number, FIRST_CELL] = columns, rows, first_cell
+    count = columns * rows
+    begin = cells.start[first_cell : first_cell + count + 1]
+    begin[:] = 0
+    for i in range(n):
+        if level[i] == number:
+            column, row = int((position[i, 0] - x_min) * per_metre), int((position[i, 1] - y_min) * per_metre)
+            cells.cell[i] = row * columns + column
+            begin[cells.cell[i]] += 1
+    total = first_circle
+    for c in range(count + 1):
+        total += begin[c]
+        begin[c] = total
+    # Filled from the back, which leaves begin[c] where cell c begins.
+    for i in range(n - 1, -1, -1):
+        if level[i] == number:
+            begin[cells.cell[i]] -= 1
+            k = begin[cells.cell[i]]
+            cells.order[k] = i
+            cells.circle[k, 0], cells.circle[k, 1], cells.circle[k, 2] = position[i, 0], position[i, 1], radius[i]
+    return first_cell + count + 1, first_circle + inside
 
 
 @njit(cache=True)
 def is_crowded(cells, n, count):
-    """Whether so many cells are so full that levels of size pay."""
+    """Whether so many of the first cells are so full that levels of size pay."""
     in_cells_of_all = 0
-    for c in range(count):
+    for c in range(count - 1):
         inside = cells.start[c + 1] - cells.start[c]
         in_cells_of_all += inside * inside
     return in_cells_of_all > CROWDED * n
 
 
 @njit(cache=True, error_model="numpy")
-def find_near_by_levels(position, radius, gap, cells):
-    """`find_near` where sizes differ: a grid for each level of size, as wide as its own largest circle.
+def choose_levels(radius, level):
+    """Fill the level of each circle by its size. Returns the number of levels; 1 where sizes are alike."""
+    largest, smallest = radius[0], radius[0]
+    for i in range(radius.shape[0]):
+        largest, smallest = max(largest, radius[i]), min(smallest, radius[i])
+    levels = 1
+    if STEP * smallest < largest:
+        for i in range(radius.shape[0]):
+            level[i], least = 0, largest / STEP
+            while radius[i] < least and level[i] < LEVELS - 1:
+                level[i] += 1
+                least /= STEP
+            levels = max(levels, level[i] + 1)
+    return levels
 
-    A circle looks for others of its level, and in all levels of larger ones. Returns whether the pairs fit; if not, or
-    if one level holds all, nothing has been found, and the cells have to be sorted again.
+
+@njit(inline="always")
+def circles_around(a, position, reach, levels, cells, found, m):
+    """Write the circles after a, by index, within reach and their own radius, m, of its centre into `found` from m on.
+
+    Returns m after them, or -1 if they may not fit.
     """
-    n, near, pair, first = position.shape[0], cells.near, cells.pair, cells.first
-    if not sort_into_levels(position, radius, gap, cells):
-        return False
-    m = 0
-    first[:] = 0
-    for i in range(n):
-        x, y, r = position[i, 0], position[i, 1], radius[i] + gap
-        for level in range(cells.level[i] + 1):
-            columns, rows = int(cells.grid[level, COLUMNS]), int(cells.grid[level, ROWS])
-            corner = int(cells.grid[level, FIRST_CELL])
-            column = math.floor((x - cells.grid[level, X]) * cells.grid[level, PER_METRE])
-            row = math.floor((y - cells.grid[level, Y]) * cells.grid[level, PER_METRE])
-            left, right = int(max(column - 1, 0)), int(min(column + 1, columns - 1))
-            if left > right:
+    x, y, grid, circle, order, first = position[a, 0], position[a, 1], cells.grid, cells.circle, cells.order, m
+    for level in range(levels):
+        columns, per_metre = int(grid[level, COLUMNS]), grid[level, PER_METRE]
+        column, row = (x - grid[level, X]) * per_metre, (y - grid[level, Y]) * per_metre
+        span = (reach + grid[level, WIDEST]) * per_metre + 1e-9  # more than rounding
+        left, right = int(max(column - span, 0.0)), int(min(column + span, columns - 1.0))
+        if left > right:
+            continue
+        for neighbour in range(int(max(row - span, 0.0)), int(min(row + span, grid[level, ROWS] - 1.0)) + 1):
+            # The cells of a row lie side by side, so these are one run of circles.
+            corner = int(grid[level, FIRST_CELL]) + neighbour * columns
+            start, stop = cells.start[corner + left], cells.start[corner + right + 1]
+            if m >= 0 and m + (stop - start) > found.shape[0]:
+                m = -1
+            if m < 0:
                 continue
-            own = level == cells.level[i]
-            for neighbour_row in range(int(max(row - 1, 0)), int(min(row + 2, rows))):
-                start = cells.start[corner + neighbour_row * columns + left]
-                stop = cells.start[corner + neighbour_row * columns + right + 1]
-                if m + (stop - start) > near.shape[0]:
-                    return False
-                for k in range(start, stop):
-                    j = cells.order[k]
-                    d_x, d_y, reach = cells.circle[k, 0] - x, cells.circle[k, 1] - y, cells.circle[k, 2] + r
-                    if d_x * d_x + d_y * d_y <= reach * reach and (j > i or not own):
-                        pair[m, 0], pair[m, 1] = min(i, j), max(i, j)
-                        first[pair[m, 0] + 1] += 1
-                        m += 1
-    for a in range(n):
-        first[a + 1] += first[a]
-    # Filled from where each run begins, which leaves first[a] where the next one begins; it is then moved back by one.
-    for k in range(m):
-        near[first[pair[k, 0]]] = pair[k, 1]
-        first[pair[k, 0]] += 1
-    for a in range(n, 0, -1):
-        first[a] = first[a - 1]
-    first[0] = 0
-    for a in range(n):
-        _sort_run(near, first[a], first[a + 1])
-    cells.memory[PAIRS] = m
-    return True
+            for k in range(start, stop):
+                d_x, d_y, within = circle[k, 0] - x, circle[k, 1] - y, circle[k, 2] + reach
+                # Written always and kept if it is near: cheaper than a branch nobody can predict.
+                found[m] = order[k]
+                m += (d_x * d_x + d_y * d_y <= within * within) & (order[k] > a)
+    if m >= 0:
+        _sort_run(found, first, m)
+    return m
 
 
 @njit(cache=True, error_model="numpy")
-def sort_into_levels(position, radius, gap, cells):
-    """Sort the circles into levels of size, and those of each level into cells of its grid. False: one holds all.
+def find_near(position, radius, gap, cells):
+    """Fill the list of pairs no farther apart than the gap, m. Without a list if the pairs do not fit."""
+    n, m = position.shape[0], 0
+    levels = sort_into_cells(position, radius, gap, cells)
+    cells.anchor[:], cells.gap[0] = position, gap
+    cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
+    for a in range(n):
+        cells.first[a] = m
+        m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, m)
+        if m < 0:
+            return
+    cells.first[n] = cells.memory[PAIRS] = m
 
-    As in `sort_into_cells`, a grid covers the centres of its circles and has at most about four cells per circle.
+
+@njit(cache=True, error_model="numpy")
+def write_pairs(position, radius, box, skin, cells, body_a, body_b):
+    """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
+
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. skin: of the walls, m. body_b is a
+    circle, or n + wall. cells: `Cells`, about which `has_list` was asked at these positions; if they have a list, it
+    saves work and changes no pair. Returns the number of pairs, or -1 if they do not fit.
     """
-    n, level, grid, start = position.shape[0], cells.level, cells.grid, cells.start
-    largest, smallest = radius[0], radius[0]
-    for i in range(n):
-        largest, smallest = max(largest, radius[i]), min(smallest, radius[i])
-    if STEP * smallest >= largest:
-        return False
-    for i in range(n):
-        level[i], least = 0, largest / STEP
-        while radius[i] < least and level[i] < LEVELS - 1:
-            level[i] += 1
-            least /= STEP
-    first_cell = first_circle = 0
-    for number in range(LEVELS):
-        x_min = y_min = math.inf
-        x_max = y_max = -math.inf
-        inside, widest = 0, 0.0
-        for i in range(n):
-            if level[i] == number:
-                inside += 1
-                widest = max(widest, radius[i])
-                x_min, x_max = min(x_min, position[i, 0]), max(x_max, position[i, 0])
-                y_min, y_max = min(y_min, position[i, 1]), max(y_max, position[i, 1])
-        if inside == 0:
-            grid[number, :] = 0.0
-            continue
-        width, high, wide = 2.0 * widest + gap, y_max - y_min, x_max - x_min
-        width = max(width, math.sqrt(wide * high / (4.0 * inside + 16.0)), max(wide, high) / (inside + 4.0))
-        per_metre = (1.0 - 1e-12) / width
-        columns, rows = int(wide * per_metre) + 1, int(high * per_metre) + 1
-        grid[number, X], grid[number, Y], grid[number, PER_METRE] = x_min, y_min, per_metre
-        grid[number, COLUMNS], grid[number, ROWS], grid[number, FIRST_CELL] = columns, rows, first_cell
-        count = columns * rows
-        begin = start[first_cell : first_cell + count + 1]
-        begin[:] = 0
-        for i in range(n):
-            if level[i] == number:
-                column, row = int((position[i, 0] - x_min) * per_metre), int((position[i, 1] - y_min) * per_metre)
-                cells.cell[i] = row * columns + column
-                begin[cells.cell[i]] += 1
-        total = first_circle
-        for c in range(count + 1):
-            total += begin[c]
-            begin[c] = total
-        # Filled from the back, which leaves begin[c] where cell c begins.
-        for i in range(n - 1, -1, -1):
-            if level[i] == number:
-                begin[cells.cell[i]] -= 1
-                k = begin[cells.cell[i]]
-                cells.order[k] = i
-                cells.circle[k, 0], cells.circle[k, 1], cells.circle[k, 2] = position[i, 0], position[i, 1], radius[i]
-        first_circle, first_cell = first_circle + inside, first_cell + count + 1
-    return True
+    n, m = position.shape[0], 0
+    if cells.memory[PAIRS] >= 0:
+        return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
+    # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
+    if n == 0 or not math.isfinite(position.sum()):
+        return 0
+    levels = sort_into_cells(position, radius, 0.0, cells)
+    for a in range(n):
+        first = m
+        m = circles_around(a, position, radius[a], levels, cells, body_b, m)
+        if m < 0 or m + 4 > body_b.shape[0]:
+            return -1
+        m = write_walls(position[a, 0], position[a, 1], radius[a] + skin, box, n, body_b, m)
+        body_a[first:m] = a
+    return m
 
 
 @njit(cache=True, error_model="numpy")

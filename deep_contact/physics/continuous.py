@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.collision import make_cells, sort_into_cells, wall_gap
+from deep_contact.physics.collision import COLUMNS, ROWS, make_cells, sort_level, wall_gap
 from deep_contact.physics.segments import BESIDE, segment_gap, shared_end, time_to_touch
 from deep_contact.state import WALL_NORMALS
 
@@ -107,7 +107,9 @@ def _sort_swept(start, move, radius):
     n = radius.shape[0]
     cells = make_cells(n)
     middle = start + 0.5 * move
-    columns, rows = sort_into_cells(middle, radius, cells)
+    cells.level[:] = 0
+    sort_level(0, middle, radius, 0.0, 0, 0, cells)
+    columns, rows = int(cells.grid[0, COLUMNS]), int(cells.grid[0, ROWS])
     box, longest = np.empty((n, 4)), np.zeros(2)
     for k in range(n):
         i = cells.order[k]

@@ -44,6 +44,14 @@ def test_pairs_equal_brute_force(seed, n, spread, ratio):
     assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
 
 
+@pytest.mark.parametrize("height", np.random.default_rng(0).uniform(0.0, 10.0, 8))
+def test_circles_that_just_touch_are_found(height):
+    # As far apart as the cells are wide: rounding may put them two cells apart.
+    state = state_of(np.column_stack([np.full(12, 15.0), height + 2.0 * np.arange(12)]), 1.0)
+    contacts = contacts_of(state)
+    assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
+
+
 def crowd(n, seed, *, smallest, side=30.0):
     """Many small circles, and a few large ones among them: the cells of one grid would each hold many."""
     rng = np.random.default_rng(seed)
@@ -113,7 +121,8 @@ def test_cells_have_room_however_small_and_scattered_the_circles_are(n, stretch)
     cells = make_cells(n)
     position = np.random.default_rng(n).uniform(0, 1e3, (n, 2)) * stretch
     position[: min(n, 2)] = np.array([[0.0, 0.0], [1e3, 1e3]])[:n] * stretch
-    columns, rows = sort_into_cells(position, np.full(n, 1e-6), cells)
+    assert sort_into_cells(position, np.full(n, 1e-6), 0.0, cells) == 1
+    columns, rows = cells.grid[0, 3:5].astype(int)
     assert columns * rows + 1 <= cells.start.size
     assert cells.start[columns * rows] == n
     assert sorted(cells.order) == list(range(n))
