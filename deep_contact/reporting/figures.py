@@ -148,7 +148,7 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         tempfile.TemporaryFile(dir=given.out).close()  # a folder without write permission is refused before the work
     except OSError as error:
         parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
-    changes, path = dict(given.set), _stored_at(figure, given.out)
+    changes, path = dict(given.set), Path(given.out, f"{figure.stem}.json")
     try:
         with _exit_on_sigterm():
             if given.replot:
@@ -160,7 +160,8 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
                 print(f"{figure.stem}: up to date")
                 return 0
             kept = {"seed": seed, "out": given.out, "verbose": given.verbose, "quick": given.quick}
-            with announced(_to_standard_error), parallel.opened(given.jobs, given.scheduler) as jobs:
+            say = partial(print, file=sys.stderr, flush=True)
+            with announced(say), parallel.opened(given.jobs, given.scheduler) as jobs:
                 produce(figure, options=changes, jobs=jobs, **kept)
             return 0
     except KeyboardInterrupt:
@@ -200,7 +201,7 @@ def produce(
     changes = options or {}
     _refuse_unknown(changes, figure.options, "options")
     options = results.plain(figure.options | (figure.quick if quick else {}) | changes, where="options")
-    seed, watched, path = figure.seed if seed is None else seed, _Watched(options), _stored_at(figure, out)
+    seed, watched, path = figure.seed if seed is None else seed, _Watched(options), Path(out, f"{figure.stem}.json")
     start = time.perf_counter()
     data = figure.compute(watched, seed, jobs, progress or progress_bar)
     wall_s = time.perf_counter() - start
@@ -254,20 +255,10 @@ class Results(dict):
 
     def _repr_html_(self) -> str:
         beside = self._figure.beside(self["options"])
-        lines = [claim_line(claim, beside, measured=False) for claim in self["claims"]]
+        lines = (escape(claim_line(claim, beside, measured=False)) for claim in self["claims"])
         picture = base64.b64encode(self._picture.read_bytes()).decode("ascii")
-        return (
-            f"<b>{escape(self._figure.heading)}</b><ul>{''.join(f'<li>{escape(line)}</li>' for line in lines)}</ul>"
-            f'<img style="max-width:100%" src="data:image/png;base64,{picture}">'
-        )
-
-
-def _to_standard_error(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
-
-
-def _stored_at(figure: Figure, out: str | os.PathLike) -> Path:
-    return Path(out) / f"{figure.stem}.json"
+        text = f"<b>{escape(self._figure.heading)}</b><ul>{''.join(f'<li>{line}</li>' for line in lines)}</ul>"
+        return f'{text}<img style="max-width:100%" src="data:image/png;base64,{picture}">'
 
 
 def _draw(figure: Figure, found: dict, path: Path) -> None:

@@ -507,41 +507,24 @@ def animate(
         raise ValueError("states: expected at least one, got none")
     path = Path(path).with_suffix(".gif")
     path.parent.mkdir(parents=True, exist_ok=True)
+    writers = {path: animation.PillowWriter(fps=fps)}
+    if animation.writers.is_available("ffmpeg"):
+        writers[path.with_suffix(".mp4")] = animation.FFMpegWriter(fps=fps)
     draw = draw or _draw_frame
     with style(), ExitStack() as stack:
         figure = Figure(figsize=(size * sum(panels), size), dpi=dpi, layout="constrained")
         axes = figure.subplots(1, len(panels), width_ratios=list(panels), squeeze=False)[0]
-        paths, film = [path], None
-        if animation.writers.is_available("ffmpeg"):
-            paths.append(path.with_suffix(".mp4"))
-            temporary = stack.enter_context(replacing(paths[1]))
-            film = animation.FFMpegWriter(fps=fps)
-            stack.enter_context(film.saving(figure, temporary, dpi))
-        frames = []
+        for target, writer in writers.items():
+            stack.enter_context(writer.saving(figure, stack.enter_context(replacing(target)), dpi))
         for state in states:
             for ax in axes:
                 ax.clear()
             draw(axes if len(panels) > 1 else axes[0], state)
-            if film:
-                film.grab_frame()
-            frames.append(_frame(figure))
-        with replacing(path) as gif:
-            first, *others = frames
-            first.save(gif, "GIF", save_all=True, append_images=others, duration=round(1000 / fps), loop=0)
-    return paths
+            for writer in writers.values():
+                writer.grab_frame()
+    return list(writers)
 
 
 def _draw_frame(ax, state) -> None:
     draw_state(ax, state, limits=(0.0, 12.0))
     ax.set_title(f"t = {state.time:.2f} s", loc="left")
-
-
-def _frame(figure):
-    """The figure as a picture of 256 colours, as a GIF has; a quarter of the memory."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from PIL import Image
-
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())[:, :, :3]
-    return Image.fromarray(np.ascontiguousarray(pixels)).quantize(256, dither=Image.Dither.NONE)
