@@ -151,19 +151,6 @@ def test_sum_is_conserved(particles, h, kernel):
     assert image.sum() == pytest.approx(particles[:, 2].sum(), abs=rounding)
 
 
-def test_density_is_the_splat_of_ones():
-    position, _ = random_particles(SMALL, 30)
-    ones = sph.splat(SMALL, position, np.ones(30), h=0.5, kernel="spiky", normalization="consistent")
-    np.testing.assert_array_equal(sph.density(SMALL, position, h=0.5, kernel="spiky"), ones)
-    assert ones.sum() == pytest.approx(30, rel=1e-13)
-
-
-def test_consistent_splat_is_the_particle_splat():
-    position, values = random_particles(SMALL, 30)
-    images = [sph.splat(SMALL, position, values, h=0.5, normalization=n) for n in ("particle", "consistent")]
-    np.testing.assert_array_equal(*images)
-
-
 @pytest.mark.parametrize(("row", "column"), [(0, 0), (0, 5), (7, 0), (7, 5), (3, 2), (0, 2), (4, 5)])
 def test_particle_on_a_node_with_h_below_the_spacing_stays_there(row, column):
     """Corners, edges and the inside; row 0 at y_min."""
@@ -180,21 +167,6 @@ def test_node_at_exactly_h_is_not_reached():
     assert np.count_nonzero(image) == 1
 
 
-def test_particle_on_an_edge_between_nodes_is_shared_by_both():
-    image = sph.splat(THESIS, [[10.25, 10.0]], [1.0], h=0.5, normalization="particle")
-    np.testing.assert_allclose(image[20, 20:22], 0.5, rtol=1e-14)
-    assert np.count_nonzero(image) == 2
-
-
-def test_far_away_origin_and_tiny_spacing():
-    """h from 1e-6 to 1e6 and d alike: the particle's weights depend on ratios only."""
-    unit = sph.splat(sph.Grid(origin=(0, 0), spacing=1, shape=(5, 5)), [[1.3, 2.4]], [1.0], h=1.5)
-    for d in (1e-6, 1e6):
-        grid = sph.Grid(origin=(0, 0), spacing=d, shape=(5, 5))
-        image = sph.splat(grid, [[1.3 * d, 2.4 * d]], [1.0], h=1.5 * d)
-        np.testing.assert_allclose(image * d**2, unit, rtol=1e-12)
-
-
 def test_integers_float32_strides_and_read_only_arrays_are_taken():
     position, values = random_particles(SMALL, 10)
     expected = sph.splat(SMALL, position, values, h=0.5)
@@ -205,14 +177,6 @@ def test_integers_float32_strides_and_read_only_arrays_are_taken():
     np.testing.assert_allclose(single, expected, atol=1e-4)
     whole = sph.splat(SMALL, position, np.ones(10, int), h=0.5)
     np.testing.assert_array_equal(whole, sph.splat(SMALL, position, np.ones(10), h=0.5))
-
-
-def test_images_are_contiguous_and_shaped_by_the_values():
-    position, values = random_particles(SMALL, 10, channels=3)
-    image = sph.splat(SMALL, position, values, h=0.5)
-    assert image.shape == (8, 6, 3)
-    assert image.flags.c_contiguous
-    assert sph.splat(SMALL, position, values[:, 0], h=0.5).shape == (8, 6)
 
 
 def test_no_particles_give_an_empty_image_and_nothing_to_read():
@@ -250,13 +214,6 @@ def test_bilinear_reads_the_nodes_themselves():
     x, y = np.meshgrid(*SMALL.nodes)
     read = sph.gather(SMALL, image, np.stack([x.ravel(), y.ravel()], axis=1))
     np.testing.assert_allclose(read, image.ravel(), atol=1e-13)
-
-
-@pytest.mark.parametrize("method", ["bilinear", "sph"])
-def test_constant_image_reads_the_constant(method):
-    position, _ = random_particles(SMALL, 100)
-    read = sph.gather(SMALL, np.full(SMALL.shape, 3.7), position, method=method, h=0.6)
-    np.testing.assert_allclose(read, 3.7, rtol=1e-14)
 
 
 @kernels
