@@ -181,7 +181,7 @@ def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False)
             f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
         )
     for sentence in told:
-        warnings.warn(f"accuracy={name!r}: {sentence}", PresetWarning, stacklevel=4)
+        warnings.warn(f"accuracy={name!r}: {sentence}", PresetWarning, stacklevel=5)
     return solver, start
 
 

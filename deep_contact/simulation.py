@@ -240,7 +240,7 @@ def _advance(
     log = make_log(steps)
     scales = state.scales  # of radii that do not change in a run
     frames = [] if record is None else [state]
-    done = 0
+    done, is_own = 0, False  # whether nobody else sees the arrays that a step writes into
     work = _WORK // 8
     while done < steps:
         if stopped is not None and stopped.is_set():
@@ -253,15 +253,10 @@ def _advance(
         else:
             problem = step_problem(state, solver, scales) if by_step else None
             normal, tangent = starting_impulses(start, state, solver, problem)
-        state = state.replace(
-            bodies=Bodies(*(field.copy() for field in state.bodies)),
-            contacts=contacts._replace(
-                normal_start=normal,
-                tangent_start=tangent,
-                normal_impulse=contacts.normal_impulse.copy(),
-                tangent_impulse=contacts.tangent_impulse.copy(),
-            ),
-        )
+        state = state.replace(contacts=contacts._replace(normal_start=normal, tangent_start=tangent))
+        if not is_own:
+            state = _with_own_arrays(state)
+        is_own = on_step is None
         if on_step is None:
             before = contacts = normal = tangent = None  # a million circles have 200 MB of them
         given = step_input(state, solver, scales)
@@ -285,7 +280,15 @@ def _advance(
         state, given, solved = state.replace(contacts=found, time=now, step=number, solved=False), None, None
         if record is not None and (done % every == 0 or done == steps):
             frames.append(state)
+            is_own = False
     return state, log, frames
+
+
+def _with_own_arrays(state: State) -> State:
+    """The state with copies of what steps write into."""
+    bodies, contacts = Bodies(*(field.copy() for field in state.bodies)), state.contacts
+    impulses = {name: getattr(contacts, name).copy() for name in ("normal_impulse", "tangent_impulse")}
+    return state.replace(bodies=bodies, contacts=contacts._replace(**impulses))
 
 
 def _in_substeps(state: State, substeps: int) -> State:
