@@ -20,9 +20,8 @@ SOLVED = 20
 
 
 def compute(options, seed, jobs, progress):
-    """The rows of PGS by step and sweeps: of the study, or of a small one made here."""
-    settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in DIVISORS[:3] for k in (2, 5, SOLVED)]
-    rows = runs.rows_for(options, seed, settings)["rows"]
+    """The study's rows of PGS by step and sweeps."""
+    rows = runs.read_study(options["results"])["rows"]
     names = {runs.name_of(setting): what for what, setting in runs.MODEL.items()}
     found, model = [], []
     for row in rows:
@@ -142,8 +141,7 @@ def draw_parts(ax, data, n):
 FIGURE = Figure(
     id="6.11",
     title="Where the next microsecond goes: more sweeps, or a smaller step",
-    options={"results": "data/reference/run_tradeoff.json", "n_bodies": 100, "seeds": 4, "seconds": 4.0},
-    quick={"results": "", "n_bodies": 40, "seeds": 2, "seconds": 2.0},
+    options={"results": "data/reference/run_tradeoff.json"},
     compute=compute,
     claims=claims,
     table=table,

@@ -1,6 +1,5 @@
 """python scripts/figure_6_1_trade.py: errors of a run against its wall time, ours and other engines'."""
 
-from deep_contact.constants import TIME_STEP
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
@@ -12,10 +11,8 @@ MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 
 
 def compute(options, seed, jobs, progress):
-    """Rows on plain piles, and presets: of the study, or of a small one made here."""
-    settings = [{"method": "PGS", "sweeps": k, "dt": TIME_STEP / d} for d in (1, 4) for k in (2, 5, 10)]
-    settings += [{"engine": name, "sweeps": 4, "dt": TIME_STEP} for name in peers.installed()]
-    found = runs.rows_for(options, seed, settings)
+    """The study's rows on plain piles, and its presets."""
+    found = runs.read_study(options["results"])
     rows = [
         {key: row[key] for key in ("n_bodies", "name", "us", "errors")}
         | {"group": row["setting"].get("engine") or row["setting"]["method"]}
@@ -50,9 +47,6 @@ def table(data):
         ours, plain = row["ours"], row["ours_plain"]
         cells = [row["n_bodies"], row["preset"], ours and ours["name"], ours and ours["us"], plain and plain["us"]]
         rows.append(cells + [peer and peer["us"] for peer in row["peers"].values()])
-    if len(rows) == 1:
-        rows = [["setting", "µs per 10 ms", *SHOWN]]
-        rows += [[row["name"], row["us"], *(row["errors"][name][0] for name in SHOWN)] for row in data["rows"]]
     return rows
 
 
@@ -99,8 +93,7 @@ def look_of(group):
 FIGURE = Figure(
     id="6.1",
     title="What a run costs and what it is worth",
-    options={"results": "data/reference/run_tradeoff.json", "n_bodies": 100, "seeds": 4, "seconds": 4.0},
-    quick={"results": "", "n_bodies": 40, "seeds": 2, "seconds": 2.0},
+    options={"results": "data/reference/run_tradeoff.json"},
     compute=compute,
     claims=claims,
     table=table,

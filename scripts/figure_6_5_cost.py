@@ -2,36 +2,18 @@
 
 import numpy as np
 
-from deep_contact.constants import TIME_STEP
-from deep_contact.io import shipped
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import peers, runs
+from deep_contact.studies import runs
 
 COLOURS = dict(zip(PRESETS, (plotting.SKY, plotting.GREEN, plotting.BLUE, plotting.ORANGE, plotting.VERMILION)))
 MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 
 
 def compute(options, seed, jobs, progress):
-    """The presets of the study: from its results file, or one preset of a small study made here."""
-    if options["results"]:
-        return {"presets": runs.read_study(shipped.find(options["results"]))["presets"]}
-    found = []
-    for n in progress(options["sizes"]):
-        settings = [{"method": "PGS", "sweeps": 10, "dt": TIME_STEP}]
-        settings += [{"engine": name, "sweeps": 10, "dt": TIME_STEP} for name in peers.installed()]
-        times = {
-            phase: runs.times(n, figures.seeds(seed, 1)[0], settings, steps=10, repeats=3, phase=phase)
-            for phase in runs.PHASES
-        }
-        costs = [
-            {"name": name, "us": us, "impact": times["impact"][name], "rest": times["rest"][name]}
-            for name, us in times["settling"].items()
-        ]
-        rivals = dict.fromkeys(peers.ENGINES) | {s["engine"]: cost for s, cost in zip(settings[1:], costs[1:])}
-        found.append({"n_bodies": n, "preset": "ten sweeps", "ours": costs[0], "ours_plain": costs[0], "peers": rivals})
-    return {"presets": found}
+    """The presets of the study."""
+    return {"presets": runs.read_study(options["results"])["presets"]}
 
 
 def rows_of(data, preset):
@@ -42,8 +24,7 @@ def rows_of(data, preset):
 
 def presets_of(data):
     """Preset -> colour, of those in the data."""
-    names = dict.fromkeys(row["preset"] for row in data["presets"])
-    return {name: COLOURS.get(name, plotting.BLACK) for name in names}
+    return {name: COLOURS[name] for name in dict.fromkeys(row["preset"] for row in data["presets"])}
 
 
 def fastest_rival(row, phase="us"):
@@ -127,8 +108,7 @@ def draw(data, options):
 FIGURE = Figure(
     id="6.5",
     title="What the presets cost, from 100 circles to 10,000",
-    options={"results": "data/reference/run_tradeoff.json", "sizes": [100, 1000]},
-    quick={"results": "", "sizes": [40, 100]},
+    options={"results": "data/reference/run_tradeoff.json"},
     compute=compute,
     claims=claims,
     table=table,

@@ -28,7 +28,7 @@ from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.physics.solvers.registry import GONE
 from deep_contact.presets import PRESETS
-from deep_contact.reporting import figures, results
+from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.studies import peers, timing
@@ -379,8 +379,11 @@ def is_gone(setting: Mapping) -> bool:
 
 
 def read_study(path) -> dict:
-    """The "rows" of a results file whose settings this version still has, and the "presets" that they make."""
-    kept = [row for row in results.read_results(path)["data"]["rows"] if not is_gone(row["setting"])]
+    """The "rows" of a results file whose settings this version still has, and the "presets" that they make.
+
+    path: from the current folder, or else of a file that comes with the package.
+    """
+    kept = [row for row in results.read_results(shipped.find(path))["data"]["rows"] if not is_gone(row["setting"])]
     return {"rows": kept, "presets": presets(kept)}
 
 
@@ -434,26 +437,3 @@ def cheaper_than_rivals(row: Mapping) -> float | None:
     """Cost of the fastest other engine over ours, on plain piles, for a row of `presets`; None where one is missing."""
     rivals = [peer["us"] for peer in row["peers"].values() if peer]
     return min(rivals) / row["ours_plain"]["us"] if rivals and row["ours_plain"] else None
-
-
-def rows_for(options: Mapping, seed: int, settings: Sequence[Mapping]) -> dict:
-    """`read_study` of the file that a figure's options name as "results", or else a small study of these settings."""
-    if options["results"]:
-        return read_study(shipped.find(options["results"]))
-    chosen = figures.seeds(seed, options["seeds"])
-    return {"rows": small_study(options["n_bodies"], chosen, settings, seconds=options["seconds"]), "presets": []}
-
-
-def small_study(n_bodies: int, seeds: Sequence[int], settings: Sequence[Mapping], *, seconds: float) -> list[dict]:
-    """The rows of a study of one size on plain piles, made in this process."""
-    ensemble = {
-        name_of(setting): (
-            setting,
-            [observation(observed("plain", n_bodies, seed, setting, seconds=seconds)) for seed in seeds],
-        )
-        for setting in [REFERENCE, *settings]
-    }
-    took = {
-        (n_bodies, phase): times(n_bodies, seeds[0], settings, steps=10, repeats=1, phase=phase) for phase in PHASES
-    }
-    return rows({("plain", n_bodies): ensemble}, took)

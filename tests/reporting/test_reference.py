@@ -202,9 +202,6 @@ FEW_SCENES = "the starts compared differ by less than one scene from another"
 UNDECIDED = {
     "5.9": FEW_SCENES,
     "5.10": "times, of a smaller pile",
-    "6.1": FEW_SCENES,
-    "6.11": "piles of 40, where a sweep costs next to nothing",
-    "6.2": FEW_SCENES,
     "6.4": FEW_SCENES,
     "6.7": "fewer steps, after which solutions have parted less",
     "T 6.3": "one scene of 100 circles, where TensorFlow is behind",
