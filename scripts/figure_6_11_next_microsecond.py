@@ -50,19 +50,17 @@ def parts(data, n, name):
     Few sweeps: the fewest with Δt over those that count as solved. The step: solved with Δt, over the smallest step.
     What the model changes is an error against the reference; of a depth it is the change of the depth.
     """
-    rows = line(data, n, 1)
-    solved = next(row["errors"][name] for row in rows if row["sweeps"] == SOLVED)
-    least = min(DIVISORS, key=lambda divisor: -divisor if line(data, n, divisor) else 0)
-    limit = next((row["errors"][name] for row in line(data, n, least) if row["sweeps"] == SOLVED), None)
-    found = {f"{rows[0]['sweeps']} sweeps": max(0.0, rows[0]["errors"][name] - solved)}
-    found[STEP] = max(0.0, solved - (limit if name in ABSOLUTE and limit is not None else 0.0))
-    if limit is not None and name in ABSOLUTE:
+    few, solved = line(data, n, 1)[0], solved_with(data, n, 1)["errors"][name]
+    limit = solved_with(data, n, DIVISORS[-1])["errors"][name] if name in ABSOLUTE else 0.0
+    found = {f"{few['sweeps']} sweeps": max(0.0, few["errors"][name] - solved), STEP: max(0.0, solved - limit)}
+    if name in ABSOLUTE:
         found[LEFT] = limit
-    for row in data["model"]:
-        if row["n_bodies"] == n:
-            value = row["errors"][name]
-            found[row["what"]] = abs(value - limit) if name in ABSOLUTE and limit is not None else value
-    return found
+    return found | {row["what"]: abs(row["errors"][name] - limit) for row in data["model"] if row["n_bodies"] == n}
+
+
+def solved_with(data, n, divisor):
+    """The row of a size and a step whose sweeps count as solved."""
+    return next(row for row in line(data, n, divisor) if row["sweeps"] == SOLVED)
 
 
 def sizes_of(data):
@@ -74,18 +72,15 @@ def claims(data):
     """At the price of twenty sweeps with Δt, is a smaller step with few sweeps better?"""
     found = []
     for n in sizes_of(data):
-        solved = next(row for row in line(data, n, 1) if row["sweeps"] == SOLVED)
-        cheaper = [
-            row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] > 1 and row["us"] <= solved["us"]
-        ]
-        measured = {"Δt, 20 sweeps, %": solved["errors"]["penetration_max"], "μs": solved["us"]}
-        if cheaper:
-            best = min(cheaper, key=lambda row: row["errors"]["penetration_max"])
-            measured |= {"Δt /": best["divisor"], "sweeps": best["sweeps"], "%": best["errors"]["penetration_max"]}
-            measured["its energy, %"] = best["errors"]["energy"]
-        holds = bool(cheaper) and best["errors"]["penetration_max"] < 0.5 * solved["errors"]["penetration_max"]
+        solved = solved_with(data, n, 1)
+        smaller = [row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] > 1]
+        cheaper = [row for row in smaller if row["us"] <= solved["us"]]
+        best = min(cheaper, key=lambda row: row["errors"]["penetration_max"])
+        depths = [row["errors"]["penetration_max"] for row in (solved, best)]
+        measured = {"Δt, 20 sweeps, %": depths[0], "μs": solved["us"], "Δt /": best["divisor"]}
+        measured |= {"sweeps": best["sweeps"], "%": depths[1], "its energy, %": best["errors"]["energy"]}
         text = f"for the price of 20 sweeps a smaller step halves the deepest penetration, {n} circles"
-        found.append(Claim(text, None, holds, measured))
+        found.append(Claim(text, None, depths[1] < 0.5 * depths[0], measured))
     return found
 
 

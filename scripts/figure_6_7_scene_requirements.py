@@ -4,8 +4,6 @@ Times are taken in this process, one after the other: nothing else should run me
 in `deep_contact/reference/figure_6_7.json`, a copy of this figure's results file.
 """
 
-import numpy as np
-
 import deep_contact as dc
 from deep_contact import constants
 from deep_contact.reporting import figures, plotting
@@ -30,24 +28,19 @@ CONTEXTS = {"islands, one pile": ("the thesis's scene", {}), "islands, heaps": (
 
 def compute(options, seed, jobs, progress):
     """Every saving, one after the other: nothing may run beside what is timed."""
-    bar = progress(total=len(options["sizes"]) + 1 + 2 * options["scenes"] + len(options["jobs"]), text="savings")
-
-    def counted(found):
-        bar.update(1)
-        return found
-
     n, repeats = options["n_bodies"], options["repeats"]
-    sweeps = {str(size): counted(savings.sweep_savings(size, seed, repeats=repeats)) for size in options["sizes"]}
+    sizes = progress(options["sizes"], text="sweeps")
+    sweeps = {str(size): savings.sweep_savings(size, seed, repeats=repeats) for size in sizes}
     found = dict(sweeps[str(options["sizes"][0])])
-    found |= counted(savings.step_savings(n, seed, steps=options["timed"], repeats=repeats))
+    found |= savings.step_savings(n, seed, steps=options["timed"], repeats=repeats)
     islands = {}
     for name, (_, scene) in CONTEXTS.items():
-        states = (dc.circles_in_box(n, seed=s, **scene) for s in figures.seeds(seed, options["scenes"]))
-        settings = {key: options[key] for key in ("steps", "every")}
-        islands[name] = [counted(savings.island_savings(state, **settings)) for state in states]
+        seeds = progress(figures.seeds(seed, options["scenes"]), text=name)
+        scenes = (dc.circles_in_box(n, seed=s, **scene) for s in seeds)
+        islands[name] = [savings.island_savings(s, steps=options["steps"], every=options["every"]) for s in scenes]
         found[name] = savings.saving_by_run(islands[name], "together", "apart")
         found[f"{name}, time"] = savings.saving_by_run(islands[name], "seconds_together", "seconds_apart")
-    measured = {name: counted(savings.job(name)) for name in options["jobs"]}
+    measured = {name: savings.job(name) for name in progress(options["jobs"], text="jobs")}
     return {"savings": found, "sweeps": sweeps, "islands": islands, "jobs": measured}
 
 
@@ -95,30 +88,22 @@ def table(data):
 
 
 def draw(data, options):
-    """Left: every saving with its quartiles. Right: relaxations by step, together and apart, in both scenes."""
-    figure, (left, right) = plotting.subplots(1, 2, size=(12.0, 4.6), width_ratios=(1.15, 1.0))
+    """Every saving, with the quartiles of its repeats or runs."""
     rows = named_savings(data)
+    figure, ax = plotting.subplots(1, 1, size=(8.0, 0.36 * len(rows) + 1.0))
     for k, (_, _, one) in enumerate(rows):
-        left.barh(k, one["ratio"] - 1, left=1, height=0.6, color=plotting.SKY)
-        left.plot([one["low"], one["high"]], [k, k], color=plotting.BLACK)
+        ax.barh(k, one["ratio"] - 1, left=1, height=0.6, color=plotting.SKY)
+        ax.plot([one["low"], one["high"]], [k, k], color=plotting.BLACK)
         place = (max(one["ratio"], one["high"], 1), k)
-        left.annotate(f"{one['ratio']:.3g}×", place, (4, 0), textcoords="offset points", va="center")
-    left.set_yticks(range(len(rows)), [name if n is None else f"{name}, {n:,} circles" for name, n, _ in rows])
-    left.invert_yaxis()
-    left.set_xscale("log")
-    left.set_xlim(0.5, 4 * max(one["ratio"] for _, _, one in rows))
-    left.axvline(1, color=plotting.BLACK, linewidth=0.8)
-    left.grid(False, axis="y")
-    plotting.label_axes(left, "times cheaper (line: quartiles)", "", title="what it saves")
-    looks = ((plotting.VERMILION, "thesis scene"), (plotting.BLUE, "scattered heaps"))
-    for name, (colour, label) in zip(CONTEXTS, looks):
-        run = data["islands"][name][0]
-        for way, line in (("together", "-"), ("apart", "--")):
-            values = np.maximum(run[way], 1)
-            right.plot(run["step"], values, line, color=colour, label=f"{label}, {way}")
-    right.set_yscale("log")
-    plotting.label_axes(right, "step", "sweeps × contacts", title="islands: swept together and apart")
-    right.legend()
+        ax.annotate(f"{one['ratio']:.3g}×", place, (4, 0), textcoords="offset points", va="center")
+    ax.set_yticks(range(len(rows)), [name if n is None else f"{name}, {n:,} circles" for name, n, _ in rows])
+    ax.invert_yaxis()
+    ax.set_xscale("log")
+    ratios = [one["ratio"] for _, _, one in rows]
+    ax.set_xlim(0.8 * min(1, *ratios), 4 * max(ratios))
+    ax.axvline(1, color=plotting.BLACK, linewidth=0.8)
+    ax.grid(False, axis="y")
+    plotting.label_axes(ax, "times cheaper (line: quartiles)", "")
     return figure
 
 
