@@ -34,6 +34,7 @@ from deep_contact.physics.solvers.registry import GONE, entry_of
 from deep_contact.scales import FOLLOWS_SCENE, mean
 from deep_contact.state import State
 from deep_contact.validation import number, one_of
+from deep_contact.warm_start import STARTS
 
 TABLE = Path(__file__).parent / "reference" / "runs.json"
 """What the study installed, shipped with the package."""
@@ -314,8 +315,9 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
 
 
 def is_gone(setting: Mapping) -> bool:
-    """Whether a stored setting is of a method that is gone, or of batches by levels, which named no order."""
-    return setting["method"] in GONE or (setting["method"] == "BatchedPGS" and "order" not in setting)
+    """Whether a stored setting has a method or a start that is gone; batches by levels named no order."""
+    by_levels = setting.get("method") == "BatchedPGS" and "order" not in setting
+    return by_levels or setting.get("method") in GONE or setting.get("start", "builtin") not in STARTS
 
 
 def _stiff_candidate(solver, candidates: list[dict]) -> dict:

@@ -23,7 +23,7 @@ from types import MappingProxyType
 
 from deep_contact import parallel
 from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS, TABLE, recommend
+from deep_contact.presets import PRESETS, TABLE, is_gone, recommend
 from deep_contact.reporting import figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
@@ -139,7 +139,7 @@ def known_rows(file: Mapping, options: dict, seed: int) -> dict:
             raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
     if file["provenance"]["seed"] != seed:
         raise ValueError(f"seed: expected {seed} in the results, got {file['provenance']['seed']}")
-    kept = (row for row in file["data"]["rows"] if row["errors"] and not runs.is_gone(row["setting"]))
+    kept = (row for row in file["data"]["rows"] if row["errors"] and not is_gone(row["setting"]))
     return {key_of(row): row for row in kept}
 
 

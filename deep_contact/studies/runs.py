@@ -26,15 +26,13 @@ from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
-from deep_contact.physics.solvers.registry import GONE
-from deep_contact.presets import PRESETS
+from deep_contact.presets import PRESETS, is_gone
 from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.studies import peers, timing
 from deep_contact.studies.piles import SLOWEST, rms_speed
 from deep_contact.studies.verdicts import interval
-from deep_contact.warm_start import STARTS
 
 INTERVAL = 5 * TIME_STEP
 """Between two observations, s."""
@@ -370,12 +368,6 @@ def times_of(name: str, n_bodies: int, took: Mapping) -> dict:
     """What a row says of the times of a setting: "us" and "phases"."""
     phases = {phase: by_name[name] for (size, phase), by_name in took.items() if size == n_bodies and name in by_name}
     return {"us": phases.pop("settling", None), "phases": phases}
-
-
-def is_gone(setting: Mapping) -> bool:
-    """Whether a stored setting has a method or a start that is gone; batches by levels named no order."""
-    by_levels = setting.get("method") == "BatchedPGS" and "order" not in setting
-    return by_levels or setting.get("method") in GONE or setting.get("start", "builtin") not in STARTS
 
 
 def read_study(path) -> dict:
