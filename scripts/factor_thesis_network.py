@@ -5,9 +5,7 @@ largest that keeps the file below --bytes; all other weights stay. W itself is m
 so the product is a truncated singular value decomposition of the outputs on the features X of training states: with
 Y = X W = U S Vᵀ, W V_r V_rᵀ is the matrix of rank r that changes the outputs for X least (Eckart, Young). The loss of
 accuracy is measured on test states and stored in the card. Where training computed in bfloat16, the matrices are
-rounded to it, as they were in every step of the training: half of their bytes are zeros then, and the file packs. The
-card also has what the power law through the validation losses says of the thesis's whole training; the learning curve
-is drawn with it.
+rounded to it, as they were in every step of the training: half of their bytes are zeros then, and the file packs.
 
 The full network is rebuilt by the command in its card: python scripts/train.py --architecture thesis …
 """
@@ -18,8 +16,6 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-
-from deep_contact.studies.chapter_5 import THESIS_VISITS
 
 
 def largest_rank(model, limit: int) -> int:
@@ -88,58 +84,6 @@ def measured(model, images) -> dict[str, float]:
     }
 
 
-def trend_of(card: dict, *, samples: int = 1000) -> dict:
-    """The power law c N^p through the validation losses after N visits, and its loss after the thesis's training.
-
-    Through the second half of the epochs: the loss of the first falls faster than it goes on. The interval, 95 %, is
-    that of resampled epochs: it knows nothing of how the learning rate steps down, or of how far a power law holds.
-    """
-    visits, losses = _curve(card)
-    x, y = np.log(visits[len(visits) // 2 :]), np.log(losses[len(visits) // 2 :])
-    rng, far = np.random.default_rng(0), np.log(THESIS_VISITS)
-    drawn = rng.integers(0, len(x), (samples, len(x)))
-    power, constant = np.polyfit(x, y, 1)
-    ends = [np.polyval(np.polyfit(x[k], y[k], 1), far) for k in drawn if np.ptp(x[k]) > 0]
-    return {
-        "visits": int(visits[-1]),
-        "share": float(visits[-1] / THESIS_VISITS),
-        "power": float(power),
-        "factor": float(np.exp(constant)),
-        "loss_after_the_thesis_training": float(np.exp(power * far + constant)),
-        "interval": np.exp(np.quantile(ends, (0.025, 0.975))).tolist(),
-    }
-
-
-def _curve(card: dict) -> tuple[np.ndarray, np.ndarray]:
-    """(visits, validation loss) after each epoch."""
-    losses = np.array([line["validation_loss"] for line in card["history"]])
-    each = card["config"]["states_per_epoch"] or card["training_states"]
-    return each * np.arange(1, len(losses) + 1), losses
-
-
-def draw_trend(card: dict, path: Path) -> None:
-    """Validation loss against visits, and the power law up to the thesis's training."""
-    from deep_contact.reporting import plotting
-
-    trend, (visits, losses) = card["trend"], _curve(card)
-    end, (low, high) = trend["loss_after_the_thesis_training"], trend["interval"]
-    far = np.geomspace(visits[len(visits) // 2], THESIS_VISITS, 50)
-    with plotting.style():
-        figure, ax = plotting.subplots(size=(5.6, 3.4))
-        ax.semilogx(visits, losses, label="measured")
-        ax.semilogx(far, trend["factor"] * far ** trend["power"], "k--", label="power law of the second half")
-        ax.errorbar(
-            [THESIS_VISITS],
-            [end],
-            yerr=[[max(end - low, 0.0)], [max(high - end, 0.0)]],
-            fmt="ko",
-            label="the thesis's training",
-        )
-        plotting.label_axes(ax, "states shown", "validation loss (masked squared error)")
-        ax.legend()
-        plotting.save(figure, path)
-
-
 def main() -> int:
     """Factor, measure, save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -184,11 +128,7 @@ def main() -> int:
         "held_out": held_out,
         "parameters": int(small.count_params()),
     }
-    if len(card["history"]) >= 6:
-        card["trend"] = trend_of(card)
     save_model(given.out, small, spec, card, box=(0.0, 0.0, *box))
-    if "trend" in card:
-        draw_trend(card, given.out.with_name(f"{given.out.stem}_history.png"))
     print(f"{given.out}: rank {rank}, {given.out.stat().st_size / 1e6:.1f} MB")
     for name, found in errors.items():
         print(f"  {name:9s}", "  ".join(f"{key} {value:.6g}" for key, value in found.items()))

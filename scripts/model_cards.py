@@ -77,14 +77,15 @@ def card(path: Path) -> str:
 
 
 def _visits(found: dict) -> str | None:
-    if "trend" not in found:
+    """States shown in training, each as often as it was; for the thesis's network beside those of the thesis."""
+    from deep_contact.studies.chapter_5 import THESIS_VISITS
+
+    each = found.get("config", {}).get("states_per_epoch")
+    if not each:
         return None
-    trend, (low, high) = found["trend"], found["trend"]["interval"]
-    end, share = trend["loss_after_the_thesis_training"], f"1/{1 / trend['share']:.0f}"
-    return (
-        f"{trend['visits']:,}, {share} of the thesis's training; a power law through the second half of them says "
-        f"a loss of {end:.3g} ({low:.3g} to {high:.3g}) after all of it"
-    )
+    visits = each * len(found["history"])
+    share = f", 1/{THESIS_VISITS / visits:.0f} of the thesis's training" if found["architecture"] == "thesis" else ""
+    return f"{visits:,}{share}"
 
 
 def entry(path: Path) -> dict:

@@ -2,8 +2,8 @@
 
 For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, as the solver would start from them
 (projected on the friction cone), from Builtin, and solved where the file has the solution; <out>/<name>.npy with the
-predicted image, of impulses or of the coefficients that correct Builtin's; <out>/<name>.png with both as pictures. The
-errors of the prediction are printed.
+predicted image, of impulses or of the coefficients that correct Builtin's; <out>/<name>.png with the impulses in the
+scene. The errors of the prediction are printed.
 """
 
 from __future__ import annotations
@@ -28,38 +28,17 @@ def contact_table(state, predicted, start) -> list[list]:
     return list(zip(*(column.tolist() for column in columns)))
 
 
-def picture(state, model, image, start):
-    """Draw the state with its predicted start and, if it has one, its solution, and beside them the images of the
-    impulses, if the network predicts such images."""
-    from deep_contact.cnn.images import ImageSpec, label_image
+def picture(state, start):
+    """Draw the state with its predicted start and, if it has one, its solution."""
     from deep_contact.reporting import plotting
 
     drawn = state.contacts._replace(normal_impulse=start[0], tangent_impulse=start[1])
     shown = {"predicted": state.replace(contacts=drawn)} | ({"solved": state} if state.solved else {})
     largest = max(float(found.contacts.normal_impulse.max(initial=0.0)) for found in shown.values())
-    images = {}
-    if isinstance(model.spec, ImageSpec):
-        images = {name: image if name == "predicted" else label_image(state, model.spec) for name in shown}
-    columns = 3 if images else 1
-    figure, axes = plotting.subplots(len(shown), columns, size=(4.2 * columns, 3.9 * len(shown)), squeeze=False)
-    for (name, found), row in zip(shown.items(), axes):
-        plotting.draw_state(row[0], found, largest_impulse=largest)
-        row[0].set_title(f"{name}: impulses at the contacts")
-    limits = [
-        max((float(np.abs(pixels[..., c]).max()) for pixels in images.values()), default=0.0) or 1.0 for c in (0, 1)
-    ]
-    for (name, pixels), row in zip(images.items(), axes):
-        grid = model.spec.grid(state.world)
-        (x, y), (d_x, d_y), (n_y, n_x) = grid.origin, grid.spacing, grid.shape
-        extent = (x - d_x / 2, x + d_x * (n_x - 0.5), y - d_y / 2, y + d_y * (n_y - 0.5))
-        for channel, (ax, what) in enumerate(((row[1], "normal"), (row[2], "tangent"))):
-            low, colours = (0.0, plotting.COLOUR_MAP) if channel == 0 else (-limits[1], "RdBu_r")
-            shades = ax.imshow(
-                pixels[..., channel], origin="lower", extent=extent, vmin=low, vmax=limits[channel], cmap=colours
-            )
-            ax.grid(False)
-            plotting.label_axes(ax, "x", "y", x_unit="m", y_unit="m", title=f"{name}: image of the {what} impulses")
-            figure.colorbar(shades, ax=ax, shrink=0.8, label="network units")
+    figure, axes = plotting.subplots(1, len(shown), size=(4.2 * len(shown), 3.9), squeeze=False)
+    for (name, found), ax in zip(shown.items(), axes[0]):
+        plotting.draw_state(ax, found, largest_impulse=largest)
+        ax.set_title(f"{name}: impulses at the contacts")
     return figure
 
 
@@ -69,7 +48,7 @@ def relative(found, solved) -> float:
     return float(np.linalg.norm(np.subtract(found, solved)) / size) if size else float("nan")
 
 
-def report(state, model, predicted, start) -> list[str]:
+def report(state, predicted, start) -> list[str]:
     """Lines on a state: the errors of the prediction and of Builtin."""
     from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 
@@ -113,8 +92,8 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
         np.save(temporary, image, allow_pickle=False)
     if pictures:
         with plotting.style():
-            plotting.save(picture(state, model, image, start), out / f"{name}.png")
-    return [*report(state, model, predicted, start), f"  {out / name}.csv, .npy{', .png' if pictures else ''}"]
+            plotting.save(picture(state, start), out / f"{name}.png")
+    return [*report(state, predicted, start), f"  {out / name}.csv, .npy{', .png' if pictures else ''}"]
 
 
 def main(argv=None) -> int:

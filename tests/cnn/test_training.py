@@ -318,21 +318,6 @@ def test_factored_network_of_full_rank_is_the_network():
     assert script.largest_rank(network, limit) < 18
 
 
-def test_the_trend_of_a_training_is_the_power_law_of_its_second_half():
-    script, visits = load_script("factor_thesis_network"), 1000.0 * np.arange(1, 41)
-    losses = np.where(visits < 20_000, 9.0, 0.5 * visits**-0.1)
-    card = {"config": {"states_per_epoch": 1000}, "history": [{"validation_loss": loss} for loss in losses]}
-    trend = script.trend_of(card)
-    expected = 0.5 * 18_208_000**-0.1
-    assert (trend["visits"], trend["share"]) == (40_000, pytest.approx(40 / 18_208))
-    assert trend["loss_after_the_thesis_training"] == pytest.approx(expected, rel=1e-6)
-    np.testing.assert_allclose(trend["interval"], expected, rtol=1e-6)
-    noisy = losses * np.exp(np.random.default_rng(0).normal(0, 0.01, 40))
-    card["history"] = [{"validation_loss": loss} for loss in noisy]
-    low, high = script.trend_of(card)["interval"]
-    assert low < expected < high < 1.3 * low
-
-
 # ---- scripts/train.py, scripts/model_cards.py ----
 
 
