@@ -32,8 +32,10 @@ import numpy as np
 from numba import njit
 
 from deep_contact.cnn.images import check_fields
-from deep_contact.cnn.rows import bilinear_nodes, row_velocity
 from deep_contact.physics.contact_solver import (
+    ARM_A,
+    ARM_B,
+    BODY_A,
     BODY_B,
     N_X,
     N_Y,
@@ -41,6 +43,7 @@ from deep_contact.physics.contact_solver import (
     NORMAL_MASS,
     TANGENT,
     TANGENT_MASS,
+    TARGET,
     V_S,
     V_X,
     V_Y,
@@ -48,7 +51,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
-from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
+from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight, bilinear_weights
 from deep_contact.sph.kernels import kernel_number
 from deep_contact.state import State, native
 from deep_contact.validation import flag, integer, number, one_of
@@ -236,8 +239,32 @@ def nodes_of(description: Description, spec: FarFieldSpec, shape: tuple[int, int
     point, grid = description.point, description.grid
     node, weight = np.empty((len(point), 4), np.int32), np.empty((len(point), 4), np.float32)
     distance = grid.spacing[0] * spec.coarsening
-    bilinear_nodes((*grid.origin, distance, distance), *shape, point, node, weight)
+    _bilinear_nodes((*grid.origin, distance, distance), *shape, point, node, weight)
     return node, weight
+
+
+@njit(cache=True, error_model="numpy")
+def _bilinear_nodes(geometry, n_y, n_x, point, node, weight):
+    """Fill node and weight, (m, 4) each: the nodes of a flattened image around points (m, 2), weighted as by `gather`.
+
+    geometry: (x_0, y_0, d_x, d_y) of the grid, m. A point outside reads the edge of the grid.
+    """
+    for k in range(point.shape[0]):
+        i, _, j, _, _ = bilinear_weights(geometry, n_y, n_x, point[k, 0], point[k, 1], weight[k])
+        node[k, 0] = j * n_x + i
+        node[k, 1] = node[k, 0] + 1
+        node[k, 2] = node[k, 0] + n_x
+        node[k, 3] = node[k, 2] + 1
+
+
+@njit(cache=True, error_model="numpy")
+def row_velocity(rows, velocity, i):
+    """Normal relative velocity less its target, and tangential relative velocity, of contact i, m/s."""
+    a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+    n_x, n_y = rows.data[i, N_X], rows.data[i, N_Y]
+    v_x, v_y = velocity[b, V_X] - velocity[a, V_X], velocity[b, V_Y] - velocity[a, V_Y]
+    turn = rows.data[i, ARM_A] * velocity[a, V_S] + rows.data[i, ARM_B] * velocity[b, V_S]
+    return v_x * n_x + v_y * n_y - rows.data[i, TARGET], v_x * n_y - v_y * n_x + turn
 
 
 class _Measured(NamedTuple):

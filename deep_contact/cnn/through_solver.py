@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.cnn.rows import row_velocity
+from deep_contact.cnn.far_field import row_velocity
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -69,17 +69,6 @@ def solved_problem(state: State) -> SolvedProblem:
     rows, free, friction = step_problem(state)
     solution = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     return SolvedProblem(rows, free, solution, friction)
-
-
-def over_relaxed(problem: SolvedProblem, omega: float, friction_omega: float | None = None) -> SolvedProblem:
-    """The problem whose sweeps are those of `PSOR(omega, friction_omega)`: ω times the effective masses.
-
-    Errors and gradients of "velocity" are then of that solver, for its solution and its norm do not change.
-    """
-    data = problem.rows.data.copy()
-    data[:, NORMAL_MASS] *= omega
-    data[:, TANGENT_MASS] *= omega if friction_omega is None else friction_omega
-    return problem._replace(rows=problem.rows._replace(data=data))
 
 
 MEASURES = ("velocity", "residual")
