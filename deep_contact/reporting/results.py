@@ -16,8 +16,7 @@ How numbers are stored, by `plain`:
 * A Python float is stored by its shortest exact representation: reading gives the same bits.
 * A NumPy array of floats is stored as (nested) lists, rounded to `digits` significant digits if given, so that long
   curves stay small; `digits=None` stores them exactly. Integers and booleans are always exact.
-* NaN and infinity are refused; the error names the place. A missing number is None (`null`); `array` turns lists with
-  None into float arrays with NaN.
+* NaN and infinity are refused; the error names the place. A missing number is None (`null`).
 """
 
 from __future__ import annotations
@@ -39,7 +38,6 @@ from deep_contact.io.provenance import commit, package_versions, processor, prov
 __all__ = [
     "Claim",
     "ResultsError",
-    "array",
     "check_results",
     "commit",
     "is_current",
@@ -137,11 +135,6 @@ def _plain_array(array: np.ndarray, digits: int | None, where: str) -> list:
         return array.tolist()
     rounded = [float(f"{x:.{digits}g}") for x in array.ravel().tolist()]
     return np.array(rounded).reshape(array.shape).tolist()
-
-
-def array(values) -> np.ndarray:
-    """Stored lists as a float array, with NaN where a number is missing (None)."""
-    return np.array(values, dtype=np.float64)
 
 
 def check_results(results: dict) -> dict:

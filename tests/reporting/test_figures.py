@@ -471,25 +471,12 @@ def test_two_scripts_of_one_figure_are_refused(toys, capfd):
 # ---- the scripts of chapter 3 that need no solver ----
 
 
-def test_figure_5_3_finds_the_nodes_that_geometry_promises(tmp_path):
-    figure = load_script("figure_5_3_grid_and_kernels").FIGURE
-    assert run(tmp_path, "--set", "n_bodies=40", "--set", "steps=100", figure=figure) == 0
-    # No point is further than √½ d from a node, and no node but a corner of its cell is nearer to it than d.
-    assert [claim["holds"] for claim in stored(tmp_path, "figure_5_3")["claims"][1:]] == [True, True]
-
-
 def test_the_claim_on_constants_measures_the_known_integrals(tmp_path):
     figure = load_script("figure_3_3_kernels").FIGURE
     run(tmp_path, figure=figure)
     measured = stored(tmp_path, "figure_3_3")["claims"][1]["measured"]
     # By hand: 315/64π · π/4 and 15/π · π/10 for h = 1.
     assert measured == pytest.approx({"poly6": 315 / 256, "spiky": 1.5}, rel=1e-6)
-
-
-def test_a_symmetric_field_hides_the_transposed_matrix(tmp_path):
-    figure = load_script("figure_3_5_bilinear").FIGURE
-    run(tmp_path, "--set", "values=1,2,2,5", figure=figure)
-    assert [claim["holds"] for claim in stored(tmp_path, "figure_3_5")["claims"]] == [True, True]
 
 
 # ---- plotting ----
@@ -544,12 +531,6 @@ def test_a_table_of_many_columns_gets_smaller_letters_not_a_wider_page():
     (table,) = figure.axes[0].tables
     assert table.get_celld()[0, 0].get_text().get_fontsize() < 7
     assert "\n" not in table.get_celld()[0, 0].get_text().get_text()
-
-
-def test_curves_beside_starts_have_colours_of_their_own():
-    styles = plotting.styles_of(["none", "builtin", "sph", "another", "copy"])
-    others = {look["color"] for name, look in styles.items() if name != "another"}
-    assert styles["another"]["color"] not in others
 
 
 def test_the_key_of_impulses_shows_the_widths_of_the_lines():

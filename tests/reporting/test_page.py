@@ -1,12 +1,9 @@
 """The page of all results: complete, alone in the world, and readable on a phone."""
 
-import html
 import json
 import re
 import shutil
-import subprocess
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
 from conftest import load_script
@@ -14,14 +11,6 @@ from conftest import load_script
 from deep_contact.io import provenance
 from deep_contact.reporting import page as report_page
 from deep_contact.reporting import plotting, results
-
-ROOT = Path(__file__).resolve().parents[2]
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome")
-BROWSER = next(filter(None, map(shutil.which, BROWSERS)), None)
-FLAGS = """--headless --no-sandbox --disable-gpu --disable-quic --no-first-run --disable-background-networking
-    --disable-component-update --disable-sync --hide-scrollbars --enable-logging=stderr --virtual-time-budget=5000
-    --dump-dom""".split()
-OFFLINE = "--host-resolver-rules=MAP * ~NOTFOUND"
 
 
 def entry(id, **changes):
@@ -198,68 +187,3 @@ def test_all_figures_writes_the_page(folder, capsys):
     assert module.main(["--out", str(folder)], folder / "scripts") == 0
     assert (folder / "index.html").exists()
     assert "index.html" in capsys.readouterr().out
-
-
-# ---- in a real browser ----
-
-PROBE = """<script>addEventListener("load", () => { parent.postMessage(JSON.stringify({
-  width: innerWidth, needed: document.documentElement.scrollWidth,
-  pictures: [...document.images].map(i => [i.naturalWidth > 0, i.getBoundingClientRect().right]),
-  claims: [...document.querySelectorAll("section ul.claims li")].map(c =>
-    [c.checkVisibility({visibilityProperty: true, opacityProperty: true}), c.innerText]),
-  resources: performance.getEntriesByType("resource").map(r => r.name).filter(n => !n.startsWith("data:")),
-  text: parseFloat(getComputedStyle(document.querySelector("section li")).fontSize)}), "*"); });</script></body>"""
-
-FRAME = """<iframe src="page.html" style="border:0;width:%dpx;height:900px"></iframe><pre id="found"></pre>
-<script>addEventListener("message", e => { document.getElementById("found").textContent = e.data; });</script>"""
-
-
-def seen(text, width, folder):
-    """What a browser makes of a page, with a script that measures it, in a frame so wide; and what it complains of."""
-    probed = text.replace(report_page.POLICY, f"{report_page.POLICY}; script-src 'unsafe-inline'").replace(
-        "</body>", PROBE
-    )
-    (folder / "page.html").write_text(probed, encoding="utf-8")
-    (folder / "frame.html").write_text(FRAME % width, encoding="utf-8")
-    command = [BROWSER, *FLAGS, OFFLINE, f"--user-data-dir={folder / 'profile'}", (folder / "frame.html").as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
-    found = json.loads(html.unescape(re.search(r'<pre id="found">(\{.*\})</pre>', done.stdout, re.DOTALL)[1]))
-    return found, re.findall(r"CONSOLE.*", done.stderr)
-
-
-@pytest.mark.browser
-@pytest.mark.skipif(BROWSER is None, reason=f"needs a browser: none of {', '.join(BROWSERS)} is installed")
-@pytest.mark.parametrize("width", [375, 1280])
-def test_a_browser_shows_the_reference_results_whole_and_without_the_network(width, tmp_path):
-    """On a phone and on a desktop."""
-    reference = ROOT / "data" / "reference"
-    for path in [*reference.glob("figure_*"), *reference.glob("table_*")]:
-        shutil.copy(path, tmp_path)
-    stored = [json.loads(path.read_text(encoding="utf-8")) for path in tmp_path.glob("*.json")]
-    claims = [claim for entry in stored for claim in entry["claims"]]
-    found, complaints = seen(report_page.write_report(tmp_path).read_text(encoding="utf-8"), width, tmp_path)
-    assert found["width"] == width
-    assert found["needed"] <= width  # nothing sticks out, so nobody has to scroll sideways
-    assert len(found["pictures"]) == len(stored)
-    assert all(loaded and right <= width for loaded, right in found["pictures"])
-    assert all(visible for visible, _ in found["claims"])
-    texts = [text for _, text in found["claims"]]
-    assert sum(text.startswith(("holds: ", "does not hold: ")) for text in texts) == len(claims)
-    assert found["resources"] == []
-    assert found["text"] >= 16  # pixels: read without zooming in
-    assert complaints == []
-
-
-@pytest.mark.browser
-@pytest.mark.skipif(BROWSER is None, reason=f"needs a browser: none of {', '.join(BROWSERS)} is installed")
-def test_a_browser_notices_what_is_wrong(tmp_path):
-    """The test above can fail: a picture that is none, one from elsewhere, a script with a mistake, a wide line."""
-    bad = '<img src="data:image/png;base64,AAAA"><img src="https://example.org/a.png"><script>no()</script>'
-    bad += '<section><ul class="claims"><li hidden>holds: </ul></section><p style="width:999px">wide'
-    head = f'<meta http-equiv="Content-Security-Policy" content="{report_page.POLICY}">'
-    found, complaints = seen(f"<!DOCTYPE html><head>{head}</head><body>{bad}</body>", 375, tmp_path)
-    assert found["needed"] > 375
-    assert [loaded for loaded, _ in found["pictures"]] == [False, False]
-    assert [visible for visible, _ in found["claims"]] == [False]
-    assert any("Security Policy" in text for text in complaints)
-    assert any("no is not defined" in text for text in complaints)

@@ -22,7 +22,7 @@ from lxml import etree
 
 import deep_contact as dc
 from deep_contact.io.state_xml import read_state, write_state
-from deep_contact.reporting import figures, results
+from deep_contact.reporting import figures
 
 PACKAGE = Path(dc.__file__).parent
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits as POSIX has them")
@@ -102,15 +102,6 @@ def test_a_figure_killed_while_it_computes_leaves_what_was_there(tmp_path, befor
     whole = {name: (tmp_path / name).read_bytes() for name in before}
     assert run(KILLED_FIGURE, "--out", tmp_path, "computing").returncode == -signal.SIGKILL
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == whole
-
-
-@POSIX
-def test_a_figure_killed_while_it_draws_keeps_its_numbers_and_draws_again(tmp_path):
-    assert run(KILLED_FIGURE, "--out", tmp_path, "drawing").returncode == -signal.SIGKILL
-    assert visible(tmp_path) == ["figure_9_8.json"]
-    assert results.read_results(tmp_path / "figure_9_8.json")["data"] == {"x": [1.0]}
-    assert run(KILLED_FIGURE, "--out", tmp_path).returncode == 0
-    assert visible(tmp_path) == ["figure_9_8.json", "figure_9_8.png"]
 
 
 KILLED_STUDY = """
