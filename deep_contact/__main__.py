@@ -18,12 +18,17 @@ from deep_contact.reporting import scripts
 SUFFIXES = (".xml", ".xml.gz", ".h5")
 """Of what `simulate` writes: the last state, or the run."""
 
-SCRIPTS = {
+COMMANDS = {
+    "simulate": "run a scene, or go on from a state",
+    "view": "play a simulation: contacts, impulses and θ as it runs",
+    "sample": "print the path of a state of the thesis's scene",
     "figure": "draw a figure by its number in the thesis; without a number, list them",
     "table": "make a table by its number in the thesis; without a number, list them",
     "predict": "predict the impulses of state files",
 }
-"""Command -> help of those that a script carries out, which reads the arguments that follow."""
+
+SCRIPTS = ("figure", "table", "predict")
+"""Commands that a script carries out, which reads the arguments that follow."""
 
 INTERRUPTED = 130
 
@@ -66,20 +71,13 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     parser.add_argument("--version", action="version", version=f"deep-contact {VERSION}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
     commands = {
-        "simulate": add("simulate", help="run a scene", description="Run a scene, or go on from a state."),
-        "view": add(
-            "view", help="play a simulation", description="Play a simulation: contacts, impulses and θ as it runs."
-        ),
-        "sample": add(
-            "sample", help="print the path of a state", description="Print the path of a state of the thesis's scene."
-        ),
+        name: add(name, help=text, description=f"{text[0].upper()}{text[1:]}.") for name, text in COMMANDS.items()
     }
     _add_simulate(commands["simulate"])
     _add_view(commands["view"])
     commands["sample"].add_argument("name", nargs="?", help="impact_154, settling_349, … (default: all)")
     commands["sample"].set_defaults(run=_sample)
-    for name, text in SCRIPTS.items():
-        commands[name] = add(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    for name in SCRIPTS:
         if name != "predict":
             commands[name].add_argument(
                 "number", nargs="?", help="3.7, say, or all; the options after it are in `… 3.7 --help`"
