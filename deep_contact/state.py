@@ -58,12 +58,10 @@ LIMITS = {
 """Name -> smallest and largest value that the engine computes with, and their unit.
 
 A state may hold any finite number, and files keep it; the engine refuses what is outside (`check_limits`). Within,
-nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A position of 1e10 m is exact
-to 2e-6 m, far below the slop of circles of 1 m, 5e-3 m; circles whose radius is below 1e-13 of their distance from the
-origin sink in. And what a step makes of an accepted state is accepted: a body leaves a step with at most
-`scales.FASTEST` and π / (2 Δt), and the walls stop it far within the limits of positions. (Impulses alone may grow from
-step to step, where a start of 1e50 N·s is led on.) That accepted scenes also do what they should, and how well, is what
-Figure 6.6 shows.
+nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. What a step makes of an
+accepted state is accepted: a body leaves it with at most `scales.FASTEST` and π / (2 Δt), and the walls stop it within
+the limits of positions. (Impulses alone may grow from step to step, after a start of 1e50 N·s.) Circles whose radius
+is below 1e-13 of their distance from the origin sink in.
 """
 
 SINGLE_LIMITS = LIMITS | {
@@ -86,6 +84,14 @@ LARGEST_START, LARGEST_SINGLE_START = 1e50, 1e10
 """Largest impulse that a start may hand to the solver, N·s: below what contacts may carry, so that it can be solved."""
 
 
+def _is_equal(self, other) -> bool:
+    return all(map(np.array_equal, self, other)) if isinstance(other, type(self)) else NotImplemented
+
+
+def _differs(self, other) -> bool:
+    return not self == other
+
+
 class Bodies(NamedTuple):
     """n circles (solid discs).
 
@@ -106,13 +112,7 @@ class Bodies(NamedTuple):
     mass: np.ndarray
     radius: np.ndarray
 
-    def __eq__(self, other) -> bool:
-        return all(map(np.array_equal, self, other)) if isinstance(other, Bodies) else NotImplemented
-
-    def __ne__(self, other) -> bool:
-        return not self == other
-
-    __hash__ = None  # type: ignore[assignment]
+    __eq__, __ne__, __hash__ = _is_equal, _differs, None  # type: ignore[assignment]
 
     @property
     def count(self) -> int:
@@ -152,13 +152,7 @@ class Contacts(NamedTuple):
     normal_start: np.ndarray
     tangent_start: np.ndarray
 
-    def __eq__(self, other) -> bool:
-        return all(map(np.array_equal, self, other)) if isinstance(other, Contacts) else NotImplemented
-
-    def __ne__(self, other) -> bool:
-        return not self == other
-
-    __hash__ = None  # type: ignore[assignment]
+    __eq__, __ne__, __hash__ = _is_equal, _differs, None  # type: ignore[assignment]
 
     @property
     def count(self) -> int:
@@ -337,12 +331,10 @@ def check_bodies(bodies: Bodies) -> Bodies:
     Raises ValueError naming the field, the body and the value.
     """
     n = _length("bodies.mass", bodies.mass)
-    columns = {"position": 2, "velocity": 2}
     fields = {}
-    # The radius first: a mass made from it would take the blame.
+    # The radius first: where a mass was made from it, the radius is at fault.
     for name, value in sorted(bodies._asdict().items(), key=lambda field: field[0] != "radius"):
-        shape = (n, columns[name]) if name in columns else (n,)
-        fields[name] = _checked_array("bodies", name, value, shape)
+        fields[name] = _checked_array("bodies", name, value, n)
     for name in ("mass", "radius"):
         _refuse_where(fields[name] <= 0, "bodies", name, fields[name], "a number > 0")
     return Bodies(**fields)
@@ -355,10 +347,7 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
     Raises ValueError naming the field, the contact and the value.
     """
     m = _length("contacts.body_a", contacts.body_a)
-    n = bodies.count
-    end = n + 4 + segments
-    columns = {"position": 2, "normal": 2}
-    fields = {}
+    n, end, fields = bodies.count, bodies.count + 4 + segments, {}
     for name, value in contacts._asdict().items():
         if name in ("body_a", "body_b"):
             index = np.asarray(value)
@@ -368,8 +357,7 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
                 )
             fields[name] = index.astype(np.int64)
         else:
-            shape = (m, columns[name]) if name in columns else (m,)
-            fields[name] = _checked_array("contacts", name, value, shape)
+            fields[name] = _checked_array("contacts", name, value, m)
     a, b = fields["body_a"], fields["body_b"]
     _refuse_where((a < 0) | (a >= n), "contacts", "body_a", a, f"a circle, 0 to {n - 1}")
     fixed = "walls, segments" if segments else "walls"
@@ -492,7 +480,8 @@ def _length(name: str, values) -> int:
     return shape[0]
 
 
-def _checked_array(owner: str, name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
+    shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
     try:
         if np.iscomplexobj(value):
             raise TypeError("complex")  # which NumPy would cut
