@@ -205,6 +205,8 @@ def figures() -> list[list]:
     rows = []
     for path in (ROOT / "scripts").glob("[ft]*_[3-6]_*.py"):
         stem = re.match(r"[a-z]+_\d+_\d+", path.stem)[0]
+        if not (REFERENCE / f"{stem}.json").exists():
+            continue
         found = stored(stem)
         rows.append([f"[{found['id']}](../data/reference/{stem}.png)", found["title"]])
     rows.sort(key=lambda row: ["T" in row[0], *map(int, re.findall(r"\d+", row[0])[:2])])
@@ -231,7 +233,7 @@ def appendix() -> str:
         ("Goals", claims(of_thesis=False)),
         ("Elements of the thesis", elements()),
         *((kind, errata(kind)) for kind in page.ERRATA),
-        *((stored(stem)["title"], printed(stem)) for stem in LONG),
+        *((stored(stem)["title"], printed(stem)) for stem in LONG if (REFERENCE / f"{stem}.json").exists()),
         ("Engines, falling piles", engine("falling")),
         ("Siconos's bench-disks", disks()),
     ]
@@ -239,7 +241,7 @@ def appendix() -> str:
 
 
 LONG = [f"figure_{name}" for name in ("3_8", "5_10", "6_2", "6_3", "6_4", "6_5", "6_6", "6_9", "6_10", "6_11", "6_12")]
-LONG += ["table_6_2", "table_6_3"]
+LONG += ["table_6_2", "table_6_3", "table_6_4"]
 """Scripts whose whole table is in the appendix."""
 
 APPENDIX = """# Appendix

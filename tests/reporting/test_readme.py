@@ -164,7 +164,7 @@ def test_the_stages_of_a_step_are_those_of_the_engine_in_its_order():
     loop = step.partition("for k in")[2]
     stages = re.findall(r"^\d+\. `(\w+)`", TEXTS["docs/solvers.md"], re.MULTILINE)
     assert stages == [name for name in re.findall(r"\b(\w+)\(", loop) if name in stages]
-    assert len(stages) == 8
+    assert len(stages) == 9
 
 
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
