@@ -86,6 +86,31 @@ def test_rows_hold_every_setting_against_the_reference():
     assert runs.meets({"energy": 1.0}, PRESETS["reference"])
 
 
+def row(setting, us, error, kind="plain"):
+    errors = {name: (error, error, error) for name in PRESETS["preview"]}
+    common = {"kind": kind, "n_bodies": 100, "phases": {"impact": us, "rest": us}, "errors": errors}
+    return common | {"name": runs.name_of(setting), "setting": setting, "us": us}
+
+
+def test_the_cheapest_setting_that_keeps_a_preset_on_every_kind_is_chosen():
+    fine, peer = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
+    rows = [row(COARSE, 1.0, 0.0), row(COARSE, 1.0, 1e3, "mixed radii"), row(peer, 12.0, 0.0)]
+    rows += [row(fine, 2.0, 0.0, kind) for kind in runs.KINDS]
+    found = next(one for one in runs.presets(rows) if one["preset"] == "preview")
+    assert (found["ours"]["us"], found["ours_plain"]["us"], found["peers"]["pymunk"]["us"]) == (2.0, 1.0, 12.0)
+    assert runs.cheaper_than_rivals(found) == 12.0
+    assert found["peers"]["Box2D v3"] is None
+
+
+def test_rows_of_what_is_gone_are_left_out(tmp_path):
+    gone = [COARSE | change for change in ({"method": "SoftSteps"}, {"method": "BatchedPGS"}, {"start": "learned"})]
+    kept = [COARSE, COARSE | {"method": "BatchedPGS", "order": "colours"}, COARSE | {"start": "scaled"}]
+    claims = {"id": "6.1", "title": "a study", "options": {}, "provenance": results.provenance(), "claims": []}
+    path = tmp_path / "study.json"
+    results.write_results(path, claims | {"data": {"rows": [row(s, 1.0, 0.0) for s in gone + kept]}})
+    assert [one["setting"] for one in runs.read_study(path)["rows"]] == kept
+
+
 def test_a_step_that_misses_the_observations_is_refused():
     with pytest.raises(ValueError, match=r"dt: expected a step that divides 0\.05 s, got 0\.02"):
         runs.observed("plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
