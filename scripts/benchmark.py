@@ -32,7 +32,6 @@ from deep_contact import sph
 from deep_contact.compiled import crew
 from deep_contact.io.fclib import read_problem
 from deep_contact.io.files import write_json
-from deep_contact.io.simulation_h5 import read_simulation, write_simulation
 from deep_contact.physics.lcp import check_problem, contact_problem, natural_residual, siconos_error
 from deep_contact.physics.scenes import lattice_in_box
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
@@ -43,7 +42,6 @@ from deep_contact.state import State
 from deep_contact.studies import peers, piles, rivals, timing
 from deep_contact.studies.starts import solved_states
 
-PILES = Path(__file__).resolve().parents[1] / "runs" / "piles"
 SLOWEST = 0.05
 """Root mean square speed of a settled pile, m/s."""
 
@@ -64,22 +62,17 @@ def solver_of(sweeps: int, method=PGS, **options):
     return method(sweeps=sweeps, tolerance=None, position_sweeps=POSITION_SWEEPS, **options)
 
 
-def stored_pile(kind: str, n_bodies: int, seed: int) -> State:
-    """A pile of `PILES`, made if it is not there. kind: "settled", "packed" or "falling" (a contact a circle)."""
-    path = PILES / f"{kind}_{n_bodies}_seed_{seed}.h5"
-    if not path.exists():
-        state = (
-            piles.packed_pile(n_bodies, seed=seed, steps=50)
-            if kind == "packed"
-            else lattice_in_box(n_bodies, seed=seed)
-        )
-        for _ in range(0 if kind == "packed" else 300):
-            state = dc.simulate(state, steps=10, dt=TIME_STEP, solver=solver_of(FEW)).state
-            slow = kind == "falling" or piles.rms_speed(state) < SLOWEST
-            if state.contacts.count >= n_bodies and slow:
-                break
-        write_simulation(path, [state])
-    return read_simulation(path).state(0)
+def made_pile(kind: str, n_bodies: int, seed: int) -> State:
+    """A pile with contacts. kind: "settled", "falling" (a contact a circle) or "packed"."""
+    if kind == "packed":
+        return piles.packed_pile(n_bodies, seed=seed, steps=50)
+    state = lattice_in_box(n_bodies, seed=seed)
+    for _ in range(300):
+        state = dc.simulate(state, steps=10, dt=TIME_STEP, solver=solver_of(FEW)).state
+        slow = kind == "falling" or piles.rms_speed(state) < SLOWEST
+        if state.contacts.count >= n_bodies and slow:
+            break
+    return state
 
 
 # ---- engines ----
@@ -198,7 +191,7 @@ def benchmark_engine(given) -> dict:
         for kind in ("settled", "falling"):
             # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
             steps = int(np.clip(300_000 // n_bodies, 10, 10 if given.quick else 200 if kind == "settled" else 30))
-            state = stored_pile(kind, n_bodies, given.seed).replace(contacts=None, solver=None, solved=False)
+            state = made_pile(kind, n_bodies, given.seed).replace(contacts=None, solver=None, solved=False)
             measured = costs_of_engines(state, steps, repeats)
             names = ("sweep_ns", "overhead_us", "step_us")
             ratios = {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}
@@ -261,7 +254,7 @@ def benchmark_step(given) -> dict:
     for n_bodies in sizes:
         steps = max(5, min(200, 200_000 // n_bodies))
         for kind in ("packed",) if n_bodies >= LARGE else ("settled", "falling"):
-            state = dc.simulate(stored_pile(kind, n_bodies, given.seed), steps=WARM_UP, solver=solver_of(FEW)).state
+            state = dc.simulate(made_pile(kind, n_bodies, given.seed), steps=WARM_UP, solver=solver_of(FEW)).state
             calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in RUNS.items()}
             least = timing.interleaved(calls, repeats=max(2, min(repeats, 3_000_000 // n_bodies)))
             us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
@@ -284,7 +277,7 @@ def benchmark_step(given) -> dict:
 
 def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     """Settled piles of 100 by `simulate_many`: μs of a step on one core and on all, and in one long run ("bare")."""
-    states, solver = [stored_pile("settled", 100, seed + k) for k in range(count)], solver_of(FEW)
+    states, solver = [made_pile("settled", 100, seed + k) for k in range(count)], solver_of(FEW)
     calls = {
         "bare": partial(dc.simulate, states[0], solver=solver, steps=20 * steps),
         "one core": partial(dc.simulate_many, states, threads=1, solver=solver, steps=steps),

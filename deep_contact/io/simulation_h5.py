@@ -76,10 +76,8 @@ _ARRAYS = {
 
 _BODIES, _CONTACTS = ("position", "velocity", "angle", "spin"), tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
-_NUMBERS = {"version": 0, "dt": 0, "box": 4, "gravity": 2, "friction": 0, "restitution": 0}
-_OPTIONAL_NUMBERS = {"scales": len(ContactScales._fields), "segments": None, "surface_speeds": None}
-_OF_A_SEGMENT = {"segments": 4, "surface_speeds": 1}
-"""How many numbers each has, for the names whose size is None."""
+_NUMBERS = ("version", "dt", "box", "gravity", "friction", "restitution")
+_OPTIONAL = ("scales", "segments", "surface_speeds")
 
 _MOST_SEGMENTS = 2000
 """An attribute of an HDF5 file has room for 64 KiB."""
@@ -395,23 +393,16 @@ def _digest(attributes: dict, arrays: dict) -> str:
 
 
 def _read_attributes(file: h5py.File) -> dict:
-    found, sizes = {}, _NUMBERS | {name: size for name, size in _OPTIONAL_NUMBERS.items() if name in file.attrs}
-    for name in (*_TEXTS, *sizes):
-        _expect(name in file.attrs, f"{name}: expected this attribute, got none: not a file of ours")
-        attribute = file.attrs.get_id(name)  # tells type and size, before anything is read
-        got = f"got {attribute.dtype}, shape {attribute.shape}"
+    found = {}
+    for name in (*_TEXTS, *_NUMBERS, *(name for name in _OPTIONAL if name in file.attrs)):
+        value = hdf5.attribute(file, name)
         if name in _TEXTS:
-            fits = attribute.dtype.kind == "S" and attribute.shape == () and attribute.dtype.itemsize <= 4 * _MAX_TEXT
-            _expect(fits, f"{name}: expected a text of fixed length, {got}")
-            found[name] = bytes(file.attrs[name]).decode()
+            _expect(isinstance(value, bytes), f"{name}: expected a text of fixed length, got {type(value).__name__}")
+            found[name] = value.decode()
         else:
-            dtype, shape = "<i8" if name == "version" else "<f8", (sizes[name],) if sizes[name] else ()
-            if sizes[name] is None:
-                each = _OF_A_SEGMENT[name]
-                shape = (each * max(1, min(math.prod(attribute.shape) // each, _MOST_SEGMENTS)),)
-            fits = attribute.dtype.str == dtype and attribute.shape == shape
-            _expect(fits, f"{name}: expected {dtype}, shape {shape}, {got}")
-            found[name] = tuple(file.attrs[name].tolist()) if shape else file.attrs[name].item()
+            array, dtype = np.asarray(value), "<i8" if name == "version" else "<f8"
+            _expect(array.dtype.str == dtype, f"{name}: expected {dtype}, got {array.dtype.str}")
+            found[name] = tuple(array.tolist()) if array.shape else array.item()
     return found
 
 
@@ -422,7 +413,7 @@ def _header(attributes: dict) -> dict:
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
     world = {name: attributes[name] for name in ("box", "gravity", "friction", "restitution")}
     if "scales" in attributes:
-        world["scales"] = ContactScales(*attributes["scales"])
+        world["scales"] = ContactScales._make(attributes["scales"])
     if "segments" in attributes:
         world["segments"] = np.reshape(attributes["segments"], (-1, 4)).tolist()
     world["surface_speeds"] = attributes.get("surface_speeds", ())

@@ -207,13 +207,26 @@ def test_json_that_no_reader_bears_is_refused_by_name(simulation, tmp_path, name
             assert str(error).startswith(f"{path}: ")  # noqa: PT017 (what the header alone shows is not read by info)
 
 
-def test_a_simulation_of_a_solver_that_is_gone_is_refused_by_its_name(simulation, tmp_path):
-    path = tmp_path / "sim.h5"
+def spelt(simulation, path, solver):
     path.write_bytes(simulation)
     with h5py.File(path, "r+") as file:
-        file.attrs["solver"] = np.bytes_(b'{"method": "Unheard", "sweeps": 3}')
-    with pytest.raises(DataFileError, match=r"sim.h5: solver: expected null or a method among PGS.*Unheard"):
-        simulation_info(path)
+        file.attrs["solver"] = np.bytes_(solver)
+    return path
+
+
+@pytest.mark.parametrize("solver", [b'{"method": "Unheard", "sweeps": 3}', b"[1]", b"3", b'{"sweeps": 3}'])
+def test_a_simulation_of_an_unknown_solver_is_refused(simulation, tmp_path, solver):
+    with pytest.raises(DataFileError, match=r"sim.h5: solver: expected null, or a method and its options, got "):
+        simulation_info(spelt(simulation, tmp_path / "sim.h5", solver))
+
+
+@pytest.mark.parametrize(
+    ("solver", "name"),
+    [(b'{"method": "APGD", "sweeps": 3}', "APGD"), (b'{"method": "BatchedPGS", "order": "levels"}', "BatchedPGS")],
+)
+def test_a_simulation_of_a_solver_that_is_gone_is_read_with_a_warning(simulation, tmp_path, solver, name):
+    with pytest.warns(UserWarning, match=rf"solver: {name}.* is no longer part of Deep Contact"):
+        assert simulation_info(spelt(simulation, tmp_path / "sim.h5", solver)).header["solver"] is None
 
 
 def test_a_simulation_whose_arrays_are_not_in_it_is_refused(simulation, tmp_path):

@@ -14,9 +14,7 @@ benchmark = load_script("benchmark")
 
 
 @pytest.fixture
-def run(tmp_path, monkeypatch):
-    monkeypatch.setattr(benchmark, "PILES", tmp_path)
-
+def run(tmp_path):
     def run(name, *arguments):
         path = tmp_path / f"{name}.json"
         benchmark.main([name, *map(str, arguments), "--out", str(path)])
