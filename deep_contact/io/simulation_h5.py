@@ -413,8 +413,12 @@ def _header(attributes: dict) -> dict:
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
     world = {name: attributes[name] for name in ("box", "gravity", "friction", "restitution")}
     if "scales" in attributes:
+        count = np.size(attributes["scales"])
+        _expect(count == len(ContactScales._fields), f"scales: expected {len(ContactScales._fields)}, got {count}")
         world["scales"] = ContactScales._make(attributes["scales"])
     if "segments" in attributes:
+        count = np.size(attributes["segments"])
+        _expect(count % 4 == 0, f"segments: expected 4 numbers each, got {count} in all")
         world["segments"] = np.reshape(attributes["segments"], (-1, 4)).tolist()
     world["surface_speeds"] = attributes.get("surface_speeds", ())
     header["world"] = World(**world)
