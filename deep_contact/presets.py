@@ -152,7 +152,8 @@ def recommend(
     stiff = stiffness(scene, substeps[TIME_STEP])
     candidates = _candidates(scene.bodies.count, kinds_of(scene), substeps, stiff and stiff.solver, study)
     if budget_ms is None:
-        return _preset(scene, one_of("accuracy", accuracy or "fast", PRESETS), candidates, study)
+        name = one_of("accuracy", accuracy or "fast", PRESETS)
+        return _recommendation(scene, name, _cheapest(candidates, name), candidates, study)
     limit = 1e3 * number("budget_ms", budget_ms, above=0)
     affordable = [found for found in candidates if found["us"] <= limit]
     if not affordable:
@@ -198,12 +199,7 @@ def _chosen(
 
 @functools.cache
 def installed() -> dict:
-    """The study in the package. Raises FileNotFoundError saying how it is made."""
-    if not TABLE.exists():
-        raise FileNotFoundError(
-            f"{TABLE.parent.name}/{TABLE.name}: expected the study's results in the package, got no file; "
-            "run scripts/run_tradeoff.py --install"
-        )
+    """The study in the package."""
     return json.loads(TABLE.read_text(encoding="utf-8"))
 
 
@@ -222,27 +218,16 @@ def _fastest(scene: State) -> float:
     return max(circle, *map(abs, surfaces), 0.0)
 
 
-def substeps_of(scene: State, dt: float) -> int:
-    """Into how many the scene's Δt is divided so that none is much longer: a power of two scales impulses exactly.
-
-    At most `MOST_SUBSTEPS`; beyond that the scene's Δt is too long to be mended unasked.
-    """
-    return _parts(scene.dt / longest_step(scene, dt))
-
-
 def _substeps(scene: State, study: Mapping) -> dict[float, int]:
-    """`substeps_of` for each time step of the study, and for `TIME_STEP`."""
+    """Into how many the scene's Δt is divided, for each time step of the study and for `TIME_STEP`."""
     longest = longest_step(scene, 1.0)
     time_steps = {setting["dt"] for setting in study["settings"]} | {TIME_STEP}
     return {dt: _parts(scene.dt / (dt * longest)) for dt in sorted(time_steps)}
 
 
 def _parts(ratio: float) -> int:
+    """The power of two, which scales impulses exactly, that makes steps `ratio` times too long short enough."""
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
-
-
-def _preset(scene: State, accuracy: str, candidates: list[dict], study: Mapping) -> Recommendation:
-    return _recommendation(scene, accuracy, _cheapest(candidates, accuracy), candidates, study)
 
 
 def _cheapest(candidates: list[dict], accuracy: str) -> dict:
@@ -264,20 +249,12 @@ def _recommendation(scene: State, accuracy: str, best: dict, candidates: list[di
     names = list(PRESETS)
     at = names.index(accuracy)
     return Recommendation(
-        accuracy=accuracy,
-        solver=best["solver"],
-        warm_start=best["start"],
-        us=best["us"],
-        dt=scene.dt,
-        n_bodies=scene.bodies.count,
-        cpu=study["cpu"],
-        errors=best["errors"],
-        tolerances=PRESETS[accuracy],
-        reached=_excess(best, accuracy) <= 1,
-        outside=tuple(outside(scene, study)),
+        accuracy=accuracy, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=scene.dt,
+        n_bodies=scene.bodies.count, cpu=study["cpu"], errors=best["errors"], tolerances=PRESETS[accuracy],
+        reached=_excess(best, accuracy) <= 1, outside=tuple(outside(scene, study)),
         cheaper=_neighbour(names[at - 1], best, candidates) if at > 0 else "",
         better=_neighbour(names[at + 1], best, candidates) if at + 1 < len(names) else "",
-    )
+    )  # fmt: skip
 
 
 def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
@@ -412,7 +389,7 @@ class Stiffness(NamedTuple):
 def stiffness(scene: State, substeps: int = 1) -> Stiffness | None:
     """What makes a scene too stiff for a few sweeps, and the solver for it; None where nothing does.
 
-    substeps: that the scene needs for its Δt (`substeps_of`); a solver to a tolerance takes at least `SUBSTEPS`.
+    substeps: that the scene needs for its Δt (`_substeps`); a solver to a tolerance takes at least `SUBSTEPS`.
     """
     bodies = scene.bodies
     if bodies.count < 2:
@@ -438,23 +415,19 @@ def _to_tolerance(scene: State, substeps: int) -> NNCG:
     return NNCG(sweeps=SWEEPS, tolerance=tolerance, substeps=substeps)
 
 
-def _axes(scene: State) -> tuple[np.ndarray, np.ndarray] | None:
-    """Positions of the circles up and across, (n,) each, m; None without gravity."""
+def _up_and_across(scene: State) -> np.ndarray:
+    """Positions of the circles against gravity and across it, (2, n), m; zeros without gravity."""
     gravity = np.asarray(scene.world.gravity, float)
-    strength = math.hypot(*gravity)
-    if strength == 0.0:
-        return None
-    up = -gravity / strength
-    return scene.bodies.position @ up, scene.bodies.position @ np.array([up[1], -up[0]])
+    up = -gravity / (math.hypot(*gravity) or 1.0)
+    return np.array([up, (up[1], -up[0])]) @ scene.bodies.position.T
 
 
 def _height_and_width(scene: State) -> tuple[float, float]:
-    """Of all circles, along gravity and across it, in mean diameters; (0, 0) without gravity."""
-    axes = _axes(scene)
-    if axes is None:
+    """Of all circles, against gravity and across it, in mean diameters; (0, 0) without gravity."""
+    if not any(scene.world.gravity):
         return 0.0, 0.0
-    high, wide = (float(np.ptp(along)) / (2.0 * mean(scene.bodies.radius)) + 1.0 for along in axes)
-    return min(high, scene.bodies.count), wide  # what falls from far above is no column
+    high, wide = np.ptp(_up_and_across(scene), axis=1) / (2.0 * mean(scene.bodies.radius)) + 1.0
+    return min(float(high), scene.bodies.count), float(wide)  # what falls from far above is no column
 
 
 def _load(scene: State, *, column: bool) -> float:
@@ -463,11 +436,10 @@ def _load(scene: State, *, column: bool) -> float:
 
     What lies above is counted in strips as wide as the largest circle; a circle takes the share of its width.
     """
-    bodies, axes = scene.bodies, _axes(scene)
+    bodies, (up, across) = scene.bodies, _up_and_across(scene)
     density = bodies.mass / bodies.radius**2
-    if axes is None or (not column and density.max() <= 1.001 * density.min()):
+    if not column and density.max() <= 1.001 * density.min():
         return 0.0
-    up, across = axes
     widest = float(bodies.radius.max())
     strip = np.floor((across - across.min()) / (2.0 * widest) + 1e-9)
     order = np.lexsort((-up, strip))

@@ -36,7 +36,7 @@ class ContactScales(NamedTuple):
     | wall_skin             | walls are felt this far ahead of their surface                        | m     |
     | max_correction        | largest displacement of one row in one sweep of position correction   | m     |
     | max_translation       | largest displacement of a body in one step; no limit where e > 0      | m     |
-    | restitution_threshold | approach speed above which a contact bounces                          | m/s   |
+    | restitution_threshold | approach speed above which a contact bounces, times (1 − e²)          | m/s   |
     | sleep_speed           | a circle is still up to this speed                                    | m/s   |
     | sleep_spin            | and up to this angular velocity                                       | rad/s |
     | sleep_time            | an island falls asleep once it has been still for so long             | s     |
@@ -104,7 +104,7 @@ def contact_scales(
 ) -> ContactScales:
     """The scales of a scene's steps: the given ones, or those that follow from its radii, (n,), m, gravity and Δt.
 
-    bounces: whether e > 0, where energy is to be kept and no speed is cut but to `FASTEST`, as in either case.
+    bounces: whether e > 0, where a cut of the largest translation would take energy. It is cut to `FASTEST` times Δt.
     """
     length, speed, felt = _length_and_speeds(radius, gravity, dt)
     scales = given or ContactScales(
