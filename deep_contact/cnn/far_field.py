@@ -43,7 +43,6 @@ from deep_contact.physics.contact_solver import (
     NORMAL_MASS,
     TANGENT,
     TANGENT_MASS,
-    TARGET,
     V_S,
     V_X,
     V_Y,
@@ -259,12 +258,12 @@ def _bilinear_nodes(geometry, n_y, n_x, point, node, weight):
 
 @njit(cache=True, error_model="numpy")
 def row_velocity(rows, velocity, i):
-    """Normal relative velocity less its target, and tangential relative velocity, of contact i, m/s."""
+    """Normal and tangential relative velocity of contact i, m/s."""
     a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
     n_x, n_y = rows.data[i, N_X], rows.data[i, N_Y]
     v_x, v_y = velocity[b, V_X] - velocity[a, V_X], velocity[b, V_Y] - velocity[a, V_Y]
     turn = rows.data[i, ARM_A] * velocity[a, V_S] + rows.data[i, ARM_B] * velocity[b, V_S]
-    return v_x * n_x + v_y * n_y - rows.data[i, TARGET], v_x * n_y - v_y * n_x + turn
+    return v_x * n_x + v_y * n_y, v_x * n_y - v_y * n_x + turn
 
 
 class _Measured(NamedTuple):

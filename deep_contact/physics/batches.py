@@ -33,7 +33,6 @@ from deep_contact.physics.contact_solver import (
     NORMAL_MASS,
     TANGENT,
     TANGENT_MASS,
-    TARGET,
     V_S,
     apply_impulse,
     arms_of,
@@ -92,7 +91,7 @@ class Tiles(NamedTuple):
     | field   | meaning                                                               | shape     |
     |---------|-----------------------------------------------------------------------|-----------|
     | body    | a, b as rows of `solver_bodies` and `centre`                          | (T, 2, 8) |
-    | data    | as in `Rows`                                                          | (T, 7, 8) |
+    | data    | as in `Rows`                                                          | (T, 6, 8) |
     | impulse | λ_n, λ_t, N·s                                                         | (T, 2, 8) |
     | solver_bodies | as in the engine, with the bodies of the blocks                 | (n+5B, 4) |
     | centre  | see `position_correction.fill_ground`                                 | (n+5B, 4) |
@@ -122,7 +121,7 @@ def make_tiles(n, blocks, tiles, dtype):
     """Buffers for so many tiles and blocks of contacts of n circles."""
     rows = n + 5 * blocks
     return Tiles(
-        np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 7, WIDTH), dtype), np.empty((tiles, 2, WIDTH), dtype),
+        np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH), dtype), np.empty((tiles, 2, WIDTH), dtype),
         np.empty((rows, 4), dtype), np.empty((rows, 4)),
     )  # fmt: skip
 
@@ -291,7 +290,6 @@ def write_block(given, contacts, plan, tiles, k):
         data[t, ARM_A, j], data[t, ARM_B, j] = arms
         if s >= 0:
             data[t, ARM_B, j] = surface_velocity(segments[s], normal[0], normal[1])
-        data[t, TARGET, j] = 0.0
         impulse[t, NORMAL, j], impulse[t, TANGENT, j] = contacts.normal_start[i], contacts.tangent_start[i]
         apply_impulse(
             v, a, row_b, (data[t, N_X, j], data[t, N_Y, j]), (data[t, ARM_A, j], data[t, ARM_B, j]),
@@ -307,7 +305,7 @@ def pad_block(plan, tiles, k):
     for t in range(plan.first[k], plan.first[k + 1]):
         for j in range(plan.used[t], WIDTH):
             tiles.body[t, BODY_A, j] = tiles.body[t, BODY_B, j] = idle
-            for row in range(7):
+            for row in range(6):
                 tiles.data[t, row, j] = 0.0
             tiles.impulse[t, NORMAL, j] = tiles.impulse[t, TANGENT, j] = 0.0
 

@@ -10,6 +10,10 @@ place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) �
 Without friction nothing turns and there are no tangent rows: where `friction` is None instead of a number, every stage
 here leaves them out. None is a type of its own, so the choice falls when the caller is compiled. What is left computes
 the same bits as μ = 0 does, since adding zeros changes none; a start with tangent impulses needs the general rows.
+
+A contact is relaxed here by numbers (`sweep`), eight contacts at a time (`solvers.batched.sweep_tiles`), and backwards,
+for the gradient of what sweeps leave (`cnn.through_solver`). They are three because the first waits for memory, the
+second needs vectors, and the third walks the list from its end. All methods but the batches call the first.
 """
 
 from __future__ import annotations
@@ -34,11 +38,8 @@ surfaces move: with the speed of its surface as the arm of a contact, a segment 
 BODY_A, BODY_B = range(2)
 """Columns of `Rows.body`."""
 
-N_X, N_Y, NORMAL_MASS, TANGENT_MASS, ARM_A, ARM_B, TARGET = range(7)
-"""Columns of `Rows.data`: unit normal, effective masses (kg), arms over radii, target of v_n (m/s)."""
-
-FRICTIONLESS_TARGET = 3
-"""Column of the target in rows without friction, which hold n_x, n_y, normal mass and target."""
+N_X, N_Y, NORMAL_MASS, TANGENT_MASS, ARM_A, ARM_B = range(6)
+"""Columns of `Rows.data`: unit normal, effective masses (kg), arms over radii."""
 
 NORMAL, TANGENT = range(2)
 """Columns of `Rows.impulse`."""
@@ -50,7 +51,7 @@ class Rows(NamedTuple):
     | field   | meaning                                                  | shape          |
     |---------|----------------------------------------------------------|----------------|
     | body    | rows of the solver bodies: `BODY_A`, `BODY_B`            | (m, 2)         |
-    | data    | `N_X` … `TARGET`; without friction the first and last    | (m, 7), (m, 4) |
+    | data    | `N_X` … `ARM_B`; without friction … `NORMAL_MASS`        | (m, 6), (m, 3) |
     | impulse | λ_n and λ_t, N·s: `NORMAL`, `TANGENT`                    | (m, 2), (m, 1) |
     """
 
@@ -70,8 +71,8 @@ SUMS = {"contract", "reassoc"}
 def make_rows(capacity, dtype, friction):
     """Uninitialised rows for `capacity` contacts, in the precision of the solver bodies."""
     if friction is None:
-        return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 4), dtype), np.empty((capacity, 1), dtype))
-    return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 7), dtype), np.empty((capacity, 2), dtype))
+        return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 3), dtype), np.empty((capacity, 1), dtype))
+    return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 6), dtype), np.empty((capacity, 2), dtype))
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,40 +91,28 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 def contact_rows(given, contacts, solver_bodies, buffer, friction):
     """Rows of the contacts with their starting impulses: views of the buffer, or of new memory if it is too small.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). Targets: 0. given: `StepInput`, whose friction is handed in as well.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). given: `StepInput`, whose friction is handed in as well.
     """
-    m = contacts.body_a.shape[0]
+    v, m, last = solver_bodies, contacts.body_a.shape[0], solver_bodies.shape[0] - 1
     if m > buffer.body.shape[0]:
         buffer = make_rows(m, buffer.data.dtype, friction)
     rows = Rows(buffer.body[:m], buffer.data[:m], buffer.impulse[:m])
-    if friction is None:
-        write_normal_rows(contacts, solver_bodies, rows)
-    else:
-        write_rows(given.bodies, contacts, solver_bodies, rows)
-        if given.segments.shape[0] > 0:
-            move_surfaces(contacts, given.segments, solver_bodies, rows)
-    rows.data[:, -1] = 0.0
-    return rows
-
-
-@njit(cache=True, error_model="numpy")
-def write_rows(bodies, contacts, solver_bodies, rows):
-    """Fill the rows of all contacts but for their targets: see `contact_rows`."""
-    v = solver_bodies
-    n = bodies.mass.shape[0]
-    for i in range(contacts.body_a.shape[0]):
-        a, b = contacts.body_a[i], min(contacts.body_b[i], n + 3)
-        n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
-        arms = arms_of(bodies.radius, a, b, contacts.separation[i])
-        rows.body[i, BODY_A] = a
-        rows.body[i, BODY_B] = b
-        rows.data[i, N_X] = n_x
-        rows.data[i, N_Y] = n_y
-        masses = effective_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
-        rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
-        rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
+    for i in range(m):
+        a, b = contacts.body_a[i], min(contacts.body_b[i], last)
+        rows.body[i, BODY_A], rows.body[i, BODY_B] = a, b
+        rows.data[i, N_X], rows.data[i, N_Y] = contacts.normal[i, 0], contacts.normal[i, 1]
         rows.impulse[i, NORMAL] = contacts.normal_start[i]
-        rows.impulse[i, TANGENT] = contacts.tangent_start[i]
+        if friction is None:
+            rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
+        else:
+            arms = arms_of(given.bodies.radius, a, b, contacts.separation[i])
+            masses = effective_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
+            rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
+            rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
+            rows.impulse[i, TANGENT] = contacts.tangent_start[i]
+    if friction is not None and given.segments.shape[0] > 0:
+        move_surfaces(contacts, given.segments, solver_bodies, rows)
+    return rows
 
 
 @njit(cache=True, error_model="numpy")
@@ -140,22 +129,6 @@ def effective_masses(w_a, w_b, arms):
     return 1.0 / (w_a + w_b), 1.0 / (w_a + w_b + 2.0 * (arm_a * arm_a * w_a + arm_b * arm_b * w_b))
 
 
-@njit(cache=True, error_model="numpy")
-def write_normal_rows(contacts, solver_bodies, rows):
-    """Fill the rows of all contacts without friction but for their targets: see `contact_rows`."""
-    v = solver_bodies
-    last = v.shape[0] - 1
-    for i in range(contacts.body_a.shape[0]):
-        a, b = contacts.body_a[i], min(contacts.body_b[i], last)
-        n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
-        rows.body[i, BODY_A] = a
-        rows.body[i, BODY_B] = b
-        rows.data[i, N_X] = n_x
-        rows.data[i, N_Y] = n_y
-        rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
-        rows.impulse[i, NORMAL] = contacts.normal_start[i]
-
-
 @njit(cache=True)
 def move_surfaces(contacts, segments, solver_bodies, rows):
     """Let the surfaces of segments, (S, 5), move, in place on rows with tangents and on the solver bodies."""
@@ -170,32 +143,13 @@ def move_surfaces(contacts, segments, solver_bodies, rows):
 @njit(cache=True)
 def apply_impulses(rows, solver_bodies, friction):
     """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
-    if friction is None:
-        apply_normal_impulses(rows, solver_bodies)
-    else:
-        apply_both_impulses(rows, solver_bodies)
-
-
-@njit(cache=True)
-def apply_normal_impulses(rows, solver_bodies):
-    """`apply_impulses` of rows without friction."""
-    v = solver_bodies
+    nothing = solver_bodies.dtype.type(0.0)
+    arms, p_t = (nothing, nothing), nothing
     for i in range(rows.body.shape[0]):
-        a, b = rows.body[i, 0], rows.body[i, 1]
-        p_x, p_y = rows.impulse[i, NORMAL] * rows.data[i, N_X], rows.impulse[i, NORMAL] * rows.data[i, N_Y]
-        v[a, V_X] -= v[a, INVERSE_MASS] * p_x
-        v[a, V_Y] -= v[a, INVERSE_MASS] * p_y
-        v[b, V_X] += v[b, INVERSE_MASS] * p_x
-        v[b, V_Y] += v[b, INVERSE_MASS] * p_y
-
-
-@njit(cache=True)
-def apply_both_impulses(rows, solver_bodies):
-    """`apply_impulses` of rows with friction."""
-    for i in range(rows.body.shape[0]):
-        a, b, normal = rows.body[i, 0], rows.body[i, 1], (rows.data[i, N_X], rows.data[i, N_Y])
-        impulse, arms = (rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]), (rows.data[i, ARM_A], rows.data[i, ARM_B])
-        apply_impulse(solver_bodies, a, b, normal, arms, impulse)
+        normal, p_n = (rows.data[i, N_X], rows.data[i, N_Y]), rows.impulse[i, NORMAL]
+        if friction is not None:
+            arms, p_t = (rows.data[i, ARM_A], rows.data[i, ARM_B]), rows.impulse[i, TANGENT]
+        apply_impulse(solver_bodies, rows.body[i, BODY_A], rows.body[i, BODY_B], normal, arms, (p_n, p_t))
 
 
 @njit(cache=True)
@@ -213,60 +167,17 @@ def apply_impulse(v, a, b, normal, arms, impulse):
     v[b, V_S] += two * w_b * arms[1] * p_t
 
 
-@njit(cache=True)
+@njit(cache=True, fastmath=CONTRACT)
 def sweep(rows, friction, solver_bodies):
     """One sweep of Projected Gauss-Seidel over all contacts, in place. Returns θ.
 
-    θ = max over all rows of |λ_k − λ_{k−1}|, N·s (Algorithm 1, two-sided).
-    """
-    if friction is None:
-        return sweep_normals(rows, solver_bodies)
-    return sweep_both(rows, friction, solver_bodies)
-
-
-@njit(cache=True, fastmath=CONTRACT)
-def sweep_normals(rows, solver_bodies):
-    """`sweep` without friction: normal rows only, clamped at 0; otherwise as `sweep_both`."""
-    v = solver_bodies
-    body, data, impulse = rows.body, rows.data, rows.impulse
-    theta = v.dtype.type(0.0)
-    held = np.uint32(0)
-    a_x, a_y, w_a = v[0, V_X], v[0, V_Y], v[0, INVERSE_MASS]
-    for i in range(body.shape[0]):
-        a, b = body[i, BODY_A], body[i, BODY_B]
-        if a != held:
-            v[held, V_X], v[held, V_Y] = a_x, a_y
-            a_x, a_y, w_a = v[a, V_X], v[a, V_Y], v[a, INVERSE_MASS]
-            held = a
-        b_x, b_y, w_b = v[b, V_X], v[b, V_Y], v[b, INVERSE_MASS]
-        n_x, n_y, k_n, target = data[i, N_X], data[i, N_Y], data[i, NORMAL_MASS], data[i, FRICTIONLESS_TARGET]
-        old_n = impulse[i, NORMAL]
-
-        x_n, y_n = k_n * n_x, k_n * n_y
-        free_n = k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
-        p_n = max(free_n, -old_n)
-        impulse[i, NORMAL] = old_n + p_n
-        theta = max(theta, abs(p_n))
-
-        a_x = a_x - w_a * n_x * p_n
-        a_y = a_y - w_a * n_y * p_n
-        v[b, V_X] = b_x + w_b * n_x * p_n
-        v[b, V_Y] = b_y + w_b * n_y * p_n
-    v[held, V_X], v[held, V_Y] = a_x, a_y
-    return theta
-
-
-@njit(cache=True, fastmath=CONTRACT)
-def sweep_both(rows, friction, solver_bodies):
-    """`sweep` with friction.
-
     Every contact relaxes its friction row, clamped by μ times the normal impulse it has, and its normal row, clamped
-    at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows).
+    at 0 (Box2D's order; Algorithm 1 of the thesis for the normal rows). θ = max over all rows of |λ_k − λ_{k−1}|, N·s.
     """
     v = solver_bodies
     body, data, impulse = rows.body, rows.data, rows.impulse
     # In the precision of the velocities: a float64 among float32 would make all of them float64.
-    two, mu, nothing = v.dtype.type(2.0), v.dtype.type(friction), v.dtype.type(0.0)
+    two, nothing = v.dtype.type(2.0), v.dtype.type(0.0)
     theta = nothing
     # Contacts are sorted by body a, so its velocity stays in registers until the next a: successive contacts of one
     # body need not wait for a trip through memory.
@@ -278,29 +189,39 @@ def sweep_both(rows, friction, solver_bodies):
             v[held, V_X], v[held, V_Y], v[held, V_S] = a_x, a_y, a_s
             a_x, a_y, a_s, w_a = v[a, V_X], v[a, V_Y], v[a, V_S], v[a, INVERSE_MASS]
             held = a
-        b_x, b_y, b_s, w_b = v[b, V_X], v[b, V_Y], v[b, V_S], v[b, INVERSE_MASS]
-        n_x, n_y, k_n, k_t = data[i, N_X], data[i, N_Y], data[i, NORMAL_MASS], data[i, TANGENT_MASS]
-        arm_a, arm_b, target = data[i, ARM_A], data[i, ARM_B], data[i, TARGET]
-        old_n, old_t = impulse[i, NORMAL], impulse[i, TANGENT]
+        b_x, b_y, w_b = v[b, V_X], v[b, V_Y], v[b, INVERSE_MASS]
+        n_x, n_y, k_n, old_n = data[i, N_X], data[i, N_Y], data[i, NORMAL_MASS], impulse[i, NORMAL]
 
-        # The change −k (v_b − v_a)·n, and likewise along t = (n_y, −n_x), cut to what keeps λ admissible. What a
-        # contributes comes last, and λ is added outside of the chain of operations that the next contact waits for.
-        x_n, y_n, x_t, y_t = k_n * n_x, k_n * n_y, k_t * n_y, k_t * n_x
-        free_n = k_n * target - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
-        free_t = -(k_t * arm_b) * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
-        largest = mu * max(old_n, nothing)  # methods that extrapolate may begin a sweep below 0
-        p_t = max(-largest - old_t, min(free_t, largest - old_t))
+        # The change −k (v_b − v_a)·n, cut to what keeps λ admissible. What a contributes comes last, and λ is added
+        # outside of the chain of operations that the next contact waits for.
+        x_n, y_n = k_n * n_x, k_n * n_y
+        free_n = nothing - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
         p_n = max(free_n, -old_n)
+        largest = abs(p_n)
         impulse[i, NORMAL] = old_n + p_n
-        impulse[i, TANGENT] = old_t + p_t
-        theta = max(theta, max(abs(p_n), abs(p_t)))
+        if friction is not None:
+            # Likewise along t = (n_y, −n_x).
+            b_s, k_t, arm_a, arm_b = v[b, V_S], data[i, TANGENT_MASS], data[i, ARM_A], data[i, ARM_B]
+            old_t, bound = impulse[i, TANGENT], v.dtype.type(friction) * max(old_n, nothing)
+            x_t, y_t = k_t * n_y, k_t * n_x
+            free_t = -(k_t * arm_b) * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
+            p_t = max(-bound - old_t, min(free_t, bound - old_t))
+            largest = max(largest, abs(p_t))
+            impulse[i, TANGENT] = old_t + p_t
+        theta = max(theta, largest)
 
-        a_x = a_x - w_a * n_x * p_n - w_a * n_y * p_t
-        a_y = a_y - w_a * n_y * p_n + w_a * n_x * p_t
-        a_s = a_s + two * w_a * arm_a * p_t
-        v[b, V_X] = b_x + w_b * n_x * p_n + w_b * n_y * p_t
-        v[b, V_Y] = b_y + w_b * n_y * p_n - w_b * n_x * p_t
-        v[b, V_S] = b_s + two * w_b * arm_b * p_t
+        a_x = a_x - w_a * n_x * p_n
+        a_y = a_y - w_a * n_y * p_n
+        b_x = b_x + w_b * n_x * p_n
+        b_y = b_y + w_b * n_y * p_n
+        if friction is not None:
+            a_x = a_x - w_a * n_y * p_t
+            a_y = a_y + w_a * n_x * p_t
+            a_s = a_s + two * w_a * arm_a * p_t
+            b_x = b_x + w_b * n_y * p_t
+            b_y = b_y - w_b * n_x * p_t
+            v[b, V_S] = b_s + two * w_b * arm_b * p_t
+        v[b, V_X], v[b, V_Y] = b_x, b_y
     v[held, V_X], v[held, V_Y], v[held, V_S] = a_x, a_y, a_s
     return theta
 

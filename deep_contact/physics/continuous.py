@@ -33,16 +33,6 @@ NOTHING = -1
 """Partner of a circle that meets nothing."""
 
 
-@njit(cache=True)
-def any_is_fast(bodies, start):
-    """Whether some circle has moved further than `FAST` radii from where it started, (n, 2), m."""
-    for i in range(bodies.mass.shape[0]):
-        x, y = bodies.position[i, 0] - start[i, 0], bodies.position[i, 1] - start[i, 1]
-        if x * x + y * y > (FAST * bodies.radius[i]) ** 2:
-            return True
-    return False
-
-
 @njit(cache=True, error_model="numpy")
 def stop_fast(bodies, start, gravity, dt, box, segments, scales):
     """Take back, in place, what circles have moved beyond the first touch of a fast one, and the energy of its fall.

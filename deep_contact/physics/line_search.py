@@ -15,7 +15,6 @@ from deep_contact.physics.contact_solver import (
     N_Y,
     NORMAL,
     TANGENT,
-    TARGET,
     V_S,
     V_X,
     V_Y,
@@ -26,7 +25,7 @@ from deep_contact.physics.contact_solver import (
 def best_share(rows, solver_bodies):
     """α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 where these change no velocity.
 
-    α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻ less the targets. rows: `Rows` with
+    α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. rows: `Rows` with
     tangents. solver_bodies: velocities v⁻ before impulses, (n + 4, 4). One pass over the contacts, for λ·A λ is the
     kinetic energy, times 2, of what λ does to the bodies: Σ m |Δv|² + ½ m Δs², s = ω r.
     """
@@ -41,7 +40,7 @@ def best_share(rows, solver_bodies):
         p_x, p_y = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x
         v_x, v_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
         turn = arm_a * v[a, V_S] + arm_b * v[b, V_S]
-        along += v_x * p_x + v_y * p_y + turn * p_t - rows.data[i, TARGET] * p_n
+        along += v_x * p_x + v_y * p_y + turn * p_t
         change[a, 0] -= p_x
         change[a, 1] -= p_y
         change[a, 2] += 2.0 * arm_a * p_t

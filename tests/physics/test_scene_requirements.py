@@ -50,7 +50,7 @@ def test_frictionless_rows_have_no_tangents():
     state = simulation.ready(dc.column(3, friction=0.0))
     rows, _, friction = engine.step_problem(state, dc.PGS())
     assert friction is None
-    assert (rows.data.shape, rows.impulse.shape) == ((state.contacts.count, 4), (state.contacts.count, 1))
+    assert (rows.data.shape, rows.impulse.shape) == ((state.contacts.count, 3), (state.contacts.count, 1))
 
 
 @pytest.mark.parametrize(("friction", "start"), [(0.5, 0.0), (1e-9, 0.0), (0.0, 1e-3)])

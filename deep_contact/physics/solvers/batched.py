@@ -58,7 +58,6 @@ from deep_contact.physics.contact_solver import (
     NORMAL_MASS,
     TANGENT,
     TANGENT_MASS,
-    TARGET,
     integrate_velocities,
     move,
     stop_fast_circles,
@@ -118,18 +117,18 @@ def sweep_tiles(tiles, first, last, friction):
     for t in range(first, last):
         a_x, a_y, a_s, w_a = load_rows(solver_bodies, body, 2 * t)
         b_x, b_y, b_s, w_b = load_rows(solver_bodies, body, 2 * t + 1)
-        row = 7 * t
+        row = 6 * t
         n_x, n_y, k_n, k_t = (
             load(data, row + N_X),
             load(data, row + N_Y),
             load(data, row + NORMAL_MASS),
             load(data, row + TANGENT_MASS),
         )
-        arm_a, arm_b, target = load(data, row + ARM_A), load(data, row + ARM_B), load(data, row + TARGET)
+        arm_a, arm_b = load(data, row + ARM_A), load(data, row + ARM_B)
         old_n, old_t = load(impulse, 2 * t + NORMAL), load(impulse, 2 * t + TANGENT)
 
         d_x, d_y = b_x - a_x, b_y - a_y
-        free_n = k_n * (target - d_x * n_x - d_y * n_y)
+        free_n = k_n * (none - d_x * n_x - d_y * n_y)
         free_t = k_t * (d_y * n_x - d_x * n_y - arm_a * a_s - arm_b * b_s)
         largest = mu * old_n
         p_t = most(least(free_t, largest - old_t), none - largest - old_t)
@@ -199,7 +198,7 @@ def correct_blocks(plan, tiles, scales, turn, crew):
         for q in range(first, last):
             k = plan.order[q]
             begin, end = plan.first[k], plan.first[k + 1]
-            plan.worst[k, turn] = correct_tiles(tiles.body, tiles.data, TARGET + 1, tiles.centre, begin, end, scales)
+            plan.worst[k, turn] = correct_tiles(tiles.body, tiles.data, ARM_B + 1, tiles.centre, begin, end, scales)
         end_phase(plan, p, crew)
     deepest = 0.0
     for k in range(plan.count[BLOCKS]):
