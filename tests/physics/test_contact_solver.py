@@ -7,7 +7,6 @@ import pytest
 from conftest import momentum, solved_states
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import optimize
 
 import deep_contact as dc
 from deep_contact.physics.convergence import mean_theta
@@ -66,19 +65,6 @@ def test_sliding_circle_is_braked_by_coulomb():
     np.testing.assert_allclose(solution.angular_velocities[0], -0.3 * m * g * dt * 1.0 / (0.5 * m), rtol=1e-12)
 
 
-def test_frictionless_velocities_equal_nnls(frictionless_states):
-    # Without friction: min over λ >= 0 of ½ |B λ + M^½ v|², B = M^-½ Jᵀ.
-    for state in frictionless_states:
-        problem = contact_problem(state, friction=False)
-        root = np.sqrt(problem.inverse_mass)
-        B = root[:, None] * problem.jacobian.T.toarray()
-        expected, _ = optimize.nnls(B, -problem.free_velocity / root, maxiter=100_000)
-        velocity = problem.velocities(expected).reshape(-1, 3)
-        solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=200_000, tolerance=1e-14), start="copy")
-        np.testing.assert_allclose(solution.velocities, velocity[:, :2], atol=1e-9)
-        np.testing.assert_allclose(solution.angular_velocities, velocity[:, 2], atol=1e-9)
-
-
 def algorithm_1(A, b, impulse, *, sweeps, friction):
     """The thesis's Solver(A, b, λ) with friction, each contact's tangent row before its normal row. λ, θ by sweep."""
     A, impulse, theta = A.toarray(), impulse.copy(), []
@@ -103,24 +89,6 @@ def test_sweeps_equal_algorithm_1_on_matrices(falling_states):
         np.testing.assert_allclose(solution.normal_impulses, expected[::2], atol=1e-11 * scale)
         np.testing.assert_allclose(solution.tangent_impulses, expected[1::2], atol=1e-11 * scale)
         np.testing.assert_allclose(solution.record.theta, theta, atol=1e-11 * scale)
-
-
-def test_solution_is_complementary_and_in_the_cone(falling_states):
-    solver = dc.PGS(sweeps=100_000, tolerance=1e-12)
-    for state in falling_states[::3]:
-        solution = dc.solve_contacts(state, solver=solver, start="copy")
-        problem = contact_problem(state)
-        impulse = np.column_stack([solution.normal_impulses, solution.tangent_impulses])
-        after = (problem.A @ impulse.ravel() + problem.b).reshape(-1, 2)
-        scale = impulse.max()
-        assert (impulse[:, 0] >= 0).all()
-        assert (np.abs(impulse[:, 1]) <= state.world.friction * impulse[:, 0] * (1 + 1e-9) + 1e-9).all()
-        assert after[:, 0].min() > -1e-8  # no approach is left
-        assert np.abs(impulse[:, 0] * after[:, 0]).max() < 1e-8 * scale  # what separates carries nothing
-        # A contact that slips is at the edge of the cone, and friction is against the slip.
-        slips = np.abs(after[:, 1]) > 1e-6
-        edge = state.world.friction * impulse[slips, 0]
-        np.testing.assert_allclose(impulse[slips, 1], -np.sign(after[slips, 1]) * edge, atol=1e-8 * scale)
 
 
 @settings(max_examples=25, deadline=None)

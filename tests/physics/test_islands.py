@@ -138,12 +138,6 @@ def test_islands_is_a_flag():
         dc.PGS(islands=2)
 
 
-def test_islands_travel_in_state_files(tmp_path):
-    scene = dc.column(3).replace(solver=dc.PGS(islands=True))
-    dc.write_state(tmp_path / "state.xml", scene)
-    assert dc.read_state(tmp_path / "state.xml").solver == scene.solver
-
-
 def test_islands_of_a_state_without_contacts_are_refused():
     with pytest.raises(ValueError, match="contacts: expected a state whose contacts have been found, got None"):
         islands_of(dc.column(2))

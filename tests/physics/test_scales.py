@@ -97,7 +97,6 @@ def test_a_scene_times_a_power_of_four_is_the_same_run_to_the_last_bit(method, s
         {"radius": EQUAL},
         {"gravity": (3.0, -5.0)},
         {"solver": dc.PGS(islands=True)},
-        {"solver": dc.BatchedPGS()},
         {"warm_start": None},
         {"warm_start": "copy"},
     ],

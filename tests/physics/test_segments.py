@@ -305,29 +305,6 @@ def test_matrices_and_solvers_agree_on_segments():
     assert metrics.residual(state, exact.solution) < 1e-8
 
 
-def test_lengths_times_a_power_of_four_are_the_same_run_to_the_last_bit():
-    small, s = funnel_scene(), 64.0
-    bodies = small.bodies._replace(
-        position=s * small.bodies.position, radius=s * small.bodies.radius, mass=s**2 * small.bodies.mass
-    )
-    world = replace(
-        small.world, box=tuple(s * x for x in BOX), segments=[tuple(s * x for x in seg) for seg in small.world.segments]
-    )
-    large = small.replace(world=world, bodies=bodies, dt=math.sqrt(s) * small.dt)
-    one, other = dc.simulate(small, steps=150).state, dc.simulate(large, steps=150).state
-    np.testing.assert_array_equal(s * one.bodies.position, other.bodies.position)
-    np.testing.assert_array_equal(s**2.5 * one.contacts.normal_impulse, other.contacts.normal_impulse)
-
-
-def test_impulses_are_carried_from_step_to_step():
-    run = frames(funnel_scene(), 120)
-    before, after = run[-2].contacts, run[-1].contacts
-    solved = dict(zip(zip(before.body_a.tolist(), before.body_b.tolist()), before.normal_impulse))
-    wanted = [solved.get(pair, 0.0) for pair in zip(after.body_a.tolist(), after.body_b.tolist())]
-    np.testing.assert_array_equal(after.normal_start, wanted)
-    assert np.max(after.normal_start[after.body_b >= 44], initial=0.0) > 0
-
-
 @pytest.mark.parametrize(
     ("segments", "message"),
     [

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from conftest import momentum
 from numba import config
 
 import deep_contact as dc
@@ -112,38 +111,6 @@ def test_more_contacts_than_a_mask_has_colours():
     expected = dc.solve_contacts(state, solver=exact, start=None)
     found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=20_000, tolerance=1e-12), start=None)
     np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
-
-
-def test_the_fixed_point_is_that_of_sequential_sweeps(frictionless_states):
-    # Without friction there is one solution, whatever the order.
-    for state in frictionless_states:
-        exact = {"sweeps": 200_000, "tolerance": 1e-13}
-        expected = dc.solve_contacts(state, solver=dc.PGS(**exact))
-        found = dc.solve_contacts(state, solver=dc.BatchedPGS(**exact))
-        assert found.record.status == expected.record.status == "converged"
-        np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
-
-
-def test_a_solution_with_friction_stands_still(falling_states):
-    # With friction there may be several: each is left where it is by a sweep in any order.
-    for state in falling_states[::4]:
-        expected = dc.solve_contacts(state, solver=dc.PGS(sweeps=100_000, tolerance=1e-12))
-        if expected.record.status == "converged":
-            start = (expected.normal_impulses, expected.tangent_impulses)
-            found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=1), start=start)
-            np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-9)
-
-
-def test_batches_keep_momentum():
-    scene = dc.drifting_circles(60, size=40.0, sigma_coef=0.9, speed=3.0, seed=2)
-    state = dc.simulate(scene, steps=20).state
-    inside = state.contacts.body_b < 60
-    assert inside.any()
-    # Walls take momentum, so their contacts go.
-    state = state.replace(contacts=type(state.contacts)(*(field[inside] for field in state.contacts)))
-    found = dc.solve_contacts(state, solver=dc.BatchedPGS(sweeps=50), start=None)
-    after = state.bodies._replace(velocity=found.velocities, spin=found.angular_velocities)
-    np.testing.assert_allclose(momentum(after), momentum(state.bodies), atol=1e-10)
 
 
 def in_the_order_of_batches(plan):

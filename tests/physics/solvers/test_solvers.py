@@ -20,6 +20,7 @@ EXACT = [
     dc.PSOR(**PAST_NEED, omega=1.0, adaptive=True),
     dc.NNCG(**PAST_NEED),
     dc.NesterovPGS(**PAST_NEED),
+    dc.BatchedPGS(**PAST_NEED),
 ]
 """Methods that solve the rigid contact problem, far past need."""
 
