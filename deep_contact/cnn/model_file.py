@@ -6,9 +6,8 @@ one more dataset, `deep_contact`, a JSON object:
 | field        | meaning                                                                                      |
 |--------------|----------------------------------------------------------------------------------------------|
 | format       | 1                                                                                            |
-| spec         | `ImageSpec.to_dict()`: channels, targets, grid, kernel, transfer, normalisation, statistics, |
-|              | or `FarFieldSpec.to_dict()`                                                                  |
-| coarsening   | k: the network takes n = 1 (mod k) nodes along an edge                                       |
+| spec         | `ImageSpec.to_dict()`: channels, targets, grid, kernel, transfer; or `FarFieldSpec.to_dict()` |
+| coarsening   | k: the network takes n = 1 (mod k) nodes along an edge; 8 for far-field networks, else 1     |
 | box          | (width, height) that a network of one fixed size was made for, m; null if any fits           |
 | card         | where it comes from and what it is worth: data, seed, command, versions, errors              |
 | digest       | SHA-256 over the network's configuration, its weights and the other fields                   |

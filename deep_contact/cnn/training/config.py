@@ -141,7 +141,5 @@ def config_of(metadata: dict, **changes) -> TrainingConfig:
     stored = metadata["card"].get("config")
     if not isinstance(stored, dict):
         raise ValueError(f"card: expected the settings of the run that made the model, got {stored!r}")
-    names = {f.name for f in fields(TrainingConfig)}
-    return TrainingConfig(
-        **{name: value for name, value in {**stored, **metadata["spec"]}.items() if name in names} | changes
-    )
+    names, given = {f.name for f in fields(TrainingConfig)}, {**stored, **metadata["spec"]}
+    return TrainingConfig(**{name: value for name, value in given.items() if name in names} | changes)

@@ -71,7 +71,7 @@ class ImageDataset(keras.utils.PyDataset):
         self.store, self.spec, self.batch_size, self.seed = store, spec, batch_size, seed
         self.states = np.asarray(states, np.int64).reshape(-1, 2)
         count = min(len(self.states), states_per_epoch or len(self.states))
-        self.length = -(-count // batch_size) if seed is None else count // batch_size
+        self.length = -(-count // batch_size) if seed is None else max(1, count // batch_size)
         worlds = [store.info(sim).header["world"] for sim in np.unique(self.states[:, 0]).tolist()]
         shapes = {spec.shape(world): world for world in worlds}
         if len(shapes) > 1:
