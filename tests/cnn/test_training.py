@@ -259,13 +259,13 @@ def test_thesis_network_trains_on_images(data, tmp_path):
 
 
 def test_half_precision_differs_by_its_rounding_alone(undisturbed, data, tmp_path):
-    # bfloat16 has 8 binary digits: 0.4 %.
+    # bfloat16 has 8 binary digits, 0.4 %; after the first epoch the two runs have parted.
     before = keras.config.dtype_policy()
     done = quietly(tiny(precision="mixed_bfloat16"), data, tmp_path)
     assert keras.config.dtype_policy() == before
     losses = [[line["validation_loss"] for line in run.history] for run in (done, undisturbed)]
     assert losses[0] != losses[1]
-    np.testing.assert_allclose(*losses, rtol=0.05)
+    assert losses[0][0] == pytest.approx(losses[1][0], rel=0.02)
     layers = done.model.network.layers
     assert {layer.compute_dtype for layer in layers} == {"float32"}  # of the model file, as of any other
     assert {str(weight.dtype) for layer in layers for weight in layer.weights} == {"float32"}
