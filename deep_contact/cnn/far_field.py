@@ -290,7 +290,7 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
     """`_Measured` of a state with contacts, its rows and its solver bodies before impulses."""
     n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     after = free.copy()
-    apply_impulses(rows, after)
+    apply_impulses(rows, after, friction)
 
     # Change by one relaxation of each row, m/s: 0 where the row is satisfied.
     residual = np.empty((m, 2))

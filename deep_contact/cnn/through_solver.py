@@ -175,7 +175,7 @@ def _before_projection(start, friction, gradient):
 def _velocities(rows, free, impulse):
     """v⁻ + M⁻¹ Jᵀ λ, packed like `free`."""
     velocity = free.copy()
-    apply_impulses(Rows(rows.body, rows.data, impulse), velocity)
+    apply_impulses(Rows(rows.body, rows.data, impulse), velocity, 0.0)
     return velocity
 
 
