@@ -204,8 +204,8 @@ def simulate_many(
     start = warm_start_of(warm_start)
     if not isinstance(start, (Builtin, NoStart)):
         raise ValueError(f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
-    states = [check_types(state) for state in states]
-    for one in (solver, *(state.solver for state in states)):
+    states = list(states)
+    for one in (solver, *(getattr(state, "solver", None) for state in states)):
         if (getattr(one, "threads", None) or 1) > 1:
             # Crews beside one thread a core would wait for each other.
             raise ValueError(f"solver: expected one with threads=1 for many scenes, got {one!r}")

@@ -286,6 +286,10 @@ def choose_levels(radius, level):
     return levels
 
 
+ROUNDED = 1.0 + 1e-12
+"""Times the square of their reach, circles touch: those that touch exactly, as in a column, stay together by rounding."""
+
+
 @njit(inline="always")
 def circles_around(a, position, reach, levels, cells, found, m):
     """Write the circles after a, by index, within reach and their own radius, m, of its centre into `found` from m on.
@@ -312,7 +316,7 @@ def circles_around(a, position, reach, levels, cells, found, m):
                 d_x, d_y, within = circle[k, 0] - x, circle[k, 1] - y, circle[k, 2] + reach
                 # Written always and kept if it is near: cheaper than a branch nobody can predict.
                 found[m] = order[k]
-                m += (d_x * d_x + d_y * d_y <= within * within) & (order[k] > a)
+                m += (d_x * d_x + d_y * d_y <= ROUNDED * within * within) & (order[k] > a)
     if m >= 0:
         _sort_run(found, first, m)
     return m
@@ -379,7 +383,7 @@ def write_near_pairs(position, radius, box, skin, cells, begin, end, body_a, bod
             dy = position[b, 1] - y
             reach = radius[b] + r
             body_a[np.uint32(m)], body_b[np.uint32(m)] = a, b
-            m += dx * dx + dy * dy <= reach * reach
+            m += dx * dx + dy * dy <= ROUNDED * reach * reach
         before = m
         m = write_walls(x, y, r + skin, box, n, body_b, m)
         for k in range(before, m):

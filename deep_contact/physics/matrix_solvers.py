@@ -176,13 +176,14 @@ def _relax_plain(blocks, impulse, stop, theta):
 def _relax_momentum(blocks, impulse, stop, theta):
     """NesterovPGS: see `solvers.nesterov.relax_nesterov`."""
     flat = impulse.reshape(impulse.size)
-    last, swept_from, memory = flat.copy(), flat.copy(), nesterov.make_memory()
+    last, swept_from, memory = flat.copy(), flat.copy(), nesterov.FIRST_MEMORY
     for k in range(theta.shape[0]):
         theta[k] = sweep(blocks, impulse)
         met = is_met(blocks, impulse, stop, k)
         if is_over(theta[k], stop.tolerance) or met or k + 1 == theta.shape[0]:
             return k + 1, met
-        nesterov.extrapolate(flat, last, nesterov.next_momentum(k, flat, swept_from, last, memory))
+        momentum, memory = nesterov.next_momentum(k, flat, swept_from, last, memory)
+        nesterov.extrapolate(flat, last, momentum)
         swept_from[:] = flat
     return theta.shape[0], False
 

@@ -436,10 +436,10 @@ def test_the_figure_reports_a_method_that_is_not_safe(script):
     silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
     cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
     cell |= {"energy": 0.0, "correction": 0.0, "speed": 0.0}
-    solvers = [{"name": "method A", "verdict": DEGRADED}, {"name": "method B", "verdict": SAFE}]
+    solvers = [{"name": name, "verdict": verdict} for name, verdict in zip(extremes.SOLVERS, (DEGRADED, SAFE))]
     data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": solvers}
     broken = [claim for claim in script.claims(data) if not claim.holds]
-    assert [claim.measured["not safe"] for claim in broken] == [["method A: degraded"]]
+    assert [claim.measured["not safe"] for claim in broken] == [[f"{next(iter(extremes.SOLVERS))}: degraded"]]
 
 
 @pytest.mark.slow

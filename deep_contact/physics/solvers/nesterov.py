@@ -66,28 +66,26 @@ def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
     last_impulse[:] = impulse
     swept_from[:] = impulse
     last_velocity[:] = velocity
-    memory = make_memory()
+    memory = FIRST_MEMORY
     for k in range(theta.shape[0]):
         theta[k] = sweep(rows, friction, solver_bodies)
         if is_over(theta[k], settings.tolerance) or k + 1 == theta.shape[0]:
             return k + 1
-        momentum = next_momentum(k, impulse, swept_from, last_impulse, memory)
+        momentum, memory = next_momentum(k, impulse, swept_from, last_impulse, memory)
         extrapolate(impulse, last_impulse, momentum)
         extrapolate(velocity, last_velocity, momentum)
         swept_from[:] = impulse
     return theta.shape[0]
 
 
-@njit(cache=True)
-def make_memory():
-    """What `next_momentum` knows before the first sweep: t, the bound of β, the last change, two windows' changes."""
-    return np.array([1.0, FIRST_MOMENTUM, np.inf, np.inf, 0.0])
+FIRST_MEMORY = (1.0, FIRST_MOMENTUM, np.inf, np.inf, 0.0)
+"""What `next_momentum` knows before the first sweep: t, the bound of β, the last change, two windows' changes."""
 
 
 @njit(cache=True)
 def next_momentum(k, impulse, swept_from, last, memory):
-    """β after the k-th sweep, counted from 0, which led from `swept_from` to the impulses. memory: in place."""
-    t, bound, last_size, before, now = memory[0], memory[1], memory[2], memory[3], memory[4]
+    """β after the k-th sweep, counted from 0, which led from `swept_from` to the impulses, and the memory after it."""
+    t, bound, last_size, before, now = memory
     size, downhill = step_and_slope(impulse, swept_from, last)
     now += size
     if size > SUDDEN_GROWTH * last_size:
@@ -102,8 +100,7 @@ def next_momentum(k, impulse, swept_from, last, memory):
         next_t = 0.5 * (1.0 + math.sqrt(1.0 + 4.0 * t * t))
         momentum = min((t - 1.0) / next_t, bound)
         t = next_t
-    memory[0], memory[1], memory[2], memory[3], memory[4] = t, bound, size, before, now
-    return momentum
+    return momentum, (t, bound, size, before, now)
 
 
 @njit(cache=True, fastmath=SUMS)

@@ -78,7 +78,7 @@ def swept(A, b, mu, impulse, *, omega=1.0, friction_omega=None, backwards=False)
     for row in reversed(contacts) if backwards else contacts:
         for i in (row + 1, row):
             free = impulse[i] - factors[i - row] * (A[i] @ impulse + b[i]) / A[i, i]
-            bound = mu * impulse[row]
+            bound = mu * max(impulse[row], 0.0)  # momentum may have carried λ_n below 0
             impulse[i] = max(free, 0.0) if i == row else max(-bound, min(free, bound))
     return impulse
 
