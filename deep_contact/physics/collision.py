@@ -287,7 +287,7 @@ def choose_levels(radius, level):
 
 
 ROUNDED = 1.0 + 1e-12
-"""Times the square of their reach, circles touch: those that touch exactly, as in a column, stay together by rounding."""
+"""Circles touch up to so many times the square of their reach: rounding does not part those of a column."""
 
 
 @njit(inline="always")
