@@ -31,7 +31,7 @@ POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits as POS
 def run(code, *arguments, **options):
     """A Python process that runs the code; its result."""
     command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, **options)
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
 
 
 @pytest.fixture
