@@ -26,7 +26,7 @@ def test_reprs_are_one_short_line(run):
     assert repr(run.state) == "State('column_3', 3 circles, 3 contacts, t = 0.6 s, step 60)"
     assert repr(run).startswith("Simulation(60 steps, ")
     assert repr(run).endswith(f", 4 states, state={run.state!r})")
-    assert repr(run.trajectory) == "Trajectory(3 circles, 4 states, 0 to 0.6 s, 11 contacts)"
+    assert repr(run.trajectory) == "Trajectory(3 circles, 4 states, 0 to 0.6 s, 12 contacts)"
 
 
 def test_a_state_shows_each_circle_and_contact_where_it_is(run):
