@@ -7,7 +7,14 @@ from hypothesis import strategies as st
 
 import deep_contact as dc
 from deep_contact.constants import WALL_SKIN
-from deep_contact.physics.collision import carry_impulses, find_contacts, make_cells, make_contacts, sort_into_cells
+from deep_contact.physics.collision import (
+    ROUNDED,
+    carry_impulses,
+    find_contacts,
+    make_cells,
+    make_contacts,
+    sort_into_cells,
+)
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.state import World, make_bodies
@@ -23,7 +30,7 @@ def brute_force_pairs(state):
     pairs = []
     for a in range(n):
         for b in range(a + 1, n):
-            if ((position[b] - position[a]) ** 2).sum() <= (radius[a] + radius[b]) ** 2:
+            if ((position[b] - position[a]) ** 2).sum() <= ROUNDED * (radius[a] + radius[b]) ** 2:
                 pairs.append((a, b))
         gaps = (position[a, 1] - y_min, x_max - position[a, 0], y_max - position[a, 1], position[a, 0] - x_min)
         pairs += [(a, n + wall) for wall, gap in enumerate(gaps) if gap <= radius[a] + state.scales.wall_skin]
@@ -49,7 +56,8 @@ def test_circles_that_just_touch_are_found(height):
     # As far apart as the cells are wide: rounding may put them two cells apart.
     state = state_of(np.column_stack([np.full(12, 15.0), height + 2.0 * np.arange(12)]), 1.0)
     contacts = contacts_of(state)
-    assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
+    pairs = [(a, b) for a, b in zip(contacts.body_a, contacts.body_b) if b < 12]
+    assert pairs == [(a, a + 1) for a in range(11)]
 
 
 def crowd(n, seed, *, smallest, side=30.0):
