@@ -137,34 +137,43 @@ class Sph:
 
         method: how the thesis's transfer reads back, see `sph.gather`.
         """
+        return self.gather(state, self.splat(state, impulses), method=method)
+
+    def splat(self, state: State, impulses: np.ndarray) -> np.ndarray:
+        """The image of the impulses, (n_y, n_x, 2)."""
         from deep_contact import sph
 
-        grid = sph.Grid.over_box(state.world.box, self.spacing)
-        h = self.spacing if self.support is None else self.support
-        points = state.contacts.position
-        # A contact with a wall lies half its penetration outside the box. Where no node is within h, the thesis's
-        # transfer loses the contact; the consistent one gives it to the nearest node.
-        options = {
-            "h": h,
-            "kernel": self.kernel,
-            "outside": "clamp",
-            "unreached": "nearest" if self.transfer == "consistent" else "zero",
-        }
-        image = sph.splat(grid, points, impulses, normalization="particle", **options)
+        grid, points, options = self._transfer(state)
+        return sph.splat(grid, points, impulses, normalization="particle", **options)
+
+    def gather(self, state: State, image: np.ndarray, *, method: str = "bilinear") -> tuple[np.ndarray, np.ndarray]:
+        """(λ_n, λ_t) of an image at the contacts."""
+        from deep_contact import sph
+
+        (grid, points, options), ends = self._transfer(state), {"outside": "clamp", "unreached": "zero"}
         if self.transfer == "spline":
             back = sph.read_by_spline(grid, image, points)
         elif self.transfer == "shared":
-            back = sph.share_out(grid, image, points, h=h, kernel=self.kernel)
+            back = sph.share_out(grid, image, points, h=options["h"], kernel=self.kernel)
         elif self.transfer == "thesis":
-            back = sph.gather(
-                grid, image, points, method=method, h=h, kernel=self.kernel, outside="clamp", unreached="zero"
-            )
+            back = sph.gather(grid, image, points, method=method, h=options["h"], kernel=self.kernel, **ends)
         else:
             density = sph.density(grid, points, **options)
-            back = sph.gather(
-                grid, image, points, normalization="consistent", density=density, outside="clamp", unreached="zero"
-            )
+            back = sph.gather(grid, image, points, normalization="consistent", density=density, **ends)
         return back[:, 0].copy(), back[:, 1].copy()
+
+    def _transfer(self, state: State) -> tuple:
+        """(Grid, the contacts' places, options of a splat).
+
+        A contact with a wall lies half its penetration outside the box. Where no node is within h, the thesis's
+        transfer loses the contact; the consistent one gives it to the nearest node.
+        """
+        from deep_contact import sph
+
+        h = self.spacing if self.support is None else self.support
+        unreached = "nearest" if self.transfer == "consistent" else "zero"
+        options = {"h": h, "kernel": self.kernel, "outside": "clamp", "unreached": unreached}
+        return sph.Grid.over_box(state.world.box, self.spacing), state.contacts.position, options
 
 
 def _cnn() -> WarmStart:

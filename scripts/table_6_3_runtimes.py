@@ -4,7 +4,7 @@ from itertools import product
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.runtimes import RUNTIMES, times_in_process
+from deep_contact.studies.learned_starts import RUNTIMES, times_in_process
 
 NETWORKS = ("model.h5",)
 

@@ -8,26 +8,27 @@ imported by the functions that need them; networks run on one thread.
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
+from scipy import stats
 
-from deep_contact import sph
 from deep_contact.cnn.dataset import PHASES, Store, evenly, phase, simulation_path, write_simulation
 from deep_contact.cnn.evaluation import velocity_errors
-from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
-from deep_contact.cnn.inference import network_file, network_start, one_thread
+from deep_contact.cnn.inference import network_file, network_start, one_thread, projected
+from deep_contact.cnn.model_file import read_metadata
 from deep_contact.physics.engine import solve
+from deep_contact.physics.metrics import velocity_error
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting.figures import Claim, parallel_map
 from deep_contact.state import State
-from deep_contact.studies import verdicts
+from deep_contact.studies import timing, verdicts
+from deep_contact.studies.learned_starts import stages_of
 from deep_contact.studies.starts import scene_of, solved_states, sweeps_to, swept_on
-from deep_contact.warm_start import Sph, WarmStart
+from deep_contact.warm_start import WarmStart
 
 # ---- networks ----
 
@@ -53,20 +54,23 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
     states shown in training, each as often as it was}; None if a card leaves a field out. Raises FileNotFoundError for
     a missing file, before anything long begins.
     """
-    from deep_contact.cnn.model_file import read_metadata
-
     names = ("architecture", "parameters", "trainable_parameters", "seed", "training_states")
     found = {}
     for name, path in networks.items():
-        card = read_metadata(network_file(path))["card"]
-        found[name] = {"file": str(path)} | {key: card.get(key) for key in names}
-        found[name]["visits"] = len(card["history"]) * card["config"]["states_per_epoch"]
+        card = card_of(path)
+        visits = len(card["history"]) * card["config"]["states_per_epoch"]
+        found[name] = {"file": str(path)} | {key: card.get(key) for key in names} | {"visits": visits}
     return found
+
+
+def card_of(path) -> dict:
+    """What a model file says of its training."""
+    return read_metadata(network_file(path))["card"]
 
 
 # ---- layers: Figure 5.8, Tables 5.1 and 5.2 ----
 
-LAYER_TITLES = {"InputLayer": "Input", "Conv2D": "Convolution", "MaxPooling2D": "MaxPooling"}
+LAYER_TITLES = {"Conv2D": "Convolution", "MaxPooling2D": "MaxPooling"}
 """Class of a Keras layer -> its name in Table 5.1, if they differ."""
 
 PRINTED = json.loads((Path(__file__).parent / "printed_tables.json").read_text(encoding="utf-8"))
@@ -84,22 +88,21 @@ def layers_of(model) -> list[dict]:
     Each {"name", "kind": as in Table 5.1, "shape": of the output without the batch, "parameters", "trainable",
     "kernel": sides of a convolution's kernel or None}.
     """
-    inputs = {"name": "input", "kind": "Input", "shape": list(model.input_shape[1:]), "parameters": 0, "trainable": 0}
-    found = [inputs | {"kernel": None}]
+    found = [{"name": "input", "kind": "Input", "shape": list(model.input_shape[1:]), "parameters": 0, "trainable": 0}]
+    found[0]["kernel"] = None
     for layer in model.layers:
         kind = type(layer).__name__
         if kind == "InputLayer":
             continue
-        title = LAYER_TITLES.get(kind, kind)
-        convolution = kind == "Conv2D"
+        filters = f"({layer.filters})" if kind == "Conv2D" else ""
         found.append(
             {
                 "name": layer.name,
-                "kind": f"{title}({layer.filters})" if convolution else title,
+                "kind": LAYER_TITLES.get(kind, kind) + filters,
                 "shape": list(layer.output.shape[1:]),
                 "parameters": int(layer.count_params()),
                 "trainable": int(sum(np.prod(v.shape) for v in layer.trainable_variables)),
-                "kernel": list(layer.kernel_size) if convolution else None,
+                "kernel": list(layer.kernel_size) if filters else None,
             }
         )
     return found
@@ -149,9 +152,7 @@ def thesis_hyperparameters() -> dict[str, str]:
 
 def hyperparameters_of(path: str) -> dict[str, str]:
     """The lines of Table 5.2 that a training decides, of the training that made a model file, by its card."""
-    from deep_contact.cnn.model_file import read_metadata
-
-    card = read_metadata(network_file(path))["card"]
+    card = card_of(path)
     config, history = card["config"], card["history"]
     rates = dict.fromkeys(f"{epoch['rate']:g}" for epoch in history)
     return {
@@ -195,16 +196,14 @@ def claims_of_network(data: Mapping, name: str, label: str) -> list[Claim]:
         compared("copy", name, "does not converge as rapidly as Copy"),
     ]
     if "velocity" in data:
-        found.append(_fewer_errors(data, name, "builtin", f"{label} has a smaller mean velocity error than Builtin"))
+        errors = data["velocity"]
+        pairs = list(zip(errors["mean"][name], errors["mean"]["builtin"]))
+        measured = {f"after {sweeps}": list(pair) for sweeps, pair in zip(errors["sweeps"], pairs)}
+        text = (
+            f"{label} has a smaller mean velocity error than Builtin after every number of sweeps, from the same states"
+        )
+        found.append(Claim(text, None, all(ours < builtin for ours, builtin in pairs), measured))
     return found
-
-
-def _fewer_errors(data, name, other, text) -> Claim:
-    errors = data["velocity"]
-    pairs = list(zip(errors["mean"][name], errors["mean"][other]))
-    measured = {f"after {sweeps}": list(pair) for sweeps, pair in zip(errors["sweeps"], pairs)}
-    holds = all(one < two for one, two in pairs)
-    return Claim(f"{text} after every number of sweeps, from the same states", None, holds, measured)
 
 
 def table_of_velocity(data: Mapping) -> list[list]:
@@ -225,83 +224,23 @@ ERRORS = {"velocity error < 1e-1": 1e-1, "velocity error < 1e-2": 1e-2}
 """Thresholds of the relative velocity error. They need the solution, so they can measure a solver but not stop it."""
 
 
-class Staged(NamedTuple):
-    """Impulses (λ_n, λ_t) of a start, and the seconds of its own stages (None, Builtin and Copy have none)."""
-
-    impulses: tuple[np.ndarray, np.ndarray]
-    seconds: dict[str, float]
-
-
-def staged(start: WarmStart, state: State, solver) -> Staged:
-    """Time the stages of start(state, solver). The impulses are the same to the last bit.
-
-    The solution, which SPH transfers, is taken as given at no cost.
-    """
-    clock = time.perf_counter
-    if isinstance(start, Sph):
-        return _staged_sph(start, state)
-    if hasattr(start, "model"):
-        from deep_contact.cnn.inference import projected
-
-        model = start.model
-        model.check_scene(state)
-        begin = clock()
-        if isinstance(model.spec, FarFieldSpec):
-            description = describe(state, model.spec)
-            image = description.image
-        else:
-            image = input_image(state, model.spec)
-        splatted = clock()
-        out = model.run(image)
-        mapped = clock()
-        if isinstance(model.spec, FarFieldSpec):
-            impulses = correct(out, description, model.spec).T
-        else:
-            impulses = read_back(out, state, model.spec)
-        impulses = projected(*impulses, state.world.friction)
-        seconds = {"splat": splatted - begin, "network": mapped - splatted, "gather": clock() - mapped}
-        return Staged(impulses, seconds)
-    return Staged(start(state, solver), {})
-
-
-def _staged_sph(start: Sph, state: State) -> Staged:
-    contacts, clock = state.contacts, time.perf_counter
-    solution = np.column_stack([contacts.normal_impulse, contacts.tangent_impulse])
-    grid = sph.Grid.over_box(state.world.box, start.spacing)
-    h = start.spacing if start.support is None else start.support
-    thesis = start.transfer == "thesis"
-    reach = {"h": h, "kernel": start.kernel, "outside": "clamp", "unreached": "zero" if thesis else "nearest"}
-    begin = clock()
-    image = sph.splat(grid, contacts.position, solution, normalization="particle", **reach)
-    splatted = clock()
-    options = {"outside": "clamp", "unreached": "zero"}
-    if thesis:
-        back = sph.gather(grid, image, contacts.position, h=h, kernel=start.kernel, **options)
-    else:
-        density = sph.density(grid, contacts.position, **reach)
-        back = sph.gather(grid, image, contacts.position, normalization="consistent", density=density, **options)
-    impulses = back[:, 0].copy(), back[:, 1].copy()
-    return Staged(impulses, {"splat": splatted - begin, "gather": clock() - splatted})
-
-
 def sweeps_to_errors(state: State, start, errors: Sequence[float], *, most: int) -> list[int | None]:
     """Sweeps until the relative velocity error is within each of `errors`, to a tenth; None if `most` do not suffice.
 
     state: solved; its impulses are the reference solution. start: (λ_n, λ_t).
     """
+    held = state.contacts.normal_impulse, state.contacts.tangent_impulse
+    reference = solve(state, PGS(sweeps=0, tolerance=None), *held)
     counts = np.unique(np.concatenate([np.arange(20), np.geomspace(20, most, 120)]).round().astype(int)).tolist()
-    found: list[int | None] = [None] * len(errors)
-    impulses, done = start, 0
-    for count in counts:
-        if count > done:
-            # Continue where the last sweeps ended, so that each sweep is done once.
-            solution = solve(state, PGS(sweeps=count - done, tolerance=None), *impulses)
-            impulses, done = (solution.normal_impulses, solution.tangent_impulses), count
-        error = velocity_errors(state, impulses, [0])[0]
-        found = [count if best is None and error <= wanted else best for best, wanted in zip(found, errors)]
-        if None not in found:
+    impulses, found = start, {}
+    for count, more in zip(counts, np.diff(counts, prepend=0).tolist()):
+        solution = solve(state, PGS(sweeps=more, tolerance=None), *impulses)
+        impulses = solution.normal_impulses, solution.tangent_impulses
+        error = velocity_error(state, solution, reference)
+        found |= {wanted: count for wanted in errors if error <= wanted and wanted not in found}
+        if len(found) == len(errors):
             break
-    return found
+    return [found.get(wanted) for wanted in errors]
 
 
 def sampled_states(scene: State, *, steps: int, count: int, sweeps: int) -> list[State]:
@@ -328,22 +267,19 @@ def time_to_thresholds(
         name: {"stages": {}, "sweeps": {c: [] for c in criteria}, "solve": {c: [] for c in criteria}} for name in starts
     }
     for state in progress(states, total=len(states), text="states"):
-        goal = swept_on(state)
-        needed = {}
+        goal, calls = swept_on(state), {}
         for name, start in starts.items():
-            impulses = staged(start, state, solver).impulses  # the warm-up run too: everything is compiled after it
+            impulses = start(state, solver)
             theta = solve(state, solver, *impulses).record.theta
             counts = [sweeps_to(theta, t) if theta[-1] <= t else None for t in THETAS.values()]
             counts += sweeps_to_errors(goal, impulses, list(ERRORS.values()), most=most)
-            needed[name] = dict(zip(criteria, counts))
-        timings = [{n: _timed(start, state, needed[n], most) for n, start in starts.items()} for _ in range(repeats)]
-        for name in starts:
-            stages, solves = ([part[name][i] for part in timings] for i in range(2))
-            for stage in stages[0]:
-                found[name]["stages"].setdefault(stage, []).append(float(np.median([s[stage] for s in stages])))
-            for criterion in criteria:
-                found[name]["sweeps"][criterion].append(needed[name][criterion])
-                found[name]["solve"][criterion].append(float(np.median([s[criterion] for s in solves])))
+            calls |= {(name, "stages", stage): call for stage, call in stages_of(start, state).items()}
+            for criterion, count in zip(criteria, counts):
+                found[name]["sweeps"][criterion].append(count)
+                counted = PGS(sweeps=most if count is None else count, tolerance=None)
+                calls[name, "solve", criterion] = partial(solve, state, counted, *impulses)
+        for (name, part, key), seconds in timing.interleaved(calls, repeats=repeats, reduce=np.median).items():
+            found[name][part].setdefault(key, []).append(float(seconds))
     return {
         "criteria": criteria,
         "phases": [phase(state) for state in states],
@@ -351,18 +287,6 @@ def time_to_thresholds(
         "most": most,
         "starts": found,
     }
-
-
-def _timed(start, state, needed, most) -> tuple[dict[str, float], dict[str, float]]:
-    """Seconds of a start's stages, and of the sweeps to each criterion."""
-    impulses, seconds = staged(start, state, PGS())
-    solves = {}
-    for criterion, sweeps in needed.items():
-        solver = PGS(sweeps=most if sweeps is None else sweeps, tolerance=None)
-        begin = time.perf_counter()
-        solve(state, solver, *impulses)
-        solves[criterion] = time.perf_counter() - begin
-    return seconds, solves
 
 
 def mean_stages(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> dict[str, float]:
@@ -402,10 +326,8 @@ def time_by_tree(states: Sequence[State], *, repeats: int) -> float:
     for state in states:
         grid, bodies = spec.grid(state.world), state.bodies
         values = np.column_stack([bodies.mass, bodies.velocity, bodies.spin])
-        for _ in range(repeats):
-            begin = time.perf_counter()
-            splat_by_tree(grid, bodies.position, values, h=spec.support, normalization="particle")
-            seconds.append(time.perf_counter() - begin)
+        splat = partial(splat_by_tree, grid, bodies.position, values, h=spec.support, normalization="particle")
+        seconds += [timing.timed(splat)[0] for _ in range(repeats)]
     return float(np.median(seconds))
 
 
@@ -445,13 +367,6 @@ def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], 
     return folder
 
 
-def predict_targets(path, state: State) -> dict[str, np.ndarray]:
-    """Predicted impulses at a state's contacts, not projected on the cone: target -> (m,), N·s."""
-    model = network_start(path).model
-    found = read_back(model.run(input_image(state, model.spec)), state, model.spec)
-    return dict(zip(model.spec.targets, found))
-
-
 def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Sequence[int]) -> dict:
     """Held-out errors of one network for both impulses, or of two networks for one each.
 
@@ -459,13 +374,12 @@ def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Se
     solution, before any sweep; "velocity", the relative velocity error after each number of `sweeps`, from both
     impulses projected on the cone. States with nothing to solve are omitted. Raises ValueError if no other is left.
     """
-    from deep_contact.cnn.inference import projected
-
+    models = [network_start(path).model for path in paths]
     errors = []
     for state in states:
         found = {}
-        for path in paths:
-            found |= predict_targets(path, state)
+        for model in models:  # not projected on the cone
+            found |= zip(model.spec.targets, read_back(model.run(input_image(state, model.spec)), state, model.spec))
         right = {"normal_impulse": state.contacts.normal_impulse, "tangent_impulse": state.contacts.tangent_impulse}
         size = np.linalg.norm(list(right.values()))
         start = projected(found["normal_impulse"], found["tangent_impulse"], state.world.friction)
@@ -547,8 +461,6 @@ def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
 
     The numbers are both means and p, by measure. Three seeds reveal only differences of several standard deviations.
     """
-    from scipy import stats
-
     measured, equal = {}, True
     for measure in MEASURES:
         a, b = (of_seeds(data, variant, measure) for variant in (first, second))

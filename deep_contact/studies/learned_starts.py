@@ -8,13 +8,19 @@ that a network was trained on.
 
 from __future__ import annotations
 
+import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
+from functools import partial
 from itertools import product
 
 import numpy as np
 
+from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
+from deep_contact.cnn.images import input_image, read_back
+from deep_contact.cnn.inference import Cnn, limit_threads, load_model, network_file, projected
 from deep_contact.constants import THETA_TOLERANCE
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import solve, step_problem
@@ -26,7 +32,7 @@ from deep_contact.state import State
 from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import REFERENCE, solved_states, start_of
 from deep_contact.studies.verdicts import interval
-from deep_contact.warm_start import WarmStart
+from deep_contact.warm_start import Sph, WarmStart, solved_impulses
 
 BASE = "PSOR 1.75 | 1.45"
 """The best PSOR along runs: ω of the normal rows, and of the friction rows."""
@@ -54,9 +60,14 @@ def parts_of(setting: str) -> tuple[str, str]:
     return start, solver or "PGS"
 
 
+def fixed(solver: str, sweeps: int):
+    """A solver of `SOLVERS` that does so many sweeps."""
+    return replace(SOLVERS[solver], sweeps=sweeps, tolerance=None)
+
+
 def errors_after(state: State, start: tuple, solver: str, sweeps: Sequence[int], references: Sequence) -> list[float]:
     """Distances to the nearest reference after so many sweeps of a solver of `SOLVERS` from the impulses `start`."""
-    ends = [solve(state, replace(SOLVERS[solver], sweeps=k, tolerance=None), *start) for k in sweeps]
+    ends = [solve(state, fixed(solver, k), *start) for k in sweeps]
     return [metrics.nearest_velocity_error(state, end, references) for end in ends]
 
 
@@ -96,8 +107,9 @@ def errors_on_scenes(
     Returns for each kind, scene by scene, {"step": (k,), "sweeps": {setting: (k,) sweeps until θ is below the
     tolerance}, "errors": {setting: (k, len(after))}}.
     """
+    settings = {name: FOLLOWING if name in with_all else ("PGS",) for name in starts}
     tasks = [
-        {**options, "starts": starts, "with_all": with_all, "kind": {**TRAINED, **kind}, "number": i, "seed": s}
+        {**options, "starts": starts, "settings": settings, "kind": {**TRAINED, **kind}, "number": i, "seed": s}
         for i, kind in enumerate(kinds)
         for s in seeds(seed + i, options["scenes"])
     ]
@@ -107,7 +119,7 @@ def errors_on_scenes(
 
 def _errors_on_scene(task: Mapping) -> dict:
     starts = {name: start_of(description) for name, description in task["starts"].items()}
-    settings = [f"{name}, {s}" if s != "PGS" else name for name in starts for s in _following(name, task["with_all"])]
+    settings = [f"{name}, {s}" if s != "PGS" else name for name in starts for s in task["settings"][name]]
     steps = round(task["steps"] * TRAINED["dt"] / task["kind"]["dt"])  # as much time in every kind
     count = task.get("states") or task["steps"] // task["every"]
     scene = scene_of_kind(task["kind"], task["seed"])
@@ -115,28 +127,21 @@ def _errors_on_scene(task: Mapping) -> dict:
     for state in solved_states(scene, steps=steps, every=max(1, steps // count), solver=PGS(**ENOUGH)):
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
         given = {name: start(state, PGS(**ENOUGH)) for name, start in starts.items()}
-        errors = {}
-        for name in settings:
-            start, solver = parts_of(name)
-            errors[name] = errors_after(state, given[start], solver, task["after"], [solution])
+        pairs = {name: (given[parts_of(name)[0]], parts_of(name)[1]) for name in settings}
+        errors = {name: errors_after(state, *pair, task["after"], [solution]) for name, pair in pairs.items()}
         if not np.isfinite(list(errors.values())).all():
             continue  # contacts without anything to solve
         found["step"].append(state.step)
-        for name in settings:
-            start, solver = parts_of(name)
+        for name, (start, solver) in pairs.items():
             found["errors"][name].append(errors[name])
-            found["sweeps"][name].append(solve(state, replace(SOLVERS[solver], **ENOUGH), *given[start]).record.sweeps)
+            found["sweeps"][name].append(solve(state, replace(SOLVERS[solver], **ENOUGH), *start).record.sweeps)
     return found
-
-
-def _following(start: str, with_all: Sequence[str]) -> Sequence[str]:
-    return FOLLOWING if start in with_all else FOLLOWING[:1]
 
 
 def scene_of_kind(kind: Mapping, seed: int) -> State:
     """A scene with the fields of `TRAINED`: a loose lattice where the thesis's box would be too small."""
     rng = np.random.default_rng(seed)
-    count = int(rng.integers(kind["circles"][0], kind["circles"][1] + 1))
+    count = int(rng.integers(*kind["circles"], endpoint=True))
     look = {"radius": kind["radius"], "friction": kind["friction"], "seed": rng}
     if count > 120 or kind["radius"][1] > 1.0 or kind["columns"]:
         scene = lattice_in_box(count, columns=kind["columns"], gap=0.3, **look)
@@ -211,11 +216,94 @@ def start_time(start: WarmStart, state: State, repeats: int) -> float:
 
 def sweep_time(state: State, solver: str, repeats: int) -> float:
     """Seconds of a sweep of a solver over a state's contacts."""
+    swept = partial(solve_contacts, state)
+    return timing.sweep_time(lambda k: swept(solver=fixed(solver, k)), state.contacts.count, repeats=repeats)
 
-    def swept(k):
-        solve_contacts(state, solver=replace(SOLVERS[solver], sweeps=k, tolerance=None))
 
-    return timing.sweep_time(swept, state.contacts.count, repeats=repeats)
+def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
+    """The stages of a start as calls that need none of each other: "splat", "network" and "gather", whose result it is.
+
+    The solution that SPH transfers is given. A start without an image has no stages.
+    """
+    if isinstance(start, Sph):
+        impulses = np.column_stack(solved_impulses(state, PGS()))
+        image = start.splat(state, impulses)
+        return {"splat": lambda: start.splat(state, impulses), "gather": lambda: start.gather(state, image)}
+    if not hasattr(start, "model"):
+        return {}
+    model, spec, friction = start.model, start.model.spec, state.world.friction
+    far_field = isinstance(spec, FarFieldSpec)
+    splat = partial(describe if far_field else input_image, state, spec)
+    seen = splat()
+    image = seen.image if far_field else seen
+    out = model.run(image)
+
+    def gather():
+        return projected(*(correct(out, seen, spec).T if far_field else read_back(out, state, spec)), friction)
+
+    return {"splat": splat, "network": partial(model.run, image), "gather": gather}
+
+
+# ---- times of the network by runtime: Table 6.3 ----
+
+RUNTIMES = ("Numba", "XLA", "TensorFlow")
+"""`cnn.convolution`; one program of TensorFlow's compiler; one call per layer."""
+
+
+def times_in_process(task: Mapping) -> dict[str, list]:
+    """`times_of_runtimes` in a fresh process: TensorFlow takes its number of threads only once."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as alone:
+        return alone.submit(times_of_runtimes, task).result()
+
+
+def times_of_runtimes(task: Mapping) -> dict[str, list]:
+    """Times of all networks, runtimes and batches on the image of a settling pile, μs, the least of several.
+
+    task: "models": paths, "count" of circles, "threads", "batches": images at once, "repeats", "seed".
+    Returns {"times": [{"network", "circles", "threads", "runtime", "batch", "us": per image}], "stages":
+    [{"network", "circles", "threads", "image", "run", "read": `stages_of` the start, "all" of it, "sweep"}], with one
+    thread only}.
+    """
+    limit_threads(task["threads"])
+    state = piles.states_of(piles.pile("settling", task["count"], task["seed"]), count=1)[0]
+    found: dict = {"times": [], "stages": []}
+
+    def us(call):
+        return 1e6 * timing.fastest(call, task["repeats"])
+
+    for path in task["models"]:
+        model = load_model(network_file(path))
+        common = {"network": path.split("/")[-1], "circles": task["count"], "threads": task["threads"]}
+        if task["threads"] == 1:
+            start = Cnn(model)
+            calls = [*stages_of(start, state).values(), partial(start, state, PGS())]
+            stages = dict(zip(("image", "run", "read", "all"), map(us, calls)))
+            sweep = 1e6 * sweep_time(state, "PGS", task["repeats"])
+            found["stages"].append(common | stages | {"sweep": sweep})
+        for batch in task["batches"]:
+            images = np.repeat(describe(state, model.spec).image[None], batch, axis=0)
+            for runtime, run in runtimes(model.network, images.shape, task["threads"]).items():
+                time_of_one = us(partial(run, images)) / batch
+                found["times"].append(common | {"runtime": runtime, "batch": batch, "us": time_of_one})
+    return found
+
+
+def runtimes(network, shape: tuple, threads: int) -> dict[str, Callable]:
+    """Runtime -> function of a batch of images of this shape."""
+    from deep_contact.cnn.backend import tensorflow as tf
+    from deep_contact.cnn.convolution import Program
+
+    program = Program(network, shape[1:3], threads=threads)
+
+    def in_tensorflow(one_program):
+        signature = [tf.TensorSpec(shape, tf.float32)]
+        function = tf.function(
+            lambda images: network(images, training=False), input_signature=signature, jit_compile=one_program
+        ).get_concrete_function()
+        return lambda images: function(tf.constant(images)).numpy()
+
+    ways = (lambda images: [program(image) for image in images], in_tensorflow(True), in_tensorflow(None))
+    return dict(zip(RUNTIMES, ways))
 
 
 # ---- time to an error from given states: Figure 6.10 ----
@@ -241,28 +329,18 @@ def errors_of_pile(task: Mapping) -> dict:
     "past_need": sweeps to the references, "exact": numbers of circles whose references are exact.
     """
     starts = {name: start_of(description) for name, description in task["starts"].items()}
-    states, found = _states_of_pile(task), []
-    for state in states:
+    states, used, errors = _states_of_pile(task), [], []
+    for i, state in enumerate(states):
         given = {name: start(state, PGS()) for name, start in starts.items()}
         far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
         ends = [solve(state, solver, *impulses) for impulses in given.values() for solver in far]
         references = piles.references_from(state, ends, exact=task["circles"] in task["exact"])
         if references:
-            found.append(
-                {
-                    name: {s: errors_after(state, given[name], s, task["sweeps"], references) for s in TIMED[name]}
-                    for name in starts
-                }
-            )
-        else:
-            found.append({})
-    return {
-        "circles": task["circles"],
-        "kind": task["kind"],
-        "contacts": float(np.mean([state.contacts.count for state in states])),
-        "used": [i for i, errors in enumerate(found) if errors],
-        "errors": [errors for errors in found if errors],
-    }
+            used.append(i)
+            rest = task["sweeps"], references
+            errors.append({n: {s: errors_after(state, given[n], s, *rest) for s in TIMED[n]} for n in starts})
+    contacts = float(np.mean([state.contacts.count for state in states]))
+    return {"circles": task["circles"], "kind": task["kind"], "contacts": contacts, "used": used, "errors": errors}
 
 
 def times_of_pile(task: Mapping, starts: Mapping[str, WarmStart], repeats: int) -> dict:
@@ -352,7 +430,7 @@ def error_along_run(task: Mapping) -> float:
     task: "circles", "seed", "setting", "start": its description, "sweeps", "steps", "every": steps between two that
     are judged, "past_need": sweeps of NNCG from where a step ends to its reference.
     """
-    solver = replace(SOLVERS[parts_of(task["setting"])[1]], sweeps=task["sweeps"], tolerance=None)
+    solver = fixed(parts_of(task["setting"])[1], task["sweeps"])
     start, errors = start_of(task["start"]), []
     scene = _falling(task["circles"], task["seed"])
     run = simulate(scene, steps=task["steps"], solver=solver, warm_start=start, record=task["every"])
@@ -387,15 +465,13 @@ def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: C
     errors = iter(parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text="runs"))
     for entry in entries:
         entry["error"] = [next(errors) for _ in range(options["runs"][str(entry["circles"])]["scenes"])]
-    for text in options["runs"]:
-        here = [entry for entry in entries if entry["circles"] == int(text)]
-        scene, runs = _falling(int(text), 1), {}
+    for circles in map(int, options["runs"]):
+        here = [entry for entry in entries if entry["circles"] == circles]
+        run, calls = partial(simulate, _falling(circles, 1), steps=options["steps"]), {}
         for name, sweeps in {(_timed_as(entry["setting"]), entry["sweeps"]) for entry in here}:
             start, solver = parts_of(name)
-            how = {"solver": replace(SOLVERS[solver], sweeps=sweeps, tolerance=None), "steps": options["steps"]}
-            how["warm_start"] = start_of(starts[start])
-            runs[name, sweeps] = lambda how=how, scene=scene: simulate(scene, **how)
-        took = timing.interleaved(runs, repeats=options["repeats"], clock=time.thread_time)
+            calls[name, sweeps] = partial(run, solver=fixed(solver, sweeps), warm_start=start_of(starts[start]))
+        took = timing.interleaved(calls, repeats=options["repeats"], clock=time.thread_time)
         for entry in here:
             entry["seconds"] = took[_timed_as(entry["setting"]), entry["sweeps"]] / options["steps"]
     return entries
@@ -426,12 +502,7 @@ def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarra
     """
     if seconds < times[0]:
         return None
-    k = int(np.searchsorted(times, seconds, side="right"))
-    if k == len(times):
-        return errors[-1]
-    low, high = np.log(times[k - 1]), np.log(times[k])
-    share = (np.log(seconds) - low) / (high - low)
-    return np.exp((1 - share) * np.log(errors[k - 1]) + share * np.log(errors[k]))
+    return np.exp([np.interp(np.log(seconds), np.log(times), scene) for scene in np.log(errors).T])
 
 
 def settings_of(entries: Sequence[Mapping], circles: int) -> list[str]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from time import thread_time
-from typing import NamedTuple
 
 import numpy as np
 
@@ -44,18 +43,6 @@ REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 """Reference solution of velocity errors: a solution swept on, so that it favours no start."""
 
 
-class Convergence(NamedTuple):
-    """How the solves of a run converged from one start.
-
-    theta: mean θ after each sweep, Eq 2.30, (sweeps,), N·s. sweeps: of each step until θ is within `THRESHOLD`, or all
-    of them. velocity: relative velocity errors, a row a step, not finite where nothing was to be solved; or None.
-    """
-
-    theta: np.ndarray
-    sweeps: np.ndarray
-    velocity: np.ndarray | None = None
-
-
 def solved_states(
     scene: State, *, steps: int, solver=THOROUGH, warm_start="builtin", every: int = 1, contacts_only: bool = True
 ) -> list[StateWithContacts]:
@@ -71,14 +58,17 @@ def solved_states(
 
 
 def sweeps_to(theta: np.ndarray, threshold: float = THRESHOLD) -> int:
-    """Number of sweeps until θ is at most the threshold, or the number of all sweeps if it never is."""
+    """Sweeps until θ is at most the threshold, or all sweeps if it never is."""
     within = np.flatnonzero(theta <= threshold)
     return int(within[0]) + 1 if within.size else theta.size
 
 
-def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> Convergence:
-    """`Convergence` of the θ of many solves, each (≤ sweeps,)."""
-    return Convergence(theta=mean_theta(thetas, sweeps), sweeps=np.array([sweeps_to(theta) for theta in thetas]))
+def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.ndarray]:
+    """How the solves of a run converged, from the θ of each, (≤ sweeps,), N·s.
+
+    Returns {"theta": mean θ after each sweep, Eq 2.30, (sweeps,), "sweeps": `sweeps_to` of each solve}.
+    """
+    return {"theta": mean_theta(thetas, sweeps), "sweeps": np.array([sweeps_to(theta) for theta in thetas])}
 
 
 def paired(
@@ -87,11 +77,11 @@ def paired(
     *,
     sweeps: int,
     velocity_sweeps: Sequence[int] = (),
-) -> dict[str, Convergence]:
-    """Convergence of every start on the same states.
+) -> dict[str, dict[str, np.ndarray]]:
+    """`convergence_of` every start on the same states, each solved with so many sweeps.
 
-    sweeps: of each solve. velocity_sweeps: numbers of sweeps after which the velocity error is measured, against the
-    solution swept on by `REFERENCE`.
+    With velocity_sweeps also "velocity": relative velocity errors after so many sweeps, against the solution swept on
+    by `REFERENCE`; a row a state, not finite where nothing was to be solved.
     """
     from deep_contact.cnn.evaluation import velocity_errors
 
@@ -104,7 +94,7 @@ def paired(
         found[name] = convergence_of(thetas, sweeps)
         if velocity_sweeps:
             errors = [velocity_errors(goal, given, velocity_sweeps) for goal, given in zip(goals, impulses)]
-            found[name] = found[name]._replace(velocity=np.array(errors))
+            found[name]["velocity"] = np.array(errors)
     return found
 
 
@@ -117,8 +107,8 @@ def swept_on(state: State, solver=REFERENCE) -> State:
     return state.replace(contacts=contacts._replace(**better), solved=True)
 
 
-def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> Convergence:
-    """Convergence of a start that drives a run of its own; sweeps: of each step. Only steps with contacts count."""
+def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> dict[str, np.ndarray]:
+    """`convergence_of` the steps with contacts of a run that a start drives, each solved with so many sweeps."""
     thetas = []
 
     def keep(state: State, record) -> None:
@@ -135,27 +125,24 @@ def start_of(description) -> WarmStart:
     A name, a dict with the fields of `Sph`, {"model": path} for a network, or {"guarded": path} for one that is taken
     where it is better than Builtin. Networks run on one thread.
     """
-    if not isinstance(description, Mapping):
-        return warm_start_of(description)
-    if not description.keys() & {"model", "guarded"}:
-        return Sph(**description)
     from deep_contact.cnn.inference import Guarded, network_start
 
+    if not isinstance(description, Mapping):
+        return warm_start_of(description)
     if "guarded" in description:
         return Guarded(network_start(description["guarded"]).model)
-    return network_start(**description)
+    return network_start(**description) if "model" in description else Sph(**description)
 
 
 def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
     """The thesis's scene of `n_bodies` circles; of a pair (low, high), a random number of that range."""
-    if isinstance(n_bodies, (int, np.integer)):
-        return circles_in_box(n_bodies, size=size, seed=seed)
     rng = np.random.default_rng(seed)
-    low, high = n_bodies
-    return circles_in_box(int(rng.integers(low, high, endpoint=True)), size=size, seed=rng)
+    if not isinstance(n_bodies, (int, np.integer)):
+        n_bodies = int(rng.integers(*n_bodies, endpoint=True))
+    return circles_in_box(n_bodies, size=size, seed=rng)
 
 
-def _run(task: tuple, *, n_bodies, size, steps, sweeps, velocity_sweeps) -> dict[str, Convergence]:
+def _run(task: tuple, *, n_bodies, size, steps, sweeps, velocity_sweeps) -> dict[str, dict]:
     """One part of `compare_starts`, small enough to be sent to another process: (mode, seed, starts)."""
     mode, seed, descriptions = task
     scene = scene_of(n_bodies, size=size, seed=seed)
@@ -207,22 +194,22 @@ def compare_starts(
         for name in starts:
             parts = [part[name] for task, part in zip(tasks, found) if task[0] == mode and name in part]
             # Scenes differ in their number of states; every state counts the same.
-            weights = [part.sweeps.size for part in parts]
-            counts = np.concatenate([part.sweeps for part in parts])
-            theta = np.average([part.theta for part in parts], axis=0, weights=weights)
+            weights = [part["sweeps"].size for part in parts]
+            counts = np.concatenate([part["sweeps"] for part in parts])
+            curves = np.array([part["theta"][sample - 1] for part in parts])
             data[mode][name] = {
-                "theta": theta[sample - 1],
+                "theta": np.average(curves, axis=0, weights=weights),
                 "sweeps": {"mean": float(counts.mean()), "median": float(np.median(counts))},
                 "states": int(counts.size),
                 "scenes": {
-                    "theta": plain(np.array([part.theta[sample - 1] for part in parts]), digits=4),
-                    "sweeps": [float(part.sweeps.mean()) for part in parts],
+                    "theta": plain(curves, digits=4),
+                    "sweeps": [float(part["sweeps"].mean()) for part in parts],
                     "states": weights,
                 },
             }
     if velocity_sweeps:
         together = [part for task, part in zip(tasks, found) if task[0] == "paired"]
-        errors = {name: np.concatenate([part[name].velocity for part in together]) for name in starts}
+        errors = {name: np.concatenate([part[name]["velocity"] for part in together]) for name in starts}
         kept = np.all([np.isfinite(of_start).all(axis=1) for of_start in errors.values()], axis=0)
         data["velocity"] = {
             "sweeps": list(velocity_sweeps),
@@ -241,7 +228,7 @@ def sampled_sweeps(sweeps: int, points: int = CURVE_POINTS) -> np.ndarray:
 def table_of_starts(data: dict, after: Sequence[int] = (10, 100, 1000)) -> list[list]:
     """Rows of a figure's table: sweeps to the threshold, and θ after these sweeps and after all, in both modes."""
     last = data["sweep"][-1]
-    shown = list(dict.fromkeys(s for s in (*after, last) if s <= last))
+    shown = [s for s in after if s < last] + [last]
     rows = [["start", "states", "mean sweeps", "median", *(f"θ({s})" for s in shown)]]
     for mode in MODES:
         for name, found in data.get(mode, {}).items():
@@ -398,19 +385,16 @@ def velocity_loss(states: Sequence[State], start: Sph) -> float:
     of itself: mean of ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω).
     """
     errors = []
+    h = start.spacing if start.support is None else start.support
+    reach = {"h": h, "kernel": start.kernel, "outside": "clamp", "unreached": "nearest"}
     for state in states:
-        bodies = state.bodies
-        motion = np.column_stack([bodies.velocity, bodies.spin])
+        mass, places = state.bodies.mass, state.bodies.position
+        motion = np.column_stack([state.bodies.velocity, state.bodies.spin])
         grid = sph.Grid.over_box(state.world.box, start.spacing)
-        h = start.spacing if start.support is None else start.support
-        reach = {"h": h, "kernel": start.kernel, "outside": "clamp", "unreached": "nearest"}
-        image = sph.splat(
-            grid, bodies.position, np.column_stack([bodies.mass, motion]), normalization="particle", **reach
-        )
-        back = sph.gather(grid, image, bodies.position, outside="clamp")
-        errors.append(
-            np.linalg.norm(back[:, 1:] * (bodies.mass / back[:, 0])[:, None] - motion) / np.linalg.norm(motion)
-        )
+        image = sph.splat(grid, places, np.column_stack([mass, motion]), normalization="particle", **reach)
+        back = sph.gather(grid, image, places, outside="clamp")
+        change = back[:, 1:] * (mass / back[:, 0])[:, None] - motion
+        errors.append(np.linalg.norm(change) / np.linalg.norm(motion))
     return float(np.mean(errors))
 
 
@@ -467,12 +451,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
     return Figure(id, title, compute, table, draw, options=options)
 
 
-def contact_time(state: State, *, sweeps: int, repeats: int = 3) -> float:
-    """Processor time of one contact solution with `sweeps` sweeps, the least of `repeats`, s.
-
-    It runs on one thread; what else the machine does is not counted.
-    """
-    solver = PGS(sweeps=sweeps, tolerance=None)
-    return timing.interleaved({"": lambda: solve_contacts(state, solver=solver)}, repeats=repeats, clock=thread_time)[
-        ""
-    ]
+def contact_time(state: State, *, sweeps: int) -> float:
+    """Processor time of one contact solution with `sweeps` sweeps on one thread, s: what else runs is not counted."""
+    solve = partial(solve_contacts, state, solver=PGS(sweeps=sweeps, tolerance=None))
+    return timing.fastest(solve, 3, thread_time)

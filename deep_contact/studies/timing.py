@@ -53,9 +53,9 @@ def interleaved(
     return {name: reduce(found[1:]) for name, found in times.items()}
 
 
-def fastest(function: Callable[[], object], repeats: int) -> float:
+def fastest(function: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:
     """Least time of `repeats` calls, after a warm-up run."""
-    return interleaved({"": function}, repeats=repeats)[""]
+    return interleaved({"": function}, repeats=repeats, clock=clock)[""]
 
 
 def slope_and_overhead(few: tuple[float, float], many: tuple[float, float]) -> tuple[float, float]:
