@@ -239,6 +239,8 @@ def _advance(
     advance = Steps(solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
     log = make_log(steps)
     scales = state.scales  # of radii that do not change in a run
+    # Before the arrays of the result, so that its release leaves no gap on top of the heap, which would be given back.
+    advance.memory(step_input(state, solver, scales))
     frames = [] if record is None else [state]
     done, is_own = 0, False  # whether nobody else sees the arrays that a step writes into
     work = _WORK // 8

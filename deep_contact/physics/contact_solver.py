@@ -88,10 +88,10 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(given, contacts, solver_bodies, buffer, friction):
+def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction):
     """Rows of the contacts with their starting impulses: views of the buffer, or of new memory if it is too small.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). given: `StepInput`, whose friction is handed in as well.
+    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: (S, 5).
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], solver_bodies.shape[0] - 1
     if m > buffer.body.shape[0]:
@@ -105,13 +105,13 @@ def contact_rows(given, contacts, solver_bodies, buffer, friction):
         if friction is None:
             rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
         else:
-            arms = arms_of(given.bodies.radius, a, b, contacts.separation[i])
+            arms = arms_of(radius, a, b, contacts.separation[i])
             masses = effective_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
             rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
             rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
             rows.impulse[i, TANGENT] = contacts.tangent_start[i]
-    if friction is not None and given.segments.shape[0] > 0:
-        move_surfaces(contacts, given.segments, solver_bodies, rows)
+    if friction is not None and segments.shape[0] > 0:
+        move_surfaces(contacts, segments, solver_bodies, rows)
     return rows
 
 

@@ -70,14 +70,16 @@ def advance(given, options, memory, log):
             continue
         active = awake_contacts(solved, sleep)
         # Velocities.
-        rebound(given, active)
+        if given.restitution > 0.0:  # here: a call counts references to all arrays that it is handed
+            rebound(given, active)
         integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
         hold_sleeping(solver_bodies, sleep)
-        rows = contact_rows(given, active, solver_bodies, memory.rows, friction)
+        rows = contact_rows(active, bodies.radius, segments, solver_bodies, memory.rows, friction)
         apply_impulses(rows, solver_bodies, friction)
         sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
         store_impulses(rows, active)
-        store_awake_impulses(active, solved, sleep)
+        if sleep is not None:
+            store_awake_impulses(active, solved, sleep)
         # Positions.
         before = positions_before(bodies, segments)
         integrate_positions(bodies, solver_bodies, given)
@@ -86,7 +88,8 @@ def advance(given, options, memory, log):
         contacts = next_contacts(
             bodies, before, box, segments, scales.wall_skin, memory.cells, solved, options.carry, memory.contacts[k % 2]
         )
-        wake_and_put_to_sleep(given, contacts, sleep)
+        if sleep is not None:
+            wake_and_put_to_sleep(given, contacts, sleep)
         if log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations):
             break
     return solved, contacts
@@ -139,7 +142,7 @@ def build_rows(given, solver_bodies):
     """Fill the solver bodies of a step, after its impacts, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
     buffer = make_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
-    return contact_rows(given, given.contacts, solver_bodies, buffer, given.friction)
+    return contact_rows(given.contacts, given.bodies.radius, given.segments, solver_bodies, buffer, given.friction)
 
 
 @njit(cache=True)
