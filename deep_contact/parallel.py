@@ -1,7 +1,7 @@
 """Where independent tasks run: in processes of this machine, or on the workers of a Dask cluster.
 
-Both are used through the standard interface, `concurrent.futures.Executor`. An argument `jobs` takes the number of
-local processes or an executor, such as that of `cluster`, and the results have the same bits:
+An argument `jobs` takes the number of local processes, or a `concurrent.futures.Executor` such as that of `cluster`;
+the results have the same bits:
 
     with parallel.cluster("tcp://10.0.0.1:8786") as workers:
         figures.produce(FIGURE, jobs=workers)
@@ -62,14 +62,13 @@ def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -
     """
     if not isinstance(jobs, Executor) and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
         raise ValueError(f"jobs: expected an integer >= 1 or an Executor, got {jobs!r}")
-    return _finished(function, list(items), jobs)  # a generator, which would raise at the first item alone
+    items = list(items)
+    if not isinstance(jobs, Executor) and (jobs == 1 or len(items) < 2):
+        return ((i, function(item)) for i, item in enumerate(items))
+    return _finished(function, items, jobs)  # a generator, which would raise at the first item alone
 
 
 def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator[tuple[int, object]]:
-    if isinstance(jobs, int) and (jobs == 1 or len(items) < 2):
-        for i, item in enumerate(items):
-            yield i, function(item)
-        return
     numbers = {}
     with nullcontext(jobs) if isinstance(jobs, Executor) else _processes(min(jobs, len(items))) as executor:
         try:

@@ -58,10 +58,9 @@ LIMITS = {
 """Name -> smallest and largest value that the engine computes with, and their unit.
 
 A state may hold any finite number, and files keep it; the engine refuses what is outside (`check_limits`). Within,
-nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. What a step makes of an
-accepted state is accepted: a body leaves it with at most `scales.FASTEST` and π / (2 Δt), and the walls stop it within
-the limits of positions. (Impulses alone may grow from step to step, after a start of 1e50 N·s.) Circles whose radius
-is below 1e-13 of their distance from the origin sink in.
+nothing overflows, whatever the combination: λ / m <= 1e90 m/s, whose square is a float. A step makes an accepted state
+of one: a body leaves it with at most `scales.FASTEST` and π / (2 Δt), and the walls stop it. (Impulses alone may grow,
+after a start of 1e50 N·s.) Circles whose radius is below 1e-13 of their distance from the origin sink in.
 """
 
 SINGLE_LIMITS = LIMITS | {
@@ -192,15 +191,10 @@ class World:
         if len(gravity) != 2 or not np.isfinite(gravity).all():
             raise ValueError(f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
         segments = _checked_segments(self.segments)
-        checked = {
-            "box": box,
-            "gravity": gravity,
-            "friction": number("friction", self.friction, low=0),
-            "restitution": number("restitution", self.restitution, low=0, high=1),
-            "scales": _checked_scales(self.scales),
-            "segments": segments,
-            "surface_speeds": _checked_speeds(self.surface_speeds, len(segments)),
-        }
+        checked = {"box": box, "gravity": gravity, "segments": segments, "scales": _checked_scales(self.scales)}
+        checked["surface_speeds"] = _checked_speeds(self.surface_speeds, len(segments))
+        checked["friction"] = number("friction", self.friction, low=0)
+        checked["restitution"] = number("restitution", self.restitution, low=0, high=1)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
 
@@ -290,23 +284,15 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
     try:
         position = np.array(position, dtype=np.float64, ndmin=2)
     except (ValueError, TypeError):
-        raise ValueError(
-            f"position: expected numbers of shape (n, 2), x and y of each circle, got {position!r}"
-        ) from None
+        expected = "numbers of shape (n, 2), x and y of each circle"
+        raise ValueError(f"position: expected {expected}, got {position!r}") from None
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
     if mass is None:
         mass = _for_each("density", density, (n,)) * np.pi * radius**2
-    return check_bodies(
-        Bodies(
-            position=position,
-            velocity=_for_each("velocity", velocity, (n, 2)),
-            angle=_for_each("angle", angle, (n,)),
-            spin=_for_each("spin", spin, (n,)),
-            mass=_for_each("mass", mass, (n,)),
-            radius=radius,
-        )
-    )
+    velocity = _for_each("velocity", velocity, (n, 2))
+    angle, spin, mass = (_for_each(*given, (n,)) for given in (("angle", angle), ("spin", spin), ("mass", mass)))
+    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius))
 
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -332,10 +318,9 @@ def check_bodies(bodies: Bodies) -> Bodies:
     Raises ValueError naming the field, the body and the value.
     """
     n = _length("bodies.mass", bodies.mass)
-    fields = {}
     # The radius first: where a mass was made from it, the radius is at fault.
-    for name, value in sorted(bodies._asdict().items(), key=lambda field: field[0] != "radius"):
-        fields[name] = _checked_array("bodies", name, value, n)
+    names = sorted(Bodies._fields, key=lambda name: name != "radius")
+    fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
     for name in ("mass", "radius"):
         _refuse_where(fields[name] <= 0, "bodies", name, fields[name], "a number > 0")
     return Bodies(**fields)
@@ -344,8 +329,7 @@ def check_bodies(bodies: Bodies) -> Bodies:
 def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
     """Own, contiguous copies of all fields in sweep order (by body_a, body_b), validated against the bodies.
 
-    segments: how many the world has.
-    Raises ValueError naming the field, the contact and the value.
+    segments: how many the world has. Raises ValueError naming the field, the contact and the value.
     """
     m = _length("contacts.body_a", contacts.body_a)
     n, end, fields = bodies.count, bodies.count + 4 + segments, {}
@@ -353,25 +337,24 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
         if name in ("body_a", "body_b"):
             index = np.asarray(value)
             if index.shape != (m,) or not (np.issubdtype(index.dtype, np.integer) or index.size == 0):
-                raise ValueError(
-                    f"contacts.{name}: expected integers of shape ({m},), got {index.dtype}, {index.shape}"
-                )
+                expected = f"integers of shape ({m},)"
+                raise ValueError(f"contacts.{name}: expected {expected}, got {index.dtype}, {index.shape}")
             fields[name] = index.astype(np.int64)
         else:
             fields[name] = _checked_array("contacts", name, value, m)
     a, b = fields["body_a"], fields["body_b"]
-    _refuse_where((a < 0) | (a >= n), "contacts", "body_a", a, f"a circle, 0 to {n - 1}")
     fixed = "walls, segments" if segments else "walls"
-    _refuse_where((b <= a) | (b >= end), "contacts", "body_b", b, f"a body after body_a, up to {end - 1} ({fixed})")
-    length = np.hypot(*fields["normal"].T)
-    _refuse_where(np.abs(length - 1) > 1e-4, "contacts", "normal", fields["normal"], "a unit vector")
     # A touching pair may carry no tensile impulse; starts are not judged here, they are hints.
-    _refuse_where(fields["normal_impulse"] < 0, "contacts", "normal_impulse", fields["normal_impulse"], "a number >= 0")
+    for name, bad, expected in (
+        ("body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}"),
+        ("body_b", (b <= a) | (b >= end), f"a body after body_a, up to {end - 1} ({fixed})"),
+        ("normal", np.abs(np.hypot(*fields["normal"].T) - 1) > 1e-4, "a unit vector"),
+        ("normal_impulse", fields["normal_impulse"] < 0, "a number >= 0"),
+    ):
+        _refuse_where(bad, "contacts", name, fields[name], expected)
     order = np.lexsort((b, a))
     key = a[order] * end + b[order]
-    twice = np.flatnonzero(key[1:] == key[:-1])
-    if twice.size:
-        i = order[twice[0]]
+    for i in order[1:][key[1:] == key[:-1]]:
         raise ValueError(f"contacts: the pair (body_a {a[i]}, body_b {b[i]}) appears twice")
     return Contacts(**{name: np.ascontiguousarray(value[order]) for name, value in fields.items()})
 
@@ -379,8 +362,7 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 def check_state(state: State) -> State:
     """The state with all arrays validated and owned. Raises ValueError naming the field and the value."""
     check_types(state)
-    bodies = check_bodies(state.bodies)
-    contacts = state.contacts
+    bodies, contacts = check_bodies(state.bodies), state.contacts
     if contacts is not None:
         contacts = check_contacts(contacts, bodies, len(state.world.segments))
     return state.replace(bodies=bodies, contacts=contacts)
@@ -420,13 +402,11 @@ def check_limits(state: State, limits: dict = LIMITS) -> State:
 
 def native(state: State) -> State:
     """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
-    parts = {"bodies": state.bodies, "contacts": state.contacts}
-    foreign = {
-        name: type(part)(*(array.astype(array.dtype.newbyteorder("="), copy=False) for array in part))
-        for name, part in parts.items()
-        if part is not None and not all(array.dtype.isnative for array in part)
-    }
-    return state.replace(**foreign) if foreign else state
+    changes = {}
+    for name, part in (("bodies", state.bodies), ("contacts", state.contacts)):
+        if part is not None and not all(array.dtype.isnative for array in part):
+            changes[name] = type(part)(*(array.astype(array.dtype.newbyteorder("="), copy=False) for array in part))
+    return state.replace(**changes) if changes else state
 
 
 def no_contacts() -> Contacts:
@@ -462,12 +442,9 @@ def _checked_scales(scales) -> ContactScales | None:
     if not isinstance(scales, ContactScales):
         raise ValueError(f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
     # Floats, whatever was given: compiled code is compiled for those.
-    return ContactScales(
-        **{
-            name: number(f"scales.{name}", value, **({"above": 0} if name == "max_translation" else {"low": 0}))
-            for name, value in scales._asdict().items()
-        }
-    )
+    limits = {"max_translation": {"above": 0}}
+    found = {name: number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in scales._asdict().items()}
+    return ContactScales(**found)
 
 
 def _length(name: str, values) -> int:

@@ -58,9 +58,10 @@ class Trajectory:
 
     def save(self, path) -> None:
         """Write the run to an HDF5 file, whole or not at all. Raises OSError where that cannot be written."""
-        from deep_contact.io.simulation_h5 import write_packed
+        from deep_contact.io.files import write_bytes
+        from deep_contact.io.simulation_h5 import simulation_file
 
-        write_packed(path, self.stored)
+        write_bytes(path, simulation_file(self.stored))
 
     def __len__(self) -> int:
         return self.stored.count

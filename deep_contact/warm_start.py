@@ -74,10 +74,7 @@ class Copy:
 
 @dataclass(frozen=True)
 class Random:
-    """Chance within the cone: λ_n uniform up to the largest solved one, λ_t uniform in ±μ λ_n.
-
-    Seeded by `seed` and the step's number, so that every step differs and every run is the same.
-    """
+    """Chance within the cone, by `seed` and step: λ_n uniform up to the largest solved one, λ_t uniform in ±μ λ_n."""
 
     seed: int = 0
 
@@ -176,16 +173,11 @@ class Sph:
         return sph.Grid.over_box(state.world.box, self.spacing), state.contacts.position, options
 
 
-def _cnn() -> WarmStart:
-    from deep_contact.cnn.inference import Cnn, known_model
+def _network(name: str) -> WarmStart:
+    """A start of `cnn.inference`, which loads TensorFlow."""
+    from deep_contact.cnn import inference
 
-    return Cnn(known_model())
-
-
-def _guarded() -> WarmStart:
-    from deep_contact.cnn.inference import Guarded, known_model
-
-    return Guarded(known_model())
+    return getattr(inference, name)(inference.known_model())
 
 
 STARTS: dict[str, Callable[[], WarmStart]] = {
@@ -196,8 +188,8 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
     "random": Random,
     "bad": Bad,
     "sph": Sph,
-    "cnn": _cnn,
-    "guarded": _guarded,
+    "cnn": lambda: _network("Cnn"),
+    "guarded": lambda: _network("Guarded"),
 }
 """Name -> what makes the start with its default options."""
 
@@ -217,14 +209,10 @@ def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
 
 def warm_start_of(start) -> WarmStart:
     """The start meant by None, a name, or a callable, which is returned as it is. Raises ValueError on others."""
-    if start is None:
-        return NoStart()
-    if isinstance(start, str):
-        if start not in STARTS:
-            raise ValueError(f"warm_start: expected one of {', '.join(STARTS)}, got {start!r}")
-        return STARTS[start]()
     if callable(start):
         return start
+    if start is None or isinstance(start, str):
+        return STARTS[one_of("warm_start", start or "none", STARTS)]()
     raise ValueError(f"warm_start: expected None, a name or a callable, got {start!r}")
 
 

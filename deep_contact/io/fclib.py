@@ -9,14 +9,13 @@ contacts; the storage of W (0 dense, by columns; 2 sparse, as CSparse prints it,
 
 FCLIB (Acary et al., `fclib_write_local`): group `fclib_local` with the integer `spacedim`, group `W` (`nzmax`, `m`,
 `n`, `nz`, `p`, `i`, `x`; nz = −1 compressed columns, −2 compressed rows, otherwise triplets: p rows, i columns) and
-group `vectors` (`q`, `mu`). Impulses to start from are a guess: group `guesses` with `number_of_guesses`, and `r` in
-the group of each, which are named 1, 2, ….
+group `vectors` (`q`, `mu`). Impulses to start from are a guess, which is written and not read: group `guesses` with
+`number_of_guesses`, and `r` in the group of each, which are named 1, 2, ….
 """
 
 from __future__ import annotations
 
 import gzip
-import math
 import os
 import re
 from pathlib import Path
@@ -26,18 +25,14 @@ import numpy as np
 from scipy import sparse
 
 from deep_contact.io import hdf5
-from deep_contact.io.files import read_bytes, replacing
+from deep_contact.io.files import read_bytes, replacing, write_bytes
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite
 from deep_contact.state import State
 
 MAX_TEXT, MAX_BYTES = 2**26, 2**28
 """Bytes of the largest text, and of all arrays of the largest HDF5 file, unpacked: 80,000 and 700,000 contacts."""
 
-_GUESS = "guesses/1/r"
-
-DENSE, SPARSE = 0, 2
-"""Storage of W in an fc2d file."""
-
+_SIZES = re.compile(r"\s*(\d+)-by-(\d+), nzmax: (-?\d+) nnz: (\d+)")
 _COLUMN = re.compile(r"\s*col (\d+) : locations (-?\d+) to (-?\d+)\s*$")
 
 
@@ -57,25 +52,14 @@ def read_problem(path: str | os.PathLike) -> ContactProblem:
         raise ValueError(f"{path}: {error}") from error
 
 
-def read_guess(path: str | os.PathLike) -> np.ndarray | None:
-    """The first guess of λ in an FCLIB file, (2 m,), N·s; None if there is none. Raises ValueError and OSError."""
-    with hdf5.opened(path) as file:
-        if _GUESS not in file:
-            return None
-        return hdf5.read({_GUESS: hdf5.dataset(file, _GUESS)}, MAX_BYTES)[_GUESS].astype(np.float64)
-
-
 def write_fc2d(path: str | os.PathLike, problem: ContactProblem | State) -> Path:
     """Write a problem, or that of a state, as Siconos's text; gzipped where the path ends so. Returns the path.
 
     Numbers have 17 digits, so that reading returns the same bits; Siconos's own files have 6 in W.
     """
-    problem, path = _checked(problem), Path(path)
-    A = sparse.csc_array(problem.A)
-    A.sort_indices()
+    problem, A = _with_columns(problem)
     rows = A.shape[0]
-    lines = [str(2), str(rows // 2), str(SPARSE), str(rows), str(rows)]
-    lines += ["CSparse Version 3.1.9"]
+    lines = ["2", f"{rows // 2}", "2", f"{rows}", f"{rows}", "CSparse Version 3.1.9"]
     lines += [f"{rows}-by-{rows}, nzmax: {A.nnz} nnz: {A.nnz}, 1-norm: {sparse.linalg.norm(A, 1) if A.nnz else 0:.6g}"]
     for j in range(rows):
         first, last = A.indptr[j], A.indptr[j + 1]
@@ -85,9 +69,7 @@ def write_fc2d(path: str | os.PathLike, problem: ContactProblem | State) -> Path
     text = ("\n".join(lines) + "\n").encode()
     if len(text) > MAX_TEXT:
         raise ValueError(f"problem: expected at most {MAX_TEXT} bytes of text, got {len(text)}")
-    with replacing(path) as temporary:
-        temporary.write_bytes(gzip.compress(text, mtime=0) if path.suffix == ".gz" else text)
-    return path
+    return write_bytes(path, gzip.compress(text, mtime=0) if Path(path).suffix == ".gz" else text)
 
 
 def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, guess: np.ndarray | None = None) -> Path:
@@ -97,9 +79,7 @@ def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, gue
     """
     if guess is None and isinstance(problem, State) and problem.contacts is not None:
         guess = np.column_stack([problem.contacts.normal_start, problem.contacts.tangent_start]).ravel()
-    problem, path = _checked(problem), Path(path)
-    A = sparse.csc_array(problem.A)
-    A.sort_indices()
+    problem, A = _with_columns(problem)
     arrays = {
         "fclib_local/spacedim": np.array([2], np.int32),
         "fclib_local/vectors/q": problem.b,
@@ -119,11 +99,15 @@ def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, gue
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
         for name, array in arrays.items():
             file.create_dataset(name, data=array)
-    return path
+    return Path(path)
 
 
-def _checked(problem: ContactProblem | State) -> ContactProblem:
-    return check_problem(contact_problem(problem) if isinstance(problem, State) else problem)
+def _with_columns(problem: ContactProblem | State) -> tuple[ContactProblem, sparse.csc_array]:
+    """The problem, or that of a state, and its matrix by columns in order."""
+    problem = check_problem(contact_problem(problem) if isinstance(problem, State) else problem)
+    A = sparse.csc_array(problem.A)
+    A.sort_indices()
+    return problem, A
 
 
 def _read_fc2d(lines: list[str]) -> ContactProblem:
@@ -132,14 +116,14 @@ def _read_fc2d(lines: list[str]) -> ContactProblem:
         raise ValueError(f"dimension: expected 2, got {dimension}")
     if rows != 2 * contacts or columns != rows:
         raise ValueError(f"W: expected {2 * contacts} rows and columns, two a contact, got {rows} and {columns}")
-    if storage not in (DENSE, SPARSE):
-        raise ValueError(f"storage of W: expected {DENSE} (dense) or {SPARSE} (sparse), got {storage}")
-    if storage == DENSE:
+    if storage == 0:
         numbers = _numbers(lines[5:], rows * rows + rows + contacts)
         W, rest = numbers[: rows * rows].reshape(rows, rows, order="F"), numbers[rows * rows :]
-    else:
-        W, end = _printed_by_csparse(lines, 5, rows)
+    elif storage == 2:
+        W, end = _printed_by_csparse(lines, rows)
         rest = _numbers(lines[end:], rows + contacts)
+    else:
+        raise ValueError(f"storage of W: expected 0 (dense) or 2 (sparse), got {storage}")
     return check_problem(ContactProblem(sparse.csr_array(W), rest[:rows], friction=rest[rows:]))
 
 
@@ -153,62 +137,48 @@ def _header(lines: list[str]) -> list[int]:
     return found
 
 
-def _printed_by_csparse(lines: list[str], begin: int, rows: int) -> tuple[sparse.csc_array, int]:
+def _printed_by_csparse(lines: list[str], rows: int) -> tuple[sparse.csc_array, int]:
     """The matrix of CSparse's print, and the line after it. A title may stand before its sizes."""
-    sizes, at = None, begin
-    while sizes is None:
-        if at == len(lines) or at > begin + 3:
-            raise ValueError(
-                f"W: expected CSparse's print, 'r-by-c, nzmax: … nnz: …', within 3 lines of line {begin + 1}"
-            )
-        sizes = re.match(r"\s*(\d+)-by-(\d+), nzmax: (-?\d+) nnz: (\d+)", lines[at])
-        at += 1
-    count = int(sizes[4])
+    found = ((at, match) for at, line in enumerate(lines[5:9], 5) if (match := _SIZES.match(line)))
+    at, sizes = next(found, (0, None))
+    if sizes is None:
+        raise ValueError("W: expected CSparse's print, 'r-by-c, nzmax: … nnz: …', within 3 lines of line 6")
     if (int(sizes[1]), int(sizes[2])) != (rows, rows):
         raise ValueError(f"W: expected {rows} rows and columns, got {sizes[1]} and {sizes[2]}")
-    if rows + count > len(lines) - at:
-        raise ValueError(f"W: expected {rows} columns and {count} entries, got {len(lines) - at} lines")
-    indptr, indices, data = np.zeros(rows + 1, np.int64), np.empty(count, np.int64), np.empty(count)
-    done = 0
-    for j in range(rows):
-        column = _COLUMN.match(lines[at])
-        if column is None or int(column[1]) != j or int(column[2]) != done:
-            raise ValueError(f"line {at + 1}: expected column {j} with entries from {done}, got {lines[at][:60]!r}")
-        last = int(column[3]) + 1
-        if not done <= last <= count:
-            raise ValueError(f"line {at + 1}: expected at most {count} entries, got {last}")
-        at += 1
-        for k in range(done, last):
-            row, _, value = lines[at].partition(":")
-            try:
-                indices[k], data[k] = int(row), float(value)
-            except ValueError:
-                raise ValueError(f"line {at + 1}: expected 'row : value', got {lines[at][:60]!r}") from None
-            if not 0 <= indices[k] < rows:
-                raise ValueError(f"line {at + 1}: expected a row from 0 to {rows - 1}, got {indices[k]}")
-            at += 1
-        indptr[j + 1] = done = last
-    if done != count:
-        raise ValueError(f"W: expected {count} entries, got {done}")
-    return sparse.csc_array((data, indices, indptr), shape=(rows, rows)), at
+    end = at + 1 + rows + int(sizes[4])
+    if len(lines) < end:
+        raise ValueError(f"W: expected {rows} columns and {sizes[4]} entries, got {len(lines) - at - 1} lines")
+    starts, indices, data = [], [], []
+    for number, line in enumerate(lines[at + 1 : end], at + 2):
+        if column := _COLUMN.match(line):
+            if (int(column[1]), int(column[2])) != (len(starts), len(data)):
+                expected = f"column {len(starts)} with entries from {len(data)}"
+                raise ValueError(f"line {number}: expected {expected}, got {line[:60]!r}")
+            starts.append(len(data))
+            continue
+        row, _, value = line.partition(":")
+        try:
+            indices.append(int(row))
+            data.append(float(value))
+        except ValueError:
+            raise ValueError(f"line {number}: expected 'row : value', got {line[:60]!r}") from None
+        if not 0 <= indices[-1] < rows:
+            raise ValueError(f"line {number}: expected a row from 0 to {rows - 1}, got {indices[-1]}")
+    if len(starts) != rows or len(data) != int(sizes[4]):
+        got = f"{len(starts)} and {len(data)}"
+        raise ValueError(f"W: expected {rows} columns and {int(sizes[4])} entries, got {got}")
+    return sparse.csc_array((data, indices, [*starts, len(data)]), shape=(rows, rows)), end
 
 
 def _numbers(lines: list[str], count: int) -> np.ndarray:
     words = " ".join(lines).split()
     if len(words) != count:
-        raise ValueError(f"q and μ: expected {count} numbers to the end of the file, got {len(words)}")
-    values = [_number(word) for word in words]
-    return np.array(values, np.float64)
-
-
-def _number(word: str) -> float:
+        raise ValueError(f"W, q and μ: expected {count} numbers to the end of the file, got {len(words)}")
     try:
-        value = float(word)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise ValueError(f"q and μ: expected finite numbers, got {word[:40]!r}")
-    return value
+        numbers = np.array(words, np.float64)
+    except ValueError as error:
+        raise ValueError(f"W, q and μ: expected numbers: {str(error)[:80]}") from None
+    return finite("W, q and μ", numbers, (count,))
 
 
 def _read_fclib(file: h5py.File) -> ContactProblem:
@@ -238,9 +208,9 @@ def _read_fclib(file: h5py.File) -> ContactProblem:
     else:
         raise ValueError(f"W/nz: expected -2 (rows), -1 (columns) or a number of triplets, got {kind}")
     for name, index in indices.items():
-        if index[:used].size and not (0 <= index[:used].min() and index[:used].max() < rows):
-            got = f"{index[:used].min()} to {index[:used].max()}"
-            raise ValueError(f"{name}: expected indices from 0 to {rows - 1}, got {got}")
+        least, most = index[:used].min(initial=0), index[:used].max(initial=0)
+        if least < 0 or most >= max(rows, 1):
+            raise ValueError(f"{name}: expected indices from 0 to {rows - 1}, got {least} to {most}")
     given = (x[:used], (p[:used], i[:used])) if kind >= 0 else (x[:used], i[:used], p)
     return check_problem(ContactProblem(sparse.csr_array(make(given, shape=(rows, rows))), q, friction=mu))
 

@@ -23,17 +23,22 @@ def replacing(path: str | os.PathLike) -> Iterator[Path]:
         temporary.unlink(missing_ok=True)
 
 
+def write_bytes(path: str | os.PathLike, data: bytes) -> Path:
+    """Write a file in one move; make its folder if there is none. Returns the path."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with replacing(path) as temporary:
+        temporary.write_bytes(data)
+    return path
+
+
 def write_json(path: str | os.PathLike, value) -> Path:
     """Write `value` as strict JSON for people and programs; make the folder if there is none. Returns the path.
 
     Objects are indented, lists without objects stay on one line, floats keep their bits. Raises ValueError for NaN and
     infinity, and TypeError for what JSON cannot hold.
     """
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        temporary.write_text(_json(value) + "\n", encoding="utf-8")
-    return path
+    return write_bytes(path, (_json(value) + "\n").encode())
 
 
 def _json(value, indent: str = "") -> str:
@@ -50,23 +55,23 @@ MAX_MEMBERS = 1000
 """Most members of a gzip file."""
 
 
-def read_bytes(path: str | os.PathLike, most: int) -> bytes:
+def read_bytes(path: str | os.PathLike, most: int, error: type[ValueError] = ValueError) -> bytes:
     """The bytes of a file, unpacked where it begins as gzip does, or its name ends in .gz.
 
-    Raises ValueError naming the file where it has more than `most` bytes, packed or not, or is not whole; OSError where
+    Raises an `error` naming the file where it has more than `most` bytes, packed or not, or is not whole; OSError where
     it cannot be opened.
     """
     path = Path(path)
     status = path.stat()
     if not stat.S_ISREG(status.st_mode):  # opening a pipe would wait for its writer
-        raise ValueError(f"{path}: expected a file, got a folder, pipe or device")
+        raise error(f"{path}: expected a file, got a folder, pipe or device")
     if status.st_size > most:
-        raise ValueError(f"{path}, line 1: expected at most {most} bytes, got {status.st_size}")
+        raise error(f"{path}, line 1: expected at most {most} bytes, got {status.st_size}")
     data = path.read_bytes()
     try:
         return b"".join(_unpacked(data, most)) if path.suffix == ".gz" or data[:2] == b"\x1f\x8b" else data
-    except zlib.error as error:
-        raise ValueError(f"{path}: expected gzip data, whole and undamaged: {error}") from None
+    except zlib.error as damage:
+        raise error(f"{path}: expected gzip data, whole and undamaged: {damage}") from None
 
 
 def _unpacked(data: bytes, most: int) -> Iterator[bytes]:

@@ -7,6 +7,7 @@ import os
 import platform
 import re
 import subprocess
+from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
@@ -61,10 +62,9 @@ def digests(options) -> dict[str, str]:
         return {name: digest for item in options for name, digest in digests(item).items()}
     if not isinstance(options, str) or not re.search(r"\.\w+$", options):
         return {}
-    try:
+    with suppress(OSError):
         return {options: hashlib.sha256(find(options).read_bytes()).hexdigest()}
-    except OSError:
-        return {}
+    return {}
 
 
 def _git(*arguments: str) -> str:
@@ -76,22 +76,17 @@ def _git(*arguments: str) -> str:
 def package_versions() -> dict[str, str]:
     """Version of each installed package of `PACKAGES`, without importing any."""
     versions = {}
-    for name in PACKAGES:
-        for distribution in (name, f"{name}-cpu"):  # TensorFlow is published under both names
-            try:
-                versions[name] = metadata.version(distribution)
-                break
-            except metadata.PackageNotFoundError:
-                continue
+    for distribution in (*PACKAGES, "tensorflow-cpu"):  # TensorFlow is published under both names
+        with suppress(metadata.PackageNotFoundError):
+            versions[distribution.removesuffix("-cpu")] = metadata.version(distribution)
     return versions
 
 
 def processor() -> str:
     """Model of the processor and number of cores, "AMD EPYC 9R14, 2 cores"."""
     model = platform.processor() or platform.machine() or "unknown"
-    try:
+    with suppress(OSError):
         info = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        info = ""
-    named = re.search(r"^model name\s*:\s*(.+)$", info, re.MULTILINE)
-    return f"{named[1].strip() if named else model}, {os.cpu_count()} cores"
+        named = re.search(r"^model name\s*:\s*(.+)$", info, re.MULTILINE)
+        model = named[1].strip() if named else model
+    return f"{model}, {os.cpu_count()} cores"

@@ -30,9 +30,7 @@ def sample_names() -> list[str]:
     folder = ROOT / "data" / "sample"
     names = [path.name.removesuffix(_STATE) for path in folder.glob(f"*{_STATE}")]
     if not names:
-        raise FileNotFoundError(
-            f"{folder}: expected states *{_STATE}, got none; they are part of the source repository"
-        )
+        raise FileNotFoundError(f"{folder}: expected states *{_STATE}, got none; they are in the source repository")
     return sorted(names, key=lambda name: int(name.rpartition("_")[2]))
 
 

@@ -25,14 +25,13 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import h5py
 import numpy as np
 
 from deep_contact.io import hdf5
-from deep_contact.io.files import replacing
+from deep_contact.io.files import write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts, State, World, check_state
@@ -74,7 +73,7 @@ _ARRAYS = {
 }
 """Name -> type in the file, and the sizes of the dimensions: T, E = T + 1, n, M of the table above, 2 for x and y."""
 
-_BODIES, _CONTACTS = ("position", "velocity", "angle", "spin"), tuple(_ARRAYS)[12:]
+_BODIES, _CONTACTS = tuple(_ARRAYS)[8:12], tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _NUMBERS = ("version", "dt", "box", "gravity", "friction", "restitution")
 _OPTIONAL = ("scales", "segments", "surface_speeds")
@@ -85,9 +84,6 @@ _MOST_SEGMENTS = 2000
 
 class DataFileError(ValueError):
     """A file of states that cannot be read; names file, field and value."""
-
-
-# ---- one simulation ----
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -135,14 +131,11 @@ class StoredSimulation:
             raise IndexError(str(error)) from None
         a, head = self.arrays, self.header
         first, last = a["contact_offset"][index : index + 2]
+        bodies = Bodies(*(a[name][index].copy() for name in _BODIES), a["mass"].copy(), a["radius"].copy())
         return State(
             name=head["name"],
             world=head["world"],
-            bodies=Bodies(
-                *(a[name][index].copy() for name in _BODIES),
-                a["mass"].copy(),
-                a["radius"].copy(),
-            ),
+            bodies=bodies,
             contacts=Contacts(*(a[name][first:last].copy() for name in _CONTACTS)),
             time=float(a["time"][index]),
             step=int(a["step"][index]),
@@ -152,40 +145,33 @@ class StoredSimulation:
         )
 
     def start_errors(self) -> np.ndarray:
-        """‖λ₀ − λ‖ / ‖λ‖ of each state, (T,): how far off the impulses are that it started from; see `start_error`."""
+        """‖λ₀ − λ‖ / ‖λ‖ of each state, (T,), λ₀ being its start; 0 where both are zero, infinite where only λ is."""
         a = self.arrays
         off = (a["normal_start"] - a["normal_impulse"]) ** 2 + (a["tangent_start"] - a["tangent_impulse"]) ** 2
         size = a["normal_impulse"] ** 2 + a["tangent_impulse"] ** 2
         state = np.repeat(np.arange(self.count), self.contacts)
-        return _relative(*(np.bincount(state, weights, self.count) for weights in (off, size)))
+        off, size = (np.bincount(state, weights, self.count) for weights in (off, size))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(off == 0, 0.0, np.sqrt(off / size))
 
     def phases(self) -> np.ndarray:
-        """The phase of each state as an index of `PHASES`, (T,)."""
-        return _phase_index(self.start_errors())
+        """The phase of each state as an index of `PHASES`, (T,): by how far off Builtin's start was.
+
+        "settling" up to `SETTLING`, "rest" up to `REST`. For solved states of runs that Builtin started: what is new
+        in a state is what the step before did not know.
+        """
+        errors = self.start_errors()
+        return (errors <= SETTLING).astype(np.int64) + (errors <= REST)
 
 
 def start_error(state: State) -> float:
-    """‖λ₀ − λ‖ / ‖λ‖ over all rows of a solved state; 0 where both are zero, infinite where only λ is."""
-    c = state.contacts
-    off = np.sum((c.normal_start - c.normal_impulse) ** 2 + (c.tangent_start - c.tangent_impulse) ** 2)
-    return float(_relative(np.array([off]), np.array([np.sum(c.normal_impulse**2 + c.tangent_impulse**2)]))[0])
+    """‖λ₀ − λ‖ / ‖λ‖ over all rows of a solved state, as `StoredSimulation.start_errors`."""
+    return float(pack_simulation([state]).start_errors()[0])
 
 
 def phase(state: State) -> str:
-    """One of `PHASES`, by how far off Builtin's start was: "settling" up to `SETTLING`, "rest" up to `REST`.
-
-    For solved states of runs that Builtin started: what is new in a state is what the step before did not know.
-    """
-    return PHASES[_phase_index(np.array([start_error(state)]))[0]]
-
-
-def _relative(off: np.ndarray, size: np.ndarray) -> np.ndarray:
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(off == 0, 0.0, np.sqrt(off / size))
-
-
-def _phase_index(errors: np.ndarray) -> np.ndarray:
-    return (errors <= SETTLING).astype(np.int64) + (errors <= REST)
+    """One of `PHASES`, as `StoredSimulation.phases`."""
+    return PHASES[pack_simulation([state]).phases()[0]]
 
 
 def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=None, options=None) -> StoredSimulation:
@@ -244,17 +230,8 @@ def write_simulation(
     Raises ValueError naming the state and the field.
     """
     simulation = pack_simulation(states, sweeps=sweeps, theta=theta, seed=seed, options=options)
-    write_packed(path, simulation, compression=compression)
+    write_bytes(path, simulation_file(simulation, compression=compression))
     return simulation.digest
-
-
-def write_packed(path, simulation: StoredSimulation, *, compression="gzip") -> None:
-    """Write a simulation that is in memory. Arguments and errors as for `write_simulation`."""
-    data = simulation_file(simulation, compression=compression)
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        temporary.write_bytes(data)
 
 
 def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> bytes:
@@ -307,15 +284,7 @@ def read_simulation(path) -> StoredSimulation:
 
 
 class SimulationInfo(NamedTuple):
-    """What a file says of itself, read without its arrays.
-
-    | field  | meaning                                                                       |
-    |--------|-------------------------------------------------------------------------------|
-    | header | name, dt, world, solver, seed, options                                        |
-    | digest | SHA-256 as the file has it; `read_simulation` checks it against the contents  |
-    | count  | number of states                                                              |
-    | bytes  | memory of the arrays                                                          |
-    """
+    """What a file says of itself: as in `StoredSimulation`, but for the digest, which only that checks."""
 
     header: dict
     digest: str
@@ -395,13 +364,13 @@ def _digest(attributes: dict, arrays: dict) -> str:
 def _read_attributes(file: h5py.File) -> dict:
     found = {}
     for name in (*_TEXTS, *_NUMBERS, *(name for name in _OPTIONAL if name in file.attrs)):
-        value = hdf5.attribute(file, name)
+        value, kind = hdf5.attribute(file, name), "<i8" if name == "version" else "<f8"
         if name in _TEXTS:
             _expect(isinstance(value, bytes), f"{name}: expected a text of fixed length, got {type(value).__name__}")
             found[name] = value.decode()
         else:
-            array, dtype = np.asarray(value), "<i8" if name == "version" else "<f8"
-            _expect(array.dtype.str == dtype, f"{name}: expected {dtype}, got {array.dtype.str}")
+            array = np.asarray(value)
+            _expect(array.dtype.str == kind, f"{name}: expected {kind}, got {array.dtype.str}")
             found[name] = tuple(array.tolist()) if array.shape else array.item()
     return found
 
@@ -412,16 +381,14 @@ def _header(attributes: dict) -> dict:
         _expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
     world = {name: attributes[name] for name in ("box", "gravity", "friction", "restitution")}
-    if "scales" in attributes:
-        count = np.size(attributes["scales"])
-        _expect(count == len(ContactScales._fields), f"scales: expected {len(ContactScales._fields)}, got {count}")
-        world["scales"] = ContactScales._make(attributes["scales"])
-    if "segments" in attributes:
-        count = np.size(attributes["segments"])
-        _expect(count % 4 == 0, f"segments: expected 4 numbers each, got {count} in all")
-        world["segments"] = np.reshape(attributes["segments"], (-1, 4)).tolist()
-    world["surface_speeds"] = attributes.get("surface_speeds", ())
-    header["world"] = World(**world)
+    scales, segments = attributes.get("scales"), attributes.get("segments", ())
+    if scales is not None:
+        count = len(ContactScales._fields)
+        _expect(np.size(scales) == count, f"scales: expected {count}, got {np.size(scales)}")
+        world["scales"] = ContactScales._make(scales)
+    _expect(np.size(segments) % 4 == 0, f"segments: expected 4 numbers each, got {np.size(segments)} in all")
+    segments = np.reshape(segments, (-1, 4)).tolist()
+    header["world"] = World(**world, segments=segments, surface_speeds=attributes.get("surface_speeds", ()))
     for name in ("solver", "seed", "options"):
         try:
             header[name] = json.loads(attributes[name])

@@ -2,7 +2,7 @@
 
 A DOCTYPE is refused, so there are no entities. Files beyond `MAX_BYTES`, `MAX_TAGS` or `MAX_ATTRIBUTES` (about 35,000
 circles) are refused before they are parsed, compressed ones while they are unpacked. libxml2 counts lines exactly up to
-65,535; beyond, the line may be one off.
+65,535; beyond, the line may be one off. Its RelaxNG names neither attribute nor value, so forms are checked here.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import io
 import itertools
 import math
 import re
+from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from lxml import etree
@@ -27,6 +28,7 @@ MAX_ATTRIBUTES = 1_500_000
 _MAX_QUOTED = 80
 INTEGER = re.compile(r"-?[0-9]{1,18}")
 _NUMBER_TEXT = re.compile(r"[0-9.eE+\-]{1,1000}")
+_NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _ENCODING = re.compile(rb"\s*<\?xml[^>]*?\sencoding\s*=\s*[\"'](?!(?i:utf-?8|(?:us-)?ascii)[\"'])([^\"'>]*)")
 
 
@@ -62,22 +64,15 @@ def parse_tree(data: bytes):
             raise _fault_at(data, data.index(forbidden), "expected no DOCTYPE, entities or NUL")
     # The encoding is fixed: no declaration can make the parser see a DOCTYPE where the search above saw none. By
     # default lxml loads no DTD and refuses deep trees and long texts.
-    parser = etree.XMLParser(
-        encoding="utf-8",
-        resolve_entities=False,
-        no_network=True,
-        collect_ids=False,
-        remove_comments=True,
-        remove_pis=True,
-    )
+    options = {"resolve_entities": False, "no_network": True, "collect_ids": False}
+    parser = etree.XMLParser(encoding="utf-8", remove_comments=True, remove_pis=True, **options)
     try:
-        root = etree.fromstring(data, parser)
+        return etree.fromstring(data, parser)
     except etree.XMLSyntaxError as error:
         line = error.lineno or 1
-        quoted = next(itertools.islice(io.BytesIO(data), line - 1, None), b"").strip()
-        message = f"not well-formed XML, {error.msg[:_MAX_QUOTED]}, got {quote(quoted)}"
+        got = next(itertools.islice(io.BytesIO(data), line - 1, None), b"").strip()
+        message = f"not well-formed XML, {error.msg[:_MAX_QUOTED]}, got {quote(got)}"
         raise StateFileError(f"line {line}: {message}") from None
-    return root
 
 
 # ---- messages ----
@@ -85,11 +80,11 @@ def parse_tree(data: bytes):
 
 def fault(element, message: str, value=None) -> StateFileError:
     """The error about an element, naming its line and the body or contact that it is, or belongs to."""
-    parent, owner = element.getparent(), ""
-    if element.tag in ("body", "contact") and "index" in element.attrib:
-        owner = f" {quote(element.get('index'))}"
-    elif parent is not None and parent.tag in ("body", "contact") and "index" in parent.attrib:
-        owner = f" of {parent.tag} {quote(parent.get('index'))}"
+    owners = [each for each in (element, element.getparent()) if each is not None and each.tag in ("body", "contact")]
+    owner = ""
+    if owners and "index" in owners[0].attrib:
+        of = "" if owners[0] is element else f" of {owners[0].tag}"
+        owner = f"{of} {quote(owners[0].get('index'))}"
     got = "" if value is None else f", got {quote(value)}"
     return StateFileError(f"line {element.sourceline or 1}, <{element.tag[:_MAX_QUOTED]}>{owner}: {message}{got}")
 
@@ -124,65 +119,66 @@ def refuse_attributes(element, known) -> None:
             raise fault(element, message, element.get(name))
 
 
-def children(elements, tags) -> dict:
-    """Elements by tag, each of `tags` at most once."""
+def children(element, tags) -> dict:
+    """The children of an element by tag, each of `tags` at most once."""
     parts = {}
-    for element in elements:
-        if element.tag not in tags:
-            raise fault(element, f"expected one of {', '.join(sorted(tags))}", element.tag)
-        expect(element.tag not in parts, element, "expected this element once, got a second")
-        parts[element.tag] = element
+    for child in element:
+        if child.tag not in tags:
+            raise fault(child, f"expected one of {', '.join(sorted(tags))}", child.tag)
+        expect(child.tag not in parts, child, "expected this element once, got a second")
+        parts[child.tag] = child
     return parts
 
 
-class Rows:
-    """Elements of one kind with their children by tag, read by columns.
+def elements_of(container, tag: str, attributes=("count",)) -> list:
+    """The children of a container, which are all of one kind; none where there is no container."""
+    if container is None:
+        return []
+    refuse_attributes(container, attributes)
+    count = container.get("count", str(len(container)))  # a claim to be checked, never to be believed
+    expect(count == str(len(container)), container, f"count: expected {len(container)}, as there are", count)
+    for child in container:
+        expect(child.tag == tag, child, f"expected a <{tag}> here", child.tag)
+    return list(container)
 
-    A column is named "element attribute", with its spellings: "velocity x|velocity vx", the canonical one first.
-    """
+
+def by_index(elements) -> dict:
+    """Elements by their attribute `index`, which each has once."""
+    found = {}
+    for element in elements:
+        index = read_integer(element, "index")
+        expect(index not in found, element, "index: expected each once, got a duplicate of", str(index))
+        found[index] = element
+    return found
+
+
+class Rows:
+    """Elements of one kind with their children by tag, read by columns."""
 
     def __init__(self, elements, tags):
-        self.elements = elements
-        self.parts = [children(element, tags) for element in elements]
+        self.elements = list(elements)
+        self.parts = [children(element, tags) for element in self.elements]
 
-    def column(self, spelling: str) -> list:
-        """(element, attribute, text) of every row, in the first spelling that it has."""
-        spellings, found = [each.split() for each in spelling.split("|")], []
+    def texts(self, tag: str, name: str) -> list[str]:
+        """An attribute of the child `tag` of every row."""
         for row, parts in zip(self.elements, self.parts):
-            for tag, attribute in spellings:
-                text = parts[tag].get(attribute) if tag in parts else None
-                if text is not None:
-                    found.append((parts[tag], attribute, text))
-                    break
-            else:
-                tag, attribute = next((each for each in spellings if each[0] in parts), spellings[0])
-                expect(tag in parts, row, f"element <{tag}> is missing")
-                raise fault(parts[tag], f"{attribute}: attribute is missing")
-        return found
+            expect(tag in parts, row, f"element <{tag}> is missing")
+        return [read_text(parts[tag], name) for parts in self.parts]
 
-    def numbers(self, spelling: str) -> np.ndarray:
-        """One finite float64 per row."""
-        numbers = np.array([to_float(text) for _, _, text in self.column(spelling)], dtype=np.float64)
-        self.refuse(~np.isfinite(numbers), spelling, "a finite number")
-        return numbers
+    def numbers(self, tag: str, names: str) -> np.ndarray:
+        """Finite float64: (rows,) of one attribute, or (rows, k) of several, such as "x y"."""
+        columns = []
+        for name in names.split():
+            columns.append(np.array([to_float(text) for text in self.texts(tag, name)], dtype=np.float64))
+            self.refuse(~np.isfinite(columns[-1]), tag, name, "a finite number")
+        return columns[0] if len(columns) == 1 else np.column_stack(columns)
 
-    def vectors(self, x: str, y: str) -> np.ndarray:
-        """(rows, 2) finite float64."""
-        return np.column_stack([self.numbers(x), self.numbers(y)])
-
-    def refuse(self, bad: np.ndarray, spelling: str, expected: str) -> None:
-        """Raise for the first row that is bad, quoting its text."""
+    def refuse(self, bad: np.ndarray, tag: str, names: str, expected: str) -> None:
+        """Raise for the first row that is bad, quoting its texts."""
         if bad.any():
-            element, attribute, text = self.column(spelling)[np.argmax(bad)]
-            raise fault(element, f"{attribute}: expected {expected}", text)
-
-    def have(self, tag: str, required: bool) -> bool:
-        """Whether the rows have the child: all or none (all, if required)."""
-        lacking = [row for row, parts in zip(self.elements, self.parts) if tag not in parts]
-        if lacking and (required or len(lacking) < len(self.parts)):
-            others = "" if required else ", though other contacts have it"
-            raise fault(lacking[0], f"element <{tag}> is missing{others}")
-        return not lacking
+            element = self.parts[np.argmax(bad)][tag]
+            got = ", ".join(element.get(name) for name in names.split())
+            raise fault(element, f"{names}: expected {expected}", got)
 
 
 def to_float(text: str) -> float:
@@ -210,3 +206,19 @@ def read_integer(element, name: str) -> int:
     text = read_text(element, name)
     expect(INTEGER.fullmatch(text), element, f"{name}: expected an integer of at most 18 digits", text)
     return int(text)
+
+
+# ---- writing ----
+
+
+def quoted_attribute(name: str, text: str) -> str:
+    """A text in quotes, as an attribute has it. Raises ValueError with the name where XML cannot hold the text."""
+    if not isinstance(text, str) or _NOT_XML.search(text):
+        raise ValueError(f"{name}: expected text without control characters, got {text!r}")
+    return quoteattr(text)
+
+
+def fill(template: str, rows: int, columns) -> str:
+    """The template once per row. One call for all rows, on Python numbers, is what makes writing fast."""
+    lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
+    return template * rows % tuple(itertools.chain.from_iterable(zip(*lists)))

@@ -10,7 +10,7 @@ import pytest
 from scipy import sparse
 
 import deep_contact as dc
-from deep_contact.io.fclib import read_guess, read_problem, write_fc2d, write_fclib
+from deep_contact.io.fclib import read_problem, write_fc2d, write_fclib
 from deep_contact.physics.lcp import ContactProblem, contact_problem, siconos_error
 from deep_contact.physics.matrix_solvers import solve_problem
 
@@ -50,13 +50,9 @@ def test_a_file_of_siconos(tmp_path, zipped):
     path = tmp_path / "two.dat"
     path.write_bytes(gzip.compress(TEXT.encode()) if zipped else TEXT.encode())
     check_equal(read_problem(path), W, [-1.0, 0.25, -3.0, 0.0], [0.5, 0.2])
-
-
-def test_a_dense_file_of_siconos(tmp_path):
-    path = tmp_path / "dense.dat"
-    W_t = np.array([[2.0, 0.25], [0.5, 1.0]])  # by columns: the second number is W[1, 0]
+    # Dense, by columns: the second number is W[1, 0].
     path.write_text("2\n1\n0\n2\n2\n2.0 0.5\n0.25 1.0\n-1 0\n0.3\n")
-    check_equal(read_problem(path), W_t, [-1.0, 0.0], [0.3])
+    check_equal(read_problem(path), [[2.0, 0.25], [0.5, 1.0]], [-1.0, 0.0], [0.3])
 
 
 @pytest.mark.parametrize("name", ["pile.dat", "pile.dat.gz", "pile.hdf5"])
@@ -73,12 +69,14 @@ def test_states_come_back_bit_for_bit(tmp_path, falling_states, name):
 
 
 def test_the_start_of_a_state_is_a_guess(tmp_path, falling_states):
-    state = falling_states[9]
-    path = write_fclib(tmp_path / "pile.hdf5", state)
-    start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
-    assert start.any()
-    np.testing.assert_array_equal(read_guess(path), start)
-    assert read_guess(write_fclib(path, contact_problem(state))) is None
+    contacts = falling_states[9].contacts
+    assert contacts.normal_start.any()
+    with h5py.File(write_fclib(tmp_path / "pile.hdf5", falling_states[9])) as file:
+        assert (file["guesses/number_of_guesses"][0], len(file["guesses"])) == (1, 2)
+        np.testing.assert_array_equal(file["guesses/1/r"][0::2], contacts.normal_start)
+        np.testing.assert_array_equal(file["guesses/1/r"][1::2], contacts.tangent_start)
+    with h5py.File(write_fclib(tmp_path / "pile.hdf5", contact_problem(falling_states[9]))) as file:
+        assert "guesses" not in file
 
 
 @pytest.mark.parametrize(("kind", "make"), [(-1, sparse.csc_array), (-2, sparse.csr_array), (None, sparse.coo_array)])
@@ -109,7 +107,8 @@ def test_all_storages_of_fclib(tmp_path, kind, make):
         ("1 : 3", "1 : nan", "A: expected finite entries, got nan"),
         ("1 : 3", "1 : -3", r"A\[1, 1\]: expected a number > 0, got -3.0"),
         (" 2.0e-01", "", "expected 6 numbers to the end of the file, got 5"),
-        ("2.5e-01", "inf", "expected finite numbers, got 'inf'"),
+        ("2.5e-01", "x", "W, q and μ: expected numbers: .*'x'"),
+        ("2.5e-01", "inf", "q and μ.1.: expected a finite number, got inf"),
         ("5.0e-01", "-5.0e-01", r"friction\[0\]: expected a number >= 0, got -0.5"),
         (TEXT, "", "dimension: expected an integer, got ''"),
     ],

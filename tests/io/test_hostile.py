@@ -10,7 +10,7 @@ from scipy import sparse
 
 import deep_contact as dc
 from deep_contact.io import hdf5
-from deep_contact.io.fclib import MAX_TEXT, read_guess, read_problem, write_fc2d, write_fclib
+from deep_contact.io.fclib import MAX_TEXT, read_problem, write_fc2d, write_fclib
 from deep_contact.io.simulation_h5 import DataFileError, read_simulation, simulation_info, write_simulation
 from deep_contact.physics.lcp import ContactProblem
 
@@ -19,19 +19,13 @@ PROBLEM = ContactProblem(sparse.csr_array(np.eye(4)), np.zeros(4), friction=np.o
 
 @pytest.fixture
 def path(tmp_path):
-    """An FCLIB file with a guess."""
-    return write_fclib(tmp_path / "hostile.hdf5", PROBLEM, guess=np.zeros(4))
+    return write_fclib(tmp_path / "hostile.hdf5", PROBLEM)
 
 
 def change(path, name, value, **options):
     with h5py.File(path, "r+") as file:
         del file[name]
-        if value is None:
-            file.create_dataset(name, **options)
-        elif isinstance(value, np.ndarray):
-            file.create_dataset(name, data=value, **options)
-        else:
-            file[name] = value
+        file.create_dataset(name, data=value, **options)
 
 
 def packed_zeros(count):
@@ -39,8 +33,8 @@ def packed_zeros(count):
     return b"".join([*(packer.compress(bytes(2**20)) for _ in range(count // 2**20)), packer.flush()])
 
 
-@pytest.mark.parametrize("kind", ["u1", "u2", "u4", "u8"])
-@pytest.mark.parametrize("offsets", [[0, 200, 1, 2, 4], [0, 1, 2, 250, 4], [0, 1, 2, 3, 255]])
+@pytest.mark.parametrize("kind", ["u1", "u8"])
+@pytest.mark.parametrize("offsets", [[0, 200, 1, 2, 4], [0, 1, 2, 3, 255]])
 def test_unsigned_offsets_out_of_order_are_refused(path, kind, offsets):
     # Their differences are never negative; taken as they are they end the process.
     change(path, "fclib_local/W/p", np.array(offsets, kind))
@@ -56,8 +50,7 @@ def test_integers_beyond_64_bits_are_refused(path, name, value):
         read_problem(path)
 
 
-@pytest.mark.parametrize("i", [[0, 1, 2, 4], [0, -1, 2, 3]])
-@pytest.mark.parametrize("part", "pi")
+@pytest.mark.parametrize(("part", "i"), [("p", [0, 1, 2, 4]), ("i", [0, -1, 2, 3])])
 def test_triplets_out_of_range_are_refused(path, part, i):
     for name, value in {"nz": [4], "p": range(4), "i": range(4), part: i}.items():
         change(path, f"fclib_local/W/{name}", np.array(value))
@@ -108,23 +101,12 @@ def test_filters_of_others_are_refused(path):
         read_problem(path)
 
 
-def _soft_loop(file):
-    file["fclib_local/W"] = h5py.SoftLink("/fclib_local/W")
-
-
-def _hard_loop(file):
-    file["fclib_local/W"] = file["fclib_local"]
-
-
-def _elsewhere(file):
-    file["fclib_local/W"] = h5py.ExternalLink("other.hdf5", "/")
-
-
-@pytest.mark.parametrize("spoil", [_soft_loop, _hard_loop, _elsewhere])
-def test_links_that_lead_nowhere_or_elsewhere_are_refused(path, spoil):
+@pytest.mark.parametrize("kind", ["soft loop", "hard loop", "other file", "text"])
+def test_what_is_no_array_of_this_file_is_refused(path, kind):
     with h5py.File(path, "r+") as file:
         del file["fclib_local/W"]
-        spoil(file)
+        links = {"soft loop": h5py.SoftLink("/fclib_local/W"), "other file": h5py.ExternalLink("other.hdf5", "/")}
+        file["fclib_local/W"] = links.get(kind, file["fclib_local"] if kind == "hard loop" else "text")
     with pytest.raises(ValueError, match=r"hostile.hdf5: fclib_local/W/m: expected an array in this file"):
         read_problem(path)
 
@@ -156,6 +138,12 @@ def test_a_damaged_checksum_is_refused_by_name(path, tmp_path):
         read_problem(text)
 
 
+def test_a_file_that_is_cut_off_is_refused_by_name(path):
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ValueError, match=r"hostile.hdf5: expected an HDF5 file"):
+        read_problem(path)
+
+
 def test_text_that_unpacks_beyond_the_limit_is_refused(tmp_path):
     path = tmp_path / "zeros.dat"
     path.write_bytes(gzip.compress(bytes(MAX_TEXT + 1), compresslevel=1))
@@ -174,16 +162,6 @@ def test_long_integers_in_text_are_refused_by_name(tmp_path, old, new):
         read_problem(path)
 
 
-@pytest.mark.parametrize("value", [h5py.SoftLink("/guesses/1/r"), b"text", "text"])
-def test_a_guess_that_is_none_is_refused_by_name(path, value):
-    change(path, "guesses/1/r", value)
-    with pytest.raises(ValueError, match=r"hostile.hdf5: guesses/1/r: expected "):
-        read_guess(path)
-    path.write_bytes(b"nothing")
-    with pytest.raises(ValueError, match=r"hostile.hdf5: expected an HDF5 file"):
-        read_guess(path)
-
-
 @pytest.fixture(scope="module")
 def simulation(tmp_path_factory):
     path = tmp_path_factory.mktemp("simulation") / "sim_0000.h5"
@@ -191,7 +169,7 @@ def simulation(tmp_path_factory):
     return path.read_bytes()
 
 
-@pytest.mark.parametrize("name", ["solver", "seed", "options"])
+@pytest.mark.parametrize("name", ["solver", "options"])
 @pytest.mark.parametrize(
     "text", ["[" * 30_000, '{"a":' * 10_000, "9" * 5000, '{"method": "PGS", "sweeps": ' + "9" * 400 + "}", '"\\ud800"']
 )

@@ -1,0 +1,153 @@
+"""State files of the thesis's authors, put into the canonical form of `state_xml` before they are read.
+
+There are two dialects:
+
+* pybox2d exports with `velocity vx vy`, `angle theta`, `angular_velocity omega`, `normal nx ny`, `impulse ni ti` and
+  shapes printed as `dcCircleShape(radius=1)`, `dcLoopShape(vertices=[(30, 0), …])`, the box as body 0 and the master of
+  its contacts; `vel_iter`, `vel_thres` and `pos_iter` of the root are `State.solver`, a PGS;
+* exports with bodies and contacts directly under the root (also spelt `Configuration`), normals printed as
+  `b2Vec2(-1,2.9819e-05)` and shapes as `master_shape`, `slave_shape` of the contacts.
+
+Only these gaps are filled: settings by the thesis's values (`constants`); the step by the number that ends the file's
+name, else 0; starts by zero; impulses, if no contact has them, by the starts, with `solved=False`; a radius by the
+shape that a contact prints, else by sqrt(2 I / m). Shapes are parsed, never evaluated. `state_xml` fills two more:
+separations by the geometry; the box, if the file has none or calls it `ground`, by the thesis's 30 × 30 box, if all
+centres are inside.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+
+from lxml import etree
+
+from deep_contact import constants
+from deep_contact.io.xml_tree import expect, quote, read_integer, read_text, refuse_attributes, to_float
+
+_TAGS = {"angle": "orientation", "angular_velocity": "spin"}
+_ATTRIBUTES = {"vx": "x", "vy": "y", "nx": "x", "ny": "y", "ni": "n", "ti": "t"}
+_OF_SOLVER = ("vel_iter", "vel_thres", "pos_iter", "pos_thres")
+
+_NUMBER = r"([0-9.eE+\-]+)"
+_PAIR = re.compile(rf"\({_NUMBER},{_NUMBER}\)")
+_VECTOR = re.compile(rf"b2Vec2\({_NUMBER},{_NUMBER}\)")
+_CIRCLE = re.compile(rf"(?:dc|b2)CircleShape\((?:.*,)?radius[=:]{_NUMBER},?(?:[a-z].*)?\)")
+_LOOP = re.compile(r"(?:dcLoop|b2Loop|b2Chain)Shape\((?:.*,)?vertices[=:]\[([^\]]*)\].*\)")
+_OFF_CENTRE = re.compile(r"[(,]pos[=:](?!b2Vec2\(-?0,-?0\)|\(-?0(?:\.0)?,-?0(?:\.0)?\))")
+_MAX_TEXT = 1000
+
+
+def modernise(root, source: str) -> None:
+    """Put the tree of an old file into the canonical form, in place, but for the gaps that `state_xml` fills.
+
+    source: the file's name. Raises StateFileError.
+    """
+    refuse_attributes(root, {"name", "time", "dt", *_OF_SOLVER})
+    for child in root:
+        known = child.tag in ("solver", "bodies", "contacts", "body", "contact")
+        expect(known, child, f"expected no {quote(child.tag)} in an old file")
+    for element in root.iter():
+        element.tag = _TAGS.get(element.tag, element.tag)
+        for old, new in _ATTRIBUTES.items():
+            if old in element.attrib and new not in element.attrib:
+                element.set(new, element.attrib.pop(old))
+    is_flat = root.find("bodies") is None
+    for container, tag in (("bodies", "body"), ("contacts", "contact")):
+        elements = root.findall(tag)
+        if root.find(container) is None and (elements or is_flat):
+            _add(root, container).extend(elements)
+    contacts = root.findall("contacts/contact")
+    _complete_settings(root, source)
+    _complete_shapes(root.iterfind("bodies/body"), contacts)
+    solved = root.find("contacts") is not None and (not contacts or not _none_has("impulse", contacts))
+    root.set("solved", "true" if solved else "false")
+    _complete_contacts(contacts)
+
+
+def _add(parent, tag: str, **attributes):
+    """A new child, on the line of its parent."""
+    child = etree.SubElement(parent, tag, attributes)
+    child.sourceline = parent.sourceline
+    return child
+
+
+def _complete_settings(root, source: str) -> None:
+    sweeps, tolerance, position_sweeps = (root.attrib.pop(name, None) for name in _OF_SOLVER[:3])
+    root.attrib.pop(_OF_SOLVER[3], None)
+    if None not in (sweeps, tolerance, position_sweeps):
+        options = {"sweeps": sweeps, "tolerance": repr(to_float(tolerance)), "position_sweeps": position_sweeps}
+        _add(root, "solver", method="PGS", **options)
+    number = re.search(r"(?:^|[_/\\])([0-9]{1,18})\.xml(?:\.gz)?$", source)
+    settings = {"step": int(number[1]) if number else 0, "dt": constants.TIME_STEP, "friction": constants.FRICTION}
+    settings |= {"restitution": constants.RESTITUTION, "gravity_x": constants.GRAVITY[0]}
+    for name, value in (settings | {"gravity_y": constants.GRAVITY[1]}).items():
+        root.set(name, root.get(name, repr(value)))
+
+
+def _compact(element, text: str) -> str:
+    expect(len(text) <= _MAX_TEXT, element, f"expected at most {_MAX_TEXT} characters", text)
+    return "".join(text.split())
+
+
+def _complete_shapes(bodies, contacts: list) -> None:
+    """Give circles their radius and the box its corners, of what their shape or the first of their contacts prints.
+
+    A circle that nothing prints has the radius of a solid disc of its inertia; such a box remains without corners.
+    """
+    printed = {}
+    for contact in contacts:
+        for role in ("master", "slave"):
+            if f"{role}_shape" in contact.attrib:
+                text = contact.attrib.pop(f"{role}_shape")
+                printed.setdefault(read_integer(contact, role), (contact, text))
+    for body in bodies:
+        shape = element = _part(body, "shape")
+        text, is_box = shape.get("value", shape.text or "").strip(), body.get("type") == "fixed"
+        if len(shape) or "radius" in shape.attrib:
+            continue
+        if text in (("ground", "box") if is_box else ("circle",)):
+            element, text = printed.get(read_integer(body, "index"), (shape, ""))
+        shape.set("value", "box" if is_box else "circle")
+        compact = _compact(element, text)
+        if is_box:
+            match = _LOOP.fullmatch(compact)
+            fits = element is not shape or not text or (match and not _PAIR.sub("", match[1]).strip(","))
+            expect(fits, element, "shape: expected box with four corners, or LoopShape(vertices=[(x, y), …])", text)
+            for x, y in _PAIR.findall(match[1]) if match else ():
+                _add(shape, "corner", x=x, y=y)
+        elif compact:
+            match = _CIRCLE.fullmatch(compact)
+            fits = match and not _OFF_CENTRE.search(compact)
+            expect(fits, element, "shape: expected circle, or CircleShape(radius=…) around the centre", text)
+            shape.set("radius", match[1])
+        else:
+            mass, inertia = (to_float(read_text(_part(body, tag), "value")) for tag in ("mass", "inertia"))
+            fits = mass > 0 and inertia > 0 and math.isfinite(inertia / mass)
+            expect(fits, body, "expected mass and inertia > 0, as the shape has no radius", f"{mass}, {inertia}")
+            shape.set("radius", repr(math.sqrt(2 * inertia / mass)))
+
+
+def _part(body, tag: str):
+    part = body.find(tag)
+    expect(part is not None, body, f"element <{tag}> is missing")
+    return part
+
+
+def _complete_contacts(contacts: list) -> None:
+    """Give contacts a normal of two numbers; a start of zero, and the start as impulse, where no contact has one."""
+    for contact in contacts:
+        normal = contact.find("normal")
+        if normal is not None and "normal" in normal.attrib:
+            match = _VECTOR.fullmatch(_compact(normal, normal.get("normal")))
+            expect(match, normal, "normal: expected b2Vec2(x, y)", normal.get("normal"))
+            normal.set("x", match[1])
+            normal.set("y", match[2])
+    for tag in ("start", "impulse"):
+        for contact in contacts if _none_has(tag, contacts) else ():
+            start = contact.find("start")
+            _add(contact, tag, **{name: "0.0" if start is None else start.get(name, "") for name in "nt"})
+
+
+def _none_has(tag: str, contacts: list) -> bool:
+    return all(contact.find(tag) is None for contact in contacts)
