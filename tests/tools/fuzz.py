@@ -38,7 +38,7 @@ from pathlib import Path
 if sys.argv[1:2] == ["xml"]:
     import atheris  # which only this target needs, and whose instruments no compiled function takes
 
-    with atheris.instrument_imports(include=["deep_contact.io.state_xml"]):
+    with atheris.instrument_imports(include=["deep_contact.io.state_xml", "deep_contact.io.old_dialects"]):
         import deep_contact.io.state_xml
 import h5py
 import numpy as np
