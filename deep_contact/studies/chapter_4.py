@@ -33,9 +33,18 @@ def correlate(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.n
 
     image: (n_y, n_x) or (n_y, n_x, d); kernel: (k_y, k_x) or (k_y, k_x, d). Returns (o_y, o_x).
     """
-    (n_y, n_x), (k_y, k_x) = image.shape[:2], kernel.shape[:2]
-    rows, columns = range(0, n_y - k_y + 1, stride), range(0, n_x - k_x + 1, stride)
+    rows, columns = (range(0, n - k + 1, stride) for n, k in zip(image.shape, kernel.shape[:2]))
     return np.array([[window_products(image, kernel, i, j).sum() for j in columns] for i in rows])
+
+
+def by_keras(layer: str, *given, x: np.ndarray, weights: Sequence[np.ndarray] = (), **options) -> np.ndarray:
+    """What a Keras layer of this name makes of x, without a batch, in float64."""
+    from deep_contact.cnn.backend import keras
+
+    made = getattr(keras.layers, layer)(*given, dtype="float64", **options)
+    made.build((None, *x.shape))
+    made.set_weights(list(weights))
+    return np.asarray(made(np.asarray(x, dtype=np.float64)[None])[0])
 
 
 def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
@@ -43,13 +52,8 @@ def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1)
 
     image: (n_y, n_x, d); kernel: (k_y, k_x, d, f).
     """
-    from deep_contact.cnn.backend import keras
-
-    options = {"strides": stride, "use_bias": False, "dtype": "float64"}
-    layer = keras.layers.Conv2D(kernel.shape[3], kernel.shape[:2], **options)
-    layer.build((None, *image.shape))
-    layer.set_weights([kernel])
-    return np.asarray(layer(image[None])[0])
+    given = kernel.shape[3], kernel.shape[:2]
+    return by_keras("Conv2D", *given, x=image, weights=[kernel], strides=stride, use_bias=False)
 
 
 # ---- neurons ----
@@ -90,14 +94,10 @@ def random_layers(sizes: Sequence[int], seed: int) -> list[Layer]:
 
 def keras_forward(x: np.ndarray, layers: Sequence[Layer]) -> np.ndarray:
     """The last of `forward`'s values by Keras's `Dense`."""
-    from deep_contact.cnn.backend import keras
-
-    network = keras.Sequential([keras.Input((len(x),), dtype="float64")])
     for number, layer in enumerate(layers, start=1):
         activation = "linear" if number == len(layers) else "relu"
-        network.add(keras.layers.Dense(layer.bias.size, activation=activation, dtype="float64"))
-        network.layers[-1].set_weights(list(layer))
-    return np.asarray(network(np.asarray(x, dtype=np.float64)[None])[0])
+        x = by_keras("Dense", layer.bias.size, x=np.asarray(x), weights=layer, activation=activation)
+    return x
 
 
 ACTIVATIONS: dict[str, tuple[Callable, Callable]] = {
@@ -141,10 +141,7 @@ def max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
 
 def keras_max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
     """The same by Keras's `MaxPooling2D`; image: (n_y, n_x, d)."""
-    from deep_contact.cnn.backend import keras
-
-    layer = keras.layers.MaxPooling2D(size, strides=size, padding="same", dtype="float64")
-    return np.asarray(layer(image[None])[0])
+    return by_keras("MaxPooling2D", size, x=image, strides=size, padding="same")
 
 
 def pooled_sizes(n: int, times: int) -> list[int]:
@@ -220,11 +217,11 @@ def feature_maps(model, image: np.ndarray, names: Sequence[str]) -> dict[str, np
     """
     from deep_contact.cnn.backend import keras
 
-    known = {layer.name: layer for layer in model.layers}
+    known = {layer.name: layer.output for layer in model.layers}
     for name in names:
         if name not in known:
             raise ValueError(f"layer: expected one of {', '.join(known)}, got {name!r}")
-    inside = keras.Model(model.inputs[0], {name: known[name].output for name in names})
+    inside = keras.Model(model.inputs[0], {name: known[name] for name in names})
     found = inside(image[None])  # training=False would switch off the dropout of `with_dropout`
     return {name: np.asarray(found[name])[0] for name in names}
 

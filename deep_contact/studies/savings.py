@@ -52,13 +52,12 @@ def at_rest(scene: State) -> State:
 def heaps_and_one_rolling(n_bodies: int, seed: int) -> State:
     """Heaps at rest, and one circle more that rolls along the floor away from them."""
     scene = circles_in_box(n_bodies, seed=seed, **SCATTERED)
-    right, height = SCATTERED["size"]
-    world = World(box=(0.0, 0.0, right + 100.0, height))
-    heaps, speed = at_rest(scene.replace(world=world)).bodies, 1.0
+    (right, height), speed = SCATTERED["size"], 1.0
+    scene = scene.replace(world=World(box=(0.0, 0.0, right + 100.0, height)))
+    heaps = at_rest(scene).bodies
     position = np.vstack([heaps.position, [right + 20.0, 1.0 + constants.WALL_SKIN]])
     velocity = np.vstack([heaps.velocity, [speed, 0.0]])
-    bodies = make_bodies(position, radius=1.0, velocity=velocity, spin=np.append(heaps.spin, -speed))
-    return scene.replace(world=world, bodies=bodies)
+    return scene.replace(bodies=make_bodies(position, velocity=velocity, spin=np.append(heaps.spin, -speed)))
 
 
 def sweep_savings(n_bodies: int, seed: int, *, repeats: int) -> dict[str, dict]:
@@ -83,22 +82,19 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
     """What parts of `STEP` cost a resting pile, s per step: being awake, position correction, calls between steps."""
     pile = ready(at_rest(piles.scene(n_bodies, seed)))
     rolling = ready(heaps_and_one_rolling(n_bodies, seed))
-    uncorrected = replace(STEP, position_sweeps=0)
     asleep = _Asleep(pile, np.full(n_bodies, np.inf), steps)
     all_but_one = _Asleep(rolling, np.append(np.full(n_bodies, np.inf), 0.0), steps)
-    times = interleaved(
-        {
-            "awake": lambda: simulate(pile, steps=steps, solver=STEP),
-            "asleep": asleep.run,
-            "one rolling, awake": lambda: simulate(rolling, steps=steps, solver=STEP),
-            "one rolling, asleep": all_but_one.run,
-            "uncorrected": lambda: simulate(pile, steps=steps, solver=uncorrected),
-            "called": lambda: simulate(pile, steps=steps, solver=STEP, on_step=lambda *_: None),
-        },
-        repeats=repeats,
-        setup={"asleep": asleep.reset, "one rolling, asleep": all_but_one.reset},
-    )
-    times = {name: values / steps for name, values in times.items()}
+    step = functools.partial(simulate, steps=steps, solver=STEP)
+    runs = {
+        "awake": functools.partial(step, pile),
+        "asleep": asleep.run,
+        "one rolling, awake": functools.partial(step, rolling),
+        "one rolling, asleep": all_but_one.run,
+        "uncorrected": functools.partial(step, pile, solver=replace(STEP, position_sweeps=0)),
+        "called": functools.partial(step, pile, on_step=lambda *_: None),
+    }
+    setup = {"asleep": asleep.reset, "one rolling, asleep": all_but_one.reset}
+    times = {name: found / steps for name, found in interleaved(runs, repeats=repeats, setup=setup).items()}
     return {
         "asleep": timing.ratio(times["awake"], times["asleep"]),
         "asleep but for one": timing.ratio(times["one rolling, awake"], times["one rolling, asleep"]),
@@ -135,23 +131,20 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
     "seconds_apart": the least of three, "difference": largest between the velocities of both, m/s, "error_together",
     "error_apart": largest velocity error of each, m/s}. The reference solution is swept on to 1e-10 N·s.
     """
-    found = {name: [] for name in ("step", "contacts", "islands", "difference")}
+    found: dict[str, list] = {}
     ways = {"together": PGS(), "apart": PGS(islands=True)}
-    found |= {f"{what}{name}": [] for name in ways for what in ("", "seconds_", "error_")}
     for state in solved_states(scene, steps=steps, every=every, solver=ways["together"]):
-        found["step"].append(state.step)
-        found["contacts"].append(state.contacts.count)
-        found["islands"].append(len(np.unique(islands_of(state)[state.contacts.body_a])))
-        solutions = {name: solve_contacts(state, solver=solver) for name, solver in ways.items()}
-        together = solutions["together"]
+        calls = {name: functools.partial(solve_contacts, state, solver=solver) for name, solver in ways.items()}
+        together, apart = (call() for call in calls.values())
         start = together.normal_impulses, together.tangent_impulses
         reference = solve_contacts(state, solver=PGS(sweeps=100_000, tolerance=1e-10), start=start)
-        runs = {name: functools.partial(solve_contacts, state, solver=solver) for name, solver in ways.items()}
-        for name, seconds in interleaved(runs, repeats=3, reduce=min).items():
-            found[name].append(int(simulate(state, steps=1, solver=ways[name]).relaxations[0]))
-            found[f"seconds_{name}"].append(seconds)
-            found[f"error_{name}"].append(largest_difference(solutions[name], reference))
-        found["difference"].append(largest_difference(solutions["apart"], together))
+        now = {"step": state.step, "contacts": state.contacts.count, "difference": largest_difference(apart, together)}
+        now["islands"] = len(np.unique(islands_of(state)[state.contacts.body_a]))
+        for (name, seconds), end in zip(interleaved(calls, repeats=3, reduce=min).items(), (together, apart)):
+            now[name] = int(simulate(state, steps=1, solver=ways[name]).relaxations[0])
+            now |= {f"seconds_{name}": seconds, f"error_{name}": largest_difference(end, reference)}
+        for name, value in now.items():
+            found.setdefault(name, []).append(value)
     return {name: np.array(values) for name, values in found.items()}
 
 
@@ -171,14 +164,12 @@ JOBS = {
     "import": "import deep_contact as dc",
     "simulate": "import deep_contact as dc; dc.simulate(dc.column(10), steps=1)",
     "simulate, no friction": "import deep_contact as dc; dc.simulate(dc.column(10, friction=0.0), steps=1)",
-    "predict": "import deep_contact as dc\n"
-    "state = dc.simulate(dc.column(10), steps=1).state\n"
-    "dc.load_model().predict(state)",
+    "predict": "import deep_contact as dc; dc.load_model().predict(dc.simulate(dc.column(10), steps=1).state)",
 }
 """Job -> the code of it."""
 
 _PROBE = """
-import json, sys, time
+import gc, json, sys, time
 begin = time.perf_counter()
 exec(sys.argv[1])
 took = time.perf_counter() - begin
@@ -190,10 +181,8 @@ try:
 except OSError:
     pass
 if "numba" in sys.modules:
-    import gc
     from numba.core.dispatcher import Dispatcher
-    functions = [one for one in gc.get_objects() if isinstance(one, Dispatcher)]
-    found["compiled"] = sum(len(one.stats.cache_misses) for one in functions)
+    found["compiled"] = sum(len(one.stats.cache_misses) for one in gc.get_objects() if isinstance(one, Dispatcher))
 print(json.dumps(found))
 """
 

@@ -70,23 +70,18 @@ def intervals(
 ) -> np.ndarray:
     """[ratio, low, high], (3, k): largest of the first starts over smallest of the second.
 
-    of: taken of each curve before the ratio, (rows, k) -> (rows,); by default the curve itself.
+    of: taken of each curve before the ratio, (rows, k) -> (rows,), such as `rise`; by default the curve itself.
     """
 
-    def ratio(drawn):
-        def values(names):
-            found = [mean_over_states(part, n, drawn, quantity) for n in ([names] if isinstance(names, str) else names)]
-            return found if of is None else [of(curve)[:, None] for curve in found]
+    def values(names, drawn):
+        names = [names] if isinstance(names, str) else names
+        found = [mean_over_states(part, name, drawn, quantity) for name in names]
+        return found if of is None else [of(curve)[:, None] for curve in found]
 
-        return np.maximum.reduce(values(first)) / np.minimum.reduce(values(second))
-
-    return interval(ratio, scenes_of(part))
-
-
-def decided(found: np.ndarray, within: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Where the whole interval lies within the range, and where the whole of it lies outside; (k,) each."""
-    (_, low, high), (least, most) = found, within
-    return (low > least) & (high < most), (high < least) | (low > most)
+    return interval(
+        lambda drawn: np.maximum.reduce(values(first, drawn)) / np.minimum.reduce(values(second, drawn)),
+        scenes_of(part),
+    )
 
 
 def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
@@ -104,18 +99,20 @@ def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
 def verdict(found: np.ndarray, within: tuple[float, float], sweeps: Sequence[int] | None = None) -> tuple:
     """(holds, verdict) of intervals by sweep: "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000".
 
+    It holds where the whole interval lies within the range, and does not hold where the whole of it lies outside.
     holds: true where the claim holds at some sweeps and is refuted at none, false where it is the other way round, None
     where both occur or every interval reaches across an end of the range. sweeps: None for intervals of one number.
     """
-    holds, fails = decided(found, within)
+    (_, low, high), (least, most) = found, within
+    holds, fails = (low > least) & (high < most), (high < least) | (low > most)
     if not (holds.any() or fails.any()):
         return None, "within the noise"
-    says = [("holds", holds), ("does not hold", fails)]
-    if sweeps is None or holds.all() or fails.all():
-        text = next(word for word, where in says if where.any())
-        return bool(holds.any()), text if sweeps is None else f"{text}, sweeps {ranges(sweeps, np.ones_like(holds))}"
-    text = "; ".join(f"{word}, sweeps {ranges(sweeps, where)}" for word, where in says if where.any())
-    return (None if holds.any() and fails.any() else bool(holds.any())), text
+    says = {word: where for word, where in (("holds", holds), ("does not hold", fails)) if where.any()}
+    if sweeps is None:
+        text = next(iter(says))
+    else:
+        text = "; ".join(f"{word}, sweeps {ranges(sweeps, where)}" for word, where in says.items())
+    return (None if len(says) == 2 else "holds" in says), text
 
 
 def judged(
@@ -144,7 +141,7 @@ def judged(
     ours = intervals(data[mode], first, second, quantity="sweeps")
     measured[f"mean sweeps to θ < {data['threshold']:g}, ratio and its interval"] = ours[:, 0].tolist()
     measured["by that measure"] = verdict(ours, within)[1]
-    return Claim(text, thesis, *_of_enough(count, *verdict(found, within, sweeps), measured))
+    return _claim(text, thesis, count, verdict(found, within, sweeps), measured)
 
 
 def judged_by(
@@ -157,7 +154,7 @@ def judged_by(
     part = data["independent"]
     found = intervals(part, first, second, of=of)
     measured = {"scenes": scenes_of(part), "ratio and its interval": found[:, 0].tolist(), "range": _range(within)}
-    return Claim(text, thesis, *_of_enough(scenes_of(part), *verdict(found, within), measured))
+    return _claim(text, thesis, scenes_of(part), verdict(found, within), measured)
 
 
 def judged_values(
@@ -180,15 +177,13 @@ def judged_values(
 
     found = interval(ratio, len(first))
     measured = {"scenes": len(first), "ratio and its interval": found.tolist(), "range": _range(within)}
-    judged = verdict(found[:, None], within)
-    return Claim(text, thesis, *_of_enough(len(first), *judged, measured | dict(also or {})))
+    return _claim(text, thesis, len(first), verdict(found[:, None], within), measured | dict(also or {}))
 
 
-def _of_enough(count: int, holds: bool | None, text: str, measured: dict) -> tuple:
-    """holds, measured and verdict, as `Claim` takes them; open from too few scenes."""
-    if count < FEWEST:
-        return None, measured, f"open: {count} scene{'s' * (count > 1)}"
-    return holds, measured, text
+def _claim(text: str, thesis: str | None, count: int, judged: tuple, measured: dict) -> Claim:
+    """The claim with what `verdict` says; open from too few scenes."""
+    holds, says = judged if count >= FEWEST else (None, f"open: {count} scene{'s' * (count > 1)}")
+    return Claim(text, thesis, holds, measured, says)
 
 
 def _range(within: tuple[float, float]) -> str:

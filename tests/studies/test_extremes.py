@@ -419,7 +419,7 @@ def test_the_figure_holds_its_claims_on_a_few_quantities(script, tmp_path):
     found = figures.produce(script.FIGURE, options=options, out=tmp_path, echo=lambda line: None)
     assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
     rows = {row[0]: row for row in script.table(found["data"])}
-    assert rows["mass"][2] == "1e-30 to 1e+30"
+    assert rows["mass"][2] == "1e-20 to 1e+20"
     assert rows["mass"][5] == "1e-40; 1e+40"
 
 
