@@ -6,9 +6,12 @@ import importlib.util
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from scipy import optimize
 
 import deep_contact as dc
+from deep_contact.physics.lcp import contact_problem
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = ROOT / "scripts"
@@ -38,6 +41,19 @@ def frictionless_states():
     return solved_states(dc.circles_in_box(60, friction=0.0, seed=4), steps=400, every=40)
 
 
+@pytest.fixture(scope="session")
+def nnls_velocities(frictionless_states):
+    """Velocities (n, 3) of min over λ >= 0 of ½ |B λ + M^½ v|², B = M^-½ Jᵀ: without friction, the only ones."""
+    found = []
+    for state in frictionless_states:
+        problem = contact_problem(state, friction=False)
+        root = np.sqrt(problem.inverse_mass)
+        B = root[:, None] * problem.jacobian.T.toarray()
+        expected, _ = optimize.nnls(B, -problem.free_velocity / root, maxiter=100_000)
+        found.append(problem.velocities(expected).reshape(-1, 3))
+    return found
+
+
 def solved_states(scene, *, steps, every=1, solver=None, **options):
     """Solved states of a run, one in `every`, those without contacts left out."""
     states = []
@@ -48,6 +64,23 @@ def solved_states(scene, *, steps, every=1, solver=None, **options):
 
     dc.simulate(scene, steps=steps, solver=solver or dc.PGS(sweeps=500), on_step=keep, **options)
     return states
+
+
+def stacked(solution):
+    """The impulses of a solution as `contact_problem` numbers its rows, λ_n and λ_t by turns, (2 m,)."""
+    return np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
+
+
+def carried(state):
+    """The impulses that a state starts from, likewise."""
+    return np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
+
+
+def assert_same_bits(first, second):
+    """Two states hold the same bodies and contacts."""
+    for one, other in ((first.bodies, second.bodies), (first.contacts, second.contacts)):
+        for name in one._fields:
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
 
 
 def momentum(bodies):

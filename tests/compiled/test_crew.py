@@ -35,18 +35,6 @@ def test_nobody_runs_ahead_of_a_barrier(size):
     np.testing.assert_array_equal(values[rounds % 2], expected)
 
 
-@needs_threads
-def test_an_error_of_a_thread_is_raised():
-    @njit(nogil=True)
-    def fail(crew):
-        if crew.rank == 1:
-            raise ZeroDivisionError
-        return 0
-
-    with pytest.raises(ZeroDivisionError):
-        together(2, fail)
-
-
 @njit(nogil=True)
 def leave_alone(lost, crew):
     """The barrier, to which one rank does not come."""

@@ -45,12 +45,11 @@ def test_a_fast_circle_stops_at_the_wall_and_gives_back_the_energy_of_the_fall_t
     # of the 1 mm that gravity alone would have moved it.
     world = replace(NO_GRAVITY, gravity=(0.0, -10.0))
     state = dc.simulate(scene([[57.99, 20.0]], [[190.0, 0.0]], world=world), steps=1, solver=dc.PGS()).state
-    moved = (state.bodies.position[0, 0] - 57.99) / 1.9
-    np.testing.assert_allclose(state.bodies.position[0, 0], 60 - 1 - state.scales.wall_skin, atol=state.scales.slop)
-    np.testing.assert_allclose(state.bodies.velocity[0, 0], 190.0)
-    energy = 0.5 * 0.1**2 - 10.0 * 0.001 * (1 - moved)
-    np.testing.assert_allclose(0.5 * state.bodies.velocity[0, 1] ** 2, energy, rtol=1e-9)
-    np.testing.assert_allclose(state.bodies.position[0, 1], 20 - 0.001 * moved, rtol=1e-12)
+    (x, y), (v_x, v_y) = state.bodies.position[0], state.bodies.velocity[0]
+    moved = (x - 57.99) / 1.9
+    np.testing.assert_allclose((x, v_x), (60 - 1 - state.scales.wall_skin, 190.0), atol=state.scales.slop)
+    np.testing.assert_allclose(0.5 * v_y**2, 0.5 * 0.1**2 - 10.0 * 0.001 * (1 - moved), rtol=1e-9)
+    np.testing.assert_allclose(y, 20 - 0.001 * moved, rtol=1e-12)
 
 
 def test_a_circle_meets_what_has_stopped_before_it():
@@ -152,17 +151,6 @@ def test_restitution_1_keeps_the_energy_of_ten_thousand_bounces_under_gravity():
     run = dc.simulate(state, steps=255_000, dt=0.02, solver=dc.PGS(sweeps=2))
     assert (run.contacts > 0).sum() > 10_000
     assert abs(energy(run.state.bodies) / energy(state.bodies) - 1) < 1e-9
-
-
-def test_many_circles_at_restitution_1_keep_their_energy():
-    # A crowded box without friction: thousands of steps in which several contacts of a circle meet or part at once.
-    lattice = dc.lattice_in_box(12, radius=(0.6, 1.0), gap=0.05, seed=0)
-    velocity = 5.0 * np.random.default_rng(0).normal(size=(12, 2))
-    world = World(box=lattice.world.box, gravity=(0, 0), restitution=1.0, friction=0.0)
-    state = lattice.replace(world=world, bodies=lattice.bodies._replace(velocity=velocity), contacts=None)
-    run = dc.simulate(state, steps=12_000, solver=dc.PGS(sweeps=2000, tolerance=1e-12))
-    assert (run.contacts > 1).sum() > 3000
-    assert abs(kinetic_energy(run.state.bodies) / kinetic_energy(state.bodies) - 1) < 1e-6
 
 
 def test_a_circle_that_leaves_a_wall_is_struck_back_to_it_and_rebounds():

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import assert_same_bits
 
 import deep_contact as dc
 from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION, WALL_SKIN
@@ -11,11 +12,9 @@ from deep_contact.physics.scenes import single_body
 from deep_contact.state import State, World, make_bodies
 
 
-def assert_same_bits(first: State, second: State):
+def assert_same_run(first: State, second: State):
     assert (first.time, first.step, first.dt, first.world) == (second.time, second.step, second.dt, second.world)
-    for one, other in ((first.bodies, second.bodies), (first.contacts, second.contacts)):
-        for name in one._fields:
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
+    assert_same_bits(first, second)
 
 
 def test_free_fall_is_symplectic_euler():
@@ -65,20 +64,6 @@ def test_a_body_moves_at_most_two_metres_a_step():
     np.testing.assert_allclose(bodies.angle[0], MAX_ROTATION)
 
 
-def test_falling_pile_gains_no_energy():
-    # Position correction lifts bodies by less than the slop it works off; everything else only loses.
-    energy = []
-
-    def watch(state, record):
-        height = state.bodies.position[:, 1]
-        energy.append(kinetic_energy(state.bodies) + 9.81 * state.bodies.mass @ height)
-
-    scene = dc.circles_in_box(40, seed=2)
-    dc.simulate(scene, steps=300, solver=dc.PGS(), on_step=watch)
-    lift = 9.81 * scene.bodies.mass.sum() * 0.2 * LINEAR_SLOP * 10
-    assert np.diff(energy).max() <= lift
-
-
 def test_pile_comes_to_rest_in_the_box():
     scene = dc.circles_in_box(50, seed=5)
     bodies = dc.simulate(scene, steps=1000).state.bodies
@@ -94,14 +79,14 @@ def test_step_by_step_equals_in_one_go():
     state = scene
     for _ in range(120):
         state = dc.step(state)
-    assert_same_bits(state, dc.simulate(scene, steps=120).state)
+    assert_same_run(state, dc.simulate(scene, steps=120).state)
 
 
 @pytest.mark.parametrize("warm_start", [None, "builtin", "copy"])
 def test_watching_changes_nothing(warm_start):
     scene = dc.circles_in_box(40, seed=9)
     options = {"steps": 150, "warm_start": warm_start, "solver": dc.PGS(sweeps=100)}
-    assert_same_bits(
+    assert_same_run(
         dc.simulate(scene, on_step=lambda state, record: None, **options).state, dc.simulate(scene, **options).state
     )
 
@@ -117,7 +102,7 @@ def test_resumed_from_xml_as_if_never_stopped(tmp_path, solved, warm_start):
     dc.write_state(tmp_path / "stop.xml", kept[100] if solved else stopped)
     state = dc.read_state(tmp_path / "stop.xml")
     resumed = dc.simulate(state, steps=200 - state.step, warm_start=warm_start).state
-    assert_same_bits(resumed, through)
+    assert_same_run(resumed, through)
 
 
 def test_simulate_records_every_step():
@@ -126,20 +111,6 @@ def test_simulate_records_every_step():
     assert set(run.status) <= {"converged", "max_sweeps", "no_contacts"}
     assert run.sweeps.max() <= 20
     assert (run.theta[run.status == "converged"] <= run.state.solver.tolerance).all()
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"steps": -1}, "steps: expected an integer >= 0, got -1"),
-        ({"dt": 0.0}, "dt: expected a finite number > 0, got 0.0"),
-        ({"solver": 10}, "solver: expected options such as PGS"),
-        ({"warm_start": "magic"}, "warm_start: expected one of none, builtin, .*copy.*got 'magic'"),
-    ],
-)
-def test_simulate_refuses_bad_arguments(options, message):
-    with pytest.raises(ValueError, match=message):
-        dc.simulate(single_body(), **options)
 
 
 def test_a_state_of_the_engine_passes_the_quick_check():

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import solved_states
-from scipy import optimize, sparse
+from conftest import solved_states, stacked
+from scipy import sparse
 
 import deep_contact as dc
 from deep_contact.physics import exact, metrics, proximal_path
@@ -14,7 +14,6 @@ from deep_contact.physics.lcp import ContactProblem, check_problem, contact_prob
 from deep_contact.physics.matrix_solvers import blocks_of
 from deep_contact.physics.proximal_path import OPEN, SLIP_DOWN, SLIP_UP, STICK
 from deep_contact.physics.scenes import single_body
-from deep_contact.reporting.figures import seeds
 from deep_contact.simulation import ready
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies import piles
@@ -53,29 +52,17 @@ def test_every_state_of_a_fall_is_solved(falling_states):
 @pytest.mark.parametrize("friction", [0.0, 0.1, 1.0, 1000.0])
 def test_circles_of_all_sizes_with_any_friction(friction):
     scene = dc.lattice_in_box(40, radius=(0.2, 1.0), density=3.0, friction=friction, seed=2)
-    for state in solved_states(scene, steps=200, every=40):
+    for state in solved_states(scene, steps=200, every=20):
         check_solution(state, from_nothing(state))
+        assert max(principles(state).values()) < 1e-7
 
 
-def test_frictionless_velocities_equal_nnls(frictionless_states):
-    # Without friction: min over λ >= 0 of ½ |B λ + M^½ v|², B = M^-½ Jᵀ; its velocities are the only ones.
-    for state in frictionless_states:
-        problem = contact_problem(state, friction=False)
-        root = np.sqrt(problem.inverse_mass)
-        B = root[:, None] * problem.jacobian.T.toarray()
-        expected, _ = optimize.nnls(B, -problem.free_velocity / root, maxiter=100_000)
-        velocity = problem.velocities(expected).reshape(-1, 3)
+def test_frictionless_velocities_equal_nnls(frictionless_states, nnls_velocities):
+    for state, velocity in zip(frictionless_states, nnls_velocities):
         found = from_nothing(state, residual=1e-10)
         np.testing.assert_allclose(found.solution.velocities, velocity[:, :2], atol=1e-8)
         np.testing.assert_allclose(found.solution.angular_velocities, velocity[:, 2], atol=1e-8)
         assert not found.solution.tangent_impulses.any()
-
-
-def test_frictionless_velocities_equal_those_of_sweeps(frictionless_states):
-    for state in frictionless_states[::2]:
-        swept = dc.solve_contacts(state, solver=dc.NNCG(sweeps=50_000, tolerance=1e-12))
-        assert swept.record.status == "converged"
-        assert metrics.velocity_error(state, from_nothing(state).solution, swept) < 1e-6
 
 
 def touching(centres, **world):
@@ -112,27 +99,6 @@ def test_pyramid_stands_on_friction():
     assert still[1.0] < 1e-9 < 1e-3 < still[0.0]
 
 
-@pytest.mark.parametrize("restitution", [0.0, 0.5, 1.0])
-def test_head_on_pair_ends_as_newton_says(restitution):
-    # One contact of two masses: m_a m_b / (m_a + m_b) times (1 + e) times the closing speed.
-    state = ready(dc.two_bodies(speed=4.0, radius=(1.0, 0.5), restitution=restitution))
-    m_a, m_b = state.bodies.mass
-    impulse = (1 + restitution) * 4.0 / (1 / m_a + 1 / m_b)
-    solution = from_nothing(state, residual=1e-12).solution
-    np.testing.assert_allclose(solution.normal_impulses, impulse if restitution == 0 else 0.0, rtol=1e-11)
-    np.testing.assert_allclose(solution.velocities, [[2 - impulse / m_a, 0], [-2 + impulse / m_b, 0]], atol=1e-11)
-
-
-@pytest.mark.parametrize(("speed", "friction_speed"), [(5.0, 0.3 * 9.81 * 0.01), (0.01, 0.01 / 3)])
-def test_circle_on_the_floor_slips_or_sticks(speed, friction_speed):
-    # By hand: it is braked by μ g Δt, or by a third of its speed, which makes a disc roll.
-    scene = single_body(friction=0.3)
-    state = ready(scene.replace(bodies=scene.bodies._replace(velocity=np.array([[speed, 0.0]]))))
-    solution = from_nothing(state, residual=1e-12).solution
-    np.testing.assert_allclose(solution.velocities[0], [speed - friction_speed, 0.0], atol=1e-11)
-    np.testing.assert_allclose(solution.angular_velocities[0], -2 * friction_speed, atol=1e-11)
-
-
 def test_a_settling_pile_that_sweeps_do_not_solve():
     state = piles.states_of(piles.pile("settling", 300, 2), count=1)[0]
     swept = metrics.residual(state, dc.solve_contacts(state, solver=dc.PGS(sweeps=5000, tolerance=None)))
@@ -140,12 +106,6 @@ def test_a_settling_pile_that_sweeps_do_not_solve():
     check_solution(state, found)
     assert found.residual < swept / 100
     assert found.factorizations > 0
-
-
-@pytest.mark.slow
-def test_a_settling_pile_of_a_thousand():
-    state = piles.states_of(piles.pile("settling", 1000, seeds(0, 2)[0]), count=1)[0]
-    check_solution(state, solve_exactly(state))
 
 
 def proximal_step(problem, kind):
@@ -220,7 +180,7 @@ def test_a_problem_of_matrices_is_solved_as_its_state(falling_states, with_bodie
     problem = problem if with_bodies else ContactProblem(problem.A, problem.b, friction=problem.friction)
     found, expected = solve_exactly(problem, zero, zero, residual=1e-10), from_nothing(state, residual=1e-10)
     assert found.converged
-    assert found.residual == pytest.approx(natural_residual(check_problem(problem), _ravel(found.solution)), abs=1e-14)
+    assert found.residual == pytest.approx(natural_residual(check_problem(problem), stacked(found.solution)), abs=1e-14)
     if with_bodies:
         np.testing.assert_allclose(found.solution.velocities, expected.solution.velocities, atol=1e-9)
     else:
@@ -230,22 +190,17 @@ def test_a_problem_of_matrices_is_solved_as_its_state(falling_states, with_bodie
     assert default.residual <= 1e-8
 
 
-def _ravel(solution):
-    return np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
-
-
 def principles(state):
     """The worst violation of each first principle by the exact solution, m/s or N·s, from positions and velocities."""
-    found = solve_exactly(state)
-    solution, mu = found.solution, state.world.friction
+    solution, mu = solve_exactly(state).solution, state.world.friction
     normal, tangent = metrics.row_velocities(state, solution.velocities, solution.angular_velocities)
     p_n, p_t = solution.normal_impulses, solution.tangent_impulses
     slides = np.abs(tangent) > 1e-6
     return {
-        "pull": max(0.0, -p_n.min()),
-        "cone": max(0.0, (np.abs(p_t) - mu * p_n).max()),
-        "approach": max(0.0, -normal.min()),
-        "apart": np.minimum(p_n, np.maximum(normal, 0.0)).max(),
+        "pull": -p_n.min(initial=0.0),
+        "cone": (np.abs(p_t) - mu * p_n).max(initial=0.0),
+        "approach": -normal.min(initial=0.0),
+        "apart": np.minimum(p_n, np.maximum(normal, 0.0)).max(initial=0.0),
         "slip": np.abs(p_t + mu * p_n * np.sign(tangent))[slides].max(initial=0.0),
     }
 
@@ -263,27 +218,11 @@ def packings():
                 yield touching([(10 + 2 * i, 1.01 + 2 * k) for k in range(rows) for i in range(3)], **world)
 
 
-def check_principles(states):
-    worst = {}
-    for state in states:
-        if state.contacts.count:
-            for name, value in principles(state).items():
-                worst[name] = max(worst.get(name, 0.0), value)
-    assert max(worst.values()) < 1e-7, worst
-
-
 def test_first_principles_where_rows_depend_on_each_other():
     states = list(packings())
     assert len(states) == 108
-    check_principles(states)
-
-
-@pytest.mark.parametrize("friction", [0.0, 0.5, 1.0, 10.0])
-def test_first_principles_in_falls(friction):
-    scene = dc.circles_in_box(50, friction=friction, seed=17)
-    states = solved_states(scene, steps=400, every=10)
-    assert len(states) >= 20
-    check_principles(states)
+    for state in states:
+        assert max(principles(state).values()) < 1e-7
 
 
 def test_epsilon_falls_while_steps_are_easy(falling_states, monkeypatch):
@@ -358,12 +297,6 @@ def test_the_default_start_is_that_of_sweeps(falling_states):
     assert default[1:] == given[1:]
 
 
-def test_the_same_arguments_give_the_same_bits(falling_states):
-    first, second = from_nothing(falling_states[-3]), from_nothing(falling_states[-3])
-    assert first[1:] == second[1:]
-    np.testing.assert_array_equal(first.solution.velocities, second.solution.velocities)
-
-
 @pytest.mark.parametrize("most_pivots", [0, 1, 7])
 def test_too_few_pivots_give_the_best_so_far(falling_states, most_pivots):
     state = falling_states[-1]
@@ -430,45 +363,29 @@ def test_nothing_to_solve():
     np.testing.assert_allclose(found.solution.velocities, [[0.0, -0.0981]], rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "options", "message"),
-    [
-        ((), {"residual": 0.0}, "residual: expected a finite number > 0, got 0.0"),
-        ((), {"residual": "1"}, "residual: expected a finite number > 0, got '1'"),
-        ((), {"most_pivots": -1}, "most_pivots: expected an integer >= 0, got -1"),
-        ((), {"most_pivots": 2.5}, "most_pivots: expected an integer >= 0, got 2.5"),
-        (([np.nan, np.inf], [0.0]), {}, "normal_start: expected 1 numbers, .* got nan"),
-        (([0.0], None), {}, "tangent_start: expected 1 numbers, one a contact, up to 1e[+]50 N·s, got None"),
-        (([0.0, 1.0], [0.0]), {}, r"normal_start: expected 1 numbers, .* got shape \(2,\)"),
-        (([np.nan], [0.0]), {}, "normal_start: expected 1 numbers, .* got nan"),
-    ],
-)
-def test_bad_arguments_are_refused(arguments, options, message):
-    with pytest.raises(ValueError, match=message):
-        solve_exactly(ready(single_body()), *arguments, **options)
-
-
-@pytest.mark.parametrize(
-    ("owner", "changes", "message"),
-    [
-        ("bodies", {"velocity": np.array([[np.nan, 0.0]])}, r"bodies.velocity\[0\]: expected a finite number, got"),
-        (None, {"dt": np.nan}, "dt: expected a finite number > 0, got nan"),
-        ("contacts", {"body_b": np.array([9])}, r"contacts.body_b\[0\]: expected a body after body_a, up to 4"),
-    ],
-)
-def test_states_that_do_not_hold_together_are_refused(owner, changes, message):
+def state_with(owner=None, **changes):
+    """A circle on the floor, some fields of which are changed."""
     state = ready(single_body())
-    changes = {owner: getattr(state, owner)._replace(**changes)} if owner else changes
+    return state.replace(**({owner: getattr(state, owner)._replace(**changes)} if owner else changes))
+
+
+@pytest.mark.parametrize(
+    ("state", "arguments", "options", "message"),
+    [
+        (None, (), {}, "state: expected a State or a ContactProblem, got None"),
+        (state_with(contacts=None), (), {}, r"state\.contacts: expected the contacts to have been found, got None"),
+        (state_with("bodies", velocity=np.array([[np.nan, 0.0]])), (), {}, r"bodies.velocity\[0\]: expected a finite"),
+        (state_with(dt=np.nan), (), {}, "dt: expected a finite number > 0, got nan"),
+        (state_with("contacts", body_b=np.array([9])), (), {}, r"body_b\[0\]: expected a body after body_a, up to 4"),
+        (state_with(), (), {"residual": 0.0}, "residual: expected a finite number > 0, got 0.0"),
+        (state_with(), (), {"residual": "1"}, "residual: expected a finite number > 0, got '1'"),
+        (state_with(), (), {"most_pivots": -1}, "most_pivots: expected an integer >= 0, got -1"),
+        (state_with(), (), {"most_pivots": 2.5}, "most_pivots: expected an integer >= 0, got 2.5"),
+        (state_with(), ([0.0], None), {}, "tangent_start: expected 1 numbers, one a contact, .* got None"),
+        (state_with(), ([0.0, 1.0], [0.0]), {}, r"normal_start: expected 1 numbers, .* got shape \(2,\)"),
+        (state_with(), ([np.nan], [0.0]), {}, "normal_start: expected 1 numbers, .* got nan"),
+    ],
+)
+def test_bad_arguments_are_refused(state, arguments, options, message):
     with pytest.raises(ValueError, match=message):
-        solve_exactly(state.replace(**changes))
-
-
-@pytest.mark.parametrize("value", [None, 3, "state"])
-def test_neither_state_nor_problem(value):
-    with pytest.raises(ValueError, match="state: expected a State or a ContactProblem, got"):
-        solve_exactly(value)
-
-
-def test_contacts_have_to_be_found_first():
-    with pytest.raises(ValueError, match=r"state\.contacts: expected the contacts to have been found, got None"):
-        solve_exactly(single_body())
+        solve_exactly(state, *arguments, **options)

@@ -38,11 +38,6 @@ def test_seed_and_generator_are_the_same():
     assert not np.array_equal(one, dc.circles_in_box(30, seed=5).bodies.position)
 
 
-def test_a_scene_that_cannot_be_packed_says_how_many_fitted():
-    with pytest.raises(ValueError, match=r"got 50; \d+ fitted in a box of 5 x 5 m"):
-        dc.circles_in_box(50, size=5.0, seed=1)
-
-
 def test_lattice_holds_many_without_overlap():
     scene = dc.lattice_in_box(500, radius=(0.5, 1.0), seed=1)
     assert scene.bodies.count == 500
@@ -61,24 +56,6 @@ def test_drifting_circles_meet_without_gravity():
     run = dc.simulate(dc.drifting_circles(60, speed=3.0, seed=1), steps=200)
     assert run.state.world.gravity == (0.0, 0.0)
     assert run.contacts.max() > 5
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: dc.circles_in_box(0), "n_bodies: expected an integer >= 1, got 0"),
-        (lambda: dc.circles_in_box(5, radius=(2, 1)), "radius: expected finite 0 < smallest <= largest"),
-        (lambda: dc.circles_in_box(5, size=-3), "size: expected finite numbers > 0, got -3"),
-        (lambda: dc.circles_in_box(5, friction=-0.1), "friction: expected a finite number >= 0, got -0.1"),
-        (lambda: dc.circles_in_box(5, restitution=1.5), "restitution: expected a number from 0 to 1, got 1.5"),
-        (lambda: dc.circles_in_box(5, gravity=(0, float("nan"))), "gravity: expected two finite numbers"),
-        (lambda: dc.column(3, width=1.0), "width: expected a finite number >= the diameter"),
-        (lambda: dc.two_bodies(offset=3.0), "offset: expected less than the sum of the radii"),
-    ],
-)
-def test_scenes_refuse_bad_arguments(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
 
 
 def test_bench_disks_are_siconos_s():

@@ -10,14 +10,8 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact.physics.solvers import METHODS
 
-METHODS = {
-    "PGS": dc.PGS,
-    "PSOR": dc.PSOR,
-    "NNCG": dc.NNCG,
-    "NesterovPGS": dc.NesterovPGS,
-    "BatchedPGS": dc.BatchedPGS,
-}
 CASES = {
     **{name: {"solver": method(sweeps=12)} for name, method in METHODS.items()},
     "PSOR, adaptive": {"solver": dc.PSOR(sweeps=24, adaptive=True)},

@@ -66,12 +66,6 @@ def test_figure_5_8_finds_the_one_number_of_weights_and_not_the_other(layers, tm
     assert not wrong.holds
 
 
-def test_figure_5_8_is_drawn_from_the_layers(layers):
-    figure = load_script("figure_5_8").draw({"layers": layers}, {})
-    written = {text.get_text() for text in figure.axes[1].texts}
-    assert written == {f"{layer['trainable']:,}" for layer in layers if layer["trainable"]}
-
-
 def test_table_5_1_differs_from_the_thesis_by_its_two_misprints_alone(layers):
     script = load_script("table_5_1")
     printed = [{"kind": kind, "shape": list(shape)} for kind, shape in chapter_5.PRINTED_LAYERS]
@@ -94,13 +88,9 @@ def test_table_5_2_differs_from_the_thesis_by_its_kernels_alone():
 # ---- held-out scenes, and the comparison of Figure 5.9 ----
 
 
-def test_a_scene_of_a_random_number_of_circles_has_one_in_the_range_and_is_repeatable():
-    counts = [starts.scene_of((51, 99), size=30.0, seed=seed).bodies.count for seed in range(30)]
-    assert min(counts) >= 51
-    assert max(counts) <= 99
-    assert len(set(counts)) > 10
-    again = starts.scene_of((51, 99), size=30.0, seed=3)
-    np.testing.assert_array_equal(again.bodies.position, starts.scene_of((51, 99), size=30.0, seed=3).bodies.position)
+def test_a_scene_of_a_random_number_of_circles_has_one_in_the_range():
+    counts = [starts.scene_of((8, 12), size=30.0, seed=seed).bodies.count for seed in range(30)]
+    assert set(counts) == set(range(8, 13))
 
 
 def test_figure_5_9s_scenes_are_none_of_the_data_set():
@@ -140,13 +130,6 @@ def test_a_network_can_be_compared_like_any_other_start(networks):
         np.testing.assert_allclose(scene, data[mode]["cnn"]["theta"], rtol=5e-4)  # one scene, four digits
     assert data["velocity"]["states"] > 0
     assert data["velocity"]["mean"]["copy"][0] < data["velocity"]["mean"]["cnn"][0]
-
-
-def test_a_missing_network_ends_figure_5_9_at_once_with_a_message(capsys, tmp_path):
-    script = load_script("figure_5_9")
-    options = ["--out", str(tmp_path), "--set", 'networks={"cnn": "models/none.h5"}']
-    assert figures.main(script.FIGURE, options) == 1
-    assert "models/none.h5" in capsys.readouterr().err
 
 
 def theta_data(**thetas):

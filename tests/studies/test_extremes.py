@@ -272,12 +272,6 @@ def test_sweeps_without_friction_never_add_kinetic_energy_to_what_the_start_left
         assert gained <= by_start + 1e-12 * (kinetic_energy(state.bodies) + abs(by_start))
 
 
-def test_energy_of_a_falling_pile_never_rises_but_by_position_correction():
-    outcome = measure(Trial(scene=extremes.small_pile(), steps=300, solver=dc.PGS(sweeps=3000, tolerance=1e-9)))
-    assert outcome["energy"] <= outcome["correction"] + 1e-12
-    assert outcome["verdict"] == SAFE
-
-
 @pytest.mark.parametrize(("sweeps", "tolerance"), [(100_000, 0.0), (100_000, None), (0, None), (0, 0.0)])
 def test_all_sweeps_and_none(sweeps, tolerance):
     state = dc.simulate(extremes.silo(3), steps=3, solver=dc.PGS(sweeps=sweeps, tolerance=tolerance)).state
@@ -423,27 +417,12 @@ def test_the_figure_holds_its_claims_on_a_few_quantities(script, tmp_path):
     assert rows["mass"][5] == "1e-40; 1e+40"
 
 
-def test_the_figure_reports_a_rise_of_the_energy(script):
+def test_the_figure_reports_a_rise_of_the_energy_and_a_method_that_is_not_safe(script):
     cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
     cell |= {"energy": 0.1, "correction": 0.02, "speed": 0.0}
     silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
-    data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": []}
-    broken = [claim for claim in script.claims(data) if not claim.holds]
-    assert len(broken) == 1
-    assert broken[0].measured["largest rise"] == pytest.approx(0.08)
-
-
-def test_the_figure_reports_a_method_that_is_not_safe(script):
-    silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
-    cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
-    cell |= {"energy": 0.0, "correction": 0.0, "speed": 0.0}
     solvers = [{"name": name, "verdict": verdict} for name, verdict in zip(extremes.SOLVERS, (DEGRADED, SAFE))]
     data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": solvers}
-    broken = [claim for claim in script.claims(data) if not claim.holds]
-    assert [claim.measured["not safe"] for claim in broken] == [[f"{next(iter(extremes.SOLVERS))}: degraded"]]
-
-
-@pytest.mark.slow
-def test_a_misleading_start_is_safe_to_a_tight_tolerance():
-    # At the usual θ it ends far from the solution, and the energy rises 30 times (Figure 6.6).
-    assert extremes.run_solver("start bad, 1e-9 N·s", steps=300)["energy"] <= 0.0
+    rise, method = (claim.measured for claim in script.claims(data) if not claim.holds)
+    assert rise["largest rise"] == pytest.approx(0.08)
+    assert method["not safe"] == [f"{extremes.SOLVERS[0]}: degraded"]

@@ -7,7 +7,7 @@ from conftest import load_script
 import deep_contact as dc
 from deep_contact.studies import learned_starts
 from deep_contact.studies.learned_starts import BASE, CLASSICAL, SOLVERS, TIMED
-from deep_contact.warm_start import Builtin, NoStart
+from deep_contact.warm_start import NoStart
 
 TASK = {"circles": 30, "seed": 4, "steps": 60, "every": 10, "past_need": 200, "sweeps": 8, "start": "builtin"}
 
@@ -91,11 +91,6 @@ def test_a_learned_start_is_timed_against_the_best_classical_setting():
     assert learned_starts.time_ratios(data, 9, "falling", 1e-9).size == 0
     assert learned_starts.median_with_interval(ratios) is None
     np.testing.assert_allclose(learned_starts.median_with_interval(np.tile(ratios, 5)), 0.9)
-
-
-def test_starts_and_sweeps_take_time(falling_states):
-    assert learned_starts.start_time(Builtin(), falling_states[6], 1) > 0
-    assert learned_starts.sweep_time(falling_states[6], BASE, 1) > 0
 
 
 def test_an_error_between_two_times_lies_on_the_line_of_logarithms():

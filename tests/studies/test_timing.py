@@ -56,10 +56,6 @@ def test_the_garbage_collector_waits_and_is_enabled_again_after_an_error():
     assert gc.isenabled()
 
 
-def test_a_timed_call_returns_its_result():
-    assert timing.timed(lambda: "result", clock=iter([2.0, 5.0]).__next__) == (3.0, "result")
-
-
 def test_slope_and_overhead_solve_the_linear_model():
     assert timing.slope_and_overhead((10, 7 + 3 * 10), (40, 7 + 3 * 40)) == (3.0, 7.0)
 
