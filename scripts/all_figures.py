@@ -43,8 +43,8 @@ STUDIES = {
 }
 """File of data/reference -> the script and options that write it; the path follows."""
 
-ELSEWHERE = ("benchmark_disks", "benchmark_outside", "benchmark_starts", "fuzz")
-"""Files that need problems and solvers of others (docs/outside.md says which), and one that several runs fill."""
+ELSEWHERE = ("benchmark_disks", "benchmark_outside", "fuzz")
+"""Files that need problems and solvers of others (docs/benchmarks.md says which), and one that several runs fill."""
 
 
 def main(arguments=None, folder=HERE):

@@ -6,11 +6,10 @@ step   whole steps of ours by PGS and by colours, on one thread and on two; memo
 transfer, xml   splat and gather beside a k-d tree; writing and reading a state
 outside  FILE …: fc2d or FCLIB files, or piles of our own, to Siconos's error, by our solvers, Siconos and pinocchio
 disks  steps of Siconos's bench-disks: ours whole, and Siconos's solver alone
-starts steps of a falling pile as matrices, solved from nothing and from last step's impulses
 
-Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 where times are of the processor (outside, disks, starts). The
-result is data/reference's benchmark_NAME.json (xml: benchmark_state_xml.json). pinocchio 4 and Debian's Siconos need
-different NumPys: run where one is, then --add where the other is, with --only and one of ours in both.
+Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 where times are of the processor (outside, disks). The result
+is data/reference's benchmark_NAME.json (xml: benchmark_state_xml.json). pinocchio 4 and Debian's Siconos need different
+NumPys: run where one is, then --add where the other is, with --only and one of ours in both.
 """
 
 from __future__ import annotations
@@ -21,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from functools import partial
 from importlib import metadata
 from pathlib import Path
@@ -40,21 +40,19 @@ from deep_contact.simulation import ready
 from deep_contact.sph.neighbours import splat_by_tree
 from deep_contact.state import State
 from deep_contact.studies import peers, piles, rivals, timing
-from deep_contact.studies.starts import solved_states
 
 SLOWEST = 0.05
 """Root mean square speed of a settled pile, m/s."""
-
 TIME_STEP, POSITION_SWEEPS = 0.01, 3
 FEW, MANY = 10, 100
 BLOCKS = (FEW, MANY, MANY, FEW)
 """Sweeps of the blocks of steps that are timed. In this order a pile's change while it falls cancels out."""
-
 WARM_UP = 10
 """Steps of each engine before timing: caches, search for pairs and starting impulses settle."""
-
 LARGE = 100_000
 """Circles from which on piles are packed instead of dropped."""
+MOST = 20.0
+"""Seconds beyond which a solver of `outside` runs once, and on no larger problem."""
 
 
 def solver_of(sweeps: int, method=PGS, **options):
@@ -97,7 +95,6 @@ class OursByStep(Ours):
     """Our engine by `step`, which validates the state every time."""
 
     def run(self, steps: int, sweeps: int) -> None:
-        """Do so many steps."""
         for _ in range(steps):
             self.state = dc.step(self.state, solver=solver_of(sweeps))
 
@@ -105,16 +102,14 @@ class OursByStep(Ours):
 class Peer:
     """An adapter of `peers`, with the methods of `Ours`."""
 
-    def __init__(self, state: State, *, adapter):
-        self.world = adapter(state)
+    def __init__(self, state: State, *, adapter, **options):
+        self.world = adapter(state, **options)
 
     def run(self, steps: int, sweeps: int) -> None:
-        """Do so many steps."""
         for _ in range(steps):
             self.world.step(TIME_STEP, sweeps, POSITION_SWEEPS)
 
     def count(self, steps: int, sweeps: int) -> int:
-        """Do so many steps. Returns the sum of their contacts."""
         contacts = 0
         for _ in range(steps):
             before = self.world.contact_count() if self.world.counts_next_step else 0
@@ -123,8 +118,9 @@ class Peer:
         return contacts
 
 
-PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()} | {
-    f"{name}, two threads": partial(Peer, adapter=partial(adapter, threads=2))
+PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()}
+PEERS |= {
+    f"{name}, two threads": partial(Peer, adapter=adapter, threads=2)
     for name, adapter in peers.ENGINES.items()
     if adapter.takes_threads
 }
@@ -199,21 +195,21 @@ def benchmark_engine(given) -> dict:
             cases.append(case | {"engines": measured, "ratios": ratios})
             for name, cost in measured.items():
                 say(f"{n_bodies} {kind}, {name}", {key: f"{cost[key]:.4g}" for key in names})
-    options = {"sizes": sizes, "repeats": repeats, "quick": given.quick, "dt": TIME_STEP, "sweeps": [FEW, MANY]}
-    options |= {"position_sweeps": POSITION_SWEEPS}
-    options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
-    return {
-        "id": "B.1",
-        "title": "Cost of a sweep and of a step, against other engines",
-        "options": options,
-        "claims": claims(cases),
-        "data": {"cases": cases},
-    }
+    versions = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
+    options = {"sweeps": [FEW, MANY], "peers": versions}
+    title = "Cost of a sweep and of a step, against other engines"
+    return record("B.1", title, given, sizes, repeats, {"cases": cases}, list(claims(cases)), **options)
 
 
-def claims(cases: list[dict]) -> list[results.Claim]:
+def record(id, title, given, sizes, repeats, data, claims=(), **options) -> dict:
+    """A results file of a benchmark of whole steps."""
+    options |= {"sizes": sizes, "repeats": repeats, "quick": given.quick}
+    options |= {"dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
+    return {"id": id, "title": title, "options": options, "claims": claims, "data": data}
+
+
+def claims(cases: list[dict]) -> Iterator[results.Claim]:
     """The goals of the engine, by its worst measured ratios."""
-    found = []
     for text, cost, names, smallest, factor in GOALS:
         met = {
             f"{name}, {case['kind']}, {case['n_bodies']}": case["ratios"][name][cost]
@@ -224,8 +220,7 @@ def claims(cases: list[dict]) -> list[results.Claim]:
         if met:
             worst = min(met, key=met.get)
             holds = bool(met[worst] > factor or (met[worst] == factor and factor > 1))
-            found.append(results.Claim(text, None, holds, {"worst case": worst, "ratio": met[worst]}))
-    return found
+            yield results.Claim(text, None, holds, {"worst case": worst, "ratio": met[worst]})
 
 
 # ---- whole steps ----
@@ -261,18 +256,9 @@ def benchmark_step(given) -> dict:
             runs.append({"n_bodies": n_bodies, "kind": kind, "us": us})
             say(f"{n_bodies} {kind}", {name: f"{one:,.1f} µs" for name, one in us.items()})
     memory = {str(n): peak_memory(n) for n in sizes if n >= LARGE and Path("/proc/self/status").exists()}
-    options = {"sizes": sizes, "repeats": repeats, "quick": given.quick, "dt": TIME_STEP, "sweeps": FEW}
-    return {
-        "id": "B.2",
-        "title": "Time of a step in a run",
-        "options": options | {"position_sweeps": POSITION_SWEEPS},
-        "claims": [],
-        "data": {
-            "runs": runs,
-            "memory_mb": memory,
-            "many": many_piles(given.seed, min(repeats, 5), 600 if not given.quick else 20),
-        },
-    }
+    many = many_piles(given.seed, min(repeats, 5), 20 if given.quick else 600)
+    data = {"runs": runs, "memory_mb": memory, "many": many}
+    return record("B.2", "Time of a step in a run", given, sizes, repeats, data, [], sweeps=FEW)
 
 
 def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
@@ -302,15 +288,14 @@ def peak_memory(n_bodies: int) -> float:
 
 def benchmark_transfer(given) -> dict:
     """The calls of a step with images: 100 bodies and 170 contacts on the thesis's grid, and a k-d tree beside."""
-    rng, box = np.random.default_rng(given.seed), (0.0, 0.0, 30.0, 30.0)
-    options = {"h": 0.5, "kernel": "poly6", "normalization": "particle"}
-    consistent, kernel = options | {"normalization": "consistent"}, {"h": 0.5, "kernel": "poly6"}
-    grid = sph.Grid.over_box(box, 0.5)
+    rng, kernel = np.random.default_rng(given.seed), {"h": 0.5, "kernel": "poly6"}
+    options, consistent = ({**kernel, "normalization": how} for how in ("particle", "consistent"))
+    grid = sph.Grid.over_box((0.0, 0.0, 30.0, 30.0), 0.5)
     bodies, contacts = (
         (rng.uniform(0, 30, (n, 2)), rng.normal(size=(n, channels))) for n, channels in ((100, 4), (170, 2))
     )
     image, position = sph.splat(grid, *contacts, **options), contacts[0]
-    density = sph.density(grid, position, **kernel)
+    given_density = {"normalization": "consistent", "density": sph.density(grid, position, **kernel)}
 
     def both(splat, **more):
         splat(grid, *bodies, **options, **more)
@@ -325,19 +310,16 @@ def benchmark_transfer(given) -> dict:
         "splat of both": lambda: both(sph.splat),
         "density of 170 contacts": lambda: sph.density(grid, position, **kernel),
         "gather of 170 contacts, bilinear": lambda: sph.gather(grid, image, position),
-        "gather of 170 contacts, consistent": lambda: sph.gather(
-            grid, image, position, normalization="consistent", density=density
-        ),
+        "gather of 170 contacts, consistent": lambda: sph.gather(grid, image, position, **given_density),
         "splat, density and consistent gather": round_trip,
         "k-d tree, splat of both": lambda: both(splat_by_tree),
         "k-d tree, all nodes in one query": lambda: both(splat_by_tree, one_query=True),
     }
     case = {name: timing.fastest(call, 3 if "tree" in name else given.repeats or 5000) for name, call in calls.items()}
-    trees = {
-        "k-d tree / splat of both": "splat of both",
-        "k-d tree, one query / splat of both": "all nodes in one query",
+    ratio = {
+        "k-d tree / splat of both": case["k-d tree, splat of both"] / case["splat of both"],
+        "k-d tree, one query / splat of both": case["k-d tree, all nodes in one query"] / case["splat of both"],
     }
-    ratio = {name: case[f"k-d tree, {tree}"] / case["splat of both"] for name, tree in trees.items()}
     say("µs", {name: f"{1e6 * seconds:.4g}" for name, seconds in case.items()})
     return {"options": options, "spacing": 0.5, "case": case, "ratio": ratio}
 
@@ -362,38 +344,23 @@ def benchmark_xml(given) -> dict:
 # ---- solvers of others ----
 
 
-def chosen_rivals(given) -> tuple[dict, dict]:
-    """The solvers to run, by name, and why others are missing."""
-    solvers, missing = rivals.methods(given.tolerance)
-    return {name: solve for name, solve in solvers.items() if name in (given.only or solvers)}, missing
-
-
 def added(given, found: dict) -> dict:
-    """What was found; with --add the rows of the file that is there as well, ours of this run as "…, again"."""
-    if not given.add:
-        return found
+    """The rows of the file that is there, and those that were found; ours of this run as "…, again"."""
     first = json.loads(given.out.read_text(encoding="utf-8"))
     for key in ("tolerance", "contacts"):
         if first[key] != found[key]:
             raise ValueError(f"{key}: expected {first[key]} as in the first run, got {found[key]}")
-
-    def both(one, other):
-        return one | {f"{name}, again" if name in one else name: row for name, row in other.items()}
-
-    if "solvers" in found:
-        first["solvers"] = both(first["solvers"], found["solvers"])
-    for table in {"seconds", "error"} & set(found):
-        first[table] = {title: both(row, found[table][title]) for title, row in first[table].items()}
+    for table in ("seconds", "error"):
+        for title, row in first[table].items():
+            row |= {f"{name}, again" if name in row else name: one for name, one in found[table][title].items()}
     missing = {name: why for name, why in first["missing"].items() if name in found["missing"]}
     return first | {"missing": missing, "second_provenance": results.provenance(seed=given.seed)}
 
 
 def benchmark_outside(given) -> dict:
-    """Processor time of every solver on every problem, and Siconos's error of what it returned.
-
-    A solver that takes more than `MOST` seconds runs once, and on no larger problem: None there.
-    """
-    solvers, missing = chosen_rivals(given)
+    """Processor time of every solver on every problem, and Siconos's error of what it returned; None beyond `MOST`."""
+    solvers, missing = rivals.methods(given.tolerance)
+    solvers = {name: solve for name, solve in solvers.items() if name in (given.only or solvers)}
     problems = {Path(path).name.split(".")[0]: read_problem(path) for path in given.files}
     for count in [100, 300] if given.sizes is None else given.sizes:
         state = piles.states_of(piles.pile("settling", count, given.seed), count=1)[0]
@@ -410,64 +377,32 @@ def benchmark_outside(given) -> dict:
         errors[title] = {name: min(found[name], 1.0) if name in found else None for name in solvers}  # NaN is 1.0
         say(f"{title}, {problem.friction.size} contacts", seconds[title])
     contacts = {title: int(problems[title].friction.size) for title in seconds}
-    found = {
-        "tolerance": given.tolerance,
-        "contacts": contacts,
-        "seconds": seconds,
-        "error": errors,
-        "missing": missing,
-    }
-    return added(given, found)
-
-
-MOST = 20.0
-
-
-def benchmark_starts(given) -> dict:
-    """Seconds and unsolved steps of every solver from every start, over 40 steps in which a pile of 100 lands."""
-    solvers, missing = chosen_rivals(given)
-    solver = PGS(sweeps=FEW, tolerance=None)
-    scene = dc.simulate(dc.circles_in_box((given.sizes or [100])[0], seed=given.seed), steps=100, solver=solver).state
-    states = solved_states(scene, steps=40, solver=solver)
-    problems = [check_problem(contact_problem(state)) for state in states]
-    carried = [np.column_stack([s.contacts.normal_start, s.contacts.tangent_start]).ravel() for s in states]
-    found = {}
-    for name, solve in solvers.items():
-        for problem in problems:
-            solve(problem, None)  # rivals build their form of it then
-        found[name] = {}
-        for start, guesses in {"none": [None] * len(states), "carried": carried}.items():
-            took, impulses = timing.timed(lambda: list(map(solve, problems, guesses)), time.process_time)  # noqa: B023
-            unsolved = sum(not siconos_error(*pair) <= given.tolerance for pair in zip(problems, impulses))
-            found[name][start] = {"seconds": took, "unsolved": unsolved, "steps": len(states)}
-        say(name, found[name])
-    contacts = [state.contacts.count for state in states]
-    found = {"tolerance": given.tolerance, "contacts": contacts, "solvers": found, "missing": missing}
-    return added(given, found)
+    found = {"tolerance": given.tolerance, "contacts": contacts, "seconds": seconds, "error": errors}
+    found["missing"] = missing
+    return added(given, found) if given.add else found
 
 
 def benchmark_disks(given) -> dict:
     """Steps of ours, and Siconos's NSGS to the tolerance of its own benchmark, at states along a run."""
     sizes, every, repeats = given.sizes or [32], 500, given.repeats or 5
+    options = {"omega": 1.5, "sweeps": [40, 800], "every": every, "repeats": repeats}
     solvers = {
         f"ours, {sweeps} sweeps": PSOR(omega=1.5, friction_omega=1.5, sweeps=sweeps, tolerance=None)
-        for sweeps in (40, 800)
+        for sweeps in options["sweeps"]
     }
-    rival, missing = None, None
+    found: dict = {"options": options, "missing": None, "sides": {}}
     try:
         rival = rivals.siconos("NSGS", 1e-2)
     except ImportError as error:
-        missing = str(error)
-    sides = {}
+        rival, found["missing"] = None, str(error)
     for side in sizes:
         state, rows = dc.bench_disks(side), []
         for _ in range(1 if given.quick else 4):
             state = dc.simulate(state, steps=every, solver=solvers["ours, 40 sweeps"]).state
             rows.append(disks_at(ready(state), solvers, rival, repeats))
             say(f"{side}², step {state.step}", rows[-1]["seconds"])
-        sides[str(side)] = rows
-    options = {"omega": 1.5, "sweeps": [40, 800], "every": every, "repeats": repeats}
-    return {"options": options, "missing": missing, "sides": sides}
+        found["sides"][str(side)] = rows
+    return found
 
 
 def disks_at(state: State, solvers: dict, rival, repeats: int, steps: int = 10) -> dict:
@@ -483,16 +418,16 @@ def disks_at(state: State, solvers: dict, rival, repeats: int, steps: int = 10) 
         calls["Siconos"] = partial(rival, problem, start)
         solved["Siconos"] = rival(problem, start)
     seconds = timing.interleaved(calls, repeats=repeats, clock=time.process_time)
-    scale = reference @ (problem.A @ reference)
 
-    def energy_error(found):  # ‖v − v*‖ / ‖v* − v⁻‖, since v − v* = M⁻¹ Jᵀ (λ − λ*)
-        return float(np.sqrt(max(0.0, (found - reference) @ (problem.A @ (found - reference))) / scale))
+    def energy(found):  # (v − v*)² M / 2, up to a factor, since v − v* = M⁻¹ Jᵀ (λ − λ*)
+        return max(0.0, found @ (problem.A @ found))
 
+    scale = energy(reference)
     return {
         "step": state.step,
         "contacts": state.contacts.count,
         "seconds": {name: took / (steps if name in solvers else 1) for name, took in seconds.items()},
-        "velocity_error": {name: energy_error(one) for name, one in solved.items()},
+        "velocity_error": {name: float(np.sqrt(energy(one - reference) / scale)) for name, one in solved.items()},
         "siconos_error": {name: siconos_error(problem, one) for name, one in solved.items()},
         "reference_residual": natural_residual(problem, reference),
     }
@@ -503,13 +438,10 @@ def impulses(solution) -> np.ndarray:
     return np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
 
 
-# ---- the script ----
-
 BENCHMARKS = {
-    name.removeprefix("benchmark_"): function
-    for name, function in list(globals().items())
-    if name.startswith("benchmark_")
-}
+    "engine": benchmark_engine, "step": benchmark_step, "transfer": benchmark_transfer, "xml": benchmark_xml,
+    "outside": benchmark_outside, "disks": benchmark_disks,
+}  # fmt: skip
 
 
 def say(name: str, values: dict) -> None:
@@ -527,7 +459,7 @@ def main(arguments=None) -> None:
     parser.add_argument("--repeats", type=int, help="timed runs")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
     parser.add_argument("--tolerance", type=float, default=1e-5, help="Siconos's error that is asked for")
-    parser.add_argument("--only", nargs="*", metavar="SOLVER", help="solvers of outside and starts")
+    parser.add_argument("--only", nargs="*", metavar="SOLVER", help="solvers of outside")
     parser.add_argument("--add", action="store_true", help="add the solvers to the file that is there")
     parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
     given = parser.parse_args(arguments)

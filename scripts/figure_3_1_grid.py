@@ -11,14 +11,8 @@ from deep_contact.reporting.figures import Figure
 def compute(options, seed, jobs, progress):
     """The thesis's scene and the nodes of a grid over its box."""
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    grid = sph.Grid.over_box(scene.world.box, options["d"])
-    x, y = grid.nodes
+    x, y = sph.Grid.over_box(scene.world.box, options["d"]).nodes
     return {"scene": plotting.state_data(scene), "d": options["d"], "x": x, "y": y}
-
-
-def table(data):
-    n_x, n_y = len(data["x"]), len(data["y"])
-    return [["d (m)", "nodes", "cells"], [data["d"], f"{n_x} x {n_y}", f"{n_x - 1} x {n_y - 1}"]]
 
 
 def draw(data, options):
@@ -32,8 +26,7 @@ def draw(data, options):
     centre = scene.bodies.position[np.hypot(*(scene.bodies.position - middle).T).argmin()]
     window = [*(centre - 4 * d - 0.5), *(centre + 4 * d + 0.5)]
     for ax, nodes in ((whole, 0), (near, 4.0)):
-        circles = plotting.draw_state(ax, scene, colour_by=None)
-        circles.set_alpha(0.6)
+        plotting.draw_state(ax, scene, colour_by=None).set_alpha(0.6)
         plotting.draw_grid(ax, x, y, node_size=nodes)
     whole.set_title(f"{len(x)} × {len(y)} nodes")
     near.set_title("nodes, and a cell")
@@ -46,7 +39,8 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure("3.1", "The grid over a scene", compute, table, draw, options={"n_bodies": 100, "size": 30.0, "d": 0.5})
+OPTIONS = {"n_bodies": 100, "size": 30.0, "d": 0.5}
+FIGURE = Figure("3.1", "The grid over a scene", compute, draw=draw, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -9,9 +9,8 @@ from deep_contact.reporting.figures import Figure
 
 def compute(options, seed, jobs, progress):
     """Random particles around a point, their distances and weights W(r, h)."""
-    rng = np.random.default_rng(seed)
     half = options["size"] / 2
-    position = rng.uniform(-half, half, (options["particles"], 2))
+    position = np.random.default_rng(seed).uniform(-half, half, (options["particles"], 2))
     distance = np.hypot(*position.T)
     r = np.linspace(0.0, half, options["points"])
     return {
@@ -21,15 +20,6 @@ def compute(options, seed, jobs, progress):
         "weight": sph.value(options["kernel"], distance, options["h"]),
         "curve": {"r": r, "weight": sph.value(options["kernel"], r, options["h"])},
     }
-
-
-def table(data):
-    weight = np.array(data["weight"])
-    total = float(weight.sum())
-    return [
-        ["particles", "within h", "sum of weights (1/m²)", "largest share"],
-        [weight.size, int((weight > 0).sum()), total, float(weight.max()) / total if total else None],
-    ]
 
 
 def draw(data, options):
@@ -65,15 +55,8 @@ def draw(data, options):
 
 
 OPTIONS = {"h": 1.0, "kernel": "poly6", "particles": 60, "size": 3.4, "points": 171}
-FIGURE = Figure(
-    "3.2",
-    "A point, its support radius and the weights of its neighbours",
-    compute,
-    table,
-    draw,
-    options=OPTIONS,
-    seed=3,
-)
+FIGURE = Figure("3.2", "A point, its support radius and the weights of its neighbours", compute, None, draw,
+                options=OPTIONS, seed=3)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -18,16 +18,11 @@ def compute(options, seed, jobs, progress):
     for kernel in options["kernels"]:
         curves[kernel] = {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS}
         integrals[kernel] = {
-            f"{dim}-D constant over {place}": integral(kernel, h, int(dim), shell)
+            f"{dim}-D constant over {place}": quad(lambda r: shell(r) * sph.value(kernel, r, h, dim=int(dim)), 0, h)[0]  # noqa: B023
             for dim in DIMENSIONS
             for place, shell in SHELLS.items()
         }
     return {"h": h, "r": r, "curves": curves, "integrals": integrals}
-
-
-def integral(kernel, h, dim, shell):
-    """∫ W(r) dV from 0 to h, with shells of the given size at the distance r."""
-    return quad(lambda r: shell(r) * sph.value(kernel, r, h, dim=dim), 0, h)[0]
 
 
 def claims(data):
@@ -50,15 +45,6 @@ def all_one(integrals):
     return all(abs(value - 1) < 1e-6 for value in integrals.values())
 
 
-def table(data):
-    names = list(next(iter(data["integrals"].values())))
-    rows = [["kernel", "W(0), 3-D", "W(0), 2-D", *names]]
-    for kernel, found in data["integrals"].items():
-        heights = [data["curves"][kernel][dim][0] for dim in DIMENSIONS]
-        rows.append([kernel, *heights, *(found[name] for name in names)])
-    return rows
-
-
 def draw(data, options):
     """One panel for each dimension."""
     figure, panels = plotting.subplots(1, 2, size=(8.4, 3.6), sharey=True)
@@ -66,8 +52,8 @@ def draw(data, options):
     for ax, (dim, text) in zip(panels, DIMENSIONS.items()):
         for kernel, curves in data["curves"].items():
             ax.plot(data["r"], curves[dim], **styles[kernel])
-        unit = f"m$^{{-{dim}}}$"
-        plotting.label_axes(ax, "distance r", "W(r)", x_unit="m", y_unit=unit, title=f"{dim}-D: {text}")
+        title = f"{dim}-D: {text}"
+        plotting.label_axes(ax, "distance r", "W(r)", x_unit="m", y_unit=f"m$^{{-{dim}}}$", title=title)
         ax.axvline(data["h"], color=plotting.BLACK, linewidth=0.8)
         place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": "right"}
         ax.annotate(f"h = {data['h']:g} m", (data["h"], 0.55), (-4, 0), fontsize=8, **place)
@@ -77,7 +63,7 @@ def draw(data, options):
 
 
 OPTIONS = {"h": 1.0, "points": 221, "kernels": ["poly6", "spiky"]}
-FIGURE = Figure("3.3", "Smoothing kernels", compute, table, draw, claims, options=OPTIONS)
+FIGURE = Figure("3.3", "Smoothing kernels", compute, None, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

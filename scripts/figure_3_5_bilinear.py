@@ -46,10 +46,6 @@ def claims(data):
     ]
 
 
-def table(data):
-    return [["value at the query, by", "f(x, y)"], *([name, value] for name, value in data["values"].items())]
-
-
 def draw(data, options):
     """The cell coloured by its interpolated values, with the two steps of Eq 3.14 and 3.15."""
     figure, ax = plotting.subplots(size=(5.6, 4.6))
@@ -82,14 +78,11 @@ def mark(ax, x, y, colour, text, below, side):
     ax.annotate(text, (x, y), offset, textcoords="offset points", ha=side, fontsize=8.5, bbox=box)
 
 
-OPTIONS = {
-    "x": [1.0, 1.5],
-    "y": [2.0, 2.5],
-    "values": [2.0, 5.0, 3.5, 12.0],  # f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition
-    "query": [1.2, 2.35],
-    "points": 41,
-}
-FIGURE = Figure("3.5", "Bilinear interpolation between four nodes", compute, table, draw, claims, options=OPTIONS)
+VALUES = [2.0, 5.0, 3.5, 12.0]
+"""f of Q11, Q21, Q12, Q22: no symmetry that would hide a transposition."""
+
+OPTIONS = {"x": [1.0, 1.5], "y": [2.0, 2.5], "values": VALUES, "query": [1.2, 2.35], "points": 41}
+FIGURE = Figure("3.5", "Bilinear interpolation between four nodes", compute, None, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -72,12 +72,6 @@ def claims(data):
     ]
 
 
-def table(data):
-    row, column = data["shown"]
-    rows = [[name, values[row][column]] for name, values in data["results"].items()]
-    return [[f"value at row {row}, column {column}, by", ""], *rows]
-
-
 def draw(data, options):
     """Image and kernel, the products at one place, and the result."""
     from matplotlib.patches import Rectangle
@@ -87,51 +81,41 @@ def draw(data, options):
     result = data["results"]["Eq 4.1"]
     widths = [len(data["image"][0]), k_x, k_x, len(result[0])]
     figure, panels = plotting.subplots(1, 4, size=(11.0, 3.5), width_ratios=widths)
-    parts = (
-        ("image I", data["image"], (k_x, k_y)),
-        ("kernel K", data["kernel"], None),
-        ("products under the kernel", data["products"], None),
-        ("I * K by Eq 4.1, equal to Keras", result, (1, 1)),
-    )
-    for ax, (title, values, frame) in zip(panels, parts):
+    parts = {
+        "image I": data["image"],
+        "kernel K": data["kernel"],
+        "products under the kernel": data["products"],
+        "I * K by Eq 4.1, equal to Keras": result,
+    }
+    for ax, (title, values) in zip(panels, parts.items()):
+        values = np.asarray(values)
         size = np.abs(values).max()
-        write_in_cells(ax, values, cmap="cividis", vmin=-size, vmax=size)
-        ax.set_title(title)
-        if frame:
-            edge = {"fill": False, "edgecolor": plotting.VERMILION, "linewidth": 2.5}
-            ax.add_patch(Rectangle((column - 0.5, row - 0.5), *frame, **edge))
+        shown = ax.imshow(values, cmap="cividis", vmin=-size, vmax=size)
+        ax.grid(False)
+        ax.set(title=title, xticks=range(values.shape[1]), yticks=range(values.shape[0]))
+        ax.tick_params(length=0)
+        colours = plotting.readable_on(shown.to_rgba(values))
+        for (i, j), value in np.ndenumerate(values):
+            ax.text(j, i, f"{value:g}", ha="center", va="center", color=colours[i, j])
+    edge = {"fill": False, "edgecolor": plotting.VERMILION, "linewidth": 2.5}
+    for ax, (width, height) in ((panels[0], (k_x, k_y)), (panels[3], (1, 1))):
+        ax.add_patch(Rectangle((column - 0.5, row - 0.5), width, height, **edge))
     rows = [" + ".join(f"({value:g})" if value < 0 else f"{value:g}" for value in line) for line in data["products"]]
     panels[2].set_xlabel(" +\n".join(rows) + f" = {result[row][column]:g}")
     return figure
 
 
-def write_in_cells(ax, values, **keywords):
-    """Draw an image as cells with their numbers, row 0 at the top; keywords go to `ax.imshow`."""
-    values = np.asarray(values)
-    shown = ax.imshow(values, **keywords)
-    ax.grid(False)
-    ax.set(xticks=range(values.shape[1]), yticks=range(values.shape[0]))
-    ax.tick_params(length=0)
-    brightness = shown.to_rgba(values)[..., :3] @ np.array([0.299, 0.587, 0.114])
-    for (i, j), value in np.ndenumerate(values):
-        ax.text(j, i, f"{value:g}", ha="center", va="center", color="#222222" if brightness[i, j] > 0.5 else "white")
+IMAGE = [
+    [0, 0, 1, 2, 1, 0], [0, 1, 3, 4, 2, 0], [1, 2, 5, 3, 1, 1], [0, 3, 4, 2, 0, 2], [1, 1, 2, 0, 1, 3],
+    [0, 0, 1, 1, 2, 4],
+]  # fmt: skip
+KERNEL = [[1, 0, -1], [2, 1, -2], [0, 1, -1]]
+"""No symmetry that would hide a flip."""
+SIZES = [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]]
+"""Edge of the image, edge of the kernel, stride."""
 
-
-OPTIONS = {
-    "image": [
-        [0, 0, 1, 2, 1, 0],
-        [0, 1, 3, 4, 2, 0],
-        [1, 2, 5, 3, 1, 1],
-        [0, 3, 4, 2, 0, 2],
-        [1, 1, 2, 0, 1, 3],
-        [0, 0, 1, 1, 2, 4],
-    ],
-    "kernel": [[1, 0, -1], [2, 1, -2], [0, 1, -1]],  # no symmetry that would hide a flip
-    "shown": [1, 2],
-    # image, kernel, stride
-    "sizes": [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]],
-}
-FIGURE = Figure("4.2", "A convolution worked through", compute, table, draw, claims, options=OPTIONS)
+OPTIONS = {"image": IMAGE, "kernel": KERNEL, "shown": [1, 2], "sizes": SIZES}
+FIGURE = Figure("4.2", "A convolution worked through", compute, None, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

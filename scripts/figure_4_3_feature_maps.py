@@ -14,15 +14,16 @@ from deep_contact.studies import starts
 def compute(options, seed, jobs, progress):
     """Input channels, the strongest maps of some layers, the prediction, and the solution beside it."""
     model = load_model(network_file(options["model"]))
-    state = solved_state(options, seed)
+    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
+    state = starts.solved_states(scene, steps=options["steps"], contacts_only=False)[-1]
+    if not state.contacts.count:
+        raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
     image = input_image(state, model.spec)
     layers = worked.convolutions(model.network)
-    names = [layer.name for layer in layers]
-    evenly = np.unique(np.linspace(0, len(names) - 1, options["layers"]).round().astype(int))
-    found = worked.feature_maps(model.network, image, [names[i] for i in evenly])
-    shown = options["maps"]
-    panels = [panel("input", image, model.spec.channels, worked.strongest(image, shown))]
-    panels += [panel(name, maps, None, worked.strongest(maps, shown)) for name, maps in found.items()]
+    maps = worked.feature_maps(model.network, image, [layer.name for layer in layers])
+    evenly = np.unique(np.linspace(0, len(layers) - 1, options["layers"]).round().astype(int))
+    panels = [panel("input", image, model.spec.channels, options["maps"])]
+    panels += [panel(layers[i].name, maps[layers[i].name], None, options["maps"]) for i in evenly]
     contacts = state.contacts
     solved = np.concatenate([contacts.normal_impulse, contacts.tangent_impulse])
     normal, tangent = model.predict(state)
@@ -42,9 +43,9 @@ def compute(options, seed, jobs, progress):
                 "stride": int(layer.strides[0]),
                 "input depth": int(layer.input.shape[-1]),
                 "kernel depth": int(layer.kernel.shape[2]),
-                "nodes": int(maps.shape[0]),
+                "nodes": int(maps[layer.name].shape[0]),
             }
-            for layer, maps in zip(layers, worked.feature_maps(model.network, image, names).values())
+            for layer in layers
         ],
         "relative error of λ": {
             "network": error(normal, tangent),
@@ -54,17 +55,9 @@ def compute(options, seed, jobs, progress):
     }
 
 
-def solved_state(options, seed):
-    """The falling pile after some steps, solved. Raises ValueError if it has no contacts yet."""
-    scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
-    states = starts.solved_states(scene, steps=options["steps"], contacts_only=False)
-    if not states or not states[-1].contacts.count:
-        raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
-    return states[-1]
-
-
-def panel(name, maps, labels, chosen):
-    """Some maps of a layer, as stored data."""
+def panel(name, maps, labels, count):
+    """The strongest maps of a layer, as stored data."""
+    chosen = worked.strongest(maps, count)
     return {
         "layer": name,
         "maps in all": int(maps.shape[2]),
@@ -76,27 +69,17 @@ def panel(name, maps, labels, chosen):
 def claims(data):
     """Section 4.2.2 on kernels and maps; and the error of the trained network."""
     layers, error = data["convolutions"], data["relative error of λ"]
-    depths = {f"{c['name']}": f"{c['kernel depth']} of {c['input depth']}" for c in layers}
+    depths = {c["name"]: f"{c['kernel depth']} of {c['input depth']}" for c in layers}
     deep = all(c["kernel depth"] == c["input depth"] for c in layers)
+    yield Claim("a kernel is as deep as its layer's input", "section 4.2.2", deep, depths)
     nearer = "the trained network's impulses are nearer to the solution than zero is"
-    return [
-        Claim("a kernel is as deep as its layer's input", "section 4.2.2", deep, depths),
-        Claim(nearer, None, error["network"] < 1, error),
-    ]
-
-
-def table(data):
-    rows = [["layer", "nodes", "maps", "strongest"]]
-    for part in data["panels"]:
-        rows.append([part["layer"], len(part["values"][0]), part["maps in all"], part["shown"][0]])
-    return rows
+    yield Claim(nearer, None, error["network"] < 1, error)
 
 
 def draw(data, options):
     """A row of maps for each layer; below, the impulses predicted and solved."""
     columns, rows = options["maps"], len(data["panels"])
-    figure = plotting.subplots(size=(1.75 * columns, 2.2 * rows + 3.9))[0]
-    figure.clear()
+    figure = plotting.new_figure((1.75 * columns, 2.2 * rows + 3.9))
     above, below = figure.subfigures(2, 1, height_ratios=[2.2 * rows, 3.9])
     state = plotting.state_of(data["scene"])
     x_min, y_min, x_max, y_max = state.world.box
@@ -136,17 +119,8 @@ def draw_impulses(panels, state, predicted):
 
 
 OPTIONS = {"model": "models/thesis_factored.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6}
-FIGURE = Figure(
-    "4.3",
-    "Feature maps of the trained network on a state of the falling pile",
-    compute,
-    table,
-    draw,
-    claims,
-    options=OPTIONS,
-    seed=5,
-    digits=4,
-)
+FIGURE = Figure("4.3", "Feature maps of the trained network on a state of the falling pile", compute, None, draw,
+                claims, options=OPTIONS, seed=5, digits=4)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -57,14 +57,6 @@ def claims(data):
     ]
 
 
-def table(data):
-    gains = list(data["gradient ratio, by gain"]["ReLU"])
-    rows = [["activation", f"f({data['sum']:g})", *(f"gradient kept, {gain} × He" for gain in gains)]]
-    for name, output in data["outputs"].items():
-        rows.append([name, output, *data["gradient ratio, by gain"][name].values()])
-    return rows
-
-
 def draw(data, options):
     """Left: the neuron with its numbers. Right: the functions and their derivatives."""
     figure, (ax, functions, derivatives) = plotting.subplots(1, 3, size=(11.0, 3.6), width_ratios=[1.5, 1, 1])
@@ -81,12 +73,11 @@ def draw(data, options):
 
 def draw_neuron(ax, data):
     """Inputs, weights, the sum and the activation of Eq 4.3."""
-    n = len(data["x"])
-    rows = [*((f"x$_{i + 1}$ = {x:g}", f"w$_{i + 1}$ = {w:g}") for i, (x, w) in enumerate(zip(data["x"], data["w"])))]
+    n, middle = len(data["x"]), len(data["x"]) / 2
+    rows = [(f"x$_{i}$ = {x:g}", f"w$_{i}$ = {w:g}") for i, (x, w) in enumerate(zip(data["x"], data["w"]), start=1)]
     rows.append(("1", f"bias = {data['bias']:g}"))
     look = {"ha": "center", "va": "center", "fontsize": 9}
     circle = {"boxstyle": "round,pad=0.35", "fc": "#CFE6F5", "ec": plotting.BLACK}
-    middle = n / 2
     for i, (left, text) in enumerate(rows):
         y = n - i
         ax.annotate("", (2.05, middle), (0.1, y), arrowprops={"arrowstyle": "-", "color": plotting.GREY})
@@ -98,23 +89,16 @@ def draw_neuron(ax, data):
     ax.text(2.2, middle, f"Σ\n{data['sum']:g}", bbox=circle, zorder=3, **look)
     ax.text(3.35, middle, "ReLU", bbox=circle, zorder=3, **look)
     ax.text(4.6, middle, f"y = {data['outputs']['ReLU']:g}", **look)
-    ax.set_xlim(-0.4, 5.1)
-    ax.set_ylim(-0.6, n + 0.6)
-    ax.set_title("y = f(Σ w$_i$ x$_i$ + bias)")
+    ax.set(xlim=(-0.4, 5.1), ylim=(-0.6, n + 0.6), title="y = f(Σ w$_i$ x$_i$ + bias)")
     ax.axis("off")
 
 
-OPTIONS = {
-    "x": [1.5, -2.0, 0.5],
-    "w": [0.8, 0.3, -1.2],
-    "bias": 0.4,
-    "points": 401,
-    "depth": 20,
-    "width": 100,
-    "gains": [0.5, 1.0, 2.0],  # of the weights' standard deviation, over He's
-    "networks": 20,
-}
-FIGURE = Figure("4.4", "A neuron and its activation function", compute, table, draw, claims, options=OPTIONS)
+GAINS = [0.5, 1.0, 2.0]
+"""Standard deviations of the weights, over He's."""
+
+OPTIONS = {"x": [1.5, -2.0, 0.5], "w": [0.8, 0.3, -1.2], "bias": 0.4, "points": 401}
+OPTIONS |= {"depth": 20, "width": 100, "gains": GAINS, "networks": 20}
+FIGURE = Figure("4.4", "A neuron and its activation function", compute, None, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -42,10 +42,6 @@ def claims(data):
     ]
 
 
-def table(data):
-    return [["poolings", "nodes along an edge"], *([i, n] for i, n in enumerate(data["sizes"]))]
-
-
 def draw(data, options):
     """Each window and its largest value in one colour; incomplete windows at the edges count too."""
     from matplotlib.colors import ListedColormap
@@ -60,8 +56,7 @@ def draw(data, options):
     for ax, values, kinds in ((panels[0], image, spread), (panels[1], pooled, window)):
         ax.imshow(kinds, cmap=colours, vmin=0, vmax=3)
         ax.grid(False)
-        ax.set_xticks([])
-        ax.set_yticks([])
+        ax.set(xticks=[], yticks=[])
         for (i, j), value in np.ndenumerate(values):
             largest = ax is panels[1] or value == pooled[i // 2, j // 2]
             ax.text(j, i, f"{value:g}", ha="center", va="center", weight="bold" if largest else "normal")
@@ -73,14 +68,11 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {
-    # An odd number of columns: the thesis's 61 nodes are odd too.
-    "image": [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]],
-    "nodes": 61,
-    "poolings": 4,
-    "channels": 512,
-}
-FIGURE = Figure("4.5", "2 × 2 max pooling worked through", compute, table, draw, claims, options=OPTIONS)
+IMAGE = [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]]
+"""An odd number of columns: the thesis's 61 nodes are odd too."""
+
+OPTIONS = {"image": IMAGE, "nodes": 61, "poolings": 4, "channels": 512}
+FIGURE = Figure("4.5", "2 × 2 max pooling worked through", compute, None, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

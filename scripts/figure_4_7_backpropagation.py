@@ -7,7 +7,6 @@ from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_4 as worked
 
 LATE = "Eq 4.18, output weights updated before"
-
 ROUNDING = 1e-12
 """Largest relative difference that counts as none: of sums of a few products in float64."""
 
@@ -83,18 +82,6 @@ def claims(data):
     ]
 
 
-def table(data):
-    rows = [["weight", "by the equation", "automatic", "updated, Eq 4.14 or 4.18", "updated, Eq 4.8"]]
-    for part, equation, printed in (("output", "Eq 4.13", "Eq 4.14"), ("hidden", "Eq 4.17", "Eq 4.18")):
-        found, updated = data["gradients"][part], data["updated"][part]
-        columns = [np.array(c) for c in (found[equation], found["automatic"], updated[printed], updated["Eq 4.8"])]
-        for index in np.ndindex(columns[0].shape):
-            letters = "ₒ" if part == "output" else "ₕ"
-            name = f"w{letters}[{', '.join(str(i + 1) for i in index)}]"
-            rows.append([name, *(float(column[index]) for column in columns)])
-    return rows
-
-
 def draw(data, options):
     """Left: the network with the numbers of the forward pass. Right: the gradients, by the equations and automatic."""
     figure, (ax, bars) = plotting.subplots(1, 2, size=(10.0, 4.2), width_ratios=[1.1, 1])
@@ -103,36 +90,31 @@ def draw(data, options):
     plotting.draw_network(ax, [data["x"], data["v"], [data["y"]]], weights, titles=titles)
     text = f"d = {data['target']:g}\ne = d − y = {data['e']:.3g}\nL = e² = {data['loss']['before']:.3g}"
     ax.text(2, 0.55, text, ha="center", va="bottom", fontsize=9)
-    rows = table(data)[1:]
-    place = np.arange(len(rows))
-    bars.barh(place, [row[1] for row in rows], height=0.6, color=plotting.SKY, label="Eq 4.13 and 4.17")
-    bars.plot([row[2] for row in rows], place, "x", color=plotting.BLACK, label="automatic differentiation")
+    names, printed, automatic = [], [], []
+    for part, equation in (("output", "Eq 4.13"), ("hidden", "Eq 4.17")):
+        found = data["gradients"][part]
+        printed += np.ravel(found[equation]).tolist()
+        automatic += np.ravel(found["automatic"]).tolist()
+        for index in np.ndindex(np.shape(found[equation])):
+            names.append(f"$w^{part[0]}_{{{''.join(str(i + 1) for i in index)}}}$")
+    place = np.arange(len(names))
+    bars.barh(place, printed, height=0.6, color=plotting.SKY, label="Eq 4.13 and 4.17")
+    bars.plot(automatic, place, "x", color=plotting.BLACK, label="automatic differentiation")
     bars.axvline(0, color=plotting.GREY, linewidth=0.8)
-    bars.set_yticks(place, [weight_name(row[0]) for row in rows])
+    bars.set_yticks(place, names)
     bars.invert_yaxis()
     plotting.label_axes(bars, "gradient ∂L/∂w", "")
     bars.legend()
     return figure
 
 
-def weight_name(name):
-    """A weight's name of the table, set as in the thesis."""
-    index = name[name.index("[") + 1 : -1].replace(", ", "")
-    return f"$w^{'o' if 'ₒ' in name else 'h'}_{{{index}}}$"
-
-
-OPTIONS = {
-    "x": [0.5, -1.0],
-    "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]],
-    "output weights": [0.7, -0.5, 0.3],
-    "target": 2.0,
-    "rate": 0.1,
-}
-
 # Every number exact, so that rounding is the only difference there may be
-FIGURE = Figure(
-    "4.7", "Backpropagation by Eq 4.11-4.18, with numbers", compute, table, draw, claims, options=OPTIONS, digits=None
-)
+OPTIONS = {
+    "x": [0.5, -1.0], "hidden weights": [[0.4, -0.6, 0.9], [-0.3, 0.8, 0.2]], "output weights": [0.7, -0.5, 0.3],
+    "target": 2.0, "rate": 0.1,
+}  # fmt: skip
+FIGURE = Figure("4.7", "Backpropagation by Eq 4.11-4.18, with numbers", compute, None, draw, claims, options=OPTIONS,
+                digits=None)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -32,63 +32,64 @@ def compute(options, seed, jobs, progress):
         run = {"steps": steps, "count": count, "sweeps": options["sweeps"]}
         sampled = [chapter_5.sampled_states(scene, **run) for scene in progress(scenes, text="scenes")]
         states = [state for of_scene in sampled for state in of_scene]
-        fitting, refused = {}, {}
+        refused = {}
         for name, start in networks.items():
             try:
                 start.model.check_scene(states[0])
-                fitting[name] = start
             except ModelFileError as error:
                 refused[name] = str(error)
+        fitting = {name: start for name, start in networks.items() if name not in refused}
         tried = common | fitting | {"copy": starts.start_of("copy")}
-        times = chapter_5.time_to_thresholds(states, tried, most=most, repeats=repeats, progress=progress)
-        trees = dict.fromkeys(fitting, chapter_5.time_by_tree(states[-1:], repeats=repeats))
         x_min, y_min, x_max, y_max = scenes[0].world.box
-        about_scenes = {"box": [x_max - x_min, y_max - y_min], "scene": [i for i, s in enumerate(sampled) for _ in s]}
-        found[title] = times | about_scenes | {"refused": refused, "splat by k-d tree": trees}
+        found[title] = chapter_5.time_to_thresholds(states, tried, most=most, repeats=repeats, progress=progress) | {
+            "box": [x_max - x_min, y_max - y_min],
+            "scene": [i for i, of_scene in enumerate(sampled) for _ in of_scene],
+            "refused": refused,
+            "splat by k-d tree": dict.fromkeys(fitting, chapter_5.time_by_tree(states[-1:], repeats=repeats)),
+        }
     return {"scenes": found, "networks": about}
 
 
 def claims(data):
     """The thesis: interpolation takes most of the time, and the CNN start is not efficient."""
-    found = []
     for title, scene in data["scenes"].items():
         for name in data["networks"]:
             if name in scene["starts"]:
-                found += claims_of(scene, name, f"{title}, {chapter_5.LABELS.get(name, name)}")
-    return found
+                yield from claims_of(scene, name, f"{title}, {chapter_5.LABELS.get(name, name)}")
 
 
 def claims_of(scene, name, where):
     """The claims of one network in one kind of scene; times in ms."""
+    pair = (name, "builtin")
     tree = 1e3 * scene["splat by k-d tree"][name]
     splat, network, gather = (
         1e3 * by_scene(scene, scene["starts"][name]["stages"][stage]) for stage in chapter_5.STAGES[:-1]
     )
-    whole = {start: 1e3 * by_scene(scene, chapter_5.times_of(scene, start, TIGHT)) for start in (name, "builtin")}
-    needed = {start: by_scene(scene, chapter_5.sweeps_of(scene, start, TIGHT)) for start in (name, "builtin")}
-    loose = {}
-    for criterion in scene["criteria"]:
-        if criterion != TIGHT:
-            pair = [1e3 * chapter_5.total_time(scene, start, criterion, TRANSIENT) for start in (name, "builtin")]
-            loose[f"{criterion}, transients, ms: {name}, builtin"] = pair
 
     def judged(first, second, text, thesis, within, names):
         means = {f"mean {what}": float(np.mean(values)) for what, values in zip(names, (first, second))}
         return verdicts.judged_values(first, second, f"{where}: {text}", thesis, within=within, also=means)
 
     both, slower = "abstract, section 6.2.1", verdicts.SLOWER
-    slow = "computing interpolation values takes longer than the network"
-    slow_tree = "by a k-d tree, as in the thesis, interpolation takes longer than the network"
-    fewer, late = f"it reaches {TIGHT} in fewer sweeps than Builtin", f"it is not efficient: to {TIGHT} it takes longer"
-    quick = f"{where}: in impacts and settling it is faster than Builtin to at least one of the looser thresholds"
-    stages, columns = ("splat and gather, ms", "network, ms"), (f"{name}, ms", "builtin, ms")
-    return [
-        judged(splat + gather, network, slow, both, slower, stages),
-        judged(tree + gather, network, slow_tree, both, slower, ("splat by k-d tree and gather, ms", "network, ms")),
-        judged(*needed.values(), fewer, "section 6.2.1", verdicts.FASTER, [f"sweeps, {start}" for start in needed]),
-        judged(*whole.values(), f"{late} than Builtin", "abstract", slower, columns),
-        Claim(quick, None, any(ours < theirs for ours, theirs in loose.values()), loose),
-    ]
+    text = "computing interpolation values takes longer than the network"
+    yield judged(splat + gather, network, text, both, slower, ("splat and gather, ms", "network, ms"))
+    text = "by a k-d tree, as in the thesis, interpolation takes longer than the network"
+    yield judged(tree + gather, network, text, both, slower, ("splat by k-d tree and gather, ms", "network, ms"))
+    needed = (by_scene(scene, chapter_5.sweeps_of(scene, start, TIGHT)) for start in pair)
+    text, names = f"it reaches {TIGHT} in fewer sweeps than Builtin", [f"sweeps, {start}" for start in pair]
+    yield judged(*needed, text, "section 6.2.1", verdicts.FASTER, names)
+    whole = (1e3 * by_scene(scene, chapter_5.times_of(scene, start, TIGHT)) for start in pair)
+    text, names = f"it is not efficient: to {TIGHT} it takes longer than Builtin", [f"{start}, ms" for start in pair]
+    yield judged(*whole, text, "abstract", slower, names)
+    loose = {
+        f"{criterion}, transients, ms: {name}, builtin": [
+            1e3 * chapter_5.total_time(scene, start, criterion, TRANSIENT) for start in pair
+        ]
+        for criterion in scene["criteria"]
+        if criterion != TIGHT
+    }
+    text = f"{where}: in impacts and settling it is faster than Builtin to at least one of the looser thresholds"
+    yield Claim(text, None, any(ours < theirs for ours, theirs in loose.values()), loose)
 
 
 def by_scene(scene, values):
@@ -126,66 +127,41 @@ def draw(data, options):
         names = list(scene["starts"])
         for ax, criterion in zip(row, criteria):
             draw_bars(ax, scene, names, criterion)
-            ax.set_title(criterion)
         row[0].set_yticks(range(len(names)), [plotting.style_of(name)["label"] for name in names])
         width, height = scene["box"]
         row[0].set_ylabel(f"{title}, {width:.3g} m × {height:.3g} m,\n{scene['contacts']:.0f} contacts")
     for ax in panels[-1]:
         ax.set_xlabel("mean time of a step's contacts (ms);\nat the bars' ends, mean sweeps")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    plotting.legend_below(figure, panels[0, 0])
     return figure
 
 
 def draw_bars(ax, scene, names, criterion):
     """Stacked bars from the top down, ms."""
-    left = [0.0] * len(names)
+    left = np.zeros(len(names))
     stages = [chapter_5.mean_stages(scene, name, criterion) for name in names]
     for stage in chapter_5.STAGES:
-        widths = [1e3 * found[stage] for found in stages]
+        widths = np.array([1e3 * found[stage] for found in stages])
         ax.barh(range(len(names)), widths, left=left, color=COLOURS[stage], label=stage, height=0.7)
-        left = [start + width for start, width in zip(left, widths)]
+        left = left + widths
     for place, (name, end) in enumerate(zip(names, left)):
-        sweeps = chapter_5.mean_sweeps_to(scene, name, criterion)
-        ax.text(end, place, f" {sweeps:,.0f}", va="center", fontsize=8)
+        ax.text(end, place, f" {chapter_5.mean_sweeps_to(scene, name, criterion):,.0f}", va="center", fontsize=8)
     ax.invert_yaxis()
     ax.set_yticks(range(len(names)), [])
     ax.grid(axis="y", visible=False)
-    ax.set_xlim(0, 1.3 * max(left))
+    ax.set(title=criterion, xlim=(0, 1.3 * max(left)))
 
 
 OPTIONS = {
-    "few": 100,
-    "many": 1000,
-    "steps": [600, 400],
-    "scenes": 12,
-    "states": [4, 1],
-    "sweeps": 5000,
-    "most": [10000, 20000],
-    "repeats": 5,
-    "networks": chapter_5.NETWORKS,
-}
+    "few": 100, "many": 1000, "steps": [600, 400], "scenes": 12, "states": [4, 1], "sweeps": 5000,
+    "most": [10000, 20000], "repeats": 5, "networks": chapter_5.NETWORKS,
+}  # fmt: skip
 QUICK = {
-    "many": 300,
-    "steps": [250, 120],
-    "scenes": 1,
-    "states": [12, 5],
-    "sweeps": 1000,
-    "most": [5000, 5000],
-    "repeats": 3,
-    "networks": {"cnn": chapter_5.NETWORKS["cnn"]},
-}
-FIGURE = Figure(
-    "5.10",
-    "Sweeps and time to a threshold, by stage",
-    compute,
-    table,
-    draw,
-    claims,
-    options=OPTIONS,
-    quick=QUICK,
-    seed=510,
-)
+    "many": 300, "steps": [250, 120], "scenes": 1, "states": [12, 5], "sweeps": 1000, "most": [5000, 5000],
+    "repeats": 3, "networks": {"cnn": chapter_5.NETWORKS["cnn"]},
+}  # fmt: skip
+FIGURE = Figure("5.10", "Sweeps and time to a threshold, by stage", compute, table, draw, claims, options=OPTIONS,
+                quick=QUICK, seed=510)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -31,9 +31,9 @@ def compute(options, seed, jobs, progress):
 
 def summary(found):
     """Of one scene: contacts early, late, their spread; correlation with time; µs a contact among few and many."""
-    contacts = np.array(found["contacts"])
+    contacts, each = np.array(found["contacts"]), costs(found)
     sixth = contacts.size // 6
-    late, each = contacts[-sixth:], list(costs(found).values())
+    late = contacts[-sixth:]
     return {
         "first sixth": float(contacts[:sixth].mean()),
         "last sixth": float(late.mean()),
@@ -48,28 +48,18 @@ def fit(data):
 
     Medians, because disturbances of the clock do not move them.
     """
-    contacts, time = times(data)
+    contacts, time = np.array(data["timed contacts"]), np.array(data["time (ms)"]) * 1e3
     counts = np.unique(contacts)
     medians = np.array([np.median(time[contacts == count]) for count in counts])
     slope, intercept = np.polyfit(counts, medians, 1)
     return float(slope), float(intercept), float(np.corrcoef(counts, medians)[0, 1])
 
 
-def times(data):
-    """Contacts of the solutions timed, and their times, µs."""
-    return np.array(data["timed contacts"]), np.array(data["time (ms)"]) * 1e3
-
-
 def costs(data):
     """Median time of a contact, µs, in the solutions of a quarter to a half, to three quarters and to all contacts."""
-    contacts, time = times(data)
-    quarters = [part * contacts.max() / 4 for part in (1, 2, 3, 4)]
-    each = {}
-    for low, high in zip(quarters, quarters[1:]):
-        within = (low < contacts) & (contacts <= high)
-        if within.any():
-            each[f"up to {high:.0f} contacts"] = float(np.median(time[within] / contacts[within]))
-    return each
+    contacts, time = np.array(data["timed contacts"]), np.array(data["time (ms)"]) * 1e3
+    quarter = np.ceil(4 * contacts / contacts.max())
+    return [float(np.median((time / contacts)[quarter == k])) for k in (2, 3, 4) if (quarter == k).any()]
 
 
 def claims(data):
@@ -92,14 +82,6 @@ def claims(data):
     ]
 
 
-def table(data):
-    slope, intercept, correlation = fit(data)
-    return [
-        ["steps", "most contacts", "solutions timed", "µs a contact", "intercept (µs)", "correlation"],
-        [len(data["step"]), max(data["contacts"]), len(data["timed contacts"]), slope, intercept, correlation],
-    ]
-
-
 def draw(data, options):
     """Panels a and b."""
     figure, (left, right) = plotting.subplots(1, 2, size=(9.0, 3.6))
@@ -119,9 +101,8 @@ def draw(data, options):
 
 OPTIONS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every": 6, "scenes": 12}
 QUICK = {"sweeps": 1000, "every": 5, "scenes": 1}
-FIGURE = Figure(
-    "5.2", "Contacts, and the time their solution takes", compute, table, draw, claims, options=OPTIONS, quick=QUICK
-)
+FIGURE = Figure("5.2", "Contacts, and the time their solution takes", compute, None, draw, claims, options=OPTIONS,
+                quick=QUICK)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -58,13 +58,6 @@ def claims(data):
     ]
 
 
-def table(data):
-    rows = [["h / d", "contacts", "reach no node", "nodes, mean", "nodes, most"]]
-    for ratio, nodes in data["nodes reached, by h / d"].items():
-        rows.append([ratio, len(nodes), int(np.sum(np.equal(nodes, 0))), float(np.mean(nodes)), max(nodes)])
-    return rows
-
-
 def draw(data, options):
     """Left: the pile with its contacts' kernels. Right: a part of it with the nodes."""
     from matplotlib.collections import PatchCollection
@@ -93,15 +86,10 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "n_bodies": 100,
-    "size": 30.0,
-    "steps": 200,
-    "d": 0.5,
-    "h": 0.5,
-    "h_over_d": [0.4, 0.71, 1.0, 2.0],
+    "n_bodies": 100, "size": 30.0, "steps": 200, "d": 0.5, "h": 0.5, "h_over_d": [0.4, 0.71, 1.0, 2.0],
     "cells": [0.25, 0.5, 0.7, 1.0],
-}
-FIGURE = Figure("5.3", "Grid nodes and kernels over a scene", compute, table, draw, claims, options=OPTIONS)
+}  # fmt: skip
+FIGURE = Figure("5.3", "Grid nodes and kernels over a scene", compute, None, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -15,18 +15,16 @@ def claims(data):
     others = [name for name in by_d["independent"] if name != BEST]
     good = "h = d is a good choice: its θ is within a tenth of the best other h's"
     rest = [name for name in by_h["independent"] if name != EQUAL]
-    found = [
-        verdicts.judged(by_h, slow, EQUAL, "h = 0.4 d converges more slowly than h = d", PLACE, within=verdicts.SLOWER),
-        verdicts.judged(by_h, twice, EQUAL, "h = 2 d converges more slowly than h = d", PLACE, within=verdicts.SLOWER),
-    ]
+    for name, times in ((slow, "0.4"), (twice, "2")):
+        text = f"h = {times} d converges more slowly than h = d"
+        yield verdicts.judged(by_h, name, EQUAL, text, PLACE, within=verdicts.SLOWER)
     for name, times in ((slow, "0.4"), (twice, "2")):
         text = f"h = {times} d is unstable: its θ rises more between sweeps than at h = d"
-        found.append(verdicts.judged_by(verdicts.rise, by_h, name, EQUAL, text, PLACE, within=verdicts.SLOWER))
-    found += [
-        verdicts.judged(by_h, EQUAL, rest, good, PLACE, within=(0.0, 1.1)),
-        verdicts.judged(by_d, BEST, others, "d = 0.5 m converges most rapidly", PLACE),
-    ]
-    return found + ([best_by_number(data)] if data["numbers"] else [])
+        yield verdicts.judged_by(verdicts.rise, by_h, name, EQUAL, text, PLACE, within=verdicts.SLOWER)
+    yield verdicts.judged(by_h, EQUAL, rest, good, PLACE, within=(0.0, 1.1))
+    yield verdicts.judged(by_d, BEST, others, "d = 0.5 m converges most rapidly", PLACE)
+    if data["numbers"]:
+        yield best_by_number(data)
 
 
 def best_by_number(data):
@@ -42,10 +40,9 @@ def best_by_number(data):
         scenes.add(verdicts.scenes_of(part))
     if min(scenes) < verdicts.FEWEST:
         return Claim(text, PLACE, None, beaten, f"open: {min(scenes)} scenes")
-    if any(low > 1 for _, low, _ in beaten.values()):
-        return Claim(text, PLACE, True, beaten)
-    if all(high < 1 for *_, high in beaten.values()):
-        return Claim(text, PLACE, False, beaten)
+    somewhere = any(low > 1 for _, low, _ in beaten.values())
+    if somewhere or all(high < 1 for *_, high in beaten.values()):
+        return Claim(text, PLACE, somewhere, beaten)
     return Claim(text, PLACE, None, beaten, "within the noise")
 
 

@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_5
@@ -26,23 +28,13 @@ def compute(options, seed, jobs, progress):
 
 def claims(data):
     """The thesis gives two numbers of weights."""
-    trainable = sum(layer["trainable"] for layer in data["layers"])
-    every = sum(layer["parameters"] for layer in data["layers"])
-    four = data["trainable with 4 channels"]
+    trainable, every = (sum(layer[what] for layer in data["layers"]) for what in ("trainable", "parameters"))
     measured = {"trainable": trainable, "with the moving statistics": every}
+    yield Claim("the network has 64,498,866 weights", "section 5.3.1", trainable == 64_498_866, measured)
+    four = data["trainable with 4 channels"]
+    text = "it has 51,599,092 weights for an input of 61 × 61 × 4"
     channels = {"trainable with 4 channels": four, "trainable with 5 channels": trainable}
-    return [
-        Claim("the network has 64,498,866 weights", "section 5.3.1", trainable == 64_498_866, measured),
-        Claim("it has 51,599,092 weights for an input of 61 × 61 × 4", "section 5.3.1", four == 51_599_092, channels),
-    ]
-
-
-def table(data):
-    rows = [["layer", "output", "kernel", "trainable"]]
-    for layer in data["layers"]:
-        kernel = " × ".join(map(str, layer["kernel"])) if layer["kernel"] else None
-        rows.append([layer["kind"], " × ".join(map(str, layer["shape"])), kernel, f"{layer['trainable']:,}"])
-    return [*rows, ["all", None, None, f"{sum(layer['trainable'] for layer in data['layers']):,}"]]
+    yield Claim(text, "section 5.3.1", four == 51_599_092, channels)
 
 
 def draw(data, options):
@@ -53,21 +45,18 @@ def draw(data, options):
     weights = [layer["trainable"] for layer in layers]
     bars = {"color": [colour_of(layer) for layer in layers], "edgecolor": "#333333", "linewidth": 0.5}
     bottom.bar(middles, weights, width=0.6, **bars)
-    bottom.set_yscale("log")
-    bottom.set_ylim(3e1, 3e10)
-    bottom.set_xlim(top.get_xlim())
-    bottom.set_xticks([])
+    bottom.set(yscale="log", ylim=(3e1, 3e10), xlim=top.get_xlim(), xticks=[], ylabel="trainable parameters")
     bottom.grid(axis="x", visible=False)
     for middle, count in zip(middles, weights):
         if count:
             bottom.text(middle, count * 1.4, f"{count:,}", ha="center", va="bottom", rotation=90, fontsize=7)
-    bottom.set_ylabel("trainable parameters")
     bottom.set_xlabel(f"layers, from input to output; {sum(weights):,} trainable parameters in all")
     return figure
 
 
 def draw_slabs(ax, layers):
     """Slabs in oblique projection, from left to right; returns the middles of their fronts."""
+    from matplotlib.colors import to_rgb
     from matplotlib.patches import Patch, Polygon
 
     tall, scale, slant, gap = 48, 0.05, 0.22, 0.45
@@ -83,15 +72,15 @@ def draw_slabs(ax, layers):
         roof = [(x, high), (right, high), (right + shift, high + shift), (x + shift, high + shift)]
         face = [(right, low), (right, high), (right + shift, high + shift), (right + shift, low + shift)]
         for corners, shade in ((roof, 0.85), (face, 0.65), (front, 1.0)):
-            ax.add_patch(Polygon(corners, facecolor=shaded(colour, shade), edgecolor="#333333", linewidth=0.6))
+            darker = shade * np.array(to_rgb(colour))
+            ax.add_patch(Polygon(corners, facecolor=darker, edgecolor="#333333", linewidth=0.6))
         middles.append(x + thick / 2)
         if shape != written:
             size = " × ".join(map(str, shape))
             ax.text(x + thick / 2, low - 0.12, size, ha="center", va="top", rotation=90, fontsize=7)
             written = shape
         x = right + max(shift + 0.12, gap)
-    ax.set_xlim(-0.6, x + 0.2)
-    ax.set_ylim(-2.9, 2.3)
+    ax.set(xlim=(-0.6, x + 0.2), ylim=(-2.9, 2.3))
     ax.axis("off")
     kinds = list(dict.fromkeys(layer["kind"].split("(")[0] for layer in layers))
     keys = [Patch(facecolor=COLOURS[kind], edgecolor="#333333", label=TITLES.get(kind, kind.lower())) for kind in kinds]
@@ -104,14 +93,7 @@ def colour_of(layer):
     return COLOURS[layer["kind"].split("(")[0]]
 
 
-def shaded(colour, share):
-    """A colour darkened to a share of its brightness."""
-    from matplotlib.colors import to_rgb
-
-    return tuple(share * part for part in to_rgb(colour))
-
-
-FIGURE = Figure("5.8", "Architecture of the thesis's network", compute, table, draw, claims)
+FIGURE = Figure("5.8", "Architecture of the thesis's network", compute, None, draw, claims)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

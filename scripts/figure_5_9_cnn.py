@@ -17,10 +17,8 @@ def compute(options, seed, jobs, progress):
 
 def claims(data):
     """The claims of the thesis on the figure, for each network."""
-    found = []
     for name in data["networks"]:
-        found += chapter_5.claims_of_network(data, name, chapter_5.LABELS.get(name, name))
-    return found
+        yield from chapter_5.claims_of_network(data, name, chapter_5.LABELS.get(name, name))
 
 
 def table(data):
@@ -38,27 +36,19 @@ def draw(data, options):
     for name, errors in data["velocity"]["mean"].items():
         shown = [max(error, 1e-7) for error in errors]
         velocity.plot(data["velocity"]["sweeps"], shown, **plotting.style_of(name, marker=True), markersize=4)
-    velocity.set_xscale("log")
-    velocity.set_yscale("log")
+    velocity.set(xscale="log", yscale="log")
     plotting.label_axes(velocity, "sweep", "mean relative velocity error", title=starts.MODES["paired"])
     velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title="bands: quartiles of the scenes")
     return figure
 
 
-OPTIONS = {
-    "n_bodies": [51, 99],
-    "size": 30.0,
-    "steps": 600,
-    "sweeps": 3000,
-    "scenes": 12,
-    "networks": chapter_5.NETWORKS,
-}
-QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
-
 # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
-FIGURE = Figure(
-    "5.9", "Convergence with the CNN start", compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=59
-)
+OPTIONS = {
+    "n_bodies": [51, 99], "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 12, "networks": chapter_5.NETWORKS,
+}  # fmt: skip
+QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
+FIGURE = Figure("5.9", "Convergence with the CNN start", compute, table, draw, claims, options=OPTIONS, quick=QUICK,
+                seed=59)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

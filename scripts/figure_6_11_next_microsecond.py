@@ -8,8 +8,8 @@ from deep_contact.studies import runs
 DIVISORS = (1, 2, 4, 8)
 COLOURS = (plotting.VERMILION, plotting.ORANGE, plotting.GREEN, plotting.BLUE)
 SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "forces": "forces"}
-ABSOLUTE = ("penetration_max",)
-"""Errors that are not against the reference."""
+ABSOLUTE = "penetration_max"
+"""The error that is not against the reference."""
 
 STEP, LEFT = "Δt = 10 ms", "left at the smallest Δt"
 PARTS = {STEP: plotting.BLUE, LEFT: plotting.SKY} | dict(zip(runs.MODEL, (plotting.GREEN, plotting.ORANGE)))
@@ -21,20 +21,19 @@ SOLVED = 20
 
 def compute(options, seed, jobs, progress):
     """The study's rows of PGS by step and sweeps."""
-    rows = runs.read_study(options["results"])["rows"]
     names = {runs.name_of(setting): what for what, setting in runs.MODEL.items()}
     found, model = [], []
-    for row in rows:
-        setting = row["setting"]
-        if row["name"] in names and row["errors"]:
-            values = {name: row["errors"][name][0] for name in SHOWN}
-            model.append({"n_bodies": row["n_bodies"], "what": names[row["name"]], "errors": values})
+    for row in runs.read_study(options["results"])["rows"]:
+        if not row["errors"]:
+            continue
+        setting, same = row["setting"], {"n_bodies": row["n_bodies"]}
+        same["errors"] = {name: row["errors"][name] and row["errors"][name][0] for name in SHOWN}
+        if row["name"] in names:
+            model.append(same | {"what": names[row["name"]]})
         plain = setting.keys() == {"method", "sweeps", "dt"} and setting["method"] == "PGS"
-        if plain and row["kind"] == "plain" and row["errors"] and row["us"] is not None:
-            values = {name: row["errors"][name] and row["errors"][name][0] for name in SHOWN}
-            divisor = TIME_STEP / setting["dt"]
-            found.append({"n_bodies": row["n_bodies"], "divisor": divisor, "sweeps": setting["sweeps"],
-                          "us": row["us"], "errors": values})  # fmt: skip
+        if plain and row["kind"] == "plain" and row["us"] is not None:
+            timed = {"sweeps": setting["sweeps"], "us": row["us"]}
+            found.append(same | timed | {"divisor": TIME_STEP / setting["dt"]})
     return {"rows": found, "model": model}
 
 
@@ -51,9 +50,9 @@ def parts(data, n, name):
     What the model changes is an error against the reference; of a depth it is the change of the depth.
     """
     few, solved = line(data, n, 1)[0], solved_with(data, n, 1)["errors"][name]
-    limit = solved_with(data, n, DIVISORS[-1])["errors"][name] if name in ABSOLUTE else 0.0
+    limit = solved_with(data, n, DIVISORS[-1])["errors"][name] if name == ABSOLUTE else 0.0
     found = {f"{few['sweeps']} sweeps": max(0.0, few["errors"][name] - solved), STEP: max(0.0, solved - limit)}
-    if name in ABSOLUTE:
+    if name == ABSOLUTE:
         found[LEFT] = limit
     return found | {row["what"]: abs(row["errors"][name] - limit) for row in data["model"] if row["n_bodies"] == n}
 
@@ -70,22 +69,19 @@ def sizes_of(data):
 
 def claims(data):
     """At the price of twenty sweeps with Δt, is a smaller step with few sweeps better?"""
-    found = []
     for n in sizes_of(data):
         solved = solved_with(data, n, 1)
         smaller = [row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] > 1]
         cheaper = [row for row in smaller if row["us"] <= solved["us"]]
-        best = min(cheaper, key=lambda row: row["errors"]["penetration_max"])
-        depths = [row["errors"]["penetration_max"] for row in (solved, best)]
+        best = min(cheaper, key=lambda row: row["errors"][ABSOLUTE])
+        depths = [row["errors"][ABSOLUTE] for row in (solved, best)]
         measured = {"Δt, 20 sweeps, %": depths[0], "μs": solved["us"], "Δt /": best["divisor"]}
         measured |= {"sweeps": best["sweeps"], "%": depths[1], "its energy, %": best["errors"]["energy"]}
         text = f"for the price of 20 sweeps a smaller step halves the deepest penetration, {n} circles"
-        found.append(Claim(text, None, depths[1] < 0.5 * depths[0], measured))
-    return found
+        yield Claim(text, None, depths[1] < 0.5 * depths[0], measured)
 
 
 def table(data):
-    """Rows: each size, step and number of sweeps."""
     rows = [["circles", "Δt /", "sweeps", "µs per 10 ms", *(f"{text}, %" for text in SHOWN.values())]]
     for n in sizes_of(data):
         for divisor in DIVISORS:
@@ -108,12 +104,12 @@ def draw(data, options):
                 rows = [row for row in line(data, n, divisor) if row["errors"][name]]
                 if not rows:
                     continue
+                points = [(row["us"], row["errors"][name]) for row in rows]
                 label = "Δt = 10 ms" if divisor == 1 else f"Δt / {divisor}"
-                ax.plot([row["us"] for row in rows], [row["errors"][name] for row in rows], color=colour, marker="o",
-                        markersize=3.5, label=label)  # fmt: skip
-                for row in (rows[0], rows[-1]):
-                    ax.annotate(str(row["sweeps"]), (row["us"], row["errors"][name]), fontsize=6, xytext=(2, 3),
-                                textcoords="offset points", color=colour)  # fmt: skip
+                ax.plot(*zip(*points), color=colour, marker="o", markersize=3.5, label=label)
+                look = {"fontsize": 6, "xytext": (2, 3), "textcoords": "offset points", "color": colour}
+                for end in (0, -1):
+                    ax.annotate(str(rows[end]["sweeps"]), points[end], **look)
             plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
             plotting.log_axes(ax)
     panels[0, 0].legend(fontsize=7, title="numbers: sweeps", title_fontsize=6)
@@ -126,22 +122,16 @@ def draw_parts(ax, data, n):
     for k, (name, mine) in enumerate(found.items()):
         for i, (part, value) in enumerate(mine.items()):
             colour = PARTS.get(part, plotting.VERMILION)
-            ax.barh(k + 0.15 * (i - 2), value, 0.14, color=colour, label=part if name in ABSOLUTE else None)
+            ax.barh(k + 0.15 * (i - 2), value, 0.14, color=colour, label=part if name == ABSOLUTE else None)
     ax.set_yticks(range(len(found)), list(SHOWN.values()))
     ax.invert_yaxis()
     plotting.label_axes(ax, "part of the error", None, x_unit="%", title=f"{n:,} circles, by part")
     ax.legend(fontsize=6)
 
 
-FIGURE = Figure(
-    id="6.11",
-    title="Where the next microsecond goes: more sweeps, or a smaller step",
-    options={"results": "data/reference/run_tradeoff.json"},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+OPTIONS = {"results": "data/reference/run_tradeoff.json"}
+FIGURE = Figure("6.11", "Where the next microsecond goes: more sweeps, or a smaller step", compute, table, draw, claims,
+                options=OPTIONS)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -4,14 +4,7 @@ import numpy as np
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.learned_starts import (
-    BASE,
-    at_equal_times,
-    curve,
-    measure_runs,
-    ratios_of,
-    settings_of,
-)
+from deep_contact.studies.learned_starts import BASE, at_equal_times, curve, measure_runs, ratios_of, settings_of
 
 LEARNED = f"guarded, {BASE}"
 CLASSICAL = [f"builtin, {solver}" for solver in (BASE, "PSOR 1.7", "PSOR 1.8 | 1.4", "NesterovPGS")]
@@ -47,15 +40,14 @@ def claims(data):
         own[where] = ratio(*(errors[name] for name in best))
     wins = sum(r["ratio"] is not None and r["ratio"] <= 0.85 and r["to"] < 0.95 for r in timed.values())
     text = "along runs the network leaves at most 0.85 of the best classical error at equal time, in 4 of 9 cells"
-    found = [Claim(text, None, wins >= 4, {"wins": wins, **timed})]
+    yield Claim(text, None, wins >= 4, {"wins": wins, **timed})
     text = "with as many sweeps, its price left out, the network leaves at most 0.85 of Builtin's error"
-    found.append(Claim(text, None, all(r[0] <= 0.85 for r in swept.values()), swept))
+    yield Claim(text, None, all(r[0] <= 0.85 for r in swept.values()), swept)
     text = "an ω of its own for friction leaves less than any single ω at equal time, at all sizes and times"
-    return [*found, Claim(text, None, all(r[0] < 1 for r in own.values()), own)]
+    yield Claim(text, None, all(r[0] < 1 for r in own.values()), own)
 
 
 def table(data):
-    """Rows: errors along runs at equal times, and the ratio to the best classical setting."""
     rows = [["circles", "setting", "time of, sweeps", "ms a step", "error", "over the best classical", "is best"]]
     for cell in at_equal_times(data["runs"], data["columns"]):
         for name, errors in cell["errors"].items():
@@ -81,35 +73,19 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="6.12",
-    title="Starts and solvers along their own runs, at equal wall time",
-    options={
-        "columns": [10, 20, 50],
-        "runs": {
-            "1000": {"scenes": 6, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED, *MORE]},
-            "3000": {"scenes": 5, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED]},
-            "10000": {"scenes": 3, "sweeps": [6, 10, 20, 50], "settings": [*CLASSICAL, LEARNED]},
-        },
-        "steps": 300,
-        "every": 20,
-        "past_need": 400,
-        "repeats": 1,
-        "model": "models/model.h5",
-    },
-    quick={
-        "columns": [10],
-        "runs": {"100": {"scenes": 2, "sweeps": [6, 10, 20], "settings": [*CLASSICAL, LEARNED]}},
-        "steps": 120,
-        "past_need": 300,
-        "repeats": 1,
-    },
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-    digits=5,
-)
+RUNS = {
+    "1000": {"scenes": 6, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED, *MORE]},
+    "3000": {"scenes": 5, "sweeps": [6, 10, 20, 50, 70], "settings": [*CLASSICAL, LEARNED]},
+    "10000": {"scenes": 3, "sweeps": [6, 10, 20, 50], "settings": [*CLASSICAL, LEARNED]},
+}
+OPTIONS = {"columns": [10, 20, 50], "runs": RUNS, "steps": 300, "every": 20, "past_need": 400, "repeats": 1}
+OPTIONS |= {"model": "models/model.h5"}
+QUICK = {
+    "columns": [10], "runs": {"100": {"scenes": 2, "sweeps": [6, 10, 20], "settings": [*CLASSICAL, LEARNED]}},
+    "steps": 120, "past_need": 300, "repeats": 1,
+}  # fmt: skip
+FIGURE = Figure("6.12", "Starts and solvers along their own runs, at equal wall time", compute, table, draw, claims,
+                options=OPTIONS, quick=QUICK, digits=5)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

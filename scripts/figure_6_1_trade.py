@@ -29,18 +29,15 @@ def sizes_of(data):
 
 def claims(data):
     """For each size: what the cheapest setting within each preset costs, and the cheapest rival."""
-    found = []
     for n in sizes_of(data):
         here = {row["preset"]: runs.cheaper_than_rivals(row) for row in data["presets"] if row["n_bodies"] == n}
-        ratios = {preset: ratio for preset, ratio in here.items() if ratio}
-        if ratios:
+        if ratios := {preset: ratio for preset, ratio in here.items() if ratio}:
             text = f"no preset is dearer than with the fastest rival, {n} circles"
-            found.append(Claim(text, None, min(ratios.values()) >= 1, ratios))
-    return found
+            yield Claim(text, None, min(ratios.values()) >= 1, ratios)
 
 
 def table(data):
-    """Rows: each preset at each size, ours on all kinds of piles and on plain ones, and the other engines on these."""
+    """Each preset at each size, ours on all kinds of piles and on plain ones, and the other engines on these."""
     head = ["circles", "preset", "ours", "µs per 10 ms", "µs, plain piles"]
     rows = [head + [f"{engine}, µs" for engine in peers.ENGINES]]
     for row in data["presets"]:
@@ -48,12 +45,6 @@ def table(data):
         cells = [row["n_bodies"], row["preset"], ours and ours["name"], ours and ours["us"], plain and plain["us"]]
         rows.append(cells + [peer and peer["us"] for peer in row["peers"].values()])
     return rows
-
-
-def front_of(points):
-    """The points (time, error) that no other beats in both, by time."""
-    points = sorted(points)
-    return [point for i, point in enumerate(points) if all(point[1] < earlier[1] for earlier in points[:i])]
 
 
 def draw(data, options):
@@ -67,8 +58,9 @@ def draw(data, options):
                 value, low, high = row["errors"][name]
                 reach = [[max(0.0, value - low)], [max(0.0, high - value)]]  # an interval may lie beside its value
                 ax.errorbar(row["us"], value, reach, linewidth=0.6, markersize=3.5, **look_of(row["group"]))
-            ours = [(row["us"], row["errors"][name][0]) for row in rows if row["group"] not in MARKERS]
-            ax.plot(*zip(*front_of(ours)), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)
+            ours = sorted((row["us"], row["errors"][name][0]) for row in rows if row["group"] not in MARKERS)
+            front = [(us, error) for i, (us, error) in enumerate(ours) if all(error < before for _, before in ours[:i])]
+            ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)
             for preset in ("fast", "balanced", "accurate"):
                 ax.axhline(PRESETS[preset][name], color=plotting.GREY, linewidth=0.6, linestyle=":")
                 ax.annotate(preset, (1, PRESETS[preset][name]), xycoords=("axes fraction", "data"), fontsize=6,
@@ -78,8 +70,7 @@ def draw(data, options):
     for group in dict.fromkeys(row["group"] for row in data["rows"]):
         panels[0, 0].plot([], [], linestyle="", markersize=4, label=group, **look_of(group))
     panels[0, 0].plot([], [], color=plotting.BLACK, label="front of ours")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=8)
+    plotting.legend_below(figure, panels[0, 0])
     return figure
 
 
@@ -90,15 +81,8 @@ def look_of(group):
     return {"color": OURS.get(group, plotting.SKY), "marker": "o"}
 
 
-FIGURE = Figure(
-    id="6.1",
-    title="What a run costs and what it is worth",
-    options={"results": "data/reference/run_tradeoff.json"},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+OPTIONS = {"results": "data/reference/run_tradeoff.json"}
+FIGURE = Figure("6.1", "What a run costs and what it is worth", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

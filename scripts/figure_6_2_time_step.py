@@ -29,40 +29,34 @@ def compute(options, seed, jobs, progress):
     }
 
 
-def of_size(data, n):
-    """Rows of one size, the shortest step first."""
-    return sorted((row for row in data["rows"] if row["n_bodies"] == n), key=lambda row: row["dt"])
-
-
-def order(rows, name):
-    """The power of Δt with which an error falls, fitted over all steps."""
-    x, y = np.log([row["dt"] for row in rows]), np.log([row["errors"][name][0] for row in rows])
-    return float(np.polyfit(x, y, 1)[0])
-
-
-def claims(data):
-    """Penetration falls with the step; energy and forces stop changing within their intervals."""
-    found = []
-    for n in sorted({row["n_bodies"] for row in data["rows"]}):
-        rows = of_size(data, n)
-        powers = {name: order(rows, name) for name in ("penetration", "penetration_max")}
-        text = f"penetration falls with the time step, {n} circles"
-        found.append(Claim(text, None, min(powers.values()) > 0.5, powers))
-        # The last two steps differ from the limit by chance alone if their intervals meet.
-        last, before = (row["errors"]["energy"] for row in rows[:2])
-        measured = {"Δt / 8": last, "Δt / 4": before}
-        text = f"the energy curve stops changing within its intervals, {n} circles"
-        found.append(Claim(text, None, before[1] <= last[2], measured))
+def by_size(data):
+    """Number of circles -> its rows, the shortest step first; the fewest circles first."""
+    found = {}
+    for row in sorted(data["rows"], key=lambda row: (row["n_bodies"], row["dt"])):
+        found.setdefault(row["n_bodies"], []).append(row)
     return found
 
 
+def claims(data):
+    """Penetration falls with the step, by a power fitted over all steps; energy stops changing within its intervals."""
+    for n, rows in by_size(data).items():
+        powers = {}
+        for name in ("penetration", "penetration_max"):
+            x, y = np.log([row["dt"] for row in rows]), np.log([row["errors"][name][0] for row in rows])
+            powers[name] = float(np.polyfit(x, y, 1)[0])
+        yield Claim(f"penetration falls with the time step, {n} circles", None, min(powers.values()) > 0.5, powers)
+        # The last two steps differ from the limit by chance alone if their intervals meet.
+        last, before = (row["errors"]["energy"] for row in rows[:2])
+        text = f"the energy curve stops changing within its intervals, {n} circles"
+        yield Claim(text, None, before[1] <= last[2], {"Δt / 8": last, "Δt / 4": before})
+
+
 def table(data):
-    """Rows: each size and step, with the interval of each error."""
     rows = [["circles", "Δt, s", *SHOWN.values()]]
-    for n in sorted({row["n_bodies"] for row in data["rows"]}):
-        for row in of_size(data, n):
-            cells = [row["errors"][name] for name in SHOWN]
-            rows.append([n, f"{row['dt']:g}", *(c and f"{c[0]:.2g} ({c[1]:.2g} to {c[2]:.2g})" for c in cells)])
+    for row in (row for of_size in by_size(data).values() for row in of_size):
+        cells = [row["errors"][name] for name in SHOWN]
+        cells = [c and f"{c[0]:.2g} ({c[1]:.2g} to {c[2]:.2g})" for c in cells]
+        rows.append([row["n_bodies"], f"{row['dt']:g}", *cells])
     return rows
 
 
@@ -70,12 +64,11 @@ def draw(data, options):
     """An error in each panel against Δt, a line for each size."""
     figure, panels = plotting.subplots(1, len(SHOWN), size=(13.0, 3.4))
     for ax, (name, text) in zip(panels, SHOWN.items()):
-        for n, colour in zip(sorted({row["n_bodies"] for row in data["rows"]}), COLOURS):
-            rows = [row for row in of_size(data, n) if row["errors"][name]]
-            values = np.array([row["errors"][name] for row in rows])
-            ax.errorbar([row["dt"] for row in rows], values[:, 0],
-                        np.abs(values[:, 1:].T - values[:, 0]), color=colour, marker="o", markersize=4,
-                        label=f"{n:,} circles")  # fmt: skip
+        for (n, rows), colour in zip(by_size(data).items(), COLOURS):
+            steps, values = zip(*((row["dt"], row["errors"][name]) for row in rows if row["errors"][name]))
+            value, *ends = np.array(values).T
+            look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
+            ax.errorbar(steps, value, np.abs(ends - value), **look)
         ax.axvline(TIME_STEP, color=plotting.GREY, linewidth=0.6, linestyle=":")
         plotting.label_axes(ax, "time step Δt", text, x_unit="s")
         plotting.log_axes(ax)
@@ -83,15 +76,8 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="6.2",
-    title="The limit of small steps",
-    options={"results": "data/reference/run_tradeoff.json"},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+OPTIONS = {"results": "data/reference/run_tradeoff.json"}
+FIGURE = Figure("6.2", "The limit of small steps", compute, table, draw, claims, options=OPTIONS)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -26,61 +26,41 @@ WAYS = {
 }
 """Name -> transfer, and how the thesis's reads back."""
 
-SUPPORTS = (0.125, 0.25, 0.5)
-"""h at d = 0.25 m: half of it, d, and twice d."""
-
-RADII = {"equal": (1.0, 1.0), "mixed": (0.5, 2.0)}
-
 
 def compute(options, seed, jobs, progress):
     """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii.
 
     "by scene" has the losses that the thesis speaks of, one a scene of equal circles.
     """
-    isolated = starts.isolated_contacts(options["isolated"], seed=seed)
-    scenes = {name: piles_of(options, radius, seed) for name, radius in RADII.items()}
-    piles = {name: [state for pile in found for state in pile] for name, found in scenes.items()}
+    seeds, n = [seed, *figures.seeds(seed, options["scenes"] - 1)], options["n_bodies"]
 
-    def loss(states, method="bilinear", **start):
-        return starts.transfer_loss(states, Sph(**start), method=method)["relative error"]
+    def piles(count, radius):
+        scenes = (dc.circles_in_box(count, radius=radius, seed=s) for s in seeds)
+        return [starts.solved_states(scene, steps=600, every=options["every"]) for scene in scenes]
 
+    def loss(states, way="thesis", **start):
+        transfer, method = WAYS[way]
+        return starts.transfer_loss(states, Sph(**start, transfer=transfer), method=method)["relative error"]
+
+    scenes = {"equal": piles(n, (1.0, 1.0)), "mixed": piles(n // 2, (0.5, 2.0))}
+    states = {name: [state for pile in found for state in pile] for name, found in scenes.items()}
+    kinds = {"isolated": starts.isolated_contacts(options["isolated"], seed=seed), "pile": states["equal"]}
     rows = []
     for kernel in progress(options["kernels"], text="kernels"):
         for d, h in product(options["spacings"], options["supports"]):
-            losses = {"kernel": kernel, "d": d, "h": h}
-            for name, (transfer, method) in WAYS.items():
-                start = {"spacing": d, "support": h, "kernel": kernel, "transfer": transfer}
-                for what, states in (("isolated", isolated), ("pile", piles["equal"])):
-                    losses[f"{what}, {name}"] = loss(states, method, **start)
-            rows.append(losses)
+            start = {"spacing": d, "support": h, "kernel": kernel}
+            losses = {f"{what}, {way}": loss(of, way, **start) for way in WAYS for what, of in kinds.items()}
+            rows.append({"kernel": kernel, "d": d, "h": h} | losses)
+    by_scene = {f"{way}, d = h = 0.5": [loss(s, way, spacing=0.5) for s in scenes["equal"]] for way in WAYS}
+    for h in (0.125, 0.25, 0.5):  # half of d, d, and twice d
+        by_scene[f"d = 0.25, h = {h:g}"] = [loss(s, spacing=0.25, support=h) for s in scenes["equal"]]
+    by_scene["velocities of circles"] = [starts.velocity_loss(s, Sph(spacing=0.5)) for s in scenes["equal"]]
     by_spacing = {
-        radii: {
-            name: [loss(states, by, spacing=d, transfer=way) for d in options["charted"]]
-            for name, (way, by) in WAYS.items()
-        }
-        for radii, states in piles.items()
+        radii: {way: [loss(of, way, spacing=d) for d in options["charted"]] for way in WAYS}
+        for radii, of in states.items()
     }
-    chosen = Sph(spacing=0.5)
-    by_scene = {
-        f"{name}, d = h = 0.5": [loss(s, by, spacing=0.5, transfer=way) for s in scenes["equal"]]
-        for name, (way, by) in WAYS.items()
-    }
-    for h in SUPPORTS:
-        by_scene[f"d = 0.25, h = {h:g}"] = [
-            loss(s, spacing=0.25, support=h, transfer="thesis") for s in scenes["equal"]
-        ]
-    by_scene["velocities of circles"] = [starts.velocity_loss(states, chosen) for states in scenes["equal"]]
     found = {"rows": rows, "by scene": by_scene, "charted": options["charted"]}
     return found | {"by spacing": by_spacing, "sibling": SIBLING}
-
-
-def piles_of(options, radius, seed):
-    """Solved states of some falling and settling piles: the thesis's, and of radii mixed from 0.5 to 2."""
-    count = options["n_bodies"] if radius == RADII["equal"] else options["n_bodies"] // 2
-    scenes = [
-        dc.circles_in_box(count, radius=radius, seed=s) for s in [seed, *figures.seeds(seed, options["scenes"] - 1)]
-    ]
-    return [starts.solved_states(scene, steps=600, every=options["every"]) for scene in scenes]
 
 
 CLAIMS = [
@@ -111,30 +91,24 @@ def claims(data):
         name.removesuffix(", d = h = 0.5").removeprefix("d = 0.25, "): of for name, of in data["by scene"].items()
     }
     losses[None] = [1.0] * len(losses["thesis"])
-    found = [
-        verdicts.judged_values(losses[one], losses[other], text, thesis, within=within)
-        for text, one, other, thesis, within in CLAIMS
-    ]
+    for text, one, other, thesis, within in CLAIMS:
+        yield verdicts.judged_values(losses[one], losses[other], text, thesis, within=within)
     isolated = max(row["isolated, consistent"] for row in data["rows"])
-    equal, mixed = (data["by spacing"][name]["consistent"] for name in ("equal", "mixed"))
-    at = data["charted"].index(0.5)
     text = "the consistent transfer returns an isolated contact exactly"
-    found.append(Claim(text, None, isolated < 1e-12, {"worst": isolated}))
+    yield Claim(text, None, isolated < 1e-12, {"worst": isolated})
+    equal, mixed = (dict(zip(data["charted"], of["consistent"])) for of in data["by spacing"].values())
     text = "at d = h = 0.5 the consistent transfer changes the impulses of a pile of equal circles by under 1e-3"
-    found.append(Claim(text, None, equal[at] < 1e-3, {"relative error": equal[at]}))
+    yield Claim(text, None, equal[0.5] < 1e-3, {"relative error": equal[0.5]})
     text = "for radii from 0.5 to 2 the consistent transfer's error grows with d"
-    grows = bool(np.all(np.diff(np.maximum(mixed, 1e-12)) >= 0))  # below lies rounding
-    measured = {f"d = {d:g}": error for d, error in zip(data["charted"], mixed)}
-    return [*found, Claim(text, None, grows, measured)]
+    grows = bool(np.all(np.diff(np.maximum(list(mixed.values()), 1e-12)) >= 0))  # below lies rounding
+    yield Claim(text, None, grows, {f"d = {d:g}": error for d, error in mixed.items()})
 
 
 def table(data):
-    """Rows: relative errors for poly6; the results file has the other kernels."""
-    names = [name for name in data["rows"][0] if ", " in name]
-    rows = [["kernel", "d (m)", "h (m)", *names, "sibling (N·s)"]]
+    rows = [["kernel", "d (m)", "h (m)", *list(data["rows"][0])[3:], "sibling (N·s)"]]
     for row in data["rows"]:
         sibling = data["sibling"].get(f"d = {row['d']:g}, h = {row['h']:g}") if row["kernel"] == "poly6" else None
-        rows.append([row["kernel"], row["d"], row["h"], *(row[name] for name in names), sibling])
+        rows.append([*row.values(), sibling])
     return rows
 
 
@@ -144,52 +118,42 @@ def draw(data, options):
 
     figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.4))
     colours = (plotting.SKY, plotting.ORANGE, plotting.BLUE, plotting.GREEN, plotting.VERMILION)
-    looks = dict(zip(WAYS, colours))
-    lines = dict(zip(options["spacings"], (":", "--", "-")))
+    ways, lines = dict(zip(WAYS, colours)), dict(zip(options["spacings"], (":", "--", "-")))
+    kinds = {"equal": {"marker": "o", "ls": "-"}, "mixed": {"marker": "s", "ls": "--"}}
     floor = 1e-6
-    for name, colour in looks.items():
+
+    def keys(looks):
+        return [Line2D([], [], label=label, **{"color": "#222222", **look}) for label, look in looks.items()]
+
+    for name, colour in ways.items():
         for d, line in lines.items():
             found = [row for row in data["rows"] if row["kernel"] == "poly6" and row["d"] == d]
             error = np.maximum([row[f"pile, {name}"] for row in found], floor)
             left.plot([row["h"] for row in found], error, line, color=colour, marker="o")
     plotting.label_axes(left, "h", "relative error of λ", x_unit="m", title="a) pile of equal circles, poly6")
-    left.legend(handles=[Line2D([], [], color="#222222", ls=line, label=f"d = {d:g} m") for d, line in lines.items()])
-    kinds = {"equal": {"marker": "o", "ls": "-"}, "mixed": {"marker": "s", "ls": "--"}}
+    left.legend(handles=keys({f"d = {d:g} m": {"ls": line} for d, line in lines.items()}))
     for radii, look in kinds.items():
         for name, error in data["by spacing"][radii].items():
-            right.plot(data["charted"], np.maximum(error, floor), color=looks[name], **look)
+            right.plot(data["charted"], np.maximum(error, floor), color=ways[name], **look)
     plotting.label_axes(right, "d = h", "relative error of λ", x_unit="m", title="b) radii 1, and 0.5 to 2 mixed")
-    keys = [Line2D([], [], color="#222222", label=f"{radii} radii", **look) for radii, look in kinds.items()]
-    right.legend(handles=keys, loc="lower right")
+    right.legend(handles=keys({f"{radii} radii": look for radii, look in kinds.items()}), loc="lower right")
     for ax in (left, right):
         ax.set_xscale("log", base=2)
         ax.set(yscale="log", ylim=(floor / 2, 2))
         ax.xaxis.set_major_formatter("{x:g}")
     left.text(0.01, 0.01, "errors below 1e-6 are drawn there", transform=left.transAxes, fontsize=7, va="bottom")
-    ways = [Line2D([], [], color=colour, label=name) for name, colour in looks.items()]
-    figure.legend(handles=ways, loc="outside lower center", ncols=len(ways))
+    handles = keys({name: {"color": colour} for name, colour in ways.items()})
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(ways))
     return figure
 
 
-FIGURE = Figure(
-    id="6.3",
-    title="Loss of the way through the grid",
-    options={
-        "n_bodies": 100,
-        "every": 60,
-        "scenes": 12,
-        "isolated": 100,
-        "kernels": ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"],
-        "spacings": [0.125, 0.25, 0.5],
-        "supports": [0.125, 0.25, 0.5],
-        "charted": [0.125, 0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0],
-    },
-    quick={"every": 40, "scenes": 1, "isolated": 20},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+OPTIONS = {
+    "n_bodies": 100, "every": 60, "scenes": 12, "isolated": 100,
+    "kernels": ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"], "spacings": [0.125, 0.25, 0.5],
+    "supports": [0.125, 0.25, 0.5], "charted": [0.125, 0.25, 0.375, 0.5, 0.75, 1.0, 1.5, 2.0],
+}  # fmt: skip
+QUICK = {"every": 40, "scenes": 1, "isolated": 20}
+FIGURE = Figure("6.3", "Loss of the way through the grid", compute, table, draw, claims, options=OPTIONS, quick=QUICK)
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

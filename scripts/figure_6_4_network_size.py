@@ -49,34 +49,30 @@ def files(folder):
 def networks_of(data):
     """The networks by weights, each with its error over Builtin's, (sweeps, 3)."""
     kept = [network for network in data["networks"] if re.fullmatch(r"width \d+|shipped", network["name"])]
-    return [
-        network | {"ratios": ratios_to_builtin(data["scenes"], network["name"])}
-        for network in sorted(kept, key=lambda network: network["weights"])
-    ]
+    kept = [network | {"ratios": ratios_to_builtin(data["scenes"], network["name"])} for network in kept]
+    return sorted(kept, key=lambda network: network["weights"])
 
 
 def claims(data):
     """Whether size pays, in error and in time."""
     networks, after = networks_of(data), 10 if 10 in data["after"] else data["after"][-1]
     error = {n["weights"]: float(n["ratios"][data["after"].index(after), 0]) for n in networks}
-    measured = {f"{weights:,} weights": ratio for weights, ratio in error.items()}
     text = f"every larger network leaves less error after {after} sweeps than the one before"
     falls = len(error) > 1 and (np.diff(list(error.values())) < 0).all()
-    found = [Claim(text, None, bool(falls), measured)]
+    yield Claim(text, None, bool(falls), {f"{weights:,} weights": ratio for weights, ratio in error.items()})
     largest = networks[-1]["weights"]
-    quarter = [weights for weights in error if weights <= largest / 4]
-    if quarter:
-        gain = {"a quarter of the weights": error[quarter[-1]], "all": error[largest]}
+    if quarter := [weights for weights in error if weights <= largest / 4]:
+        part, whole = error[quarter[-1]], error[largest]
         text = f"the largest network leaves at most 0.9 of the error after {after} sweeps of one with a quarter of its"
-        found.append(Claim(f"{text} weights", None, gain["all"] <= 0.9 * gain["a quarter of the weights"], gain))
+        measured = {"a quarter of the weights": part, "all": whole}
+        yield Claim(f"{text} weights", None, whole <= 0.9 * part, measured)
     cost = {f"{network['weights']:,} weights, μs": network["us"] for network in networks}
     text = "even the smallest network costs more time than thirty sweeps of PGS"
     holds = networks[0]["us"] > 30 * data["sweep_us"]
-    return [*found, Claim(text, None, holds, cost | {"a sweep, μs": data["sweep_us"]})]
+    yield Claim(text, None, holds, cost | {"a sweep, μs": data["sweep_us"]})
 
 
 def table(data):
-    """Rows: weights, time, and the error left after some sweeps over Builtin's, with its 95 % interval."""
     rows = [["network", "weights", "μs", "in sweeps", *(f"error({k}) / Builtin's" for k in data["after"])]]
     for network in networks_of(data):
         cells = cells_of(network["ratios"])
@@ -92,43 +88,26 @@ def draw(data, options):
     weights = [network["weights"] for network in networks]
     ratios = np.array([network["ratios"] for network in networks])
     for i, k in enumerate(data["after"]):
-        line = left.plot(weights, ratios[:, i, 0], marker="o", markersize=4, label=f"after {k} sweeps")
-        left.fill_between(weights, ratios[:, i, 1], ratios[:, i, 2], color=line[0].get_color(), alpha=0.15, linewidth=0)
+        plotting.band(left, weights, *ratios[:, i].T, marker="o", markersize=4, label=f"after {k} sweeps")
     left.axhline(1.0, color=plotting.GREY, linewidth=1.0)
     left.set_ylim(0, 1.2)
     plotting.label_axes(left, "weights", "velocity error / Builtin's", title="a) error on held-out scenes, all steps")
     left.legend()
     right.plot(weights, [network["us"] for network in networks], marker="o", color=plotting.BLUE)
     right.set_yscale("log")
-    sweeps = right.secondary_yaxis(
-        "right", functions=(lambda us: us / data["sweep_us"], lambda count: count * data["sweep_us"])
-    )
+    sweep_us, title = data["sweep_us"], "b) a start for 100 circles, one thread"
+    sweeps = right.secondary_yaxis("right", functions=(lambda us: us / sweep_us, lambda count: count * sweep_us))
     sweeps.set_ylabel("sweeps of PGS in that time")
-    title = "b) a start for 100 circles, one thread"
     plotting.label_axes(right, "weights", "time of a start", y_unit="μs", title=title)
     for ax in (left, right):
         ax.set_xscale("log")
     return figure
 
 
-FIGURE = Figure(
-    id="6.4",
-    title="Size of the far-field network: error and time",
-    options={
-        "folder": "models/comparison",
-        "scenes": 20,
-        "steps": 600,
-        "every": 5,
-        "after": [3, 10, 30],
-        "repeats": 200,
-    },
-    quick={"scenes": 2, "every": 30, "steps": 240, "repeats": 20},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-    digits=5,
-)
+OPTIONS = {"folder": "models/comparison", "scenes": 20, "steps": 600, "every": 5, "after": [3, 10, 30], "repeats": 200}
+QUICK = {"scenes": 2, "every": 30, "steps": 240, "repeats": 20}
+FIGURE = Figure("6.4", "Size of the far-field network: error and time", compute, table, draw, claims, options=OPTIONS,
+                quick=QUICK, digits=5)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -35,14 +35,14 @@ def fastest_rival(row, phase="us"):
 
 def claims(data):
     """What a circle more costs, and what rivals cost in impact and at rest."""
-    powers, found = {}, []
+    powers = {}
     for preset in presets_of(data):
         large = [(row["n_bodies"], row["ours_plain"]["us"]) for row in rows_of(data, preset) if row["n_bodies"] >= 1000]
         if len(large) > 1:
             powers[preset] = float(np.polyfit(*np.log(large).T, 1)[0])
     if powers:
         text = "a preset's cost grows with circles to the power of at most 1.15, from 1,000 circles on"
-        found.append(Claim(text, None, max(powers.values()) <= 1.15, powers))
+        yield Claim(text, None, max(powers.values()) <= 1.15, powers)
     for phase in ("impact", "rest"):
         ratios = {
             f"{row['preset']}, {row['n_bodies']}": rival[1] / row["ours_plain"][phase]
@@ -51,12 +51,11 @@ def claims(data):
         }
         if ratios:
             text = f"no preset is dearer than with the fastest rival, {phase}"
-            found.append(Claim(text, None, min(ratios.values()) >= 1, ratios))
-    return found
+            yield Claim(text, None, min(ratios.values()) >= 1, ratios)
 
 
 def table(data):
-    """Rows: each preset at each size, its setting on plain piles, times by phase, and the fastest rival's."""
+    """Each preset at each size: its setting on plain piles, times by phase, and the fastest rival's."""
     head = ["circles", "preset", "setting", "impact, µs", "settling, µs", "rest, µs"]
     rows = [[*head, "fastest rival", "impact, µs", "settling, µs", "rest, µs"]]
     for row in data["presets"]:
@@ -74,21 +73,19 @@ def draw(data, options):
     figure, (left, middle, right) = plotting.subplots(1, 3, size=(13.5, 4.4))
     drawn = set()
     for preset, colour in presets_of(data).items():
-        rows = rows_of(data, preset)
+        rows, look = rows_of(data, preset), {"color": colour, "marker": "o", "markersize": 4}
         sizes = [row["n_bodies"] for row in rows]
-        costs = [row["ours_plain"]["us"] for row in rows]
-        left.plot(sizes, costs, color=colour, marker="o", markersize=4, label=preset)
+        left.plot(sizes, [row["ours_plain"]["us"] for row in rows], label=preset, **look)
         for phase, line in (("impact", "--"), ("rest", "-")):
             ratios = [row["ours_plain"][phase] / row["ours_plain"]["us"] for row in rows]
-            middle.plot(sizes, ratios, color=colour, linestyle=line, marker="o", markersize=4)
+            middle.plot(sizes, ratios, linestyle=line, **look)
         against = [(row["n_bodies"], *rival, row["ours_plain"]["us"]) for row in rows if (rival := fastest_rival(row))]
         for n, engine, us, ours in against:
+            look = {"color": colour, "marker": MARKERS[engine], "linestyle": ""}
             label = None if engine in drawn else f"fastest rival: {engine}"
             drawn.add(engine)
-            left.plot(
-                [n], [us], color=colour, marker=MARKERS[engine], markerfacecolor="none", linestyle="", label=label
-            )
-            right.plot([n], [us / ours], color=colour, marker=MARKERS[engine], linestyle="")
+            left.plot([n], [us], markerfacecolor="none", label=label, **look)
+            right.plot([n], [us / ours], **look)
         right.plot([row[0] for row in against], [row[2] / row[3] for row in against], color=colour)
     middle.plot([], [], color=plotting.GREY, linestyle="--", label="impact")
     middle.plot([], [], color=plotting.GREY, label="rest")
@@ -105,15 +102,9 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="6.5",
-    title="What the presets cost, from 100 circles to 10,000",
-    options={"results": "data/reference/run_tradeoff.json"},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+OPTIONS = {"results": "data/reference/run_tradeoff.json"}
+FIGURE = Figure("6.5", "What the presets cost, from 100 circles to 10,000", compute, table, draw, claims,
+                options=OPTIONS)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -62,12 +62,6 @@ def solvers_of(data):
     return [outcome for outcome in data["solvers"] if outcome["name"] in extremes.SOLVERS]
 
 
-def ours(data, *quantities):
-    """Accepted cells of our engine; of some quantities, or of all."""
-    accepted = [cell for cell in cells_of(data) if cell["engine"] == "ours" and cell["verdict"] != REFUSED]
-    return [cell for cell in accepted if not quantities or cell["quantity"] in quantities]
-
-
 def unearned(cell):
     """Rise of the energy beyond the work of position correction, as a share of its initial value."""
     return cell["energy"] - (cell["correction"] or 0.0)
@@ -82,40 +76,36 @@ def is_inelastic(cell):
 
 def claims(data):
     """The goals of the engine at the extremes."""
-    accepted = ours(data)
-    inelastic = [cell for cell in accepted if is_inelastic(cell)]
-    worst = max(inelastic, key=unearned, default=None)
-    refusals = [cell for cell in cells_of(data) if cell["engine"] == "ours" and cell["verdict"] == REFUSED]
+    mine = [cell for cell in cells_of(data) if cell["engine"] == "ours"]
+    accepted = [cell for cell in mine if cell["verdict"] != REFUSED]
     not_finite = sum(not cell["finite"] for cell in accepted)
-    explained = all("expected" in cell["message"] and "got" in cell["message"] for cell in refusals)
     text = "no accepted scene ends in a number that is not finite"
-    found = [Claim(text, None, not not_finite, {"scenes": len(accepted), "not finite": not_finite})]
+    yield Claim(text, None, not not_finite, {"scenes": len(accepted), "not finite": not_finite})
+    refusals = [cell["message"] for cell in mine if cell["verdict"] == REFUSED]
+    explained = all("expected" in message and "got" in message for message in refusals)
     text = "every refusal names the quantity, its limits and the value"
-    found.append(Claim(text, None, explained, {"refused": len(refusals)}))
-    if worst is not None:
+    yield Claim(text, None, explained, {"refused": len(refusals)})
+    inelastic = [cell for cell in accepted if is_inelastic(cell)]
+    if inelastic:
+        worst = max(inelastic, key=unearned)
         measured = {"scenes": len(inelastic), "largest rise": unearned(worst), "of": worst["quantity"]}
         text = f"with e = 0 the energy never rises by more than {ROUNDING:g} and the work of position correction"
-        found.append(Claim(text, None, unearned(worst) <= ROUNDING, {**measured, "at": worst["value"]}))
-    parted = ours(data, "overlap", "coinciding circles")
-    if parted:
-        speed = max(cell["speed"] for cell in parted)
+        yield Claim(text, None, unearned(worst) <= ROUNDING, {**measured, "at": worst["value"]})
+    speeds = [cell["speed"] for cell in accepted if cell["quantity"] in ("overlap", "coinciding circles")]
+    if speeds:
         text = "circles that overlap, up to the whole diameter, are parted without giving them any speed"
-        found.append(Claim(text, None, speed == 0.0, {"largest speed (m/s)": speed}))
-    tried = [solver for solver in solvers_of(data) if solver["verdict"] != ABSENT]
+        yield Claim(text, None, max(speeds) == 0.0, {"largest speed (m/s)": max(speeds)})
+    tried = {solver["name"]: solver["verdict"] for solver in solvers_of(data) if solver["verdict"] != ABSENT}
     if tried:
-        unsafe = [f"{solver['name']}: {solver['verdict']}" for solver in tried if solver["verdict"] != SAFE]
         # θ is the last change and no error: after a start ten times too large it stops far from the solution.
-        unsafe = [text for text in unsafe if text.partition(":")[0] != "start bad"]
-        text = (
-            "a falling pile is safe with every method in both precisions, and from every start that is not misleading"
-        )
-        found.append(Claim(text, None, not unsafe, {"tried": len(tried), "not safe": unsafe or "none"}))
+        unsafe = [f"{name}: {found}" for name, found in tried.items() if found != SAFE and name != "start bad"]
+        text = "a falling pile is safe with every method in both precisions, and from every start that is not"
+        yield Claim(f"{text} misleading", None, not unsafe, {"tried": len(tried), "not safe": unsafe or "none"})
     for name, what in RESTING.items():
         silo = data["silos"][name]["ours"]
         depth, speed = silo["settled"] / LINEAR_SLOP, silo["speed"][-1]
         text = f"a column in a silo {what} rests, its penetration below 2 slops"
-        found.append(Claim(text, None, depth < 2.0 and speed < 1e-3, {"slops": depth, "speed (m/s)": speed}))
-    return found
+        yield Claim(text, None, depth < 2.0 and speed < 1e-3, {"slops": depth, "speed (m/s)": speed})
 
 
 def by_quantity(data):
@@ -134,26 +124,25 @@ def ranges(cells, *verdicts):
 
 
 def table(data):
-    """Rows: by quantity the values that are safe, degraded, failed and refused; what is safe in the peers."""
-    rows = [["quantity", "unit", *(f"ours: {v}" for v in (SAFE, DEGRADED, FAILED, REFUSED)), "worst (slops)",
-             "back after (steps)", *(f"{engine}: safe" for engine in ENGINES[1:])]]  # fmt: skip
+    """By quantity the values that are safe, degraded, failed and refused; what is safe in the peers."""
+    verdicts = (SAFE, DEGRADED, FAILED, REFUSED)
+    rows = [["quantity", "unit", *(f"ours: {v}" for v in verdicts), "worst (slops)", "back after (steps)"]]
+    rows[0] += [f"{engine}: safe" for engine in ENGINES[1:]]
     for name, engines in by_quantity(data).items():
         mine = engines["ours"]
         good = [cell for cell in mine if cell["verdict"] == SAFE]
         worst = max((cell["worst"] / cell["slop"] for cell in good), default=None)
         recovered = max((cell["recovered"] for cell in good if cell["recovered"] is not None), default=None)
-        rows.append([
-            name, data["units"][name], *(ranges(mine, v) for v in (SAFE, DEGRADED, FAILED, REFUSED)), worst, recovered,
-            *(ranges(engines[engine], SAFE) if engine in engines else None for engine in ENGINES[1:]),
-        ])  # fmt: skip
+        peers = [ranges(engines.get(engine, []), SAFE) for engine in ENGINES[1:]]
+        rows.append([name, data["units"][name], *(ranges(mine, v) for v in verdicts), worst, recovered, *peers])
     for name, engines in data["silos"].items():
         settled = {e: found["settled"] / LINEAR_SLOP for e, found in engines.items() if "settled" in found}
         text = "; ".join(f"{engine} {depth:.3g}" for engine, depth in settled.items())
         rows.append([f"silo: {name}", "slops at rest", text, *[None] * 7])
     for solver in solvers_of(data):
-        verdicts = [solver["name"] if solver["verdict"] == v else None for v in (SAFE, DEGRADED, FAILED, REFUSED)]
-        worst = None if solver["worst"] is None else solver["worst"] / LINEAR_SLOP
-        rows.append(["pile", "", *verdicts, worst, solver["recovered"], None, None])
+        names = [solver["name"] if solver["verdict"] == v else None for v in verdicts]
+        worst = solver["worst"] and solver["worst"] / LINEAR_SLOP
+        rows.append(["pile", "", *names, worst, solver["recovered"], None, None])
     return rows
 
 
@@ -184,8 +173,8 @@ def draw(data, options):
                     ax.text(column + 0.47, row + 0.17, f"{cell['value']:g}", ha="center", va="center", fontsize=6.5)
             if engine in engines:
                 ax.text(-0.1, row + 0.40 + 0.21 * stripe, engine, ha="right", va="center", fontsize=5.5)
-    ax.set_yticks([row + 0.5 for row in range(len(grouped))])
-    ax.set_yticklabels([f"{name} ({data['units'][name]})" if data["units"][name] else name for name in grouped])
+    labels = [f"{name} ({data['units'][name]})" if data["units"][name] else name for name in grouped]
+    ax.set_yticks([row + 0.5 for row in range(len(grouped))], labels)
     ax.tick_params(axis="y", length=0, pad=44)
     ax.set(xticks=[], xlim=(-0.2, most), ylim=(len(grouped), 0))
     ax.grid(False)
@@ -199,23 +188,12 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="6.6",
-    title="Stability at the extremes: what is safe, degraded, failed and refused",
-    options={
-        "quantities": list(extremes.QUANTITIES),
-        "solvers": list(extremes.SOLVERS),
-        "few": False,
-        "steps": 1000,
-        "silo": 50,
-        "seconds": 60,
-    },
-    quick={"few": True, "steps": 300},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+OPTIONS = {
+    "quantities": list(extremes.QUANTITIES), "solvers": list(extremes.SOLVERS), "few": False, "steps": 1000,
+    "silo": 50, "seconds": 60,
+}  # fmt: skip
+FIGURE = Figure("6.6", "Stability at the extremes: what is safe, degraded, failed and refused", compute, table, draw,
+                claims, options=OPTIONS, quick={"few": True, "steps": 300})  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

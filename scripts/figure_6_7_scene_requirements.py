@@ -46,27 +46,25 @@ def compute(options, seed, jobs, progress):
 
 def claims(data):
     """The goals, against what was measured."""
-    found = []
+    ratios = {name: one["ratio"] for name, one in data["savings"].items()}
     frictionless = {f"{n} circles": one["frictionless"]["ratio"] for n, one in data["sweeps"].items()}
     text = "without friction a sweep is at least 1.8 times cheaper"
-    found.append(Claim(text, None, min(frictionless.values()) >= 1.8, frictionless))
+    yield Claim(text, None, min(frictionless.values()) >= 1.8, frictionless)
     for name, (where, _) in CONTEXTS.items():
-        ratio = data["savings"][name]["ratio"]
-        measured = {"ratio": ratio, "in time": data["savings"][f"{name}, time"]["ratio"]}
         text = f"islands cut sweeps times contacts at least 2 times on {where}"
-        found.append(Claim(text, None, ratio >= 2, measured))
+        measured = {"ratio": ratios[name], "in time": ratios[f"{name}, time"]}
+        yield Claim(text, None, ratios[name] >= 2, measured)
     for name, (where, _) in CONTEXTS.items():
         keys = ("difference", "error_together", "error_apart")
         largest = {key: max(max(run[key]) for run in data["islands"][name]) for key in keys}
         text = f"on {where} islands leave the velocities as they are within 6e-5 m/s"
-        found.append(Claim(text, None, largest["difference"] <= constants.THETA_TOLERANCE, largest))
-    share = {name: 1 / data["savings"][name]["ratio"] for name in ("asleep", "asleep but for one")}
+        yield Claim(text, None, largest["difference"] <= constants.THETA_TOLERANCE, largest)
+    share = {name: 1 / ratios[name] for name in ("asleep", "asleep but for one")}
     text = "a resting pile that sleeps costs at most 5 % of one that is awake"
-    found.append(Claim(text, None, share["asleep"] <= 0.05, share))
+    yield Claim(text, None, share["asleep"] <= 0.05, share)
     light = {name: one["heavy"] for name, one in data["jobs"].items()}
     holds = not light.get("import") and not {"tensorflow", "keras"} & set(light.get("simulate", ()))
-    found.append(Claim("an import loads none of the packages, a simulation no TensorFlow", None, holds, light))
-    return found
+    yield Claim("an import loads none of the packages, a simulation no TensorFlow", None, holds, light)
 
 
 def named_savings(data):
@@ -77,7 +75,6 @@ def named_savings(data):
 
 
 def table(data):
-    """Rows: every saving, then every job."""
     rows = [["what", "times cheaper", "quartiles", "general", "special"]]
     for name, n, one in named_savings(data):
         name = name if n is None else f"{name}, {n} circles, ns"
@@ -107,33 +104,15 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="6.7",
-    title="What modelling only what a scene requires saves",
-    options={
-        "sizes": [100, 1000],
-        "n_bodies": 100,
-        "timed": 1000,
-        "repeats": 15,
-        "scenes": 5,
-        "steps": 600,
-        "every": 5,
-        "jobs": list(savings.JOBS),
-    },
-    quick={
-        "sizes": [100],
-        "timed": 200,
-        "repeats": 5,
-        "scenes": 1,
-        "steps": 200,
-        "every": 20,
-        "jobs": ["import", "simulate"],
-    },
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-)
+OPTIONS = {
+    "sizes": [100, 1000], "n_bodies": 100, "timed": 1000, "repeats": 15, "scenes": 5, "steps": 600, "every": 5,
+    "jobs": list(savings.JOBS),
+}  # fmt: skip
+QUICK = {
+    "sizes": [100], "timed": 200, "repeats": 5, "scenes": 1, "steps": 200, "every": 20, "jobs": ["import", "simulate"],
+}  # fmt: skip
+FIGURE = Figure("6.7", "What modelling only what a scene requires saves", compute, table, draw, claims, options=OPTIONS,
+                quick=QUICK)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

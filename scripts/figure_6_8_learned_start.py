@@ -33,31 +33,28 @@ def mean_sweeps(data, name):
 def claims(data):
     """Whether the network pays: over PGS from Builtin, over the best classical setting, and in sweeps to θ."""
     few, scenes = [data["after"].index(k) for k in FEW], data["scenes"]
-    alone = learned_starts.ratios_to_builtin(scenes, "far field", "off")[few]
-    guarded = learned_starts.ratios_to_builtin(scenes, "guarded")[few]
 
-    def claim(text, holds, ratios):
-        return Claim(text, None, bool(holds), {f"after {k} sweeps": list(r) for k, r in zip(FEW, ratios.tolist())})
+    def claim(text, ratios, column, most):
+        measured = {f"after {k} sweeps": of for k, of in zip(FEW, ratios[few].tolist())}
+        return Claim(text, None, bool(ratios[few, column].max() <= most), measured)
 
     text = "with PGS, where Builtin is off by more than 5 %, the network leaves at most 0.33 of its error"
-    found = [claim(text, alone[:, 0].max() <= 0.33, alone)]
+    yield claim(text, learned_starts.ratios_to_builtin(scenes, "far field", "off"), 0, 0.33)
     text = "with PGS, guarded, over all steps, at most 0.6 of Builtin's error"
-    found.append(claim(text, guarded[:, 0].max() <= 0.6, guarded))
+    yield claim(text, learned_starts.ratios_to_builtin(scenes, "guarded"), 0, 0.6)
     for start in LEARNED:
-        ratios = learned_starts.ratios_to_best(scenes, start)[few]
         text = f"{start}, its price left out, leaves less error than the best classical setting (95 %), over all steps"
-        found.append(claim(text, ratios[:, 2].max() < 1, ratios))
+        yield claim(text, learned_starts.ratios_to_best(scenes, start), 2, np.nextafter(1, 0))
     best = [
         min((mean_sweeps(data, name), name) for name in settings_of(data) if parts_of(name)[0] in starts)
         for starts in (CLASSICAL, ["guarded"])
     ]
     ratio = best[1][0] / best[0][0]
     text = "guarded mean sweeps to θ < 6e-5 at most 0.7 of the best classical setting's"
-    return [*found, Claim(text, None, ratio <= 0.7, {name: count for count, name in best} | {"ratio": ratio})]
+    yield Claim(text, None, ratio <= 0.7, {name: count for count, name in best} | {"ratio": ratio})
 
 
 def table(data):
-    """Rows: mean errors after some sweeps, sweeps to the threshold, ratios to the best classical setting."""
     scenes = data["scenes"]
     rows = [["start", "states", *(f"error({k})" for k in data["after"]), "mean sweeps to 6e-5"]]
     for where, text in (("off", "Builtin off"), ("all", "all")):
@@ -81,13 +78,11 @@ def draw(data, options):
     styles = plotting.styles_of(list(curves))
     labels = {"none": "none, PGS", "builtin": "builtin, PGS", "guarded": "network, guarded"}
     x = [max(k, 1) for k in data["after"]]  # 0 sweeps, which have no logarithm, are drawn at 1
+    looks = {name: {"marker": "o", "markersize": 3, **styles[name], "label": labels.get(name, name)} for name in curves}
     for name, found in curves.items():
         spread, mean = 1.96 * found.std(axis=0) / np.sqrt(len(found)), found.mean(axis=0)
-        left.plot(x, mean, marker="o", markersize=3, **styles[name] | {"label": labels.get(name, name)})
-        left.fill_between(x, mean - spread, mean + spread, color=styles[name]["color"], alpha=0.15, linewidth=0)
-    ratio, low, high = learned_starts.ratios_to_best(scenes, "guarded").T
-    right.plot(x, ratio, marker="o", markersize=3, **styles["guarded"] | {"label": labels["guarded"]})
-    right.fill_between(x, low, high, color=styles["guarded"]["color"], alpha=0.15, linewidth=0)
+        plotting.band(left, x, mean, mean - spread, mean + spread, **looks[name])
+    plotting.band(right, x, *learned_starts.ratios_to_best(scenes, "guarded").T, **looks["guarded"])
     right.axhline(1.0, **styles["best classical"])
     left.set_yscale("log")
     right.set_ylim(0, 1.2)
@@ -102,17 +97,10 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="6.8",
-    title="What a learned start is worth from given states",
-    options={"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30, 100], "model": "models/model.h5"},
-    quick={"scenes": 2, "every": 15, "steps": 300},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-    digits=4,
-)
+OPTIONS = {"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30, 100], "model": "models/model.h5"}
+QUICK = {"scenes": 2, "every": 15, "steps": 300}
+FIGURE = Figure("6.8", "What a learned start is worth from given states", compute, table, draw, claims, options=OPTIONS,
+                quick=QUICK, digits=4)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

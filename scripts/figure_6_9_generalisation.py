@@ -19,11 +19,9 @@ def compute(options, seed, jobs, progress):
 
 def label(kind):
     """What differs from the training data: "μ 0.6"."""
-    if not kind:
-        return "as trained"
-    ((name, value),) = kind.items()
-    text = "–".join(f"{v:g}" for v in dict.fromkeys(value)) if isinstance(value, list) else f"{value:g}"
-    return f"{SHORT[name]} {text}"
+    for name, value in kind.items():
+        return f"{SHORT[name]} {'–'.join(f'{v:g}' for v in dict.fromkeys(np.atleast_1d(value)))}"
+    return "as trained"
 
 
 def ratios_of(data):
@@ -40,7 +38,7 @@ def claims(data):
 
 
 def table(data):
-    """Rows: error of the guarded network with its best solver over the best classical setting's, by kind of scene."""
+    """Error of the guarded network with its best solver over the best classical setting's, by kind of scene."""
     rows = [["scenes", *(f"{k} sweeps" for k in FEW)]]
     return rows + [[kind, *cells_of(ratios, digits=2)] for kind, ratios in ratios_of(data).items()]
 
@@ -61,30 +59,15 @@ def draw(data, options):
     return figure
 
 
-FIGURE = Figure(
-    id="6.9",
-    title="Learned starts beyond what they were trained on",
-    options={
-        "scenes": 3,
-        "steps": 600,
-        "states": 40,
-        "after": [0, 3, 10, 30],
-        "beyond": {
-            "circles": [[20, 40], [150, 150], [300, 300]],
-            "radius": [[0.5, 0.5], [0.75, 1.25], [0.5, 2.0]],
-            "friction": [0.0, 0.1, 0.6, 1.0],
-            "dt": [0.002, 0.005, 0.02, 0.03],
-            "columns": [5, 25],
-        },
-        "model": "models/model.h5",
-    },
-    quick={"scenes": 2, "steps": 300, "states": 10, "beyond": {"friction": [0.0, 1.0], "radius": [[0.5, 2.0]]}},
-    compute=compute,
-    claims=claims,
-    table=table,
-    draw=draw,
-    digits=4,
-)
+OPTIONS = {
+    "scenes": 3, "steps": 600, "states": 40, "after": [0, 3, 10, 30],
+    "beyond": {"circles": [[20, 40], [150, 150], [300, 300]], "radius": [[0.5, 0.5], [0.75, 1.25], [0.5, 2.0]],
+        "friction": [0.0, 0.1, 0.6, 1.0], "dt": [0.002, 0.005, 0.02, 0.03], "columns": [5, 25]},
+    "model": "models/model.h5",
+}  # fmt: skip
+QUICK = {"scenes": 2, "steps": 300, "states": 10, "beyond": {"friction": [0.0, 1.0], "radius": [[0.5, 2.0]]}}
+FIGURE = Figure("6.9", "Learned starts beyond what they were trained on", compute, table, draw, claims, options=OPTIONS,
+                quick=QUICK, digits=4)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

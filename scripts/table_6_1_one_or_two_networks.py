@@ -24,42 +24,34 @@ TITLES = {"normal": "error of λ_n, of ‖λ‖", "tangent": "error of λ_t, of 
 def compute(options, seed, jobs, progress):
     """Make states, and train all networks on them."""
     made = {name: options[name] for name in ("simulations", "steps", "bodies")}
-    decided = made | {name: options[name] for name in ("stacks", "deeper", "settings", "held_out")} | {"seed": seed}
-    digest = hashlib.sha256(json.dumps(decided, sort_keys=True).encode()).hexdigest()[:12]
-    folder = Path(options["runs"]) / digest
-    data = chapter_5.make_states(folder / "data", **made, seed=seed, progress=progress)
-    used = {name: options[name] for name in ("held_out", "states", "sweeps", "stacks", "deeper", "settings")}
+    used = {name: options[name] for name in ("stacks", "deeper", "settings", "held_out")}
+    decided = json.dumps(made | used | {"seed": seed}, sort_keys=True)
+    folder = Path(options["runs"]) / hashlib.sha256(decided.encode()).hexdigest()[:12]
+    used |= {"data": str(chapter_5.make_states(folder / "data", **made, seed=seed, progress=progress))}
+    used |= {"states": options["states"], "sweeps": options["sweeps"], "out": str(folder)}
     seeds = [seed + i for i in range(options["seeds"])]
-    return chapter_5.one_or_two_networks(
-        data=str(data), out=str(folder), **used, seeds=seeds, jobs=jobs, progress=progress
-    )
+    return chapter_5.one_or_two_networks(**used, seeds=seeds, jobs=jobs, progress=progress)
 
 
 def claims(data):
     """Whether the variants are equal within the spread of the seeds. One seed has no spread, so no claims."""
     if len(data["seeds"]) < 2:
         return []
-    cases = (
-        (DEEPER, EACH, "two networks equal one with more convolutional layers", "section 6.1"),
-        (ONE, EACH, "two networks equal one of the size of each", "section 6.1"),
-    )
-    return [
-        Claim(f"{text}, within the spread of the seeds", thesis, *judged(data, first, second))
-        for first, second, text, thesis in cases
-    ]
+    return [judged(data, DEEPER, "one with more convolutional layers"), judged(data, ONE, "one of the size of each")]
 
 
-def judged(data, first, second):
-    """Whether both are equal, the numbers, and the verdict: fewer than ten trainings of each cannot tell."""
-    equal, measured = chapter_5.within_spread(data, first, second)
-    count = len(data["seeds"])
+def judged(data, first, what):
+    """Whether two networks equal another variant; fewer than ten trainings of each cannot tell."""
+    equal, measured = chapter_5.within_spread(data, first, EACH)
+    text, count = f"two networks equal {what}, within the spread of the seeds", len(data["seeds"])
     if count >= verdicts.FEWEST:
-        return equal, measured
-    return None, measured, f"open: {count} trainings of each show {'no' if equal else 'a'} difference"
+        return Claim(text, "section 6.1", equal, measured)
+    verdict = f"open: {count} trainings of each show {'no' if equal else 'a'} difference"
+    return Claim(text, "section 6.1", None, measured, verdict)
 
 
 def table(data):
-    """A row per variant: mean ± standard deviation over the seeds; and the velocity error after some sweeps."""
+    """Mean ± standard deviation over the seeds; and the velocity error after some sweeps."""
     shown = [i for i, sweeps in enumerate(data["sweeps"]) if sweeps]
     rows = [["networks", "parameters", "seeds", *TITLES.values(), *(f"after {data['sweeps'][i]}" for i in shown)]]
     for variant, found in data["variants"].items():
@@ -75,41 +67,20 @@ def spread(values):
     return f"{values.mean():.4f} ± {values.std(ddof=1):.4f}" if values.size > 1 else f"{values.mean():.4f}"
 
 
-FIGURE = Figure(
-    id="T 6.1",
-    title="One network for both impulses, or one for each",
-    options={
-        "runs": "runs/table_6_1",
-        "simulations": 16,
-        "steps": 300,
-        "bodies": [70, 110],
-        "held_out": 4,
-        "states": 200,
-        "sweeps": [0, 3, 10, 30],
-        "stacks": [[8, [3, 3]], [16, [3, 3, 2]], [32, [2, 2]]],
-        "deeper": [[8, [3, 3, 3, 3]], [16, [3, 3, 2, 3, 3, 2]], [32, [2, 2, 2, 2]]],
-        "settings": {
-            **{"spacing": 1.0, "support": 1.0, "optimizer": "adam", "schedule": "cosine", "rate": 2e-3},
-            **{"epochs": 4, "batch_size": 32, "states_per_epoch": 1600, "validation_states": 200},
-        },
-        "seeds": 3,
-    },
-    quick={
-        "simulations": 5,
-        "steps": 150,
-        "bodies": [40, 60],
-        "held_out": 1,
-        "states": 30,
-        "stacks": [[4, [3]], [4, [2]]],
-        "deeper": [[4, [3, 3]], [4, [2, 2]]],
-        "settings": {"epochs": 1, "states_per_epoch": 64, "batch_size": 16, "validation_states": 16},
-        "seeds": 1,
-    },
-    seed=61,
-    compute=compute,
-    claims=claims,
-    table=table,
-)
+OPTIONS = {
+    "runs": "runs/table_6_1", "simulations": 16, "steps": 300, "bodies": [70, 110], "held_out": 4, "states": 200,
+    "sweeps": [0, 3, 10, 30], "stacks": [[8, [3, 3]], [16, [3, 3, 2]], [32, [2, 2]]],
+    "deeper": [[8, [3, 3, 3, 3]], [16, [3, 3, 2, 3, 3, 2]], [32, [2, 2, 2, 2]]],
+    "settings": {**{"spacing": 1.0, "support": 1.0, "optimizer": "adam", "schedule": "cosine", "rate": 2e-3},
+        **{"epochs": 4, "batch_size": 32, "states_per_epoch": 1600, "validation_states": 200}}, "seeds": 3,
+}  # fmt: skip
+QUICK = {
+    "simulations": 5, "steps": 150, "bodies": [40, 60], "held_out": 1, "states": 30, "stacks": [[4, [3]], [4, [2]]],
+    "deeper": [[4, [3, 3]], [4, [2, 2]]],
+    "settings": {"epochs": 1, "states_per_epoch": 64, "batch_size": 16, "validation_states": 16}, "seeds": 1,
+}  # fmt: skip
+FIGURE = Figure("T 6.1", "One network for both impulses, or one for each", compute, table, claims=claims,
+                options=OPTIONS, quick=QUICK, seed=61)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

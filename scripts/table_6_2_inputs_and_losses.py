@@ -5,18 +5,8 @@ The networks of models/comparison were trained alike but for the one setting tha
 
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.learned_starts import (
-    CLASSICAL,
-    FEW,
-    best_errors,
-    best_settings,
-    cells_of,
-    errors_on_scenes,
-    mean_errors,
-    ratios_of,
-    ratios_to_best,
-    ratios_to_builtin,
-)
+from deep_contact.studies import learned_starts
+from deep_contact.studies.learned_starts import CLASSICAL, FEW, cells_of, ratios_to_builtin
 
 NETWORKS = {
     "width_24": ("bodies and contact rows", "velocities after 3, 10, 30 sweeps"),
@@ -36,9 +26,9 @@ PLAIN = "width_24"
 def compute(options, seed, jobs, progress):
     """Every network's start on the same states of held-out scenes."""
     paths = {name: f"{options['folder']}/{name}.h5" for name in NETWORKS}
-    starts = {name: name for name in CLASSICAL} | {name: {"model": path} for name, path in paths.items()}
+    starts = dict(zip(CLASSICAL, CLASSICAL)) | {name: {"model": path} for name, path in paths.items()}
     settings = {"seed": seed + 40_000, "jobs": jobs, "progress": progress, "with_all": [*CLASSICAL, PLAIN]}
-    (scenes,) = errors_on_scenes(starts, options, **settings)
+    (scenes,) = learned_starts.errors_on_scenes(starts, options, **settings)
     budget = {name: budget_of(path) for name, path in paths.items()}
     return {"after": options["after"], "scenes": scenes, "budget": budget}
 
@@ -57,36 +47,29 @@ def claims(data):
     """Whether contact rows, the correction and the loss through the solver each pay."""
     few = [data["after"].index(k) for k in FEW]
     found = {name: ratios_to_builtin(data["scenes"], name, "off")[few, 0] for name in NETWORKS}
-
     goals = {
         "with contact rows the network is better than with the thesis's inputs, at 3, 10 and 30 sweeps": ("bodies",),
         "a correction of Builtin is better than λ from zero": ("no_correction",),
         "velocities after sweeps are a better loss than λ, or velocities before any": ("impulses", "no_sweep"),
         "labels are worth their price: the residual alone teaches less": ("residual",),
     }
-    ratios = ratios_to_best(data["scenes"], PLAIN, "off")[few]
-    shown = {f"after {data['after'][i]} sweeps": [float(v) for v in ratio] for i, ratio in zip(few, ratios)}
+    for text, others in goals.items():
+        holds = all((found[PLAIN] < found[name]).all() for name in others)
+        yield Claim(text, None, holds, {name: found[name].tolist() for name in (PLAIN, *others)})
+    ratios = learned_starts.ratios_to_best(data["scenes"], PLAIN, "off")[few]
+    measured = {f"after {k} sweeps": ratio for k, ratio in zip(FEW, ratios.tolist())}
     text = "the network leaves less error than the best classical setting (95 %), its price left out"
-    against = Claim(text, None, bool(ratios[:, 2].max() < 1), shown)
-    return [
-        Claim(
-            text,
-            None,
-            all(bool((found[PLAIN] < found[name]).all()) for name in others),
-            {name: [float(v) for v in found[name]] for name in (PLAIN, *others)},
-        )
-        for text, others in goals.items()
-    ] + [against]
+    yield Claim(text, None, bool(ratios[:, 2].max() < 1), measured)
 
 
 def best_ratios(data, starts):
     """Errors of the best setting of some starts over those of PGS from Builtin, where that is off."""
-    scenes = data["scenes"]
-    return ratios_of(best_errors(scenes, starts, "off"), mean_errors(scenes, "builtin", "off"))
+    builtin = learned_starts.mean_errors(data["scenes"], "builtin", "off")
+    return learned_starts.ratios_of(learned_starts.best_errors(data["scenes"], starts, "off"), builtin)
 
 
 def table(data):
-    """Rows: error over Builtin's after some sweeps where Builtin is off, with its 95 % interval."""
+    """Error over Builtin's after some sweeps where Builtin is off, with its 95 % interval."""
     rows = [["inputs", "loss on", "weights", *(f"after {k} sweeps" for k in data["after"])]]
     for name, (inputs, loss) in NETWORKS.items():
         cells = cells_of(ratios_to_builtin(data["scenes"], name, "off"))
@@ -94,20 +77,14 @@ def table(data):
     plain = data["budget"][PLAIN]["parameters"]
     rows.append(["the first, its best solver", "", plain, *cells_of(best_ratios(data, [PLAIN]))])
     rows.append(["best classical setting", "", 0, *cells_of(best_ratios(data, CLASSICAL))])
-    rows.append(["which one", "", None, *best_settings(data["scenes"], CLASSICAL, "off")])
+    rows.append(["which one", "", None, *learned_starts.best_settings(data["scenes"], CLASSICAL, "off")])
     return rows
 
 
-FIGURE = Figure(
-    id="T 6.2",
-    title="Inputs and losses of the far-field network on equal budgets",
-    options={"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30], "folder": "models/comparison"},
-    quick={"scenes": 2, "every": 15, "steps": 300},
-    compute=compute,
-    claims=claims,
-    table=table,
-    digits=4,
-)
+OPTIONS = {"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30], "folder": "models/comparison"}
+QUICK = {"scenes": 2, "every": 15, "steps": 300}
+FIGURE = Figure("T 6.2", "Inputs and losses of the far-field network on equal budgets", compute, table, claims=claims,
+                options=OPTIONS, quick=QUICK, digits=4)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

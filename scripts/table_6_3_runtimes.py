@@ -14,11 +14,11 @@ LIMIT = 500.0
 
 def compute(options, seed, jobs, progress):
     """One number of threads and circles after the other: nothing may run beside what is timed."""
-    data = {"times": [], "stages": []}
-    for threads, circles in progress(list(product(options["threads"], options["circles"])), text="windows"):
-        found = times_in_process({**options, "threads": threads, "count": circles, "seed": seed})
-        data = {name: data[name] + found[name] for name in data}
-    return data
+    found = [
+        times_in_process({**options, "threads": threads, "count": circles, "seed": seed})
+        for threads, circles in progress(list(product(options["threads"], options["circles"])), text="windows")
+    ]
+    return {name: [row for one in found for row in one[name]] for name in ("times", "stages")}
 
 
 def of_shipped(data):
@@ -32,25 +32,22 @@ def claims(data):
     times = {(t["network"], t["circles"], t["threads"], t["batch"], t["runtime"]): t["us"] for t in data["times"]}
     cases = list(dict.fromkeys(key[:-1] for key in times))
     gain = {key: min(times[*key, name] for name in RUNTIMES[1:]) / times[*key, RUNTIMES[0]] for key in cases}
-    least = min(gain, key=gain.get)
-    on_one = {key: value for key, value in gain.items() if key[2] == 1 and key[3] == 1}
-
-    smallest = min(stage["circles"] for stage in data["stages"])
-    starts = {stage["network"]: stage["all"] for stage in data["stages"] if stage["circles"] == smallest}
+    on_one = {f"{key[0]}, {key[1]} circles": value for key, value in gain.items() if key[2:] == (1, 1)}
     text = "for one scene on one thread the convolution in Numba is faster than TensorFlow's best"
-    measured = {f"{key[0]}, {key[1]} circles": value for key, value in on_one.items()}
-    found = [Claim(text, None, all(value > 1 for value in on_one.values()), measured)]
+    yield Claim(text, None, min(on_one.values()) > 1, on_one)
+    least = min(gain, key=gain.get)
     measured = {"least": "{}, {} circles, {} threads, batch of {}".format(*least), "gain": gain[least]}
-    found.append(Claim("batches and a second thread do not change that", None, gain[least] > 1, measured))
+    yield Claim("batches and a second thread do not change that", None, gain[least] > 1, measured)
+    smallest = min(stage["circles"] for stage in data["stages"])
+    starts = {f"{one['network']}, μs": one["all"] for one in data["stages"] if one["circles"] == smallest}
     text = f"image, network and reading back take at most {LIMIT / 1000:g} ms for {smallest} circles on one core"
-    measured = {f"{network}, μs": us for network, us in starts.items()}
-    found.append(Claim(text, None, max(starts.values()) <= LIMIT, measured))
+    yield Claim(text, None, max(starts.values()) <= LIMIT, starts)
     prices = {f"{s['network']}, {s['circles']} circles": s["all"] / s["sweep"] for s in data["stages"]}
-    return [*found, Claim("a learned start costs at most 5 sweeps", None, max(prices.values()) <= 5, prices)]
+    yield Claim("a learned start costs at most 5 sweeps", None, max(prices.values()) <= 5, prices)
 
 
 def table(data):
-    """Rows: μs of a scene by network, circles and threads for each runtime and batch; of a start, its parts."""
+    """μs of a scene by network, circles and threads for each runtime and batch; of a start, its parts."""
     data = of_shipped(data)
     batches = sorted({t["batch"] for t in data["times"]})
     many = [f"{name}, {b} at once" if b > 1 else name for name in RUNTIMES for b in batches]
@@ -68,22 +65,13 @@ def table(data):
     return rows
 
 
-FIGURE = Figure(
-    id="T 6.3",
-    title="Runtimes of the far-field network, μs a scene",
-    options={
-        "models": [f"models/{name}" for name in NETWORKS],
-        "circles": [100, 1000, 10000],
-        "threads": [1, 2],
-        "batches": [1, 8],
-        "repeats": 40,
-    },
-    quick={"circles": [100], "threads": [1], "batches": [1]},
-    compute=compute,
-    claims=claims,
-    table=table,
-    digits=4,
-)
+OPTIONS = {
+    "models": [f"models/{name}" for name in NETWORKS], "circles": [100, 1000, 10000], "threads": [1, 2],
+    "batches": [1, 8], "repeats": 40,
+}  # fmt: skip
+QUICK = {"circles": [100], "threads": [1], "batches": [1]}
+FIGURE = Figure("T 6.3", "Runtimes of the far-field network, μs a scene", compute, table, claims=claims,
+                options=OPTIONS, quick=QUICK, digits=4)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -82,7 +82,7 @@ class Figure:
     id: str
     title: str
     compute: Callable[[dict, int, int, Callable], dict]
-    table: Callable[[dict], Sequence[Sequence]]
+    table: Callable[[dict], Sequence[Sequence]] | None = None
     draw: Callable[[dict, dict], object] | None = None
     claims: Callable[[dict], list[Claim]] = lambda data: []
     _: KW_ONLY
@@ -305,7 +305,7 @@ def _report(figure: Figure, found: dict, path: Path, echo: Callable[[str], None]
     beside = figure.beside(found["options"])
     verbose = verbose or beside is None
     echo(figure.heading)
-    if verbose or figure.is_table:
+    if figure.table and (verbose or figure.is_table):
         for line in aligned(figure.rows(found["data"])):
             echo(f"  {line}")
     for claim in found["claims"]:

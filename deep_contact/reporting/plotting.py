@@ -158,6 +158,18 @@ def log_axes(ax) -> None:
         axis.set_minor_formatter(NullFormatter())
 
 
+def band(ax, x, middle, low, high, **look) -> None:
+    """A curve with a shaded interval around it. look: keywords for `ax.plot`."""
+    (line,) = ax.plot(x, middle, **look)
+    ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
+
+
+def legend_below(figure, ax) -> None:
+    """One legend below all panels of a figure, of what `ax` shows."""
+    handles, labels = ax.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+
+
 def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
     """Axes of a scene: metres, equal scales, the whole box in view with 2 % margin and, with `walls`, outlined.
 
@@ -290,7 +302,9 @@ def draw_state(
     heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
     # From half the radius outwards: a whole radius looks like a contact.
     ticks = np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
-    ax.add_collection(LineCollection(ticks, colors=_readable_on(circles), linewidths=1.0))
+    circles.update_scalarmappable()
+    colours = readable_on(np.atleast_2d(circles.get_facecolor()))
+    ax.add_collection(LineCollection(ticks, colors=colours, linewidths=1.0))
     if contacts and state.contacts is not None and state.contacts.count:
         _draw_contacts(ax, state, largest_impulse)
     return circles
@@ -326,11 +340,9 @@ def impulse_key(figure, largest: float) -> None:
     figure.legend(handles=[*lines, tick], loc="outside lower center", ncols=len(lines) + 1, fontsize=8)
 
 
-def _readable_on(circles) -> list[str]:
-    """Black or white for each circle, whichever stands out from its colour."""
-    circles.update_scalarmappable()
-    brightness = np.atleast_2d(circles.get_facecolor())[:, :3] @ np.array([0.299, 0.587, 0.114])
-    return ["#222222" if bright > 0.5 else "white" for bright in brightness]
+def readable_on(colours: np.ndarray) -> np.ndarray:
+    """Black or white for each colour, (…, 4), whichever stands out from it."""
+    return np.where(colours[..., :3] @ np.array([0.299, 0.587, 0.114]) > 0.5, "#222222", "white")
 
 
 def colour_bar(ax, collection):

@@ -76,9 +76,7 @@ def test_who_is_slow_is_left_out_of_larger_problems(run, falling_states, tmp_pat
     assert large["ours, PGS"] is None
 
 
-def test_starts_and_disks_are_scored(run):
-    scores = run("starts", "--sizes", 20, "--only", "ours, PGS", "--tolerance", 1e-4)["solvers"]["ours, PGS"]
-    assert all(row["steps"] > 0 and row["unsolved"] == 0 for row in scores.values())
+def test_disks_are_scored(run):
     (row,) = run("disks", "--sizes", 4, "--repeats", 1, "--quick")["sides"]["4"]
     assert row["velocity_error"]["ours, 800 sweeps"] <= row["velocity_error"]["ours, 40 sweeps"] < 1
 
