@@ -25,7 +25,6 @@ import re
 import shutil
 import sys
 import time
-from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,29 +34,20 @@ import numpy as np
 import deep_contact as dc
 from deep_contact import constants, parallel
 from deep_contact.cnn.dataset import simulation_path
+from deep_contact.io import simulation_h5
 from deep_contact.io.files import replacing
-from deep_contact.io.simulation_h5 import (
-    PHASES,
-    DataFileError,
-    pack_simulation,
-    phase,
-    read_simulation,
-    simulation_file,
-    simulation_info,
-)
+from deep_contact.io.simulation_h5 import DataFileError, simulation_info
 from deep_contact.io.state_xml import state_path, write_state
 from deep_contact.reporting import figures
 
-SWEEPS = 5000
-"""Limit of sweeps in a step, as in the thesis's generator; states that need more are kept as they are."""
+SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)
+"""As in the thesis's generator; states that need more sweeps are kept as they are."""
 
 FULL = {"simulations": 150, "steps": 600, "bodies": (70, 110)}
 QUICK = {"simulations": 4, "steps": 200, "bodies": (20, 30)}
 
 SAMPLE_SEED = 2019
 """Of the tracked sample, so that no data set with the default seed contains it."""
-
-SAMPLES_A_PHASE = 2
 
 
 @dataclass(frozen=True)
@@ -69,7 +59,6 @@ class Job:
     steps: int
     bodies: tuple[int, int]
     out: str
-    xml: bool = False
     gzip: bool = False
 
     @property
@@ -92,11 +81,12 @@ class Job:
 def make_simulation(job: Job) -> bytes:
     """The file of one simulation. Nothing is written here: a worker may be on another machine."""
     states, sweeps, theta = simulate(job)
-    return simulation_file(pack_simulation(states, sweeps=sweeps, theta=theta, **job.header))
+    packed = simulation_h5.pack_simulation(states, sweeps=sweeps, theta=theta, **job.header)
+    return simulation_h5.simulation_file(packed)
 
 
 def simulate(job: Job) -> tuple[list, list, list]:
-    """Run the simulation. Returns its solved states that have contacts, and their sweeps and last θ."""
+    """The solved states of the simulation that have contacts, and their sweeps and last θ."""
     rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=(job.number,)))
     n = int(rng.integers(job.bodies[0], job.bodies[1], endpoint=True))
     scene = dc.circles_in_box(n, seed=rng).replace(name=f"sim_{job.number:04d}")
@@ -108,8 +98,7 @@ def simulate(job: Job) -> tuple[list, list, list]:
             sweeps.append(record.sweeps)
             theta.append(record.theta[-1])
 
-    solver = dc.PGS(sweeps=SWEEPS, tolerance=constants.THETA_TOLERANCE)
-    dc.simulate(scene, steps=job.steps, solver=solver, on_step=keep)
+    dc.simulate(scene, steps=job.steps, solver=SOLVER, on_step=keep)
     if not states:
         raise ValueError(f"steps: expected enough for {n} circles to touch something, got {job.steps}")
     return states, sweeps, theta
@@ -117,17 +106,15 @@ def simulate(job: Job) -> tuple[list, list, list]:
 
 def write_xml(job: Job) -> None:
     """Write every state of the simulation's file as XML, in a folder with a temporary name until it is complete."""
-    simulation, final = read_simulation(job.path), job.xml_folder
+    simulation, final = simulation_h5.read_simulation(job.path), job.xml_folder
     unfinished = final.with_name(f".{final.name}.{os.getpid()}")
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
-        for index in range(simulation.count):
-            state = simulation.state(index)
+        for state in map(simulation.state, range(simulation.count)):
             write_state(unfinished / state_path("", final.name, state.step, gz=job.gzip).name, state)
         os.replace(unfinished, final)
-    except BaseException:
+    finally:
         shutil.rmtree(unfinished, ignore_errors=True)
-        raise
 
 
 def make_sample(out: Path) -> None:
@@ -135,10 +122,9 @@ def make_sample(out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     run([Job(0, SAMPLE_SEED, QUICK["steps"], QUICK["bodies"], str(out))], 1)
     states, _, _ = simulate(Job(1, SAMPLE_SEED, FULL["steps"], FULL["bodies"], str(out)))
-    for name in PHASES:
-        of_phase = [state for state in states if phase(state) == name]
-        for i in range(SAMPLES_A_PHASE):
-            state = of_phase[len(of_phase) * (i + 1) // (SAMPLES_A_PHASE + 1)]
+    for name in simulation_h5.PHASES:
+        of_phase = [state for state in states if simulation_h5.phase(state) == name]
+        for state in (of_phase[len(of_phase) // 3], of_phase[len(of_phase) * 2 // 3]):
             write_state(out / f"{name}_{state.step}.xml.gz", state)
 
 
@@ -152,14 +138,11 @@ def remove_unfinished(out: Path) -> None:
 
 def is_running(process: int) -> bool:
     """Whether a process of this number is running; True on Windows, where the question would end the process."""
-    if os.name == "nt":
-        return True
     try:
-        os.kill(process, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:
-        return True
+        if os.name != "nt":
+            os.kill(process, 0)
+    except OSError as error:
+        return not isinstance(error, ProcessLookupError)
     return True
 
 
@@ -177,8 +160,8 @@ def check_finished(jobs: list[Job]) -> int:
     return len(finished)
 
 
-def run(jobs: list[Job], workers: int | Executor) -> None:
-    """Make the simulations that are missing, with a progress bar; this process writes each file as it arrives."""
+def run(jobs: list[Job], workers) -> None:
+    """Make the simulations that are missing; this process writes each file as it arrives."""
     missing = [job for job in jobs if not job.path.exists()]
     with closing(parallel.finished(make_simulation, missing, jobs=workers)) as made:
         for i, data in figures.progress_bar(made, total=len(missing), text="simulations"):
@@ -186,31 +169,24 @@ def run(jobs: list[Job], workers: int | Executor) -> None:
                 temporary.write_bytes(data)
 
 
-def export(jobs: list[Job], processes: int) -> None:
-    """Write the XML files of simulations, with a progress bar."""
-    with closing(parallel.finished(write_xml, jobs, jobs=processes)) as written:
-        for _ in figures.progress_bar(written, total=len(jobs), text="XML"):
-            pass
-
-
 def parse(arguments=None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--simulations", type=int, metavar="N", help="how many (150)")
-    parser.add_argument("--steps", type=int, metavar="N", help="time steps of each (600)")
-    parser.add_argument("--bodies", type=int, nargs=2, metavar=("LOW", "HIGH"), help="circles, both included (70 110)")
-    parser.add_argument("--seed", type=int, default=0, help="of the whole set (0)")
-    parser.add_argument("--out", type=Path, help="folder (data/generated)")
-    parser.add_argument("--jobs", type=int, default=2, metavar="N", help="processes (2)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
-    parser.add_argument("--xml", action="store_true", help="write every state as XML as well")
-    parser.add_argument("--gzip", action="store_true", help="compress the XML files")
-    parser.add_argument("--quick", action="store_true", help="a small set in <out>/quick, for a try")
-    parser.add_argument("--sample", action="store_true", help="the states of data/sample; takes no option but --out")
+    add = parser.add_argument
+    add("--simulations", type=int, metavar="N", help="how many (150)")
+    add("--steps", type=int, metavar="N", help="time steps of each (600)")
+    add("--bodies", type=int, nargs=2, metavar=("LOW", "HIGH"), help="circles, both included (70 110)")
+    add("--seed", type=int, default=0, help="of the whole set (0)")
+    add("--out", type=Path, help="folder (data/generated)")
+    add("--jobs", type=int, default=2, metavar="N", help="processes (2)")
+    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
+    add("--xml", action="store_true", help="write every state as XML as well")
+    add("--gzip", action="store_true", help="compress the XML files")
+    add("--quick", action="store_true", help="a small set in <out>/quick, for a try")
+    add("--sample", action="store_true", help="the states of data/sample; takes no option but --out")
     args = parser.parse_args(arguments)
     if args.sample and (args.quick or args.xml or args.simulations or args.steps or args.bodies or args.seed):
         parser.error("--sample: expected no other option but --out")
-    if args.out is None:
-        args.out = Path("data/sample" if args.sample else "data/generated")
+    args.out = args.out or Path("data/sample" if args.sample else "data/generated")
     for name, value in (QUICK if args.quick else FULL).items():
         if getattr(args, name) is None:
             setattr(args, name, value)
@@ -228,7 +204,7 @@ def parse(arguments=None) -> argparse.Namespace:
 
 def main(arguments=None) -> int:
     args = parse(arguments)
-    first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.xml, args.gzip)
+    first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.gzip)
     jobs = [replace(first, number=i) for i in range(args.simulations)]
     if args.sample:
         make_sample(args.out)
@@ -237,17 +213,18 @@ def main(arguments=None) -> int:
     try:
         args.out.mkdir(parents=True, exist_ok=True)
         remove_unfinished(args.out)
-        done = check_finished(jobs)
-        if done:
+        if done := check_finished(jobs):
             print(f"{done} of {len(jobs)} simulations are there already")
         with parallel.opened(args.jobs, args.scheduler) as workers:
             run(jobs, workers)
-        export([job for job in jobs if job.xml and not job.xml_folder.exists()], args.jobs)
+        if args.xml:
+            wanted = [job for job in jobs if not job.xml_folder.exists()]
+            figures.parallel_map(write_xml, wanted, jobs=args.jobs, progress=figures.progress_bar, text="XML")
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
-    except (OSError, RuntimeError, ValueError, parallel.ClusterError) as error:
-        # A full disk is an OSError or, from within HDF5, a RuntimeError.
+    except (OSError, RuntimeError, ValueError) as error:
+        # A full disk is an OSError or, from within HDF5, a RuntimeError; so is a ClusterError.
         print(f"{args.out}: {error}", file=sys.stderr)
         return 1
     states = sum(simulation_info(job.path).count for job in jobs)

@@ -41,51 +41,44 @@ def card(path: Path) -> str:
     stored = read_metadata(path)
     found, spec = stored["card"], spec_of(stored, path)
     lines = [f"## {path.name}", "", ABOUT.get(path.name, ""), ""]
-    minutes = f"{found.get('seconds', 0) / 60:.0f} minutes on {found.get('cpu', 'one core')}"
-    history, best = found.get("history"), found.get("best_epoch")
-    rows = [
-        ("architecture", found.get("architecture")),
-        ("weights", found.get("parameters")),
-        ("takes", takes(spec, stored["box"])),
-        ("gives", gives(spec)),
-        ("size", f"{path.stat().st_size / 1e6:.1f} MB"),
-        ("command", f"`{found['command']}`" if found.get("command") else None),
-        ("trained on", f"{found['training_states']:,} states" if found.get("training_states") else None),
-        ("data", f"`{found['data_hash']}`" if found.get("data_hash") else None),
-        ("seed", found.get("seed")),
-        ("time", minutes if "seconds" in found else None),
-        ("epochs", f"{len(history)}, the best is {best + 1}" if best is not None else None),
-        ("loss", f"{history[best]['validation_loss']:.4g}" if best is not None else None),
-        ("states shown", _visits(found)),
-        ("rank", found.get("factored", {}).get("rank")),
-    ]
-    lines += ["| | |", "|---|---|", *(f"| {name} | {value} |" for name, value in rows if value is not None), ""]
-    curve = path.with_name(f"{path.stem}_history.png")
+    history, best = found["history"], found["best_epoch"]
+    rows = {
+        "architecture": found["architecture"],
+        "weights": found["parameters"],
+        "takes": takes(spec, stored["box"]),
+        "gives": gives(spec),
+        "size": f"{path.stat().st_size / 1e6:.1f} MB",
+        "command": f"`{found['command']}`",
+        "trained on": f"{found['training_states']:,} states",
+        "data": f"`{found['data_hash']}`",
+        "seed": found["seed"],
+        "time": f"{found['seconds'] / 60:.0f} minutes on {found['cpu']}",
+        "epochs": f"{len(history)}, the best is {best + 1}",
+        "loss": f"{history[best]['validation_loss']:.4g}",
+        "states shown": visits(found),
+        "rank": found.get("factored", {}).get("rank"),
+    }
+    lines += ["| | |", "|---|---|"]
+    lines += [f"| {name} | {value} |" for name, value in rows.items() if value is not None]
+    curve, errors = path.with_name(f"{path.stem}_history.png"), found["held_out"]
     if curve.exists():
-        lines += [f"![learning curve]({curve.name})", ""]
-    errors = found.get("held_out")
-    if errors:
-        after = " | ".join(f"after {k} sweeps" for k in errors["sweeps"])
-        lines += [f"| phase | states | start | {after} |", "|---" * (3 + len(errors["sweeps"])) + "|"]
-        for phase, by_start in errors["phases"].items():
-            for start, numbers in by_start.items():
-                if start != "states":
-                    cells = " | ".join(f"{value:.3f}" for value in numbers["mean"])
-                    lines.append(f"| {phase} | {by_start['states']} | {start} | {cells} |")
-        lines.append("")
-    return "\n".join(lines)
+        lines += ["", f"![learning curve]({curve.name})"]
+    after = " | ".join(f"after {k} sweeps" for k in errors["sweeps"])
+    lines += ["", f"| phase | states | start | {after} |", "|---" * (3 + len(errors["sweeps"])) + "|"]
+    for phase, by_start in errors["phases"].items():
+        for start in (name for name in by_start if name != "states"):
+            cells = " | ".join(f"{value:.3f}" for value in by_start[start]["mean"])
+            lines.append(f"| {phase} | {by_start['states']} | {start} | {cells} |")
+    return "\n".join([*lines, ""])
 
 
-def _visits(found: dict) -> str | None:
+def visits(found: dict) -> str | None:
     """States shown in training, each as often as it was; for the thesis's network beside those of the thesis."""
     from deep_contact.studies.chapter_5 import THESIS_VISITS
 
-    each = found.get("config", {}).get("states_per_epoch")
-    if not each:
-        return None
-    visits = each * len(found["history"])
-    share = f", 1/{THESIS_VISITS / visits:.0f} of the thesis's training" if found["architecture"] == "thesis" else ""
-    return f"{visits:,}{share}"
+    count = (found["config"]["states_per_epoch"] or 0) * len(found["history"])
+    share = f", 1/{THESIS_VISITS / count:.0f} of the thesis's training" if found["architecture"] == "thesis" else ""
+    return f"{count:,}{share}" if count else None
 
 
 def entry(path: Path) -> dict:

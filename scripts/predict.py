@@ -20,12 +20,13 @@ COLUMNS = (
 )
 
 
-def contact_table(state, predicted, start) -> list[list]:
-    """A row for each contact, as `COLUMNS`; the last two are empty where the state is not solved."""
-    c = state.contacts
+def contact_table(state, predicted, start) -> str:
+    """CSV with a row for each contact; the last two columns are empty where the state is not solved."""
+    c, text = state.contacts, io.StringIO()
     columns = [c.body_a, c.body_b, *c.position.T, *c.normal.T, *predicted, *start, c.normal_start, c.tangent_start]
     columns += [c.normal_impulse, c.tangent_impulse] if state.solved else [np.full(c.count, "")] * 2
-    return list(zip(*(column.tolist() for column in columns)))
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *zip(*(column.tolist() for column in columns))])
+    return text.getvalue()
 
 
 def picture(state, start):
@@ -44,8 +45,7 @@ def picture(state, start):
 
 def relative(found, solved) -> float:
     """‖found − solved‖ / ‖solved‖ over both rows of all contacts."""
-    size = np.linalg.norm(solved)
-    return float(np.linalg.norm(np.subtract(found, solved)) / size) if size else float("nan")
+    return np.linalg.norm(np.subtract(found, solved)) / (np.linalg.norm(solved) or np.nan)
 
 
 def report(state, predicted, start) -> list[str]:
@@ -58,8 +58,9 @@ def report(state, predicted, start) -> list[str]:
     if state.solved:
         solved = np.stack([contacts.normal_impulse, contacts.tangent_impulse])
         builtin = contacts.normal_start, contacts.tangent_start
-        lines.append(f"  relative error of λ: as predicted {relative(predicted, solved):.4f}, ")
-        lines[-1] += f"projected {relative(start, solved):.4f}, Builtin {relative(builtin, solved):.4f}"
+        off = {"as predicted": predicted, "projected": start, "Builtin": builtin}
+        errors = (f"{name} {relative(impulses, solved):.4f}" for name, impulses in off.items())
+        lines.append(f"  relative error of λ: {', '.join(errors)}")
         lines.append(f"  relative velocity error after {', '.join(map(str, SWEEPS))} sweeps")
         for name, impulses in (("cnn", start), ("builtin", builtin)):
             lines.append(f"    {name:8s}" + "".join(f"{e:9.4f}" for e in velocity_errors(state, impulses)))
@@ -70,26 +71,21 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
     """Predict one state file, write the results, and return the lines to print."""
     import deep_contact as dc
     from deep_contact.cnn.inference import projected
+    from deep_contact.io.files import replacing
     from deep_contact.reporting import plotting
-    from deep_contact.reporting.results import replacing
 
     state = dc.read_state(path)
     if state.contacts is None:
         state = dc.simulate(state, steps=0).state
     if state.contacts.count == 0:
         return [f"{path}: no contacts, nothing to predict"]
-    image = model.predict_image(state)
     predicted = model.predict(state)
     start = projected(*predicted, state.world.friction)
     name = path.name.removesuffix(".gz").removesuffix(".xml")
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(contact_table(state, predicted, start))
     with replacing(out / f"{name}.csv") as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
+        temporary.write_text(contact_table(state, predicted, start), encoding="utf-8")
     with replacing(out / f"{name}.npy") as temporary:
-        np.save(temporary, image, allow_pickle=False)
+        np.save(temporary, model.predict_image(state), allow_pickle=False)
     if pictures:
         with plotting.style():
             plotting.save(picture(state, start), out / f"{name}.png")
@@ -100,11 +96,12 @@ def main(argv=None) -> int:
     """Predict every file. A bad one is reported, and the others are still predicted."""
     about = __doc__.partition(": ")[2]
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("states", nargs="+", type=Path, metavar="STATE.xml")
-    parser.add_argument("--model", default=None, help="model file, or a name in models/registry.json; default: model")
-    parser.add_argument("--out", type=Path, default=Path("predictions"), help="folder for the results")
-    parser.add_argument("--threads", type=int, default=1, help="of TensorFlow")
-    parser.add_argument("--no-pictures", action="store_true", help="numbers only")
+    add = parser.add_argument
+    add("states", nargs="+", type=Path, metavar="STATE.xml")
+    add("--model", default=None, help="model file, or a name in models/registry.json; default: model")
+    add("--out", type=Path, default=Path("predictions"), help="folder for the results")
+    add("--threads", type=int, default=1, help="of TensorFlow")
+    add("--no-pictures", action="store_true", help="numbers only")
     given = parser.parse_args(argv)
     from deep_contact.cnn.inference import limit_threads, load_model
 

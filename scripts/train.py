@@ -35,13 +35,14 @@ def arguments() -> argparse.ArgumentParser:
     parser = Parser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, argument_default=argparse.SUPPRESS
     )
-    parser.add_argument("--data", default="data/generated", help="folder of the simulations")
-    parser.add_argument("--out", default=None, help="folder of the run; by default runs/<architecture>")
-    parser.add_argument("--model", default=None, metavar="PATH", help="copy the finished model file there too")
-    parser.add_argument("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model file")
-    parser.add_argument("--threads", type=int, default=1, help="of TensorFlow")
-    parser.add_argument("--held-out", type=int, default=300, metavar="N", help="test states for the card")
-    settings = parser.add_argument_group("settings (defaults by architecture)")
+    add = parser.add_argument
+    add("--data", default="data/generated", help="folder of the simulations")
+    add("--out", default=None, help="folder of the run; by default runs/<architecture>")
+    add("--model", default=None, metavar="PATH", help="copy the finished model file there too")
+    add("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model file")
+    add("--threads", type=int, default=1, help="of TensorFlow")
+    add("--held-out", type=int, default=300, metavar="N", help="test states for the card")
+    add = parser.add_argument_group("settings (defaults by architecture)").add_argument
     hints = typing.get_type_hints(TrainingConfig)
     special = {
         "options": {"nargs": "*", "type": option, "metavar": "NAME=NUMBER", "help": "of the network"},
@@ -50,16 +51,14 @@ def arguments() -> argparse.ArgumentParser:
         "fractions": {"nargs": 3, "type": float, "help": "train, validation, test"},
     }
     for field in fields(TrainingConfig):
-        flag, kind = "--" + field.name.replace("_", "-"), hints[field.name]
-        shown = f"far field: {field.default}"
-        if field.name in special:
-            settings.add_argument(flag, **special[field.name])
-        elif kind is bool:
-            settings.add_argument(flag, action=argparse.BooleanOptionalAction, help=shown)
+        kind, shown = hints[field.name], f"far field: {field.default}"
+        if kind is bool:
+            how = {"action": argparse.BooleanOptionalAction, "help": shown}
         elif isinstance(kind, types.UnionType):
-            settings.add_argument(flag, type=integer_or_none, metavar="NUMBER", help=f"or none; {shown}")
+            how = {"type": integer_or_none, "metavar": "NUMBER", "help": f"or none; {shown}"}
         else:
-            settings.add_argument(flag, type=kind, help=shown)
+            how = {"type": kind, "help": shown}
+        add("--" + field.name.replace("_", "-"), **special.get(field.name, how))
     return parser
 
 
@@ -122,10 +121,9 @@ def run(data, out, model, **given) -> None:
     errors = done.model.card["held_out"]
     print("mean relative velocity error after", ", ".join(map(str, errors["sweeps"])), "sweeps, test states")
     for phase, found in errors["phases"].items():
-        for start in ("none", "builtin", "cnn"):
-            if start in found:
-                numbers = "  ".join(f"{value:8.4f}" for value in found[start]["mean"])
-                print(f"  {phase:9s} ({found['states']:4d})  {start:8s} {numbers}")
+        for start in (name for name in ("none", "builtin", "cnn") if name in found):
+            numbers = "  ".join(f"{value:8.4f}" for value in found[start]["mean"])
+            print(f"  {phase:9s} ({found['states']:4d})  {start:8s} {numbers}")
     if model:
         model = Path(model)
         model.parent.mkdir(parents=True, exist_ok=True)
