@@ -75,9 +75,8 @@ def test_islands_are_counted_where_the_scene_is():
 
 
 def test_only_starts_that_predict_load_the_network():
-    assert [plan(dc.column(2), warm_start=name)["network"].used for name in ("guarded", "builtin", None)] == [
-        True, False, False,
-    ]  # fmt: skip
+    for name, used in (("guarded", True), ("builtin", False), (None, False)):
+        assert plan(dc.column(2), warm_start=name)["network"].used == used
 
 
 def test_a_plan_prints_every_choice_its_reason_and_its_saving():

@@ -40,13 +40,6 @@ def test_without_git_there_is_no_commit(monkeypatch):
     assert provenance.provenance()["commit"] == "unknown"
 
 
-@pytest.mark.skipif(shutil.which("git") is None, reason="needs git")
-def test_a_package_outside_a_checkout_has_no_commit(tmp_path, monkeypatch):
-    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)  # a checkout, but not one that tracks the package
-    monkeypatch.setattr(provenance, "__file__", str(tmp_path / "deep_contact" / "io" / "provenance.py"))
-    assert provenance.commit() == "unknown"
-
-
 def test_versions_are_known_without_importing_the_packages():
     code = "import sys; from deep_contact.io import provenance; provenance.provenance(); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -69,10 +62,12 @@ def test_results_do_not_make_a_checkout_dirty_and_sources_do(tmp_path, monkeypat
     for path in (package / "constants.py", package / "io" / "provenance.py", stored):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("1")
-    name = ["-c", "user.name=any", "-c", "user.email=any@example.org"]
-    for command in (["init", "-q"], ["add", "."], [*name, "commit", "-qm", "one"]):
-        subprocess.run(["git", *command], cwd=tmp_path, check=True)
     monkeypatch.setattr(provenance, "__file__", str(package / "io" / "provenance.py"))
+    name = ["-c", "user.name=any", "-c", "user.email=any@example.org"]
+    subprocess.run(["git", "init", "-q"], cwd=tmp_path, check=True)
+    assert provenance.commit() == "unknown"  # a checkout, but not one that tracks the package
+    for command in (["add", "."], [*name, "commit", "-qm", "one"]):
+        subprocess.run(["git", *command], cwd=tmp_path, check=True)
     clean = provenance.commit()
     stored.write_text("2")
     assert provenance.commit() == clean

@@ -3,6 +3,7 @@
 import re
 from dataclasses import replace
 
+import h5py
 import numpy as np
 import pytest
 from symmetry import SYMMETRIES, transform_state
@@ -30,16 +31,9 @@ def test_a_state_survives_xml(run, tmp_path):
     again = dc.read_state(path)
     assert again == run.state
     assert format_state(again) == path.read_bytes()
+    assert b"segment" not in format_state(dc.column(2))
     on = [dc.simulate(state, steps=20).state for state in (run.state, again)]
     assert on[0].bodies == on[1].bodies
-
-
-def test_a_state_without_segments_says_nothing_of_them(run):
-    assert b"segment" not in format_state(dc.column(2))
-
-
-def text_of(state):
-    return format_state(state).decode()
 
 
 @pytest.mark.parametrize(
@@ -56,7 +50,7 @@ def text_of(state):
     ],
 )
 def test_a_damaged_file_is_refused(run, old, new, message):
-    text = text_of(run.state)
+    text = format_state(run.state).decode()
     damaged = re.sub(old, new, text, count=1)
     assert damaged != text
     with pytest.raises(StateFileError, match=f"(?s){message}"):
@@ -84,7 +78,6 @@ def test_a_trajectory_survives_hdf5(run, tmp_path):
 
 @pytest.mark.parametrize("value", [np.zeros(4), np.zeros(6), np.zeros((1, 4)), np.arange(8.0) * np.nan])
 def test_damaged_segments_of_a_trajectory_are_refused(run, tmp_path, value):
-    h5py = pytest.importorskip("h5py")
     run.trajectory.save(tmp_path / "bad.h5")
     with h5py.File(tmp_path / "bad.h5", "r+") as file:
         file.attrs.create("segments", value)
@@ -120,14 +113,9 @@ def test_symmetries_turn_segments_with_the_rest(run, k):
     np.testing.assert_allclose(found.normal, turned.contacts.normal, atol=1e-12)
 
 
-def test_plan_tells_of_segments(run):
-    assert dc.plan(run.state)["static segments"].why == "the world has 2"
-    assert not dc.plan(dc.column(2))["static segments"].used
-
-
-@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "cnn", "guarded"])
+@pytest.mark.parametrize("start", ["copy", "scaled", "sph", "guarded"])
 def test_starts_take_contacts_with_segments_as_with_walls(run, start):
-    if start in ("cnn", "guarded"):
+    if start == "guarded":
         pytest.importorskip("tensorflow")
     solution = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=3000, tolerance=1e-9), start=start)
     plain = dc.solve_contacts(run.state, solver=dc.PGS(sweeps=3000, tolerance=1e-9))
