@@ -8,8 +8,8 @@ the results have the same bits:
 
 A cluster is started by Dask's own commands, in an environment where this package and the extra `cluster` are installed:
 `dask scheduler`, and on every machine `dask worker ADDRESS --nworkers auto --nthreads 1`. Workers need no file system
-of the client: a task is sent to them, and they send back what it returns. A task that reads a file, such as a network
-of `models/`, reads the worker's own, below the folder in which the worker was started.
+of the client: tasks and results are sent. A task that reads a file, such as a network of `models/`, reads the worker's
+own, below the folder in which the worker was started.
 
 The local pool is not joblib's: its workers outlive a killed parent and get Ctrl-C themselves.
 """
@@ -95,9 +95,8 @@ def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
 
     timeout: seconds within which the scheduler has to answer. Tasks wait until there is a worker. If a worker dies,
     another does its task, up to Dask's limit (`distributed.scheduler.allowed-failures`). Worker processes do one task
-    at a time, whatever their threads. A worker whose sources or versions differ from those of this process refuses
-    tasks, since its results could differ. Tasks that have begun cannot be stopped: after an error or Ctrl-C the workers
-    finish them, and the results are dropped.
+    at a time, and refuse it where sources or versions differ from those of this process. Tasks that have begun cannot
+    be stopped: after an error or Ctrl-C the workers finish them, and the results are dropped.
     Raises ClusterError naming the address if no scheduler answers or the connection is lost, and if the package
     `distributed` is missing.
     """
@@ -108,18 +107,17 @@ def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
             f"scheduler: expected the package `distributed` to be installed for {address}, got none: "
             "it comes with the extra `cluster`, pip install 'deep-contact[cluster]'"
         ) from None
-    client, reason = None, ""
+    client = None
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except Exception as error:  # OSError, ValueError, TypeError and others, depending on what is wrong with the address
-        reason = str(error) or type(error).__name__
+        got = f"got none: {str(error) or type(error).__name__}"
     if client is None:
         # The client that came to nothing closes itself here. Left to the garbage collector it may do so while another
         # one starts, and both wait for each other for ever.
         gc.collect()
-        raise ClusterError(
-            f"scheduler: expected a Dask scheduler that answers at {address} within {timeout:g} s, got none: {reason}"
-        )
+        expected = f"a Dask scheduler that answers at {address} within {timeout:g} s"
+        raise ClusterError(f"scheduler: expected {expected}, {got}")
     with client:
         try:
             yield _Cluster(client)

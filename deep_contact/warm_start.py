@@ -212,7 +212,7 @@ def warm_start_of(start) -> WarmStart:
     if callable(start):
         return start
     if start is None or isinstance(start, str):
-        return STARTS[one_of("warm_start", start or "none", STARTS)]()
+        return STARTS[one_of("warm_start", "none" if start is None else start, STARTS)]()
     raise ValueError(f"warm_start: expected None, a name or a callable, got {start!r}")
 
 

@@ -148,10 +148,8 @@ def _add(context, board, i, number):
 def _let_others_run(context):
     def emit(context, builder, signature, values):
         if os.name == "posix":
-            kind = ir.FunctionType(ir.IntType(32), [])
-            name = "sched_yield"
-            function = builder.module.globals.get(name) or ir.Function(builder.module, kind, name)
-            builder.call(function, [])
+            name, kind = "sched_yield", ir.FunctionType(ir.IntType(32), [])
+            builder.call(builder.module.globals.get(name) or ir.Function(builder.module, kind, name), [])
         return context.get_dummy_value()
 
     return types.void(), emit

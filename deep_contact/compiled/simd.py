@@ -70,26 +70,20 @@ def where_less(context, x, y, then, otherwise):
     return then(x, y, then, otherwise), emit
 
 
-@intrinsic
-def least(context, x, y):
-    """The lesser of each two; x where it is none."""
+def _choice(sign):
+    """For each two, y where "y sign x" holds; else, and where one of them is none, x."""
 
-    def emit(context, builder, signature, values):
-        x, y = values
-        return builder.select(builder.fcmp_ordered("<", y, x), y, x)
+    @intrinsic
+    def choose(context, x, y):
+        def emit(context, builder, signature, values):
+            return builder.select(builder.fcmp_ordered(sign, values[1], values[0]), values[1], values[0])
 
-    return x(x, y), emit
+        return x(x, y), emit
+
+    return choose
 
 
-@intrinsic
-def most(context, x, y):
-    """The greater of each two; x where it is none."""
-
-    def emit(context, builder, signature, values):
-        x, y = values
-        return builder.select(builder.fcmp_ordered(">", y, x), y, x)
-
-    return x(x, y), emit
+least, most = _choice("<"), _choice(">")
 
 
 @intrinsic
@@ -97,12 +91,10 @@ def root(context, x):
     """Square roots."""
 
     def emit(context, builder, signature, values):
-        (x,) = values
-        name = f"llvm.sqrt.v{x.type.count}f{signature.return_type.dtype.bitwidth}"
-        function = builder.module.globals.get(name)
-        if function is None:
-            function = ir.Function(builder.module, ir.FunctionType(x.type, [x.type]), name)
-        return builder.call(function, [x])
+        kind, module = values[0].type, builder.module
+        name = f"llvm.sqrt.v{kind.count}f{signature.return_type.dtype.bitwidth}"
+        function = module.globals.get(name) or ir.Function(module, ir.FunctionType(kind, [kind]), name)
+        return builder.call(function, values)
 
     return x(x), emit
 
@@ -159,8 +151,7 @@ def load(context, array, i):
     lanes = Lanes(array.dtype)
 
     def emit(context, builder, signature, values):
-        pointer = _pointer(context, builder, array, values[0], values[1], WIDTH)
-        return _load(builder, pointer, context.get_value_type(lanes), array)
+        return _load(builder, _pointer(context, builder, array, *values, WIDTH), context.get_value_type(lanes), array)
 
     return lanes(array, types.int64), emit
 
@@ -170,7 +161,7 @@ def load_like(context, like, array, i):
     """As many numbers of a contiguous array as there are in `like`, from the i-th eight on."""
 
     def emit(context, builder, signature, values):
-        pointer = _pointer(context, builder, array, values[1], values[2], WIDTH)
+        pointer = _pointer(context, builder, array, *values[1:], WIDTH)
         return _load(builder, pointer, context.get_value_type(like), array)
 
     return like(like, array, types.int64), emit
@@ -181,8 +172,7 @@ def store(context, array, i, x):
     """Write the numbers of x to a contiguous array, from its i-th eight on."""
 
     def emit(context, builder, signature, values):
-        pointer = _pointer(context, builder, array, values[0], values[1], WIDTH)
-        _store(builder, values[2], pointer, array)
+        _store(builder, values[2], _pointer(context, builder, array, *values[:2], WIDTH), array)
         return context.get_dummy_value()
 
     return types.void(array, types.int64, x), emit
@@ -256,11 +246,8 @@ def _pointer(context, builder, array_type, array, i, size):
 def _row_pointers(context, builder, rows_type, index_type, values):
     """Where the eight rows begin: values are those of rows, index and i."""
     first = _pointer(context, builder, index_type, values[1], values[2], WIDTH)
-    found = []
-    for k in range(WIDTH):
-        row = builder.zext(builder.load(builder.gep(first, [_INT64(k)])), _INT64)
-        found.append(_pointer(context, builder, rows_type, values[0], row, 4))
-    return found
+    places = [builder.load(builder.gep(first, [_INT64(k)])) for k in range(WIDTH)]
+    return [_pointer(context, builder, rows_type, values[0], builder.zext(place, _INT64), 4) for place in places]
 
 
 def _load(builder, pointer, kind, array_type):
