@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 import deep_contact as dc
 from deep_contact.io.state_xml import format_state, parse_state
 from deep_contact.physics import metrics
+from deep_contact.physics.continuous import FAST
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.simulation import ready
@@ -92,11 +93,14 @@ def crowds(draw):
 @given(crowds())
 def test_without_restitution_a_step_gains_no_energy_but_by_position_correction(state):
     # By v⁺ᵀJᵀλ <= 0 at a solution: E of a step falls by ½‖v⁺ − v‖² at least, apart from what correction lifts. What a
-    # solve that has not converged leaves is left out: this is about the solution.
+    # solve that has not converged leaves is left out: this is about the solution; so is a step in which something fast
+    # stops early and keeps the energy of its height (`continuous`).
     state = ready(state)
     for _ in range(5):
         solution = dc.solve_contacts(state, solver=INELASTIC)
         assume(solution.record.status != "max_sweeps")
+        if (np.hypot(*solution.velocities.T) * state.dt > FAST * state.bodies.radius).any():
+            return
         after = dc.step(state, solver=INELASTIC)
         dt, gravity = state.dt, np.array(state.world.gravity)
         lifted = after.bodies.position - state.bodies.position - dt * after.bodies.velocity
