@@ -27,10 +27,9 @@ def compute(options, seed, jobs, progress):
     used = {name: options[name] for name in ("stacks", "deeper", "settings", "held_out")}
     decided = json.dumps(made | used | {"seed": seed}, sort_keys=True)
     folder = Path(options["runs"]) / hashlib.sha256(decided.encode()).hexdigest()[:12]
-    used |= {"data": str(chapter_5.make_states(folder / "data", **made, seed=seed, progress=progress))}
-    used |= {"states": options["states"], "sweeps": options["sweeps"], "out": str(folder)}
+    data = chapter_5.make_states(folder / "data", **made, seed=seed, progress=progress)
     seeds = [seed + i for i in range(options["seeds"])]
-    return chapter_5.one_or_two_networks(**used, seeds=seeds, jobs=jobs, progress=progress)
+    return chapter_5.one_or_two_networks(data, folder, options, seeds=seeds, jobs=jobs, progress=progress)
 
 
 def claims(data):

@@ -333,12 +333,14 @@ def time_by_tree(states: Sequence[State], *, repeats: int) -> float:
 
 # ---- one network for both impulses, or one each: Table 6.1 ----
 
-TARGET_SETS = {
-    "both": ("normal_impulse", "tangent_impulse"),
-    "normal": ("normal_impulse",),
-    "tangent": ("tangent_impulse",),
+NORMAL, TANGENT = "normal_impulse", "tangent_impulse"
+
+VARIANTS = {
+    "one for both": [(NORMAL, TANGENT)],
+    "one for both, as large as two": [(NORMAL, TANGENT)],
+    "one each": [(NORMAL,), (TANGENT,)],
 }
-"""Targets of the networks of Table 6.1."""
+"""Name of a variant of Table 6.1 -> targets of each of its networks."""
 
 
 def train_on_targets(task: tuple) -> str:
@@ -380,12 +382,11 @@ def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Se
         found = {}
         for model in models:  # not projected on the cone
             found |= zip(model.spec.targets, read_back(model.run(input_image(state, model.spec)), state, model.spec))
-        right = {"normal_impulse": state.contacts.normal_impulse, "tangent_impulse": state.contacts.tangent_impulse}
-        size = np.linalg.norm(list(right.values()))
-        start = projected(found["normal_impulse"], found["tangent_impulse"], state.world.friction)
+        right = np.array([state.contacts.normal_impulse, state.contacts.tangent_impulse])
+        given = np.array([found[NORMAL], found[TANGENT]])
         with np.errstate(divide="ignore", invalid="ignore"):
-            own = [np.linalg.norm(found[name] - right[name]) / size for name in right]
-        errors.append([*own, *velocity_errors(state, start, sweeps)])
+            own = np.linalg.norm(given - right, axis=1) / np.linalg.norm(right)
+        errors.append([*own, *velocity_errors(state, projected(*given, state.world.friction), sweeps)])
     errors = np.array(errors)
     errors = errors[np.isfinite(errors).all(axis=1)]
     if not len(errors):
@@ -394,56 +395,38 @@ def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Se
     return {"states": len(errors), "normal": normal, "tangent": tangent, "velocity": velocity}
 
 
-VARIANTS = {
-    "one for both": ("both",),
-    "one for both, as large as two": ("both",),
-    "one each": ("normal", "tangent"),
-}
-"""Name of a variant of Table 6.1 -> what its networks learn."""
-
-
 def one_or_two_networks(
-    *,
-    data: str,
-    out: str,
-    held_out: int,
-    states: int,
-    sweeps: Sequence[int],
-    stacks: Sequence,
-    deeper: Sequence,
-    settings: dict,
-    seeds: Sequence[int],
-    jobs: int,
-    progress: Callable,
+    data: Path, out: Path, options: Mapping, *, seeds: Sequence[int], jobs: int, progress: Callable
 ) -> dict:
     """Train and compare the `VARIANTS`, once for each seed.
 
-    data: folder of simulations; about `states` states of the last `held_out` are for the errors, the others for
-    training. stacks: of `architectures.thesis`; deeper: of the network with more convolutions. settings: of the
-    training; every network sees the same states in the same order. Returns {"variants": {name: {"parameters", "errors":
-    one a seed, see `errors_of_networks`}}, "sweeps", "seeds", "held-out states"}.
+    data: folder of simulations. out: of the networks. options: about "states" states of the last "held_out" simulations
+    are for the errors after "sweeps", the other simulations for training; "stacks" of `architectures.thesis`, "deeper":
+    of the network with more convolutions; "settings" of the training, in which every network sees the same states in
+    the same order. Returns {"variants": {name: {"parameters", "errors": one a seed, see `errors_of_networks`}},
+    "sweeps", "seeds", "held-out states"}.
     """
-    store = Store(data)
-    shared = {**settings, "fractions": (0.8, 0.2, 0.0), "simulations": len(store.simulations) - held_out}
+    store, held_out = Store(data), options["held_out"]
+    shared = options["settings"] | {"fractions": (0.8, 0.2, 0.0), "simulations": len(store.simulations) - held_out}
     tasks = {}
     for seed in seeds:
-        for variant, targets in VARIANTS.items():
-            for target in targets:
-                own = {"targets": TARGET_SETS[target], "seed": seed}
-                own["options"] = {"stacks": deeper if variant.endswith("as large as two") else stacks}
-                folder = Path(out) / f"{variant.replace(',', '').replace(' ', '_')}_{target}_{seed}"
-                tasks[variant, seed, target] = (shared | own, data, str(folder))
+        for variant, networks in VARIANTS.items():
+            stacks = options["deeper" if variant.endswith("as large as two") else "stacks"]
+            for number, targets in enumerate(networks):
+                own = {"targets": targets, "seed": seed, "options": {"stacks": stacks}}
+                name = f"{variant.replace(',', '').replace(' ', '_')}_{number}_{seed}"
+                tasks[variant, seed, number] = (shared | own, str(data), str(out / name))
     trained = parallel_map(train_on_targets, tasks.values(), jobs=jobs, progress=progress, text="networks")
     paths = dict(zip(tasks, trained))
     tested = store.states(store.simulations[-held_out:])
-    tested = [store.state(*state) for state in evenly(tested, states).tolist()]
+    tested = [store.state(*state) for state in evenly(tested, options["states"]).tolist()]
     found = {}
-    for variant, targets in VARIANTS.items():
-        networks = [[paths[variant, seed, target] for target in targets] for seed in seeds]
-        errors = [errors_of_networks(of_seed, tested, sweeps) for of_seed in networks]
-        parameters = sum(network_start(path).model.network.count_params() for path in networks[-1])
+    for variant, networks in VARIANTS.items():
+        of_seeds = [[paths[variant, seed, number] for number in range(len(networks))] for seed in seeds]
+        errors = [errors_of_networks(of_seed, tested, options["sweeps"]) for of_seed in of_seeds]
+        parameters = sum(network_start(path).model.network.count_params() for path in of_seeds[-1])
         found[variant] = {"parameters": int(parameters), "errors": errors}
-    return {"variants": found, "sweeps": list(sweeps), "seeds": list(seeds), "held-out states": len(tested)}
+    return {"variants": found, "sweeps": options["sweeps"], "seeds": seeds, "held-out states": len(tested)}
 
 
 MEASURES = ("normal", "tangent", "velocity")
