@@ -14,13 +14,6 @@ from deep_contact.validation import flag, integer, number, one_of
 
 layers = keras.layers
 
-THESIS_SHAPE = (61, 61)
-"""Nodes of the thesis's images: 30 m / 0.5 m + 1."""
-
-THESIS_CHANNELS = 5
-THESIS_OUTPUTS = 2
-"""λ_n, λ_t."""
-
 THESIS_STACKS = (
     (32, (3, 3)),
     (64, (3, 3, 2)),
@@ -47,9 +40,9 @@ def build(name: str, **options) -> keras.Model:
 
 def thesis(
     *,
-    shape: Sequence[int] = THESIS_SHAPE,
-    channels: int = THESIS_CHANNELS,
-    outputs: int = THESIS_OUTPUTS,
+    shape: Sequence[int] = (61, 61),
+    channels: int = 5,
+    outputs: int = 2,
     stacks: Sequence[tuple[int, Sequence[int]]] = THESIS_STACKS,
     dropout: float = 0.1,
     weight_decay: float = 5e-4,
@@ -69,25 +62,19 @@ def thesis(
     if len(shape) != 2:
         raise ValueError(f"shape: expected (n_y, n_x), two integers >= 1, got {shape!r}")
     n_y, n_x = (integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape))
-    _counts(channels=channels, outputs=outputs)
+    integer("channels", channels, 1)
+    integer("outputs", outputs, 1)
     number("dropout", dropout, 0, below=1)
     number("weight_decay", weight_decay, 0)
+    same = {"padding": "same", "activation": "relu", "kernel_initializer": "he_normal"}
     stack = [keras.Input((n_y, n_x, channels), name="bodies")]
     if flag("input_normalization", input_normalization):
         stack.append(layers.BatchNormalization(name="normalization_0"))
     for stage, (filters, kernels) in enumerate(stacks, 1):
         for turn, side in enumerate(kernels, 1):
-            stack.append(
-                layers.Conv2D(
-                    filters,
-                    side,
-                    padding="same",
-                    activation="relu",
-                    kernel_initializer="he_normal",
-                    kernel_regularizer=keras.regularizers.L2(weight_decay),
-                    name=f"convolution_{stage}_{turn}",
-                )
-            )
+            decay = keras.regularizers.L2(weight_decay)
+            name = f"convolution_{stage}_{turn}"
+            stack.append(layers.Conv2D(filters, side, kernel_regularizer=decay, name=name, **same))
         stack.append(layers.Dropout(dropout, name=f"dropout_{stage}"))
         if stage < len(stacks):
             stack.append(layers.MaxPooling2D(2, strides=2, padding="same", name=f"pooling_{stage}"))
@@ -105,19 +92,20 @@ def far_field(*, channels: int, outputs: int, width: int = 24) -> keras.Model:
     2 `width` features. The last layer starts from zero, so that an untrained network leaves Builtin as it is.
     Raises ValueError naming the option and the value.
     """
-    _counts(channels=channels, outputs=outputs, width=width)
+    for name, value in (("channels", channels), ("outputs", outputs), ("width", width)):
+        integer(name, value, 1)
+    normal = {"kernel_initializer": "he_normal"}
 
     def block(x, features, name):
         change = x
         for turn in (1, 2):
             change = layers.ReLU(name=f"{name}_relu_{turn}")(change)
-            same = {"padding": "same", "kernel_initializer": "he_normal"}
-            change = layers.Conv2D(features, 3, name=f"{name}_{turn}", **same)(change)
+            change = layers.Conv2D(features, 3, padding="same", name=f"{name}_{turn}", **normal)(change)
         return layers.Add(name=name)([x, change])
 
     def down(x, features, name):
         x = layers.ZeroPadding2D(1, name=f"{name}_padding")(x)
-        return layers.Conv2D(features, 3, strides=2, kernel_initializer="he_normal", name=name)(x)
+        return layers.Conv2D(features, 3, strides=2, name=name, **normal)(x)
 
     def up(x, features, name):
         x = layers.Conv2DTranspose(features, 3, strides=2, name=name)(x)
@@ -131,15 +119,9 @@ def far_field(*, channels: int, outputs: int, width: int = 24) -> keras.Model:
     x = block(x, 2 * width, "fourth_back")
     x = layers.Add(name="join_second")([second, up(x, width, "back_to_second")])
     x = layers.ReLU(name="last_relu")(block(x, width, "second_back"))
-    return keras.Model(
-        image, layers.Conv2D(outputs, 1, kernel_initializer="zeros", name="coefficients")(x), name="far_field"
-    )
+    x = layers.Conv2D(outputs, 1, kernel_initializer="zeros", name="coefficients")(x)
+    return keras.Model(image, x, name="far_field")
 
 
 ARCHITECTURES: dict[str, Callable[..., keras.Model]] = {"thesis": thesis, "far field": far_field}
 """Name -> function that builds the network."""
-
-
-def _counts(**numbers):
-    for name, value in numbers.items():
-        integer(name, value, 1)

@@ -6,7 +6,9 @@ import importlib
 import os
 import sys
 import tempfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+
+from deep_contact.validation import integer
 
 _threads: int | None = None
 """What `limit_threads` asked for."""
@@ -31,27 +33,22 @@ def limit_threads(count: int) -> None:
     Raises RuntimeError where TensorFlow is already at work with another number.
     """
     global _threads
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1:
-        raise ValueError(f"threads: expected an integer >= 1, got {count!r}")
-    _threads = count
+    _threads = integer("threads", count, 1)
     _apply_limit()
 
 
 def one_thread() -> None:
-    """Let TensorFlow use one thread in this process, unless it is already at work."""
-    try:
+    """Let TensorFlow use one thread in this process. Where it is already at work, only times depend on it."""
+    with suppress(RuntimeError):
         limit_threads(1)
-    except RuntimeError:  # as whoever used it first set it up: the numbers stay the same, the times may not
-        pass
 
 
 def _apply_limit() -> None:
-    if _threads is None or "tensorflow" not in sys.modules:
-        return
-    threading = sys.modules["tensorflow"].config.threading
-    if (threading.get_intra_op_parallelism_threads(), threading.get_inter_op_parallelism_threads()) != (_threads, 1):
-        threading.set_intra_op_parallelism_threads(_threads)
-        threading.set_inter_op_parallelism_threads(1)
+    if _threads is not None and "tensorflow" in sys.modules:
+        pools = sys.modules["tensorflow"].config.threading
+        if (pools.get_intra_op_parallelism_threads(), pools.get_inter_op_parallelism_threads()) != (_threads, 1):
+            pools.set_intra_op_parallelism_threads(_threads)
+            pools.set_inter_op_parallelism_threads(1)
 
 
 @contextmanager

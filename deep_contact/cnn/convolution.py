@@ -1,14 +1,11 @@
-"""The far-field network without a framework: its convolutions in Numba, as one compiled call.
+"""The far-field network without a framework: its convolutions in Numba, as one compiled call, for inference.
 
 A layer is a table: where each output node's first tap lies in its input, and weights in groups of eight features, or
 sixteen. Eight nodes of a group are eight vectors that stay in registers while all taps go by, so that nearly every
 operation multiplies and adds as many numbers as the processor can at a time. A transposed convolution is four such
 layers, one for the even and odd rows and columns of its output, so that no zero is multiplied. Images are stored with
 one node of zeros around them, the one at the end of a row being that at the beginning of the next, and each as it is
-and with ReLU taken, since a residual block needs both.
-
-TensorFlow compiles the same for every size of image; what each takes is in Table 6.3 (`scripts/table_6_3_runtimes.py`).
-Training uses Keras: this is for inference (`cnn.inference`).
+and with ReLU taken, since a residual block needs both. Table 6.3 has its times beside TensorFlow's.
 """
 
 from __future__ import annotations
@@ -79,25 +76,32 @@ class Image(NamedTuple):
 
 
 class Program:
-    """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8), with its present weights.
+    """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8).
 
-    network: a `keras.Model` or a `model_file.StoredNetwork`. threads: at most so many work on a layer; the number
-    changes no bit of the result. Do not call it from several threads at a time: they would share a workspace.
-    Raises ValueError where the network has other layers (see `layer_shapes`).
+    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. threads: at most so many work on a layer;
+    the number changes no bit of the result. Do not call it from several threads at a time: they would share a
+    workspace. Raises ValueError where the network has other layers (see `layer_shapes`).
     """
 
-    def __init__(self, network, shape: tuple[int, int], *, threads: int = 1):
-        self._weights_of, found = weights_of(network), dimensions(network)
+    def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int], *, threads: int = 1):
+        found = dimensions(weights)
         if found is None:
-            raise ValueError(f"network: expected the layers of architectures.far_field, got {sorted(self._weights_of)}")
-        self._threads = threads
+            raise ValueError(f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
+        self._of, self._threads = weights, threads
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
-        self._build(*shape, *found)
-        self.layers = np.array(self._layers, LAYER)
-        self.nodes = np.concatenate(self._nodes)
-        self.weights = np.concatenate(self._weights)
-        self.workspace = _aligned(self._size)
-        del self._weights_of, self._layers, self._nodes, self._weights
+        image, outputs = self._image(*shape, found[0]), found[1]
+        second = self._block("second", self._down("to_second", image))
+        fourth = self._block("fourth", self._down("to_fourth", second[0]))
+        eighth = self._block("far", self._block("eighth", self._down("to_eighth", fourth[0])))
+        fourth = self._block("fourth_back", self._up("back_to_fourth", eighth[0], fourth[0]))
+        second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
+        last = self._image(second[1].height, second[1].width, outputs)
+        self._convolution("coefficients", second[1], last)
+        self.image_shape, self.shape = (*shape, found[0]), (last.height, last.width, outputs)
+        self.input, self.output = (image.place, image.pitch), (last.place, last.pitch, last.numbers)
+        self.layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
+        self.weights, self.workspace = np.concatenate(self._weights), _aligned(self._size)
+        del self._of, self._layers, self._nodes, self._weights
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Coefficients (rows, columns, outputs) of an image of this shape, both float32."""
@@ -113,24 +117,6 @@ class Program:
                 _run_side_by_side(*given)
         return found.reshape(self.shape)
 
-    def _build(self, n_y, n_x, channels, outputs, width):
-        self.image_shape = n_y, n_x, channels
-        image = self._image(n_y, n_x, channels)
-        self.input = image.place, image.pitch
-        sides = [((n_y - 1) // k + 1, (n_x - 1) // k + 1) for k in (2, 4, 8)]
-        features = (width, 2 * width, 2 * width)
-        second = self._block("second", self._down("to_second", image, *sides[0], features[0]))
-        fourth = self._block("fourth", self._down("to_fourth", second[0], *sides[1], features[1]))
-        eighth = self._block("eighth", self._down("to_eighth", fourth[0], *sides[2], features[2]))
-        eighth = self._block("far", eighth)
-        fourth = self._block("fourth_back", self._up("back_to_fourth", eighth[0], fourth[0]))
-        second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
-        last = self._image(*sides[0], outputs)
-        rows, columns = (np.arange(n) for n in sides[0])
-        self._layer("coefficients", second[1].nodes(rows, columns), second[1], last.nodes(rows, columns), out=last)
-        self.shape = (*sides[0], outputs)
-        self.output = last.place, last.pitch, last.numbers
-
     def _image(self, height, width, features) -> Image:
         """Room for an image, zero as the margin has to be."""
         numbers = features if self._size == 0 else -(-features // WIDTH) * WIDTH
@@ -143,53 +129,54 @@ class Program:
         """Room for an image as it is and with ReLU."""
         return self._image(height, width, features), self._image(height, width, features)
 
-    def _down(self, name, image, height, width, features):
-        made = self._pair(height, width, features)
-        rows, columns = np.arange(height), np.arange(width)
-        self._layer(name, image.nodes(2 * rows - 1, 2 * columns - 1), image, made[0].nodes(rows, columns), *made)
+    def _down(self, name, image):
+        """Every second node: a convolution with stride 2."""
+        made = self._pair((image.height + 1) // 2, (image.width + 1) // 2, self._of[name][0].shape[3])
+        self._convolution(name, image, *made, stride=2)
         return made
 
     def _block(self, name, images):
         """A residual block: x + conv(ReLU(conv(ReLU(x))))."""
         raw, positive = images
-        rows, columns = np.arange(raw.height), np.arange(raw.width)
-        features = self._weights_of[f"{name}_1"][0].shape[3]
-        between = self._image(raw.height, raw.width, features)
-        made = self._pair(raw.height, raw.width, features)
-        here = raw.nodes(rows, columns)
-        self._layer(f"{name}_1", positive.nodes(rows - 1, columns - 1), positive, here, positive=between)
-        self._layer(f"{name}_2", between.nodes(rows - 1, columns - 1), between, here, *made, skip=raw)
+        size = raw.height, raw.width, raw.numbers
+        between, made = self._image(*size), self._pair(*size)
+        self._convolution(f"{name}_1", positive, positive=between)
+        self._convolution(f"{name}_2", between, *made, skip=raw)
         return made
 
     def _up(self, name, image, skip):
         """Twice the nodes less one: a transposed convolution without its outer nodes, to which an image is added."""
-        made = self._pair(skip.height, skip.width, self._weights_of[name][0].shape[2])
+        made = self._pair(skip.height, skip.width, self._of[name][0].shape[2])
         for odd_row in (0, 1):
             for odd_column in (0, 1):
                 rows, columns = np.arange(image.height - odd_row), np.arange(image.width - odd_column)
                 here = made[0].nodes(2 * rows + odd_row, 2 * columns + odd_column)
                 # Even nodes meet the middle of the kernel; odd ones its end at the node before, its start at the next.
                 taps = [(1,), (2, 0)][odd_row], [(1,), (2, 0)][odd_column]
-                self._layer(name, image.nodes(rows, columns), image, here, *made, skip=skip, taps=taps)
+                kernel = self._of[name][0].transpose(0, 1, 3, 2)[np.ix_(*taps)]
+                self._layer(name, kernel, image, image.nodes(rows, columns), here, *made, skip=skip)
         return made
 
-    def _layer(self, name, nodes, image, here, out=None, positive=None, *, skip=None, taps=None):
+    def _convolution(self, name, image, out=None, positive=None, *, stride=1, skip=None):
+        """A convolution with zeros around the image."""
+        kernel, made = self._of[name][0], out or positive
+        reach, rows, columns = kernel.shape[0] // 2, np.arange(made.height), np.arange(made.width)
+        nodes = image.nodes(stride * rows - reach, stride * columns - reach)
+        self._layer(name, kernel, image, nodes, made.nodes(rows, columns), out, positive, skip=skip)
+
+    def _layer(self, name, kernel, image, nodes, here, out, positive, *, skip):
         """Add a layer: what the nodes at `here` are from the taps that begin at `nodes` of the image."""
-        kernel, bias = self._weights_of[name]
-        if taps is not None:
-            kernel = kernel.transpose(0, 1, 3, 2)[np.ix_(*taps)]
         rows, columns, channels, features = kernel.shape
         every = -(-features // WIDTH)
         # A row of vectors for the bias, then one for each tap and channel.
         wide = np.zeros((1 + rows * columns * image.numbers, every, WIDTH), np.float32)
-        wide[0].ravel()[:features] = bias
+        wide[0].ravel()[:features] = self._of[name][1]
         wide[1:].reshape(rows, columns, image.numbers, -1)[:, :, :channels, :features] = kernel
         # Nodes that are left in the last block do the last one again.
         count = -(-len(nodes) // WIDTH) * WIDTH
-        places = np.stack([nodes + image.place, here // WIDTH]).astype(np.uint32)
-        places = np.pad(places, ((0, 0), (0, count - len(nodes))), mode="edge")
+        places = np.stack([nodes + image.place, here // WIDTH], axis=1).astype(np.uint32)
         first = sum(part.shape[0] for part in self._nodes)
-        self._nodes.append(np.ascontiguousarray(places.T))
+        self._nodes.append(np.pad(places, ((0, count - len(nodes)), (0, 0)), mode="edge"))
         begin = 0
         for vectors in (_WIDEST, 1):
             groups = (every - begin) // vectors
@@ -204,16 +191,9 @@ class Program:
             begin += groups * vectors
 
 
-def weights_of(network) -> dict[str, list[np.ndarray]]:
-    """Layer -> kernel and bias, of a `keras.Model` or a `model_file.StoredNetwork`."""
-    if isinstance(network.weights, dict):
-        return network.weights
-    return {layer.name: layer.get_weights() for layer in network.layers if layer.weights}
-
-
-def dimensions(network) -> tuple[int, int, int] | None:
+def dimensions(weights: dict[str, list[np.ndarray]]) -> tuple[int, int, int] | None:
     """(channels, outputs, width) of a network with the layers of `architectures.far_field`, None for any other."""
-    found = {name: [array.shape for array in arrays] for name, arrays in weights_of(network).items()}
+    found = {name: [array.shape for array in arrays] for name, arrays in weights.items() if arrays}
     try:
         (*_, channels, width), outputs = found["to_second"][0], found["coefficients"][0][-1]
     except (KeyError, IndexError, ValueError):

@@ -1,7 +1,4 @@
-"""A store of many simulations' files (`deep_contact.io.simulation_h5`), and its sides for training.
-
-What concerns a single file is imported from there and remains available here.
-"""
+"""A store of many simulations' files (`deep_contact.io.simulation_h5`), and its sides for training."""
 
 from __future__ import annotations
 
@@ -16,17 +13,12 @@ import numpy as np
 
 from deep_contact.io.simulation_h5 import (  # noqa: F401
     PHASES,
-    REST,
-    SETTLING,
     DataFileError,
     SimulationInfo,
     StoredSimulation,
-    pack_simulation,
     phase,
     read_simulation,
-    simulation_file,
     simulation_info,
-    start_error,
     write_simulation,
 )
 from deep_contact.state import State
@@ -82,15 +74,13 @@ class Store:
 
     def simulation(self, sim: int) -> StoredSimulation:
         """All states of a simulation, from memory if it was among the last ones read."""
-        sim = int(sim)
-        if sim in self._cache:
-            self._cache.move_to_end(sim)
-            return self._cache[sim]
-        needed = self.info(sim).bytes
-        # Make room first, so that the bound holds while the file is read.
-        while self._cache and needed + sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
-            self._cache.popitem(last=False)
-        self._cache[sim] = read_simulation(self.path(sim))
+        if sim not in self._cache:
+            needed = self.info(sim).bytes
+            # Make room first, so that the bound holds while the file is read.
+            while self._cache and needed + sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
+                self._cache.popitem(last=False)
+            self._cache[sim] = read_simulation(self.path(sim))
+        self._cache.move_to_end(sim)
         return self._cache[sim]
 
     def state(self, sim: int, index: int) -> State:
@@ -102,13 +92,13 @@ class Store:
 
         phases: one of `PHASES`: those of this phase only.
         """
-        found = []
+        found = [np.empty((0, 2), np.int64)]
         for sim in self.simulations if sims is None else sims:
             index = np.arange(self.info(sim).count)
             if phases is not None:
                 index = index[self.simulation(sim).phases() == PHASES.index(one_of("phases", phases, PHASES))]
             found.append(np.stack([np.full_like(index, sim), index], axis=1))
-        return np.concatenate(found) if found else np.empty((0, 2), np.int64)
+        return np.concatenate(found)
 
     def data_hash(self, sims=None) -> str:
         """SHA-256 over the numbers and digests of some simulations (all by default), whatever their compression.
@@ -127,20 +117,19 @@ class Split(NamedTuple):
     test: tuple[int, ...]
 
 
-def split_by_simulation(store_or_ids, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
+def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
     """Simulations assigned at random to three sides, each as a whole, since states of one simulation are similar.
 
-    store_or_ids: a `Store`, or numbers of simulations. fractions: of train, validation and test, with the sum 1. A side
-    with a fraction > 0 gets at least one simulation. The split depends on the seed and the numbers only.
+    sims: a `Store`, or numbers of simulations. fractions: of train, validation and test, with the sum 1. A side with a
+    fraction > 0 gets at least one simulation. The split depends on the seed and the numbers only.
     Raises ValueError for other fractions or too few simulations.
     """
-    ids = store_or_ids.simulations if isinstance(store_or_ids, Store) else tuple(int(i) for i in store_or_ids)
-    ids = np.array(sorted(set(ids)), dtype=np.int64)
-    shares = np.array([float(f) for f in fractions])
+    ids = np.unique(np.array(sims.simulations if isinstance(sims, Store) else list(sims), np.int64))
+    shares = np.array(fractions, float)
     if shares.shape != (3,) or not (shares >= 0).all() or not abs(shares.sum() - 1) < 1e-9:
         raise ValueError(f"fractions: expected three numbers >= 0 that sum to 1, got {fractions}")
     if ids.size < np.count_nonzero(shares):
-        raise ValueError(f"store_or_ids: expected a simulation for each side, got {ids.size} simulations")
+        raise ValueError(f"sims: expected a simulation for each side, got {ids.size} simulations")
     counts = np.floor(shares * ids.size).astype(int)
     counts[(shares > 0) & (counts == 0)] = 1
     # Rounding errors are settled on the side that is furthest from its share.
@@ -151,8 +140,7 @@ def split_by_simulation(store_or_ids, *, fractions=(0.8, 0.1, 0.1), seed: int = 
         else:
             counts[np.argmin(np.where(counts > 1, lack, np.inf))] -= 1
     dealt = np.random.default_rng(integer("seed", seed)).permutation(ids)
-    sides = np.split(dealt, np.cumsum(counts)[:2])
-    return Split(*(tuple(sorted(side.tolist())) for side in sides))
+    return Split(*(tuple(sorted(side.tolist())) for side in np.split(dealt, np.cumsum(counts)[:2])))
 
 
 def evenly(states: np.ndarray, count: int) -> np.ndarray:

@@ -33,10 +33,9 @@ def velocity_errors(
     if state.contacts is None or not state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
 
-    solver = PGS() if solver is None else solver
-
     def swept(count, normal, tangent):
-        return solve(state, replace(solver, sweeps=count, tolerance=None), np.asarray(normal), np.asarray(tangent))
+        method = replace(solver or PGS(), sweeps=count, tolerance=None)
+        return solve(state, method, np.asarray(normal), np.asarray(tangent))
 
     reference = swept(0, state.contacts.normal_impulse, state.contacts.tangent_impulse)
     return np.array([velocity_error(state, swept(k, *start), reference) for k in sweeps])

@@ -1,24 +1,22 @@
 """The far-field network: a coarse image of stress that corrects Builtin's start, read at the contacts.
 
 Projected Gauss-Seidel removes errors between neighbours in a few sweeps; errors of the far field need many. The far
-field is smooth, so a coarse image can represent it. The network does not predict impulses: it predicts coefficients
-c_j (`COEFFICIENTS`) at the nodes of a coarse grid. They are read bilinearly at a contact and multiplied by features F_j
-that the solver knows there (normal, effective mass, residual, last impulses):
+field is smooth, so a coarse image can represent it. The network predicts coefficients c_j (`COEFFICIENTS`) at the nodes
+of a coarse grid. They are read bilinearly at a contact and multiplied by features F_j that the solver knows there
+(normal, effective mass, residual, last impulses):
 
     λ = λ_Builtin + Σ_j c_j F_j
 
 The first four coefficients are a stress tensor S (λ_n = n·S·n, λ_t = t·S·n, with its antisymmetric part), the others
-are gates on Builtin's impulses and on the residuals of the rows. With c = 0 the start is Builtin's.
+are gates on Builtin's impulses and on the residuals of the rows.
 
 The inputs describe the contact problem: its rows before and after Builtin's impulses, as tensors of the normals, which
-do not depend on the arbitrary sign of a normal. All inputs are divided by the state's own residual (the problem is
-positively homogeneous), and unbounded quantities are compressed by arsinh. Symmetries of the square act exactly.
+do not depend on the arbitrary sign of a normal. All are divided by the state's own residual (the problem is positively
+homogeneous), and unbounded quantities are compressed by arsinh. Symmetries of the square act exactly.
 
-An image covers a window: the extent of the contacts, with a margin of one node. The box enters only through its
-contacts, so the network fits any box, and empty space costs nothing. Lengths are in mean radii, so small circles look
-like large ones; d = 1 is 1 m in the thesis's scene.
-
-The network is trained through the solver (`through_solver`).
+An image covers a window: the extent of the contacts, with a margin of one node, so that the network fits any box.
+Lengths are in mean radii; d = 1 is 1 m in the thesis's scene. The network is trained through the solver
+(`through_solver`).
 """
 
 from __future__ import annotations
@@ -31,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.cnn.images import check_fields
+from deep_contact.cnn.images import check_fields, with_contacts
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -52,8 +50,8 @@ from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
 from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight, bilinear_weights
 from deep_contact.sph.kernels import kernel_number
-from deep_contact.state import State, native
-from deep_contact.validation import flag, integer, number, one_of
+from deep_contact.state import State
+from deep_contact.validation import flag, number, one_of
 
 CONTACT_CHANNELS = (
     "density",
@@ -87,6 +85,9 @@ COEFFICIENTS = tuple(
 )
 """What the network predicts at a node."""
 
+COARSENING = 2
+"""Nodes of the input per node of the output, along an edge."""
+
 _SMALL = 1e-2
 """Share of the carried impulses in the scale of a state, so that the tiny residual of a resting pile is not magnified.
 """
@@ -94,28 +95,26 @@ _SMALL = 1e-2
 _POLY6 = kernel_number("poly6")
 
 WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
-"""Numbers of nodes along an edge of a window, n = 1 (mod 8): few, because the network is compiled for each shape."""
+"""Numbers of nodes along an edge of a window, n = 1 (mod 8): few, because the network is set up for each shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FarFieldSpec:
     """The images of a far-field network.
 
-    spacing: of the input's nodes, mean radii. support: h of the splat, mean radii. coarsening: nodes of the input per
-    node of the output. inputs: of `INPUTS`. correction: add the prediction to λ_Builtin; otherwise λ = Σ_j c_j F_j.
+    spacing: of the input's nodes, mean radii. support: h of the splat, mean radii. inputs: of `INPUTS`.
+    correction: add the prediction to λ_Builtin; otherwise λ = Σ_j c_j F_j.
     Raises ValueError naming the field and the value.
     """
 
     spacing: float = 1.0
     support: float = 1.0
-    coarsening: int = 2
     inputs: str = "all"
     correction: bool = True
 
     def __post_init__(self):
         number("spacing", self.spacing, above=0)
         number("support", self.support, above=0)
-        integer("coarsening", self.coarsening, 1)
         one_of("inputs", self.inputs, INPUTS)
         flag("correction", self.correction)
 
@@ -131,28 +130,28 @@ class FarFieldSpec:
 
         The spacing grows where the contacts extend beyond the largest window.
         """
-        spacing = self.spacing * radius
         extent = float(max(high[0] - low[0], high[1] - low[1]))
-        spacing = max(spacing, extent / (WINDOW_SIDES[-1] - 3))
+        spacing = max(self.spacing * radius, extent / (WINDOW_SIDES[-1] - 3))
         shape = tuple(window_side((high[k] - low[k]) / spacing) for k in (1, 0))
         return Grid(origin=(low[0] - spacing, low[1] - spacing), spacing=spacing, shape=shape)
 
     def to_dict(self) -> dict:
-        """All fields, and the kind of the spec."""
-        return {"kind": "far field", **asdict(self)}
+        """All fields, the kind of the spec, and the coarsening."""
+        return {"kind": "far field", "coarsening": COARSENING, **asdict(self)}
 
     @classmethod
     def from_dict(cls, values: dict) -> FarFieldSpec:
         """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields."""
-        values = dict(check_fields("far-field spec", values, {"kind"} | {field.name for field in fields(cls)}))
+        names = {"kind", "coarsening"} | {field.name for field in fields(cls)}
+        values = dict(check_fields("far-field spec", values, names))
         one_of("kind", values.pop("kind"), ("far field",))
+        one_of("coarsening", values.pop("coarsening"), (COARSENING,))
         return cls(**values)
 
 
 def window_side(cells: float) -> int:
     """Nodes along an edge of a window whose contacts span so many cells, with a margin of one cell on each side."""
-    least = cells + 3.0 - ROUNDING
-    return WINDOW_SIDES[min(bisect_left(WINDOW_SIDES, least), len(WINDOW_SIDES) - 1)]
+    return WINDOW_SIDES[min(bisect_left(WINDOW_SIDES, cells + 3.0 - ROUNDING), len(WINDOW_SIDES) - 1)]
 
 
 class Description(NamedTuple):
@@ -165,7 +164,6 @@ class Description(NamedTuple):
     | point    | contact points, turned, m                                            | (m, 2)         |
     | features | F: change of λ_n and λ_t per coefficient (not turned), N·s           | (m, 12, 2)     |
     | start    | the impulses to correct: Builtin's, or zeros, N·s                    | (m, 2)         |
-    | scale    | the velocity by which the state was divided, m/s                     |                |
     | unsolved | rms change by one relaxation of each row, over the rms of λ          |                |
     """
 
@@ -174,7 +172,6 @@ class Description(NamedTuple):
     point: np.ndarray
     features: np.ndarray
     start: np.ndarray
-    scale: float
     unsolved: float
 
 
@@ -182,14 +179,11 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
     """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
 
     problem: the state's contact problem in float64 with tangents, if it has been built (`engine.step_problem`).
-
     Raises ValueError if there is no contact, or contacts have not been searched.
     """
-    if state.contacts is None:
-        raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
+    state = with_contacts(state)
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
-    state = native(state)
     rows, free, _ = step_problem(state) if problem is None else problem
     world = state.world
     found = _measure(state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4)
@@ -198,21 +192,17 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
     np.arcsinh(found.body_sizes, out=found.body_sizes)
     grid = spec.window(found.low, found.high, found.mean_radius)
     image = np.zeros((*grid.shape, len(INPUTS["all"])), np.float32)
-    geometry = *grid.origin, *grid.spacing
-    support = spec.support * grid.spacing[0] / spec.spacing
-    particles = found.point, found.normal, found.contact_sizes, found.residual, found.wall
-    _paint(image, geometry, support, *particles, found.centre, found.body_sizes)
+    _paint(image, (*grid.origin, *grid.spacing), spec.support * grid.spacing[0] / spec.spacing, found)
     if spec.inputs != "all":
         image = np.ascontiguousarray(image[:, :, [INPUTS["all"].index(name) for name in spec.channels]])
-    start = found.start if spec.correction else np.zeros_like(found.start)
-    return Description(image, grid, found.point, found.features, start, found.scale, found.unsolved)
+    start = rows.impulse.copy() if spec.correction else np.zeros_like(rows.impulse)
+    return Description(image, grid, found.point, found.features, start, found.unsolved)
 
 
-def correct(image: np.ndarray, description: Description, spec: FarFieldSpec) -> np.ndarray:
+def correct(image: np.ndarray, description: Description) -> np.ndarray:
     """λ = λ_Builtin + Σ c F, (m, 2), N·s, not projected, with the coefficients c read from the network's image."""
-    node, weight = nodes_of(description, spec, image.shape[:2])
-    flat = image.reshape(-1, image.shape[2])
-    return _correct(flat, node, weight, description.features, description.start)
+    node, weight = nodes_of(description, image.shape[:2])
+    return _correct(image.reshape(-1, image.shape[2]), node, weight, description.features, description.start)
 
 
 @njit(cache=True)
@@ -233,11 +223,11 @@ def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
     return description.start + np.einsum("ij,ijk->ik", coefficients, description.features)
 
 
-def nodes_of(description: Description, spec: FarFieldSpec, shape: tuple[int, int]):
+def nodes_of(description: Description, shape: tuple[int, int]):
     """Nodes of the flattened output, an image of this shape, around each contact, (m, 4), and their weights, (m, 4)."""
     point, grid = description.point, description.grid
     node, weight = np.empty((len(point), 4), np.int32), np.empty((len(point), 4), np.float32)
-    distance = grid.spacing[0] * spec.coarsening
+    distance = grid.spacing[0] * COARSENING
     _bilinear_nodes((*grid.origin, distance, distance), *shape, point, node, weight)
     return node, weight
 
@@ -277,8 +267,6 @@ class _Measured(NamedTuple):
     centre: np.ndarray  # (n, 2)
     body_sizes: np.ndarray  # (n, 6): velocity and spin, without impulses and with Builtin's
     features: np.ndarray  # (m, 12, 2)
-    start: np.ndarray  # (m, 2)
-    scale: float
     unsolved: float
     low: tuple[float, float]
     high: tuple[float, float]
@@ -319,23 +307,22 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
     features = np.zeros((m, 12, 2))
     x_low, x_high, y_low, y_high = np.inf, -np.inf, np.inf, -np.inf
     for i in range(m):
-        n_x, n_y = sign * rows.data[i, N_X], rows.data[i, N_Y]
-        n_x, n_y = c * n_x - s * n_y, s * n_x + c * n_y
-        x, y = sign * (contacts.position[i, 0] - x_m), contacts.position[i, 1] - y_m
-        x, y = x_m + c * x - s * y, y_m + s * x + c * y
+        n_x, n_y = _turned(c, s, sign * rows.data[i, N_X], rows.data[i, N_Y])
+        x, y = _turned(c, s, sign * (contacts.position[i, 0] - x_m), contacts.position[i, 1] - y_m)
+        x, y = x_m + x, y_m + y
         x_low, x_high, y_low, y_high = min(x_low, x), max(x_high, x), min(y_low, y), max(y_high, y)
         point[i, 0], point[i, 1] = x, y
         normal[i, 0], normal[i, 1] = n_x, n_y
         k_n, k_t = rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
         v_n, v_t = row_velocity(rows, free, i)
         p_n, p_t = rows.impulse[i, NORMAL], sign * rows.impulse[i, TANGENT]
+        unit = k_n * scale
         sizes[i, 0], sizes[i, 1] = v_n / scale, sign * v_t / scale
-        sizes[i, 2], sizes[i, 3] = p_n / (k_n * scale), p_t / (k_n * scale)
+        sizes[i, 2], sizes[i, 3] = p_n / unit, p_t / unit
         r_n, r_t = residual[i, 0] / scale, sign * residual[i, 1] / scale
         residual[i, 0], residual[i, 1] = r_n, r_t
         wall[i] = 1.0 if rows.body[i, BODY_B] >= n else 0.0
         xx, xy = n_x * n_x - n_y * n_y, 2.0 * n_x * n_y
-        unit = k_n * scale
         F = features[i]
         F[0, 0] = unit
         F[1, 0], F[1, 1] = unit * xx, unit * xy
@@ -346,72 +333,72 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
         F[8, 0], F[9, 0], F[10, 0] = unit * r_n, unit * r_n * xx, unit * r_n * xy
         F[11, 1] = k_t * scale * r_t
         # λ_t has the opposite sign in the mirrored state.
-        for j in range(12):
-            F[j, 1] *= sign
+        F[:, 1] *= sign
 
     centre, moving = np.empty((n, 2)), np.empty((n, 6))
     radius = 0.0
     for i in range(n):
         radius += bodies.radius[i] / n
-        x, y = sign * (bodies.position[i, 0] - x_m), bodies.position[i, 1] - y_m
-        centre[i, 0], centre[i, 1] = x_m + c * x - s * y, y_m + s * x + c * y
-        for j in range(2):
-            velocity = free if j == 0 else after
-            v_x, v_y = sign * velocity[i, V_X], velocity[i, V_Y]
-            moving[i, 3 * j] = (c * v_x - s * v_y) / scale
-            moving[i, 1 + 3 * j] = (s * v_x + c * v_y) / scale
+        x, y = _turned(c, s, sign * (bodies.position[i, 0] - x_m), bodies.position[i, 1] - y_m)
+        centre[i, 0], centre[i, 1] = x_m + x, y_m + y
+        for j, velocity in enumerate((free, after)):
+            v_x, v_y = _turned(c, s, sign * velocity[i, V_X], velocity[i, V_Y])
+            moving[i, 3 * j], moving[i, 1 + 3 * j] = v_x / scale, v_y / scale
             moving[i, 2 + 3 * j] = sign * velocity[i, V_S] / scale
     low, high = (x_low, y_low), (x_high, y_high)
-    start, unsolved = rows.impulse.copy(), unsolved / max(carried, 1e-300)
-    return _Measured(
-        point, normal, sizes, residual, wall, centre, moving, features, start, scale, unsolved, low, high, radius
-    )
+    unsolved /= max(carried, 1e-300)
+    return _Measured(point, normal, sizes, residual, wall, centre, moving, features, unsolved, low, high, radius)
 
 
 @njit(cache=True, error_model="numpy")
-def _paint(image, geometry, h, point, normal, sizes, residual, wall, centre, moving):
+def _turned(c, s, x, y):
+    """The vector (x, y) turned by the angle of this cosine and sine."""
+    return c * x - s * y, s * x + c * y
+
+
+@njit(cache=True, error_model="numpy")
+def _paint(image, geometry, h, found):
     """Splat `CONTACT_CHANNELS` and `BODY_CHANNELS` as `sph.splat` with poly6 and the normalization "particle" does.
 
     A particle with no node within h goes to the nearest node; a circle outside the image touches nothing and is left
-    out.
+    out. found: `_Measured`, compressed.
     """
     n_y, n_x, channels = image.shape
     first = len(CONTACT_CHANNELS)
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
     values = np.empty(channels, np.float32)
-    for k in range(point.shape[0]):
-        xx = normal[k, 0] * normal[k, 0] - normal[k, 1] * normal[k, 1]
-        xy = 2.0 * normal[k, 0] * normal[k, 1]
+    sizes, residual = found.contact_sizes, found.residual
+    for k in range(found.point.shape[0]):
+        x, y = found.normal[k, 0], found.normal[k, 1]
+        xx, xy = x * x - y * y, 2.0 * x * y
         values[0], values[1], values[2] = 1.0, xx, xy
-        for j in range(3):
-            # Approach and slip, the residuals, Builtin's impulses.
-            along = residual[k, 0] if j == 1 else sizes[k, j]
-            across = residual[k, 1] if j == 1 else sizes[k, j + 1]
+        rows = (sizes[k, 0], sizes[k, 1]), (residual[k, 0], residual[k, 1]), (sizes[k, 2], sizes[k, 3])
+        for j, (along, across) in enumerate(rows):
             values[3 + 6 * j], values[4 + 6 * j], values[5 + 6 * j] = along, along * xx, along * xy
             # t ⊗ n with t = (n_y, -n_x): its symmetric part has xx = 2 n_x n_y, xy = n_y² − n_x².
             values[6 + 6 * j], values[7 + 6 * j], values[8 + 6 * j] = across, across * xy, -across * xx
-        values[first - 1] = wall[k]
-        _add(image, geometry, h, point[k, 0], point[k, 1], values, 0, first, weights)
+        values[first - 1] = found.wall[k]
+        _add(image, geometry, h, found.point[k], values, 0, first, weights)
     x_last, y_last = geometry[0] + geometry[2] * (n_x - 1), geometry[1] + geometry[3] * (n_y - 1)
-    for k in range(centre.shape[0]):
-        x, y = centre[k, 0], centre[k, 1]
+    values[first] = 1.0
+    for k in range(found.centre.shape[0]):
+        x, y = found.centre[k, 0], found.centre[k, 1]
         if geometry[0] <= x <= x_last and geometry[1] <= y <= y_last:
-            values[first] = 1.0
             for j in range(6):
-                values[first + 1 + j] = moving[k, j]
-            _add(image, geometry, h, x, y, values, first, channels, weights)
+                values[first + 1 + j] = found.body_sizes[k, j]
+            _add(image, geometry, h, found.centre[k], values, first, channels, weights)
 
 
 @njit(cache=True, error_model="numpy")
-def _add(image, geometry, h, x, y, values, begin, end, weights):
+def _add(image, geometry, h, point, values, begin, end, weights):
     """Add a particle's values, the channels from `begin` to `end`.
 
     `sph.splat` would take eight times as long: it writes float64 and checks its arguments.
     """
     n_y, n_x, _ = image.shape
-    i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, _POLY6, weights)
+    i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, point[0], point[1], h, _POLY6, weights)
     if not total > 0.0:
-        i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
+        i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, point[0], point[1], weights)
     n = 0
     for j in range(j0, j1):
         for i in range(i0, i1):

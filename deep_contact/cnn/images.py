@@ -8,8 +8,7 @@ contacts is 0 where there are none.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
+from dataclasses import asdict, dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
@@ -49,8 +48,6 @@ TARGETS = {
 THESIS_CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
 """The five inputs of the thesis's network, in its order."""
 
-TRANSFERS = ("thesis", "consistent")
-
 _REMOVED = {"normalization": "particle", "scale_free": False, "scales": 1.0, "target_scales": 1.0}
 """Field of a spec in files of earlier versions -> its only value that still has a meaning."""
 
@@ -75,24 +72,19 @@ class ImageSpec:
 
     def __post_init__(self):
         one_of("kernel", self.kernel, KERNELS)
-        one_of("transfer", self.transfer, TRANSFERS)
-        checked = {name: number(name, getattr(self, name), above=0) for name in ("spacing", "support")}
+        one_of("transfer", self.transfer, ("thesis", "consistent"))
+        for name in ("spacing", "support"):
+            object.__setattr__(self, name, number(name, getattr(self, name), above=0))
         for name, table in (("channels", CHANNELS), ("targets", TARGETS)):
-            checked[name] = _names(name, getattr(self, name), table)
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, _names(name, getattr(self, name), table))
 
     def grid(self, world: World) -> Grid:
         """The grid over a world's box."""
-        return _grid(world.box, self.spacing)
+        return Grid.over_box(world.box, self.spacing)
 
     def shape(self, world: World) -> tuple[int, int]:
         """(n_y, n_x) of the images of this world's states."""
         return self.grid(world).shape
-
-    def replace(self, **changes) -> ImageSpec:
-        """A copy with some fields changed."""
-        return replace(self, **changes)
 
     def to_dict(self) -> dict:
         """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
@@ -102,13 +94,14 @@ class ImageSpec:
     def from_dict(cls, values: dict) -> ImageSpec:
         """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields, and on those of versions before
         that changed the values of an image."""
-        if isinstance(values, dict):
-            for name, only in _REMOVED.items():
-                given = values.get(name, only)
-                if any(value != only for value in (given if isinstance(given, list) else [given])):
-                    raise ValueError(f"image spec: {name}: expected {only}, the only one left, got {given}")
-            values = {name: value for name, value in values.items() if name not in _REMOVED}
-        return cls(**check_fields("image spec", values, {field.name for field in fields(cls)}))
+        names = {field.name for field in fields(cls)}
+        before = _REMOVED.keys() & values if isinstance(values, dict) else ()
+        for name in before:
+            given, only = values[name], _REMOVED[name]
+            if any(value != only for value in (given if isinstance(given, list) else [given])):
+                raise ValueError(f"image spec: {name}: expected {only}, the only one left, got {given}")
+        values = check_fields("image spec", values, names.union(before))
+        return cls(**{name: values[name] for name in names})
 
 
 def check_fields(what: str, values, names: set[str]) -> dict:
@@ -128,17 +121,12 @@ def _names(name: str, given, table) -> tuple[str, ...]:
     return names
 
 
-@lru_cache(maxsize=64)
-def _grid(box, spacing) -> Grid:
-    return Grid.over_box(box, spacing)
-
-
 def input_image(state: State, spec: ImageSpec) -> np.ndarray:
     """The network's input, float32, (n_y, n_x, channels).
 
     Raises ValueError where the state has no contacts yet, or holds what is not finite.
     """
-    return _image(state, spec, {name: CHANNELS[name] for name in spec.channels})
+    return _image(state, spec, [CHANNELS[name] for name in spec.channels])
 
 
 def label_image(state: State, spec: ImageSpec) -> np.ndarray:
@@ -148,7 +136,7 @@ def label_image(state: State, spec: ImageSpec) -> np.ndarray:
     """
     if not state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
-    return _image(state, spec, {name: TARGETS[name] for name in spec.targets})
+    return _image(state, spec, [TARGETS[name] for name in spec.targets])
 
 
 def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
@@ -157,7 +145,7 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
     image: (n_y, n_x, targets), N·s. Nothing is projected on the friction cone here.
     Raises ValueError where the image does not fit the spec, or is not finite around a contact.
     """
-    state, given = _with_contacts(state), np.asarray(image, dtype=np.float64)
+    state, given = with_contacts(state), np.asarray(image, dtype=np.float64)
     expected = (*spec.shape(state.world), len(spec.targets))
     if given.shape != expected:
         raise ValueError(f"image: expected shape {expected}, got {given.shape}")
@@ -168,18 +156,19 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
     return tuple(np.ascontiguousarray(column) for column in values.T)
 
 
-def _image(state: State, spec: ImageSpec, channels: dict[str, Channel]) -> np.ndarray:
-    state, grid = _with_contacts(state), spec.grid(state.world)
+def _image(state: State, spec: ImageSpec, channels: list[Channel]) -> np.ndarray:
+    state, grid = with_contacts(state), spec.grid(state.world)
     image = np.empty((*grid.shape, len(channels)), np.float32)
     for of, particles in (("bodies", state.bodies), ("contacts", state.contacts)):
-        chosen = [i for i, channel in enumerate(channels.values()) if channel.of == of]
+        chosen = [i for i, channel in enumerate(channels) if channel.of == of]
         if chosen:
-            values = np.column_stack([channel.value(state) for channel in channels.values() if channel.of == of])
+            values = np.column_stack([channels[i].value(state) for i in chosen])
             image[:, :, chosen] = splat(grid, particles.position, values, h=spec.support, kernel=spec.kernel, **_REACH)
     return image
 
 
-def _with_contacts(state: State) -> State:
+def with_contacts(state: State) -> State:
+    """The state in this machine's byte order. Raises ValueError where its contacts have not been searched."""
     if state.contacts is None:
         raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
     return native(state)

@@ -14,21 +14,21 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.cnn import registry
 from deep_contact.cnn.backend import limit_threads, one_thread
-from deep_contact.cnn.convolution import Program, dimensions, weights_of
+from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
-from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model
+from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
+from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
 
-__all__ = ["Cnn", "FarFieldModel", "Guarded", "LearnedModel", "limit_threads", "load_model", "one_thread", "projected"]
-
-DEFAULT_MODEL = "model"
-"""Name of the shipped model in the registry."""
+__all__ = [
+    "Cnn", "FarFieldModel", "Guarded", "LearnedModel", "known_model", "limit_threads", "load_model", "network_file",
+    "network_start", "one_thread", "projected",
+]  # fmt: skip
 
 _SAME_BOX = 1e-6
 """A box may differ by so much from the one a network of fixed size was made for, relative."""
@@ -43,22 +43,17 @@ def load_model(path=None) -> LearnedModel:
     path = network_file(path)
     network, spec, metadata = read_model(path)
     kind = FarFieldModel if isinstance(spec, FarFieldSpec) else LearnedModel
-    return kind(
-        source=network,
-        spec=spec,
-        card=metadata["card"],
-        box=None if metadata["box"] is None else tuple(metadata["box"]),
-        path=path,
-    )
+    box = None if metadata["box"] is None else tuple(metadata["box"])
+    return kind(source=network, spec=spec, card=metadata["card"], box=box, path=path)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class LearnedModel:
     """A network and what is needed to use it: state in, impulses at its contacts out.
 
-    source: the network, as a `keras.Model` or as a file holds it. spec: what its images are made of. card: where it
-    comes from, what it is worth. box: (width, height) that a network of fixed size was made for, m, or None. path: the
-    file it was read from, or None.
+    source: the network, a `keras.Model`; for a far-field network as its file holds it. spec: what its images are made
+    of. card: where it comes from, what it is worth. box: (width, height) that a network of fixed size was made for, m,
+    or None. path: the file it was read from, or None.
     """
 
     source: object
@@ -70,7 +65,7 @@ class LearnedModel:
 
     @cached_property
     def network(self):
-        """The `keras.Model`. It is built when it is first asked for, if the file could be used without Keras."""
+        """The `keras.Model`."""
         return self.source.build() if isinstance(self.source, StoredNetwork) else self.source
 
     def predict(self, state: State | Sequence[State]):
@@ -86,9 +81,6 @@ class LearnedModel:
             return np.zeros(0), np.zeros(0)
         return self._impulses(state)
 
-    def _impulses(self, state):
-        return read_back(self._image(state), state, self.spec)
-
     def predict_image(self, state: State) -> np.ndarray:
         """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units.
 
@@ -97,22 +89,25 @@ class LearnedModel:
         self.check_scene(state)
         return self._image(state)
 
-    def _image(self, state):
-        return self.run(input_image(state, self.spec))
-
     def run(self, image: np.ndarray) -> np.ndarray:
-        """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32."""
-        return self._made(image).reshape(*image.shape[:2], -1)
+        """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32.
 
-    def _made(self, image: np.ndarray) -> np.ndarray:
-        """The network's output for the image; the network is compiled once for each size."""
+        A far-field network takes n = 1 (mod 8) nodes a side, and gives as `predict_image`.
+        """
         image = np.ascontiguousarray(image, np.float32)
         if image.shape not in self._compiled:
             self._compiled[image.shape] = self._compile(image.shape)
         return self._compiled[image.shape](image)
 
+    def _impulses(self, state):
+        return read_back(self._image(state), state, self.spec)
+
+    def _image(self, state):
+        return self.run(input_image(state, self.spec))
+
     def _compile(self, shape):
-        return compiled(self.network, shape)
+        function = compiled(self.network, shape)
+        return lambda image: function(image).reshape(*shape[:2], -1)
 
     def check_scene(self, state: State) -> None:
         """Raise ModelFileError naming the field unless the network can work on this scene."""
@@ -137,7 +132,7 @@ class LearnedModel:
         return {
             "model": "not in a file" if self.path is None else self.path.name,
             "architecture": str(self.card.get("architecture", "unknown")),
-            "weights": f"{sum(array.size for arrays in weights_of(self.source).values() for array in arrays):,}",
+            "weights": f"{self.source.count_params():,}",
             "takes": takes(self.spec, self.box),
             "gives": gives(self.spec),
         }
@@ -152,35 +147,21 @@ class LearnedModel:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FarFieldModel(LearnedModel):
-    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
-
-    It runs in Numba (`cnn.convolution`), with the weights that it has when it meets a size of window for the first
-    time; layers other than those of `architectures.far_field` run in TensorFlow.
-    threads: at most so many work on it in Numba; the number changes no bit.
-    """
-
-    threads: int = 1
+    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds."""
 
     def _impulses(self, state):
         return self.correct(state, describe(state, self.spec))
 
     def correct(self, state: State, description: Description) -> tuple[np.ndarray, np.ndarray]:
         """`predict` from a description that has been made already."""
-        impulses = correct(self.run(description.image), description, self.spec)
+        impulses = correct(self.run(description.image), description)
         return np.ascontiguousarray(impulses[:, 0]), np.ascontiguousarray(impulses[:, 1])
 
     def _image(self, state):
         return self.run(describe(state, self.spec).image)
 
-    def run(self, image: np.ndarray) -> np.ndarray:
-        """The network alone: image (n_y, n_x, channels), n = 1 (mod 8), to coefficients (rows, columns, 12)."""
-        return self._made(image)
-
     def _compile(self, shape):
-        if dimensions(self.source):
-            return Program(self.source, shape[:2], threads=self.threads)
-        # In TensorFlow one program takes three quarters of the time that one call for each layer does.
-        return compiled(self.network, shape, one_program=True)
+        return Program(weights_of(self.source), shape[:2])
 
     def check_scene(self, state: State) -> None:
         """Accept every scene."""
@@ -197,26 +178,20 @@ def takes(spec: ImageSpec | FarFieldSpec, box=None) -> str:
 def gives(spec: ImageSpec | FarFieldSpec) -> str:
     """What a network of this spec gives, in words."""
     if isinstance(spec, FarFieldSpec):
-        return f"{len(spec.targets)} coefficients at every {'second' if spec.coarsening == 2 else spec.coarsening} node"
+        return f"{len(spec.targets)} coefficients at every second node"
     return f"images of {', '.join(spec.targets)}"
 
 
-def compiled(model, shape: tuple[int, int, int], *, one_program: bool = False) -> Callable[[np.ndarray], np.ndarray]:
+def compiled(model, shape: tuple[int, int, int]) -> Callable[[np.ndarray], np.ndarray]:
     """A `keras.Model` for one image of this shape as a function of a NumPy array (n_y, n_x, c), float32.
 
-    It is traced once, and the overhead of `keras.Model.predict` is not paid. one_program: compiled by XLA as a whole,
-    which takes about a second.
+    It is traced once, and the overhead of `keras.Model.predict` is not paid.
     """
-    from deep_contact.cnn.backend import keras
-
-    if keras.backend.backend() != "tensorflow":
-        return lambda image: keras.ops.convert_to_numpy(model(image[None], training=False))[0]
     from deep_contact.cnn.backend import tensorflow as tf
 
     signature = [tf.TensorSpec((1, *shape), tf.float32)]
     # The concrete function skips the look-up by signature, a tenth of the time of a small network.
-    jit = {"jit_compile": True} if one_program else {}
-    function = tf.function(lambda image: model(image, training=False), input_signature=signature, **jit)
+    function = tf.function(lambda image: model(image, training=False), input_signature=signature)
     concrete = function.get_concrete_function()
     return lambda image: concrete(tf.constant(image[None])).numpy()[0]
 
@@ -231,8 +206,7 @@ class Cnn:
     model: LearnedModel | str | Path | None = None
 
     def __post_init__(self):
-        if not isinstance(self.model, LearnedModel):
-            object.__setattr__(self, "model", load_model(self.model))
+        object.__setattr__(self, "model", known_model(self.model))
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
         return projected(*self.model.predict(state), state.world.friction)
@@ -255,9 +229,7 @@ class Guarded:
     margin: float = 2.0
 
     def __post_init__(self):
-        model = self.model
-        if not isinstance(model, LearnedModel):
-            model = load_model(model)
+        model = known_model(self.model)
         if not isinstance(model, FarFieldModel):
             raise ModelFileError(f"model: expected a far-field network, got one for {model.spec.targets}")
         object.__setattr__(self, "model", model)
@@ -282,37 +254,22 @@ class Guarded:
         return learned if theta[1] <= self.margin * theta[0] else builtin
 
 
-def network_file(model=None) -> Path:
-    """A model file by its name in the registry, or by its path from the current folder or from `io.shipped.ROOT`.
-
-    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none.
-    """
-    name = DEFAULT_MODEL if model is None else str(model).removeprefix("models/").removesuffix(".h5")
-    known = registry.registered()
-    if model is None or str(model) in known:
-        return registry.path_of(name)
-    for place in (Path(model), registry.ROOT / model):
-        if place.exists() and not place.is_dir():
-            return place
-    if name in known:
-        return registry.path_of(name)
-    raise FileNotFoundError(
-        f"model file: expected a file or one of {', '.join(known)}, got {model}, which does not exist; "
-        "`python scripts/train.py` makes one"
-    )
-
-
 def network_start(model) -> Cnn:
     """The start by the network of a file or a name (Algorithm 7), on one thread, read again only if the file changes.
 
     Raises FileNotFoundError where there is no such file, `ModelFileError` where it is damaged.
     """
     one_thread()
-    return Cnn(known_model(model))
+    return Cnn(model)
 
 
 def known_model(model=None) -> LearnedModel:
-    """`load_model`, but a file that this process has read and that has not changed since is not read again."""
+    """`load_model`, but a file that this process has read and that has not changed since is not read again.
+
+    A model that has been loaded is returned as it is.
+    """
+    if isinstance(model, LearnedModel):
+        return model
     path = network_file(model)
     status = path.stat()
     return _read_once(path.resolve(), status.st_mtime_ns, status.st_size)

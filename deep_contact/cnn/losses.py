@@ -10,17 +10,8 @@ ops = keras.ops
 def masked_squared_error(y_true, y_pred):
     """Loss of Appendix B (Eq 5.3): mean of (y_pred − y_true)² over the last axis, where y_true ≠ 0, else 0.
 
-    The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction.
+    The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction. In
+    float32, whatever the layers compute in.
     """
-    return ops.mean(ops.square(_masked(y_true, y_pred)), axis=-1)
-
-
-def masked_absolute_error(y_true, y_pred):
-    """`masked_squared_error` with the absolute value in place of the square; a metric."""
-    return ops.mean(ops.abs(_masked(y_true, y_pred)), axis=-1)
-
-
-def _masked(y_true, y_pred):
-    """In float32, whatever the layers compute in."""
     flags = ops.cast(ops.not_equal(y_true, 0.0), "float32")
-    return (ops.cast(y_pred, "float32") - y_true) * flags
+    return ops.mean(ops.square((ops.cast(y_pred, "float32") - y_true) * flags), axis=-1)

@@ -13,9 +13,8 @@ one more dataset, `deep_contact`, a JSON object:
 | digest       | SHA-256 over the network's configuration, its weights and the other fields                   |
 
 A file is read by h5py. Only stock layers of a short list are accepted, and of each layer only the arguments that shape
-it (`_ARGUMENTS`): every Keras from 3.4 on knows these, whichever version wrote the file, and nothing else of the file
-reaches Keras. There is no pickle, no Lambda, no link to another file. The digest detects damage and carelessness, not
-malice: whoever changes a file on purpose can write a new one.
+it (`_ARGUMENTS`): every Keras from 3.4 on knows these, and nothing else of the file reaches Keras. There is no pickle,
+no Lambda, no link to another file. The digest detects damage, not malice.
 """
 
 from __future__ import annotations
@@ -76,6 +75,10 @@ class StoredNetwork(NamedTuple):
     config: dict
     weights: dict[str, list[np.ndarray]]
 
+    def count_params(self) -> int:
+        """Number of weights, as `keras.Model` has it."""
+        return sum(array.size for arrays in self.weights.values() for array in arrays)
+
     def build(self):
         """The network as a `keras.Model`. Raises ModelFileError where layers and weights do not fit each other."""
         from deep_contact.cnn.backend import keras
@@ -93,6 +96,13 @@ class StoredNetwork(NamedTuple):
         return model
 
 
+def weights_of(network) -> dict[str, list[np.ndarray]]:
+    """Layer -> its arrays, of a `StoredNetwork` or a `keras.Model`."""
+    if isinstance(network, StoredNetwork):
+        return network.weights
+    return {layer.name: layer.get_weights() for layer in network.layers}
+
+
 def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=None) -> Path:
     """Write a `keras.Model` and its metadata to a file, completely or not at all. Returns the path.
 
@@ -106,8 +116,9 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
     path = Path(path)
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": _coarsening(spec), "box": size, "card": card}
-    _check_fit(model, spec, size, path)
     config = json.dumps(portable(json.loads(model.to_json())))
+    weights = weights_of(model)
+    _check_fit(model, weights, spec, size, path)
     # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
@@ -115,12 +126,12 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
         for attributes in (file.attrs, group.attrs):
             attributes.update({"keras_version": keras.__version__, "backend": keras.backend.backend()})
         file.attrs["model_config"] = config
-        group.attrs["layer_names"] = [layer.name for layer in model.layers]
+        group.attrs["layer_names"] = list(weights)
         for layer in model.layers:
             names = [f"{layer.name}/{variable.name}" for variable in layer.weights]
             stored = group.create_group(layer.name)
             stored.attrs["weight_names"] = names
-            for name, array in zip(names, layer.get_weights()):
+            for name, array in zip(names, weights[layer.name]):
                 stored[name] = array
         metadata["digest"] = _digest(config, _datasets(group), metadata)
         file[METADATA] = json.dumps(metadata, allow_nan=False)
@@ -141,16 +152,13 @@ def read_metadata(path) -> dict:
 def read_model(path):
     """(network, spec, metadata) of a model file.
 
-    network: a `StoredNetwork` where `cnn.convolution` can run it, and a `keras.Model` otherwise. Raises as
-    `read_metadata`.
+    network: a `keras.Model`, or for a far-field network a `StoredNetwork`. Raises as `read_metadata`.
     """
     network, metadata = _read(Path(path))
     spec = spec_of(metadata, path)
-    fits = dimensions(network) or (0, 0)
-    if not isinstance(spec, FarFieldSpec) or fits[:2] != (len(spec.channels), len(spec.targets)):
-        network = network.build()
-        _check_fit(network, spec, metadata["box"], path)
-    return network, spec, metadata
+    model = None if isinstance(spec, FarFieldSpec) else network.build()
+    _check_fit(model, network.weights, spec, metadata["box"], path)
+    return model or network, spec, metadata
 
 
 def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
@@ -278,23 +286,33 @@ def _datasets(group) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(array) for name, array in found.items()}
 
 
-def _check_fit(model, spec: ImageSpec | FarFieldSpec, box, path) -> None:
-    """Raise ModelFileError unless a `keras.Model` takes the spec's images and gives its targets."""
+def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box, path) -> None:
+    """Raise ModelFileError unless the network takes the spec's images and gives its targets.
+
+    A far-field network by its weights, any other by the shapes of the `keras.Model`.
+    """
+    channels, targets = len(spec.channels), len(spec.targets)
+    if isinstance(spec, FarFieldSpec):
+        if (dimensions(weights) or ())[:2] != (channels, targets):
+            raise ModelFileError(
+                f"{path}: model_weights: expected the layers of architectures.far_field with {channels} channels and "
+                f"{targets} outputs, got {', '.join(weights)}"
+            )
+        return
     inputs, outputs = model.input_shape, model.output_shape
-    if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != len(spec.channels):
+    if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != channels:
         raise ModelFileError(
-            f"{path}: channels: expected a network of {len(spec.channels)} input channels "
-            f"({', '.join(spec.channels)}), got one of shape {inputs}"
+            f"{path}: channels: expected a network of {channels} input channels ({', '.join(spec.channels)}), "
+            f"got one of shape {inputs}"
         )
-    targets = len(spec.targets)
-    flat = len(outputs) == 2 and None not in inputs[1:3] and outputs[-1] == inputs[1] * inputs[2] * targets
+    size = inputs[1:3]
+    flat = len(outputs) == 2 and None not in size and outputs[-1] == size[0] * size[1] * targets
     if not (flat or (len(outputs) == 4 and outputs[-1] == targets)):
         raise ModelFileError(
             f"{path}: targets: expected a network that gives {targets} images ({', '.join(spec.targets)}), "
             f"got outputs of shape {outputs}"
         )
-    if None not in inputs[1:3] and box is None:
-        size = inputs[1:3]
+    if None not in size and box is None:
         raise ModelFileError(f"{path}: box: expected [width, height] for a network of the fixed size {size}, got none")
 
 

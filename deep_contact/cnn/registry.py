@@ -10,9 +10,28 @@ from pathlib import Path
 
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.io.shipped import ROOT
+from deep_contact.validation import one_of
 
 FOLDER = "DEEP_CONTACT_MODELS"
 """Environment variable: a folder that is searched before the shipped `models/`."""
+
+
+def network_file(model=None) -> Path:
+    """A model file by its name in the registry (default "model"), or by its path from the current folder or `ROOT`.
+
+    Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none.
+    """
+    given, known = "model" if model is None else str(model), registered()
+    for place in () if given in known else (Path(given), ROOT / given):
+        if place.exists() and not place.is_dir():
+            return place
+    name = given.removeprefix("models/").removesuffix(".h5")
+    if name in known:
+        return path_of(name)
+    raise FileNotFoundError(
+        f"model file: expected a file or one of {', '.join(known)}, got {given}, which does not exist; "
+        "`python scripts/train.py` makes one"
+    )
 
 
 def path_of(name: str) -> Path:
@@ -22,12 +41,8 @@ def path_of(name: str) -> Path:
     file is not the registered one.
     """
     entries = registered()
-    if name not in entries:
-        known = ", ".join(entries) or "a registry.json, which is part of the source repository"
-        raise FileNotFoundError(f"model: expected one of {known}, or the path of a file, got {name!r}")
-    entry = entries[name]
-    for folder in _folders():
-        path = folder / entry["file"]
+    entry, folders = entries[one_of("model", name, entries)], _folders()
+    for path in (folder / entry["file"] for folder in folders):
         if path.is_file():
             status = path.stat()
             found = _sha256(path, status.st_mtime_ns, status.st_size)
@@ -35,7 +50,7 @@ def path_of(name: str) -> Path:
                 raise ModelFileError(f"{path}: sha256: expected {entry['sha256']}, as registered, got {found}")
             return path
     raise FileNotFoundError(
-        f"model {name}: expected {entry['file']} in {' or '.join(map(str, _folders()))}, which does not exist; it is "
+        f"model {name}: expected {entry['file']} in {' or '.join(map(str, folders))}, which does not exist; it is "
         f"part of the source repository, not of every wheel; {FOLDER} names another folder, and `{entry['command']}` "
         "trains such a network"
     )
@@ -62,9 +77,8 @@ def registered() -> dict[str, dict]:
 
 
 def _folders() -> list[Path]:
-    given = os.environ.get(FOLDER)
-    folders = [ROOT / "models", Path.cwd() / "models"]
-    return list(dict.fromkeys(folders if not given else [Path(given), *folders]))
+    given = [Path(os.environ[FOLDER])] if os.environ.get(FOLDER) else []
+    return list(dict.fromkeys([*given, ROOT / "models", Path.cwd() / "models"]))
 
 
 @lru_cache(maxsize=64)

@@ -3,8 +3,7 @@
 A start serves the velocities after the few sweeps that a user pays for. λ itself is not unique, and errors that one
 sweep removes do not matter. So the loss is the error after those sweeps, of the engine's own solver in its own order.
 Its gradient with respect to the start is the adjoint of the sweeps: one pass back over the contacts per sweep, with the
-clamps of the forward pass (almost everywhere the derivative). Automatic differentiation would have to unroll 170
-contacts × 30 sweeps; the adjoint takes two or three times the time of the sweeps.
+clamps of the forward pass (almost everywhere the derivative).
 
 The error of the velocities needs the solution. The loss may instead be the change by one more sweep ("residual"), which
 needs no labels. `impulse_loss` is the plain regression on λ, for comparison.
@@ -81,9 +80,7 @@ def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int
     It is `evaluation.velocity_errors` on packed arrays, with one run for all numbers of sweeps, which increase.
     Returns (len(sweeps),); 0 where there is nothing to solve.
     """
-    return _errors_and_gradient(problem, _projected(problem, start), np.asarray(sweeps), np.zeros(len(sweeps)), False)[
-        0
-    ]
+    return loss_and_gradient(problem, start, sweeps, np.zeros(len(sweeps)))[2]
 
 
 def loss_and_gradient(
@@ -98,8 +95,9 @@ def loss_and_gradient(
     impulse off, the gradient is kept if it asks for more impulse; otherwise such a contact could never learn to push.
     """
     one_of("measure", measure, MEASURES)
-    sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.asarray(start, float)
-    errors, gradient = _errors_and_gradient(problem, _projected(problem, start), sweeps, weights, measure == "residual")
+    sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
+    in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
+    errors, gradient = _errors_and_gradient(problem, in_cone, sweeps, weights, measure == "residual")
     _before_projection(start, problem.friction, gradient)
     return float(weights @ errors), gradient, errors
 
@@ -115,24 +113,17 @@ def impulse_loss(problem: SolvedProblem, start: np.ndarray) -> tuple[float, np.n
     return error / size, weight * off / (size * max(error, 1e-12 * size))
 
 
-def _projected(problem: SolvedProblem, start: np.ndarray) -> np.ndarray:
-    """The start on the friction cone, (m, 2)."""
-    return np.column_stack(projected(*np.array(start, float).T.copy(), problem.friction))
-
-
 @njit(cache=True)
 def _errors_and_gradient(problem, start, sweeps, weights, residual):
     """(errors (c,), gradient (m, 2) of Σ weight · error by a start in the cone). residual: of one more sweep."""
     rows, free, solution, friction = problem
     n = free.shape[0] - 4
-    # Arrays at the needed sweeps only: fresh memory for all of them would take longer than the sweeps.
-    kept = np.union1d(sweeps, sweeps + 1) if residual else sweeps
-    impulses, velocities, clamped = _sweeps(rows, free, friction, start, kept)
-    by_velocities, by_impulses = np.zeros((kept.size, n + 4, 3)), np.zeros_like(impulses)
+    impulses, velocities, clamped = _sweeps(rows, free, friction, start, sweeps[-1] + 1 if residual else sweeps[-1])
+    by_velocities, by_impulses = np.zeros((len(impulses), n + 4, 3)), np.zeros_like(impulses)
     errors, goal = np.zeros(sweeps.size), free
     if residual:
         metric = 1.0 / rows.data[:, NORMAL_MASS : TANGENT_MASS + 1]
-        size = _norm(metric, _sweeps(rows, free, friction, np.zeros_like(start), np.ones(1, np.int64))[0][0])
+        size = _norm(metric, _sweeps(rows, free, friction, np.zeros_like(start), 1)[0][1])
     else:
         # s = ω r has half the inertia of the mass.
         metric = np.array([1.0, 1.0, 0.5]) / free[:n, 3:]
@@ -140,8 +131,7 @@ def _errors_and_gradient(problem, start, sweeps, weights, residual):
         size = _norm(metric, (goal - free)[:n, :3])
     if size < _NOTHING:
         return errors, by_impulses[0]
-    for c in range(sweeps.size):
-        k = np.searchsorted(kept, sweeps[c])
+    for c, k in enumerate(sweeps):
         off = impulses[k + 1] - impulses[k] if residual else (velocities[k] - goal)[:n, :3]
         errors[c] = _norm(metric, off) / size
         slope = weights[c] / (size * size * max(errors[c], 1e-9)) * metric * off
@@ -150,7 +140,7 @@ def _errors_and_gradient(problem, start, sweeps, weights, residual):
             by_impulses[k] -= slope
         else:
             by_velocities[k, :n] = slope
-    return errors, _adjoint_sweeps(rows, free, friction, clamped, kept, by_velocities, by_impulses)
+    return errors, _adjoint_sweeps(rows, free, friction, clamped, by_velocities, by_impulses)
 
 
 @njit(cache=True)
@@ -180,38 +170,30 @@ def _velocities(rows, free, impulse):
 
 
 @njit(cache=True)
-def _sweeps(rows, free, friction, start, kept):
-    """(impulses (c, m, 2), velocities (c, n + 4, 4), clamped (kept[-1], m, 2)) of sweeps from a start in the cone.
-
-    kept: increasing numbers of sweeps after which impulses and velocities are returned, (c,).
-    """
-    m, c = rows.body.shape[0], 0
-    impulse, velocity = start.copy(), _velocities(rows, free, start)
-    impulses, velocities = np.empty((kept.size, m, 2)), np.empty((kept.size, free.shape[0], 4))
-    clamped = np.empty((kept[-1], m, 2), np.int8)
-    for k in range(kept[-1] + 1):
-        if k == kept[c]:
-            impulses[c], velocities[c] = impulse, velocity
-            c += 1
-        if k < kept[-1]:
-            forward_sweep(rows, friction, velocity, impulse, clamped[k])
+def _sweeps(rows, free, friction, start, count):
+    """Sweeps from a start in the cone: impulses (count + 1, m, 2) and velocities (count + 1, n + 4, 4) after each
+    number of them, and clamped (count, m, 2)."""
+    m = rows.body.shape[0]
+    impulses, velocities = np.empty((count + 1, m, 2)), np.empty((count + 1, free.shape[0], 4))
+    clamped = np.empty((count, m, 2), np.int8)
+    impulses[0], velocities[0] = start, _velocities(rows, free, start)
+    for k in range(count):
+        impulses[k + 1], velocities[k + 1] = impulses[k], velocities[k]
+        forward_sweep(rows, friction, velocities[k + 1], impulses[k + 1], clamped[k])
     return impulses, velocities, clamped
 
 
 @njit(cache=True)
-def _adjoint_sweeps(rows, free, friction, clamped, kept, by_velocities, by_impulses):
+def _adjoint_sweeps(rows, free, friction, clamped, by_velocities, by_impulses):
     """The adjoint of `_sweeps`: derivative by the start, (m, 2), of a loss of what `_sweeps` returns.
 
-    by_velocities: (c, n + 4, 3). by_impulses: (c, m, 2).
+    by_velocities: (count + 1, n + 4, 3). by_impulses: (count + 1, m, 2).
     """
-    c = kept.size - 1
-    by_velocity, by_impulse = by_velocities[c], by_impulses[c]
-    for k in range(kept[c], 0, -1):
-        adjoint_sweep(rows, friction, free, clamped[k - 1], by_velocity, by_impulse)
-        if c > 0 and kept[c - 1] == k - 1:
-            c -= 1
-            by_velocity += by_velocities[c]
-            by_impulse += by_impulses[c]
+    by_velocity, by_impulse = by_velocities[-1], by_impulses[-1]
+    for k in range(len(clamped) - 1, -1, -1):
+        adjoint_sweep(rows, friction, free, clamped[k], by_velocity, by_impulse)
+        by_velocity += by_velocities[k]
+        by_impulse += by_impulses[k]
     for i in range(clamped.shape[1]):
         by_normal, by_tangent = _by_change(rows, free, by_velocity, i)
         by_impulse[i, 0] += by_normal
@@ -267,24 +249,25 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
         d_n += by_impulse[i, 0]
         d_t += by_impulse[i, 1]
         if clamped[i, 1] == 0:
-            g_x, g_y = -k_t * d_t * n_y, k_t * d_t * n_x
-            by_velocity[b, 0] += g_x
-            by_velocity[b, 1] += g_y
-            by_velocity[a, 0] -= g_x
-            by_velocity[a, 1] -= g_y
+            _push(by_velocity, a, b, -k_t * d_t * n_y, k_t * d_t * n_x)
             by_velocity[a, 2] -= k_t * d_t * arm_a
             by_velocity[b, 2] -= k_t * d_t * arm_b
         else:
             by_impulse[i, 1] -= d_t
             by_impulse[i, 0] += clamped[i, 1] * friction * d_t
         if clamped[i, 0] == 0:
-            g_x, g_y = -k_n * d_n * n_x, -k_n * d_n * n_y
-            by_velocity[b, 0] += g_x
-            by_velocity[b, 1] += g_y
-            by_velocity[a, 0] -= g_x
-            by_velocity[a, 1] -= g_y
+            _push(by_velocity, a, b, -k_n * d_n * n_x, -k_n * d_n * n_y)
         else:
             by_impulse[i, 0] -= d_n
+
+
+@njit(cache=True)
+def _push(by_velocity, a, b, x, y):
+    """Add a derivative by the relative velocity of two bodies, in place."""
+    by_velocity[b, 0] += x
+    by_velocity[b, 1] += y
+    by_velocity[a, 0] -= x
+    by_velocity[a, 1] -= y
 
 
 @njit(cache=True)

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from numba import njit
@@ -39,11 +40,9 @@ _OPTIONS = {
 }
 """Names of options, and the numbers by which Numba code knows them."""
 
-_RAW, _PARTICLE, _CONSISTENT = range(3)
-_BILINEAR, _SPH = range(2)
-_ERROR, _ZERO, _NEAREST = range(3)
-_CLAMP, _IGNORE = 1, 2
-_DONE, _BAD_POSITION, _BAD_VALUE, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED = range(6)
+_RAW, _CONSISTENT, _SPH = 0, 2, 1
+_ZERO, _NEAREST, _CLAMP, _IGNORE = 1, 2, 1, 2
+_DONE, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED = range(4)
 _NO_DENSITY = np.empty((0, 0))
 
 
@@ -62,12 +61,7 @@ class Grid:
 
     def __post_init__(self):
         origin, spacing = _pair("origin", self.origin), _spacing(self.spacing)
-        try:
-            shape = tuple(integer("shape", n, 2, _MOST_NODES) for n in self.shape)
-        except (TypeError, ValueError):
-            shape = ()
-        if len(shape) != 2:
-            raise ValueError(f"shape: expected (n_y, n_x), two integers >= 2, got {self.shape}")
+        shape = _pair("shape", self.shape, partial(integer, least=2, most=_MOST_NODES), "integers >= 2, (n_y, n_x)")
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
@@ -115,12 +109,10 @@ class Grid:
 @njit(cache=True, error_model="numpy")
 def _place(x, first, spacing, count, outside):
     """A coordinate, moved onto the grid if `outside` says so; and whether it is on the grid."""
-    u = (x - first) / spacing
-    if -ROUNDING <= u <= count - 1 + ROUNDING:
-        return x, True
-    if outside == _CLAMP:
+    on = -ROUNDING <= (x - first) / spacing <= count - 1 + ROUNDING
+    if not on and outside == _CLAMP:
         return min(max(x, first), first + spacing * (count - 1)), True
-    return x, False
+    return x, on
 
 
 @njit(cache=True, error_model="numpy")
@@ -153,25 +145,17 @@ def _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights):
 
 
 @njit(cache=True, error_model="numpy")
-def cell_of(x, first, spacing, count):
-    """The cell of an axis that a coordinate lies in, and how far, 0 to 1; the nearest cell outside the grid."""
-    u = min(max((x - first) / spacing, 0.0), count - 1.0)
-    i = min(int(u), count - 2)
-    return i, u - i
-
-
-@njit(cache=True, error_model="numpy")
-def corner_weights(s, t):
-    """Bilinear weights at (s, t) in a cell, Eq 3.16: lower left, lower right, upper left, upper right corner."""
-    return (1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t
-
-
-@njit(cache=True, error_model="numpy")
 def bilinear_weights(geometry, n_y, n_x, x, y, weights):
-    """Fill `weights` for the corners of the cell around (x, y); returns as `_kernel_weights`."""
-    i, s = cell_of(x, geometry[0], geometry[2], n_x)
-    j, t = cell_of(y, geometry[1], geometry[3], n_y)
-    weights[0], weights[1], weights[2], weights[3] = corner_weights(s, t)
+    """Fill `weights` for the corners of the cell around (x, y), Eq 3.16; returns as `_kernel_weights`.
+
+    The order: lower left, lower right, upper left, upper right. A point outside the grid acts from its nearest point.
+    """
+    x0, y0, dx, dy = geometry
+    u, v = min(max((x - x0) / dx, 0.0), n_x - 1.0), min(max((y - y0) / dy, 0.0), n_y - 1.0)
+    i, j = min(int(u), n_x - 2), min(int(v), n_y - 2)
+    s, t = u - i, v - j
+    weights[0], weights[1] = (1.0 - s) * (1.0 - t), s * (1.0 - t)
+    weights[2], weights[3] = (1.0 - s) * t, s * t
     return i, i + 2, j, j + 2, 1.0
 
 
@@ -193,18 +177,8 @@ def _most_nodes(geometry, n_y, n_x, h):
     return max(int(across) * int(along), 4)
 
 
-@njit(cache=True)
-def _first_infinite(array):
-    """Row of the first entry of a 2-D array that is not finite, or -1."""
-    for k in range(array.shape[0]):
-        for c in range(array.shape[1]):
-            if not math.isfinite(array[k, c]):
-                return k
-    return -1
-
-
 # ---- Numba: the transfers ----
-# They return a code and the particle it is about; with any but _DONE the output is unfinished.
+# They return a code and the particle it is about; with any but _DONE the output is unfinished. All input is finite.
 
 
 @njit(cache=True, error_model="numpy")
@@ -212,15 +186,9 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
     """Add Σ_k w_jk S_k to every node j of `image`, in place (Algorithms 2 and 3).
 
     geometry: `Grid._geometry`. position (k, 2), m; values (k, c); image (n_y, n_x, c).
-    The rest are numbers from the tables above. Checks that all is finite before it writes.
+    The rest are numbers from the tables above.
     """
     n_y, n_x, channels = image.shape
-    bad = _first_infinite(position)
-    if bad >= 0:
-        return _BAD_POSITION, bad
-    bad = _first_infinite(values)
-    if bad >= 0:
-        return _BAD_VALUE, bad
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
     for k in range(position.shape[0]):
         x, in_x = _place(position[k, 0], geometry[0], geometry[2], n_x, outside)
@@ -233,10 +201,10 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
         if total > 0.0:
             factor = 1.0 / (h * h) if normalization == _RAW else 1.0 / total
         else:
-            if unreached == _ERROR:
-                return _IS_UNREACHED, k
             if unreached == _ZERO:
                 continue
+            if unreached != _NEAREST:
+                return _IS_UNREACHED, k
             i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
             # Raw weights are densities: times the area of a cell they sum to about 1, and so does this one.
             factor = 1.0 / (geometry[2] * geometry[3]) if normalization == _RAW else 1.0
@@ -251,8 +219,10 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
 
 
 @njit(cache=True, error_model="numpy")
-def _density_at(weights, density, i0, i1, j0, j1):
-    """Σ_j w_j D_j over a range of nodes."""
+def _density_at(weights, density, i0, i1, j0, j1, total):
+    """Σ_j w_j D_j over a range of nodes; `total`, their Σ_j w_j, without a density."""
+    if density.shape[0] == 0:
+        return total
     total, n = 0.0, 0
     for j in range(j0, j1):
         for i in range(i0, i1):
@@ -267,12 +237,9 @@ def _gather_core(geometry, image, density, position, h, kernel, method, unreache
 
     With bilinear weights and D = 1 that is Algorithm 4. geometry: `Grid._geometry`. image (n_y, n_x, c); density
     (n_y, n_x), or empty for 1; position (k, 2), m; out (k, c). The rest are numbers from the tables above. Checks that
-    the positions and the results are finite.
+    the results are finite.
     """
     n_y, n_x, channels = image.shape
-    bad = _first_infinite(position)
-    if bad >= 0:
-        return _BAD_POSITION, bad
     weights = np.empty(_most_nodes(geometry, n_y, n_x, h if method == _SPH else 0.0))
     for k in range(position.shape[0]):
         out[k] = 0.0
@@ -286,18 +253,14 @@ def _gather_core(geometry, image, density, position, h, kernel, method, unreache
             i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights)
         else:
             i0, i1, j0, j1, total = bilinear_weights(geometry, n_y, n_x, x, y, weights)
-        if density.shape[0] > 0:
-            total = _density_at(weights, density, i0, i1, j0, j1)
+        total = _density_at(weights, density, i0, i1, j0, j1, total)
         if not total > 0.0 and unreached == _NEAREST:
             i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, x, y, weights)
-            if density.shape[0] > 0:
-                total = _density_at(weights, density, i0, i1, j0, j1)
-        if math.isnan(total):
-            return _BAD_RESULT, k
+            total = _density_at(weights, density, i0, i1, j0, j1, total)
         if not total > 0.0:
-            if unreached == _ZERO:
+            if unreached == _ZERO and not math.isnan(total):
                 continue
-            return _IS_UNREACHED, k
+            return _BAD_RESULT if math.isnan(total) else _IS_UNREACHED, k
         n = 0
         for j in range(j0, j1):
             for i in range(i0, i1):
@@ -339,7 +302,7 @@ def splat(
     chosen, h = kernel_number(kernel), check_support_radius(h)
     codes = _code("normalization", normalization), _code("unreached", unreached), _code("outside", outside)
     position = positions(position)
-    given = as_floats("values", values)
+    given = _finite("values", as_floats("values", values))
     columns = given.reshape(-1, 1) if given.ndim == 1 else given
     if columns.ndim != 2 or columns.shape[0] != position.shape[0]:
         raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {given.shape}")
@@ -347,7 +310,7 @@ def splat(
     core = compiled_for(_splat_core, kernel)
     code, k = core(grid._geometry, position, columns, h, chosen, *codes, image)
     if code != _DONE:
-        raise _error(code, k, grid, position, h, columns)
+        raise _error(code, k, grid, position, h)
     return image if given.ndim == 2 else image.reshape(grid.shape)
 
 
@@ -358,12 +321,8 @@ def density(
 
     Needs positions only. Arguments and errors as for `splat`, with the same values as the splat of the image.
     """
-    position = positions(position)
     options = {"normalization": "consistent", "unreached": unreached, "outside": outside}
-    return splat(grid, position, np.ones(position.shape[0]), h=h, kernel=kernel, **options)
-
-
-_density = density  # `gather` has an argument of that name
+    return splat(grid, position, np.ones(len(position)), h=h, kernel=kernel, **options)
 
 
 def gather(
@@ -407,7 +366,8 @@ def gather(
             raise ValueError(f"density: only for the normalization 'consistent', not {normalization!r}")
         divisor = _NO_DENSITY
     elif density is None:
-        divisor = _density(grid, position, h=h, kernel=kernel, unreached=unreached, outside=outside)
+        options = {"normalization": normalization, "unreached": unreached, "outside": outside}
+        divisor = splat(grid, position, np.ones(len(position)), h=h, kernel=kernel, **options)
     else:
         divisor = as_floats("density", density)
         if divisor.shape != grid.shape:
@@ -420,11 +380,11 @@ def gather(
     return out if np.ndim(image) == 3 else out.reshape(-1)
 
 
-def _pair(name, given):
+def _pair(name, given, check=number, expected="finite numbers"):
     try:
-        x, y = (number(name, v) for v in given)
+        x, y = (check(name, v) for v in given)
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected two finite numbers, got {given}") from None
+        raise ValueError(f"{name}: expected two {expected}, got {given}") from None
     return x, y
 
 
@@ -444,37 +404,36 @@ def image_of(grid: Grid, given) -> np.ndarray:
 
 
 def positions(given) -> np.ndarray:
-    """Positions as (k, 2), float64. Raises ValueError for other shapes."""
+    """Positions as (k, 2), float64. Raises ValueError for other shapes, and for what is not finite."""
     position = as_floats("position", given)
     if position.size == 0 and position.ndim == 1:
         position = position.reshape(0, 2)
     if position.ndim != 2 or position.shape[1] != 2:
         raise ValueError(f"position: expected shape (k, 2), got {position.shape}")
-    return position
+    return _finite("position", position)
+
+
+def _finite(name: str, array: np.ndarray) -> np.ndarray:
+    """The array. Raises ValueError naming the first row that is not finite."""
+    if not np.isfinite(array).all():
+        row = np.argwhere(~np.isfinite(array))[0, 0]
+        raise ValueError(f"{name}[{row}]: expected finite numbers, got {array[row]}")
+    return array
 
 
 def _code(name, given):
     """The number of an option."""
-    try:
-        return _OPTIONS[name][given]
-    except (KeyError, TypeError):
-        return one_of(name, given, _OPTIONS[name])
+    return _OPTIONS[name][one_of(name, given, _OPTIONS[name])]
 
 
-def _error(code, k, grid, position, h, values=None) -> ValueError:
+def _error(code, k, grid, position, h) -> ValueError:
     """The exception for what a core returned."""
     at = f"({position[k, 0]}, {position[k, 1]})"
-    if code == _BAD_POSITION:
-        return ValueError(f"position[{k}]: expected finite numbers, got {at}")
-    if code == _BAD_VALUE:
-        return ValueError(f"values[{k}]: expected finite numbers, got {values[k]}")
     if code == _BAD_RESULT:
         return ValueError(f"image, density: expected finite numbers around position[{k}] = {at}")
     if code == _IS_OUTSIDE:
-        return ValueError(
-            f"position[{k}]: expected a point of the grid {grid.box}, got {at}; outside='clamp' allows for it"
-        )
-    return ValueError(
-        f"position[{k}]: expected a node, or density, within reach, got {at} at h = {h}, "
-        f"spacing {grid.spacing}; unreached='zero' or 'nearest' allow for it"
-    )
+        expected, hint = f"a point of the grid {grid.box}, got {at}", "outside='clamp' allows for it"
+    else:
+        expected = f"a node, or density, within reach, got {at} at h = {h}, spacing {grid.spacing}"
+        hint = "unreached='zero' or 'nearest' allow for it"
+    return ValueError(f"position[{k}]: expected {expected}; {hint}")

@@ -24,19 +24,15 @@ from types import FunctionType
 import numpy as np
 from numba import njit
 
-from deep_contact.validation import one_of
+from deep_contact.validation import number, one_of
 
 GAUSSIAN_DECAY = 9.0
 """The Gaussian is exp(-9 q²): the support radius h is 3 √2 standard deviations, σ = 0.2357 h."""
 
-_GAUSSIAN_2D = GAUSSIAN_DECAY / (math.pi * (1.0 - math.exp(-GAUSSIAN_DECAY)))
-_GAUSSIAN_3D = 1.0 / (
-    math.pi
-    * (
-        math.sqrt(math.pi) * math.erf(math.sqrt(GAUSSIAN_DECAY)) / GAUSSIAN_DECAY**1.5
-        - 2.0 * math.exp(-GAUSSIAN_DECAY) / GAUSSIAN_DECAY
-    )
-)
+_AT_EDGE = math.exp(-GAUSSIAN_DECAY)
+_GAUSSIAN_2D = GAUSSIAN_DECAY / (math.pi * (1.0 - _AT_EDGE))
+_WHOLE = math.sqrt(math.pi) * math.erf(math.sqrt(GAUSSIAN_DECAY)) / GAUSSIAN_DECAY**1.5
+_GAUSSIAN_3D = 1.0 / (math.pi * (_WHOLE - 2.0 * _AT_EDGE / GAUSSIAN_DECAY))
 _SMALLEST_H, _LARGEST_H = 1e-50, 1e50
 
 
@@ -97,8 +93,7 @@ _registered: dict[str, Callable] = {}
 def _choose(profiles, number=0):
     """A Numba function of (kernel, q, dim) that calls the profile of that number; NaN for an unknown number.
 
-    A chain of comparisons, since a Numba function passed as an argument would be compiled anew in every process. Not
-    cached itself: it is compiled into its callers, which are.
+    A chain of comparisons, since a Numba function passed as an argument would be compiled anew in every process.
     """
     if not profiles:
         return njit(lambda kernel, q, dim: (math.nan, math.nan, math.nan))
@@ -169,7 +164,7 @@ def gradient(kernel: str, displacement, h: float, dim: int = 2) -> np.ndarray:
 
     displacement: x - x_k, from the particle to where W is wanted, shape (…, dim), m. (Eq 3.9, 3.12)
     """
-    dim = check_dim(dim)
+    dim = int(one_of("dim", dim, (2, 3)))
     displacement = as_floats("displacement", displacement)
     if displacement.ndim == 0 or displacement.shape[-1] != dim:
         raise ValueError(f"displacement: expected shape (..., {dim}), got {displacement.shape}")
@@ -195,10 +190,10 @@ def laplacian(kernel: str, r, h: float, dim: int = 2):
 
 
 def _radial(order, kernel, r, h, dim):
-    number, h, dim = kernel_number(kernel), check_support_radius(h), check_dim(dim)
+    chosen, h, dim = kernel_number(kernel), check_support_radius(h), int(one_of("dim", dim, (2, 3)))
     r = as_floats("r", r)
     out = np.empty_like(r)
-    bad = compiled_for(_evaluate, kernel)(order, number, r.reshape(-1), h, dim, out.reshape(-1))
+    bad = compiled_for(_evaluate, kernel)(order, chosen, r.reshape(-1), h, dim, out.reshape(-1))
     if bad >= 0:
         where = [int(i) for i in np.unravel_index(bad, r.shape)]
         raise ValueError(f"r{where or ''}: expected a finite distance >= 0, got {r.reshape(-1)[bad]}")
@@ -250,21 +245,8 @@ def kernel_number(kernel: str) -> int:
 
 
 def check_support_radius(h) -> float:
-    """h as a float. Raises ValueError unless it is a number > 0 for which W and its Laplacian are finite."""
-    try:
-        number = math.nan if isinstance(h, str) else float(h)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not _SMALLEST_H <= number <= _LARGEST_H:
-        raise ValueError(f"h: expected a finite number > 0 (from {_SMALLEST_H} to {_LARGEST_H}), got {h!r}")
-    return number
-
-
-def check_dim(dim) -> int:
-    """dim as an int. Raises ValueError unless it is 2 or 3."""
-    if isinstance(dim, (int, np.integer)) and dim in (2, 3):
-        return int(dim)
-    raise ValueError(f"dim: expected 2 or 3, got {dim!r}")
+    """h as a float. Raises ValueError unless it is a number for which W and its Laplacian are finite."""
+    return number("h", h, _SMALLEST_H, _LARGEST_H)
 
 
 def as_floats(name: str, array) -> np.ndarray:
@@ -281,5 +263,4 @@ def as_floats(name: str, array) -> np.ndarray:
         raise ValueError(f"{name}: expected an array of real numbers, got {error}") from None
     if given.dtype.kind not in "fiub":
         raise ValueError(f"{name}: expected an array of real numbers, got dtype {given.dtype}")
-    floats = np.asarray(given, dtype=np.float64, order="C")
-    return floats if floats.flags.carray else floats.copy()
+    return np.array(given, dtype=np.float64, order="C")

@@ -32,34 +32,26 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     beyond the grid its nearest point counts. h: support radius of the kernel, m.
     Raises ValueError naming the argument and the value.
     """
+    from scipy.spatial import cKDTree
+
     h = kernels.check_support_radius(h)
     at, values = _checked(grid, image, position)
-    values = values.reshape(-1, values.shape[-1])
-    near, apart = [], []  # of the nodes around each particle, by axis: (k, s)
-    for k, (nodes, spacing) in enumerate(zip(grid.nodes, grid.spacing)):
-        x = np.clip(at[:, k], nodes[0], nodes[-1])
-        reach = int(np.ceil(h / spacing))
-        found = np.floor((x - nodes[0]) / spacing).astype(int)[:, None] + np.arange(-reach, reach + 2)
-        near.append(found)
-        # Beyond the grid there is no node, which is as far away as can be.
-        distance = x[:, None] - (nodes[0] + spacing * found)
-        apart.append(np.where((found < 0) | (found >= nodes.size), np.inf, distance))
-    distance = np.hypot(apart[1][:, :, None], apart[0][:, None, :])
-    rows, *place = np.nonzero(distance < h)
-    node = near[1][rows, place[0]] * grid.shape[1] + near[0][rows, place[1]]
-    weights = kernels.value(kernel, distance[rows, place[0], place[1]], h)
-    total = np.bincount(node, weights, minlength=len(values))[node]
-    # At almost h from its only node a particle may have no weight there.
+    nodes, (x_min, y_min, x_max, y_max) = np.stack(np.meshgrid(*grid.nodes), axis=-1).reshape(-1, 2), grid.box
+    inside = np.clip(at, (x_min, y_min), (x_max, y_max))
+    pairs = cKDTree(nodes).sparse_distance_matrix(cKDTree(inside), h, output_type="ndarray")
+    node, particle = pairs["i"], pairs["j"]
+    weights = kernels.value(kernel, pairs["v"], h)
+    total = np.bincount(node, weights, minlength=len(nodes))[node]
+    # At h from its only node a particle has no weight there.
     shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
-    given = shares[:, None] * values[node]
-    return np.stack([np.bincount(rows, part, minlength=len(at)) for part in given.T], axis=-1)
+    given = shares[:, None] * values.reshape(len(nodes), -1)[node]
+    return np.stack([np.bincount(particle, part, minlength=len(at)) for part in given.T], axis=-1)
 
 
 def _checked(grid: Grid, image, position) -> tuple[np.ndarray, np.ndarray]:
     if np.ndim(image) == 2:
         raise ValueError(f"image: expected shape {(*grid.shape, 'channels')}, got {np.shape(image)}")
-    values, at = image_of(grid, image), positions(position)
-    for name, array in (("image", values), ("position", at)):
-        if not np.isfinite(array).all():
-            raise ValueError(f"{name}: expected finite numbers, got {array[~np.isfinite(array)][0]}")
-    return at, values
+    values = image_of(grid, image)
+    if not np.isfinite(values).all():
+        raise ValueError(f"image: expected finite numbers, got {values[~np.isfinite(values)][0]}")
+    return positions(position), values

@@ -108,12 +108,12 @@ def layers_of(model) -> list[dict]:
     return found
 
 
-def thesis_layers(channels: int | None = None) -> list[dict]:
-    """`layers_of` the thesis's network as built here; channels: of its input, by default the thesis's five."""
+def thesis_layers(channels: int = 5) -> list[dict]:
+    """`layers_of` the thesis's network as built here; channels: of its input."""
     one_thread()
     from deep_contact.cnn import architectures
 
-    return layers_of(architectures.thesis(channels=channels or architectures.THESIS_CHANNELS))
+    return layers_of(architectures.thesis(channels=channels))
 
 
 def thesis_hyperparameters() -> dict[str, str]:

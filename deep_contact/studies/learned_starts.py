@@ -239,7 +239,7 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
     out = model.run(image)
 
     def gather():
-        return projected(*(correct(out, seen, spec).T if far_field else read_back(out, state, spec)), friction)
+        return projected(*(correct(out, seen).T if far_field else read_back(out, state, spec)), friction)
 
     return {"splat": splat, "network": partial(model.run, image), "gather": gather}
 
@@ -292,8 +292,9 @@ def runtimes(network, shape: tuple, threads: int) -> dict[str, Callable]:
     """Runtime -> function of a batch of images of this shape."""
     from deep_contact.cnn.backend import tensorflow as tf
     from deep_contact.cnn.convolution import Program
+    from deep_contact.cnn.model_file import weights_of
 
-    program = Program(network, shape[1:3], threads=threads)
+    program = Program(weights_of(network), shape[1:3], threads=threads)
 
     def in_tensorflow(one_program):
         signature = [tf.TensorSpec(shape, tf.float32)]

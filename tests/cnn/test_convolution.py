@@ -3,23 +3,16 @@
 import numpy as np
 import pytest
 
-import deep_contact as dc
 from deep_contact import sph
-from deep_contact.cnn import far_field
+from deep_contact.cnn import architectures, far_field
+from deep_contact.cnn.convolution import Program
+from deep_contact.cnn.model_file import weights_of
 from deep_contact.physics.engine import step_problem
 
 CHANNELS, OUTPUTS = 29, 12
 
 
-@pytest.fixture(scope="module")
-def architectures():
-    pytest.importorskip("keras")
-    from deep_contact.cnn import architectures
-
-    return architectures
-
-
-def network(architectures, width):
+def network(width):
     """A far-field network none of whose weights is zero."""
     model = architectures.far_field(channels=CHANNELS, outputs=OUTPUTS, width=width)
     rng = np.random.default_rng(width)
@@ -34,52 +27,38 @@ def image(shape):
 # Features: fewer than a vector has, one vector, and what takes both widths of vector at a time.
 @pytest.mark.parametrize("width", [3, 8, 16, 24])
 @pytest.mark.parametrize("shape", [(9, 9), (9, 17), (25, 33), (49, 9)])
-def test_the_program_computes_what_keras_computes(width, shape, architectures):
-    from deep_contact.cnn.convolution import Program
-
-    model, given = network(architectures, width), image(shape)
+def test_the_program_computes_what_keras_computes(width, shape):
+    model, given = network(width), image(shape)
     expected = np.asarray(model(given[None], training=False))[0]
-    found = Program(model, shape)(given)
+    found = Program(weights_of(model), shape)(given)
     # Sums of some thousand products in another order, in single precision.
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-5 * np.abs(expected).max())
 
 
-def test_a_second_image_finds_nothing_of_the_first(architectures):
-    from deep_contact.cnn.convolution import Program
-
-    model, given = network(architectures, 8), image((17, 9))
-    program = Program(model, (17, 9))
+def test_a_second_image_finds_nothing_of_the_first():
+    model, given = network(8), image((17, 9))
+    program = Program(weights_of(model), (17, 9))
     first = program(given)
     program(100.0 * given[::-1])
     np.testing.assert_array_equal(program(given), first)
 
 
-def test_threads_change_no_bit(architectures):
-    from deep_contact.cnn.convolution import Program
+def test_threads_change_no_bit():
+    weights, given = weights_of(network(24)), image((33, 49))
+    one, two = (Program(weights, (33, 49), threads=count)(given) for count in (1, 2))
+    np.testing.assert_array_equal(one, two)
 
-    model, given = network(architectures, 24), image((33, 49))
-    np.testing.assert_array_equal(Program(model, (33, 49), threads=2)(given), Program(model, (33, 49))(given))
 
-
-def test_a_network_of_other_layers_is_refused_here_and_runs_in_tensorflow(architectures):
-    import keras
-
-    from deep_contact.cnn.convolution import Program
-    from deep_contact.cnn.inference import FarFieldModel
-
-    given = keras.Input((None, None, CHANNELS))
-    model = keras.Model(given, keras.layers.Conv2D(OUTPUTS, 3, strides=2, padding="same", name="to_second")(given))
+def test_a_network_of_other_layers_is_refused():
+    weights = weights_of(network(8))
+    weights["to_second"][0] = weights["to_second"][0][:2]
     with pytest.raises(ValueError, match=r"network: expected the layers of architectures\.far_field"):
-        Program(model, (9, 9))
-    expected = np.asarray(model(image((9, 9))[None]))[0]
-    found = FarFieldModel(source=model, spec=far_field.FarFieldSpec()).run(image((9, 9)))
-    np.testing.assert_allclose(found, expected, atol=1e-5)
+        Program(weights, (9, 9))
 
 
 @pytest.mark.parametrize("support", [0.4, 1.0, 1.7])
-def test_the_image_is_the_splat_of_the_contacts_and_of_the_circles(support):
-    spec = far_field.FarFieldSpec(support=support)
-    state = dc.simulate(dc.circles_in_box(60, seed=2), steps=180, solver=dc.PGS(sweeps=30)).state
+def test_the_image_is_the_splat_of_the_contacts_and_of_the_circles(support, falling_states):
+    spec, state = far_field.FarFieldSpec(support=support), falling_states[3]
     found = far_field.describe(state, spec)
     measured = far_field._measure(
         state.bodies, state.contacts, *step_problem(state)[:2], state.world.box, state.world.friction, False, 0

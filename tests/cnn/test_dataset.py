@@ -28,10 +28,10 @@ from deep_contact.cnn.dataset import (
     read_simulation,
     simulation_path,
     split_by_simulation,
-    start_error,
     write_simulation,
 )
 from deep_contact.io import simulation_h5
+from deep_contact.io.simulation_h5 import start_error
 from deep_contact.state import no_contacts
 
 ROOT = Path(__file__).parents[2]

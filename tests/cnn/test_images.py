@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,7 +54,7 @@ def one_contact(position, impulse=(3.0, -1.0), **world):
 
 
 def test_a_spec_survives_json_to_the_last_bit():
-    spec = ALL.replace(spacing=0.1 + 0.2, support=1 / 3)
+    spec = replace(ALL, spacing=0.1 + 0.2, support=1 / 3)
     assert ImageSpec.from_dict(json.loads(json.dumps(spec.to_dict()))) == spec
 
 

@@ -78,7 +78,7 @@ def test_the_laplacian_has_its_limit_from_the_smallest_distances_on(kernel, dim)
 
 @pytest.mark.parametrize("h", [0.0, -1.0, 9e-51, 1.1e50, SUBNORMAL, math.inf, math.nan])
 def test_a_support_without_finite_kernels_is_refused_with_its_limits(h):
-    with pytest.raises(ValueError, match=r"h: expected a finite number > 0 \(from 1e-50 to 1e\+50\), got"):
+    with pytest.raises(ValueError, match=r"h: expected a number from 1e-50 to 1e\+50, got"):
         sph.value("poly6", 0.0, h)
 
 

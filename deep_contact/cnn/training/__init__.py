@@ -5,6 +5,8 @@ trains, in `network`, and the far-field network, trained through the solver, in 
 TensorFlow.
 """
 
+from importlib import import_module
+
 from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
 
 _HOME = {"ImageDataset": "network", "Training": "run", "train": "run"}
@@ -14,6 +16,4 @@ __all__ = [*_HOME, "TrainingConfig", "config_of", "far_field_config", "thesis_co
 def __getattr__(name: str):
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    from importlib import import_module
-
     return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)

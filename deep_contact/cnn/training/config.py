@@ -28,47 +28,30 @@ PRECISIONS = ("float32", "mixed_bfloat16")
 class TrainingConfig:
     """Settings of a run. The defaults are those of the far-field network; `thesis_config` has Table 5.2.
 
-    | field                              | meaning                                                                     |
-    |------------------------------------|-----------------------------------------------------------------------------|
-    | architecture, options              | of `architectures.build`; channels and outputs follow from the images       |
-    | spacing, support                   | of the images, m, or mean radii for the far-field network                   |
-    | inputs, correction                 | of `FarFieldSpec`                                                           |
-    | targets                            | of `ImageSpec`: one impulse or both                                         |
-    | loss                               | "appendix b" (masked, on images), or for the far-field network the error    |
-    |                                    | after `sweeps` sweeps ("through solver"), the change by one more sweep      |
-    |                                    | ("residual through solver", no labels), or "impulses"                       |
-    | sweeps                             | increasing numbers of sweeps of the losses through the solver               |
-    | optimizer                          | "adam", with gradients of norm 1 at most, or "sgd"                          |
-    | schedule, rate                     | of `schedules.schedule`                                                     |
-    | epochs, batch_size, seed           |                                                                             |
-    | states_per_epoch                   | number of states drawn for an epoch, or None for all                        |
-    | validation_states                  | about so many                                                               |
-    | simulations                        | only the first so many, or None                                             |
-    | fractions                          | of the simulations: train, validation, test                                 |
-    | precision                          | one of `PRECISIONS`; images only                                            |
-
+    Losses: "appendix b" (masked, on images); for the far-field network the error after `sweeps` sweeps ("through
+    solver"), the change by one more sweep ("residual through solver", no labels), or "impulses".
     Raises ValueError naming the field and the value.
     """
 
     architecture: str = "far field"
-    options: dict = field(default_factory=dict)
-    spacing: float = 1.0
-    support: float = 1.0
-    inputs: str = "all"
-    correction: bool = True
-    targets: tuple[str, ...] = ("normal_impulse", "tangent_impulse")
+    options: dict = field(default_factory=dict)  # of `architectures.build`; channels and outputs follow from the images
+    spacing: float = 1.0  # of the images, m, or mean radii for the far-field network
+    support: float = 1.0  # the same
+    inputs: str = "all"  # of `FarFieldSpec`
+    correction: bool = True  # of `FarFieldSpec`
+    targets: tuple[str, ...] = ("normal_impulse", "tangent_impulse")  # of `ImageSpec`: one impulse or both
     loss: str = "through solver"
-    sweeps: tuple[int, ...] = (3, 10, 30)
-    optimizer: str = "adam"
-    schedule: str = "cosine"
+    sweeps: tuple[int, ...] = (3, 10, 30)  # increasing, of the losses through the solver
+    optimizer: str = "adam"  # or "sgd"; Adam's gradients have norm 1 at most
+    schedule: str = "cosine"  # of `schedules.schedule`
     rate: float = 1.5e-3
     epochs: int = 30
     batch_size: int = 32
-    states_per_epoch: int | None = None
-    validation_states: int = 1000
-    simulations: int | None = None
-    fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)
-    precision: str = "float32"
+    states_per_epoch: int | None = None  # drawn for an epoch; None: all
+    validation_states: int = 1000  # about so many
+    simulations: int | None = None  # only the first so many
+    fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)  # of the simulations: train, validation, test
+    precision: str = "float32"  # of `PRECISIONS`; images only
     seed: int = 0
 
     def __post_init__(self):
@@ -76,10 +59,8 @@ class TrainingConfig:
         for name, values in known.items():
             one_of(name, getattr(self, name), values)
         one_of(f"loss of {self.architecture}", self.loss, LOSSES[self.architecture])
-        for name in ("epochs", "batch_size", "validation_states"):
-            integer(name, getattr(self, name), 1)
-        for name in ("states_per_epoch", "simulations"):
-            if getattr(self, name) is not None:
+        for name in ("epochs", "batch_size", "validation_states", "states_per_epoch", "simulations"):
+            if getattr(self, name) is not None or name not in ("states_per_epoch", "simulations"):
                 integer(name, getattr(self, name), 1)
         number("rate", self.rate, above=0)
         if self.is_far_field and self.precision != "float32":
@@ -106,28 +87,15 @@ class TrainingConfig:
         return kind(**{name: getattr(self, name) for name in shared})
 
 
-def far_field_config(**changes) -> TrainingConfig:
-    """The settings of the far-field network, trained through the solver."""
-    return TrainingConfig(**changes)
-
-
 def thesis_config(**changes) -> TrainingConfig:
     """The thesis's settings: Table 5.2, Algorithm 6, Appendix B's loss; images with d = h = 0.5 m."""
-    settings = {
-        "architecture": "thesis",
-        "spacing": 0.5,
-        "support": 0.5,
-        "loss": "appendix b",
-        "optimizer": "sgd",
-        "schedule": "algorithm 6",
-        "rate": 5e-3,
-        "epochs": 1000,
-        "batch_size": 200,
-        # Table 5.2: a fifth for validation. A test side is added for the reported errors.
-        "fractions": (0.7, 0.2, 0.1),
-    }
-    return TrainingConfig(**(settings | changes))
+    settings = {"architecture": "thesis", "spacing": 0.5, "support": 0.5, "loss": "appendix b", "optimizer": "sgd"}
+    settings |= {"schedule": "algorithm 6", "rate": 5e-3, "epochs": 1000, "batch_size": 200}
+    # Table 5.2: a fifth for validation. A test side is added for the reported errors.
+    return TrainingConfig(**(settings | {"fractions": (0.7, 0.2, 0.1)} | changes))
 
+
+far_field_config = TrainingConfig
 
 CONFIGS = {"thesis": thesis_config, "far field": far_field_config}
 """Name of a network -> its settings, with changes."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from deep_contact.cnn.backend import keras
+from deep_contact.cnn.backend import tensorflow as tf
 from deep_contact.cnn.dataset import evenly
-from deep_contact.cnn.far_field import corrected, describe, nodes_of
+from deep_contact.cnn.far_field import COARSENING, corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
 from deep_contact.cnn.training.network import NetworkRun
 
@@ -27,34 +28,24 @@ class FarFieldRun(NetworkRun):
         # Equal weight for each number of sweeps, although the errors get smaller.
         errors = self.errors(self.validation, learned=False)[:, 1:]
         self.weights = 1.0 / (errors.mean(axis=0) * len(config.sweeps))
-        self._coefficients, self._apply = self._compiled()
+        of_image, of_nodes = (None, None, None, len(self.spec.channels)), (None, 4)
+        shapes = zip((of_image, of_nodes, of_nodes), (tf.float32, tf.int32, tf.float32))
+        self._coefficients = tf.function(self._read, input_signature=[tf.TensorSpec(*given) for given in shapes])
+        # As one program: called one by one, the optimizer's small operations take as long as the network.
+        gradients = [tf.TensorSpec(v.shape, tf.float32) for v in self.model.trainable_variables]
+        self._apply = tf.function(
+            lambda given: self.optimizer.apply(given, self.model.trainable_variables), input_signature=[gradients]
+        )
+
+    def _read(self, images, node, weight):
+        """Coefficients (K, 12) at the contacts, from images and the arrays of `nodes_of`; differentiable."""
+        nodes = tf.reshape(self.model(images, training=True), (-1, len(self.spec.targets)))
+        return tf.reduce_sum(tf.gather(nodes, node) * weight[:, :, None], axis=1)
 
     def _states_with_error(self, sims, least: float) -> np.ndarray:
         """States (k, 2) of the simulations in which the relative error of Builtin's start is larger than `least`."""
         found = [[sim, i] for sim in sims for i in np.flatnonzero(self.store.simulation(sim).start_errors() > least)]
         return np.array(found, dtype=np.int64).reshape(-1, 2)
-
-    def _compiled(self):
-        """(images, nodes, weights) -> coefficients (K, 12), differentiable; and gradients -> one step by them."""
-        import tensorflow as tf
-
-        signature = [
-            tf.TensorSpec((None, None, None, len(self.spec.channels)), tf.float32),
-            tf.TensorSpec((None, 4), tf.int32),
-            tf.TensorSpec((None, 4), tf.float32),
-        ]
-
-        @tf.function(input_signature=signature)
-        def coefficients(images, node, weight):
-            nodes = tf.reshape(self.model(images, training=True), (-1, len(self.spec.targets)))
-            return tf.reduce_sum(tf.gather(nodes, node) * weight[:, :, None], axis=1)
-
-        # As one program: called one by one, the optimizer's small operations take as long as the network.
-        @tf.function(input_signature=[[tf.TensorSpec(v.shape, tf.float32) for v in self.model.trainable_variables]])
-        def apply(gradients):
-            self.optimizer.apply(gradients, self.model.trainable_variables)
-
-        return coefficients, apply
 
     def examples(self, states: np.ndarray, symmetry: np.ndarray):
         """(description, problem) of each of the states (k, 2), one after the other."""
@@ -62,13 +53,14 @@ class FarFieldRun(NetworkRun):
             found = self.store.state(*state)
             yield describe(found, self.spec, k), solved_problem(found)
 
-    def arrays(self, descriptions):
-        """(images, nodes, weights) of descriptions with windows of one shape, the arguments of the network."""
+    def coefficients(self, descriptions):
+        """What the network gives at the contacts of descriptions with windows of one shape, (K, 12)."""
         shape = descriptions[0].image.shape[:2]
-        out = tuple((n - 1) // self.spec.coarsening + 1 for n in shape)
-        read = [nodes_of(description, self.spec, out) for description in descriptions]
+        out = tuple((n - 1) // COARSENING + 1 for n in shape)
+        read = [nodes_of(description, out) for description in descriptions]
         node = np.concatenate([node + k * out[0] * out[1] for k, (node, _) in enumerate(read)]).astype(np.int32)
-        return np.stack([d.image for d in descriptions]), node, np.concatenate([weight for _, weight in read])
+        images = np.stack([description.image for description in descriptions])
+        return self._coefficients(images, node, np.concatenate([weight for _, weight in read]))
 
     def fit(self, callbacks: list, *, epochs: int, first: int, verbose: int) -> None:
         """Train from epoch `first` on. Keras's own loop knows no gradient that comes from elsewhere."""
@@ -104,10 +96,8 @@ class FarFieldRun(NetworkRun):
 
     def step(self, batch) -> float:
         """One step by examples with windows of one shape. Returns the sum of their losses."""
-        import tensorflow as tf
-
         with tf.GradientTape() as tape:
-            coefficients = self._coefficients(*self.arrays([description for description, _ in batch]))
+            coefficients = self.coefficients([description for description, _ in batch])
         values = coefficients.numpy().astype(np.float64)
         by_coefficient, total, first = np.empty_like(values), 0.0, 0
         for description, problem in batch:
@@ -138,7 +128,7 @@ class FarFieldRun(NetworkRun):
             descriptions, problems = zip(*batch)
             starts = [problem.rows.impulse for problem in problems]
             if learned:
-                values = self._coefficients(*self.arrays(descriptions)).numpy().astype(np.float64)
+                values = self.coefficients(descriptions).numpy().astype(np.float64)
                 parts = np.split(values, np.cumsum([len(start) for start in starts])[:-1])
                 starts = [corrected(description, part) for description, part in zip(descriptions, parts)]
             found += [errors_after(problem, start, sweeps) for problem, start in zip(problems, starts)]

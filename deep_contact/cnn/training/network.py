@@ -113,12 +113,12 @@ class ImageRun(NetworkRun):
 
     def fit(self, callbacks: list, *, epochs: int, first: int, verbose: int) -> None:
         """Train from epoch `first` on."""
-        loss = {"loss": masked_squared_error, "metrics": [masked_squared_error], "jit_compile": False}
-        self.model.compile(self.optimizer, **loss)
+        metrics = [masked_squared_error]  # without the weights' penalty, which the loss has
+        self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
         self.images.start(first)
         given = {"validation_data": self.validation_images, "callbacks": callbacks, "shuffle": False}
         self.model.fit(self.images, epochs=epochs, initial_epoch=first, verbose=verbose, **given)
 
     def validated(self, logs: dict) -> dict[str, float]:
-        """The columns of the history on the validation states: the loss without the weights' penalty."""
+        """The columns of the history on the validation states."""
         return {"validation_loss": float(logs["val_masked_squared_error"])}

@@ -25,13 +25,11 @@ At most the epoch in progress is lost.
 from __future__ import annotations
 
 import csv
-import io
 import json
 import math
 import sys
 import time
 from collections.abc import Sequence
-from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import NamedTuple
@@ -39,7 +37,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.cnn import schedules
-from deep_contact.cnn.backend import keras
+from deep_contact.cnn.backend import keras, tensorflow
 from deep_contact.cnn.dataset import Store, evenly, split_by_simulation
 from deep_contact.cnn.evaluation import BASELINES, held_out_errors
 from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model
@@ -84,14 +82,21 @@ def train(
     store = data if isinstance(data, Store) else Store(data)
     out = Path(out)
     out.mkdir(parents=True, exist_ok=True)
-    set_up(config.seed, threads)
+    if threads is not None:
+        limit_threads(threads)
+    tensorflow.config.experimental.enable_op_determinism()
+    keras.utils.set_random_seed(config.seed)
     sims = store.simulations[: config.simulations]
     split = split_by_simulation(sims, fractions=config.fractions, seed=config.seed)
     settings = asdict(config) | {"data": store.data_hash(sims)}
     settings["from_model"] = None if from_model is None else read_metadata(from_model)["digest"]
     settings = json.loads(json.dumps(settings))
-    with _layers_in(config.precision):
+    policy = keras.config.dtype_policy()
+    try:
+        keras.config.set_dtype_policy(config.precision)
         run = (FarFieldRun if config.is_far_field else ImageRun)(config, store, split, _initial(from_model, config))
+    finally:
+        keras.config.set_dtype_policy(policy)
     about = {"command": command, "config": settings, "data_hash": settings["data"], "split": split._asdict()}
     record = Record(run, out, about)
     rates = schedules.schedule(config.schedule, epochs=config.epochs, rate=config.rate)
@@ -108,28 +113,6 @@ def train(
     card = record.card() | {"best_epoch": best_epoch, "held_out": errors}
     path = save_model(out / "model.h5", model.network, run.spec, card, box=run.box)
     return Training(history, best_epoch, path, load_model(path))
-
-
-def set_up(seed: int, threads: int | None = None) -> None:
-    """Make training repeatable: seeds, deterministic kernels, number of threads. Call it before anything is built."""
-    if keras.backend.backend() == "tensorflow":
-        import tensorflow as tf
-
-        if threads is not None:
-            limit_threads(threads)
-        tf.config.experimental.enable_op_determinism()
-    keras.utils.set_random_seed(seed)
-
-
-@contextmanager
-def _layers_in(precision: str):
-    """Keras builds layers of that precision within; `keras.config` has no context of its own."""
-    before = keras.config.dtype_policy()
-    keras.config.set_dtype_policy(precision)
-    try:
-        yield
-    finally:
-        keras.config.set_dtype_policy(before)
 
 
 def _initial(from_model, config: TrainingConfig) -> keras.Model | None:
@@ -171,11 +154,8 @@ class Record(keras.callbacks.Callback):
             raise FloatingPointError(
                 f"loss: expected a finite number, got {logs['loss']} in epoch {epoch}; try a lower rate"
             )
-        line = {
-            "epoch": epoch,
-            "rate": float(f"{float(self.run.optimizer.learning_rate):.7g}"),
-            "loss": float(logs["loss"]),
-        }
+        rate = float(f"{float(self.run.optimizer.learning_rate):.7g}")
+        line = {"epoch": epoch, "rate": rate, "loss": float(logs["loss"])}
         line |= self.run.validated(logs) | {"seconds": round(time.perf_counter() - self.start, 2)}
         best = min((before["validation_loss"] for before in self.history), default=math.inf)
         self.history.append(line)
@@ -186,12 +166,10 @@ class Record(keras.callbacks.Callback):
         state = json.dumps({"settings": self.about["config"], "history": self.history})
         with replacing(self.out / "last.npz") as temporary, open(temporary, "wb") as file:
             np.savez(file, state=np.frombuffer(state.encode(), np.uint8), **arrays)
-        text = io.StringIO()
-        writer = csv.DictWriter(text, self.history[0], lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.history)
-        with replacing(self.out / "history.csv") as temporary:
-            temporary.write_text(text.getvalue(), encoding="utf-8")
+        with replacing(self.out / "history.csv") as temporary, open(temporary, "w", newline="") as file:
+            writer = csv.DictWriter(file, self.history[0], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self.history)
 
 
 def _check_settings(before: dict, settings: dict, out: Path) -> None:
