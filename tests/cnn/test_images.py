@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +19,6 @@ from deep_contact.cnn.images import (
     label_image,
     read_back,
 )
-from deep_contact.physics import metrics
 from deep_contact.simulation import ready
 from deep_contact.state import World, make_bodies
 
@@ -212,24 +209,3 @@ def test_states_and_images_that_do_not_fit_are_refused(states):
         read_back(np.zeros((25, 25, 1)), states[0], ImageSpec())
     with pytest.raises(ValueError, match="finite"):
         read_back(np.full((25, 25, 2), np.nan), states[-1], ImageSpec())
-
-
-def test_neither_images_nor_data_load_tensorflow():
-    """TensorFlow is imported only where a network is."""
-    code = (
-        "import sys, deep_contact.cnn.images, deep_contact.cnn.dataset, deep_contact.cnn as c; c.ImageSpec(); c.Store;"
-        "sys.exit(sorted({'tensorflow', 'keras'} & set(sys.modules)) != [])"
-    )
-    assert subprocess.run([sys.executable, "-c", code], timeout=60).returncode == 0
-
-
-def test_a_state_in_the_other_byte_order_gives_the_same_images_and_impulses(states):
-    def swapped(part):
-        return type(part)(*(array.astype(array.dtype.newbyteorder(">")) for array in part))
-
-    state, spec = states[3], ALL
-    foreign = state.replace(bodies=swapped(state.bodies), contacts=swapped(state.contacts))
-    np.testing.assert_array_equal(input_image(foreign, spec), input_image(state, spec))
-    image = label_image(state, spec)
-    np.testing.assert_array_equal(read_back(image.astype(">f4"), foreign, spec), read_back(image, state, spec))
-    assert metrics.penetration(foreign) == metrics.penetration(state)
