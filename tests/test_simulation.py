@@ -41,9 +41,6 @@ def test_the_same_time_step_changes_no_bit(pile):
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: dc.simulate("x.xml"), "state: expected a State, of dc.circles_in_box or dc.read_state"),
-        (lambda: dc.simulate("x.xml", dt=0.1), "state: expected a State, of dc.circles_in_box or dc.read_state"),
-        (lambda: dc.World(gravity=-9.81), r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
         (lambda: dc.circles_in_box(5, radius=1.0), r"radius: expected finite 0 < smallest <= largest, .* got 1.0"),
         (lambda: dc.circles_in_box(5, radius=(1, 1, 2)), r"radius: .* got \(1, 1, 2\)"),
         (lambda: dc.circles_in_box(400), r"n_bodies: .* size=93 has room for all, and dc.lattice_in_box"),
@@ -51,6 +48,7 @@ def test_the_same_time_step_changes_no_bit(pile):
         (lambda: dc.circles_in_box(5, seed=np.matrix([[1, 2]])), "seed: expected an integer >= 0 or a numpy"),
         (lambda: dc.terrain(5, seed=[1, 2]), r"seed: expected an integer >= 0 or a numpy.random.Generator, got \[1, 2"),
         (lambda: dc.simulate(dc.column(2), dt=-1.0), "dt: expected a finite number > 0, got -1.0"),
+        (lambda: dc.simulate(dc.column(2), steps=2, record=0), "record: expected an integer >= 1, got 0"),
     ],
 )
 def test_what_does_not_fit_gets_a_sentence(call, message):
@@ -58,9 +56,7 @@ def test_what_does_not_fit_gets_a_sentence(call, message):
         call()
 
 
-@pytest.mark.parametrize(
-    ("n", "options"), [(400, {}), (900, {}), (150, {"sigma_coef": 0.5}), (400, {"sigma_coef": 9.0})]
-)
+@pytest.mark.parametrize(("n", "options"), [(150, {"sigma_coef": 0.5}), (400, {"sigma_coef": 9.0})])
 def test_the_suggested_size_has_room(n, options):
     with pytest.raises(ValueError, match="has room for all") as refusal:
         dc.circles_in_box(n, size=20, **options)
@@ -88,17 +84,6 @@ def test_recording_changes_no_bit(options):
     recorded, plain = dc.simulate(scene, steps=60, record=7, **options), dc.simulate(scene, steps=60, **options)
     np.testing.assert_array_equal(recorded.state.bodies.position, plain.state.bodies.position)
     assert len(recorded.trajectory) == 10
-
-
-def test_a_recorded_run_is_saved_and_read(tmp_path):
-    trajectory = dc.simulate(dc.column(3), steps=6, record=2).trajectory
-    trajectory.save(tmp_path / "run.h5")
-    np.testing.assert_array_equal(dc.load_trajectory(tmp_path / "run.h5").positions, trajectory.positions)
-
-
-def test_a_bad_record_is_refused():
-    with pytest.raises(ValueError, match="record: expected an integer >= 1, got 0"):
-        dc.simulate(dc.column(2), steps=2, record=0)
 
 
 def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):

@@ -10,6 +10,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import viewer
 from deep_contact.__main__ import main
+from deep_contact.reporting import plotting
 
 
 @pytest.fixture
@@ -36,8 +37,6 @@ def test_solver_and_start_are_those_that_are_asked_for(scene):
 
 
 def test_scales_never_shrink_from_frame_to_frame(scene):
-    from deep_contact.reporting import plotting
-
     painter, limits = viewer.Painter(), []
     for frame in viewer.frames(scene, steps=30, every=10, solver=dc.PGS(sweeps=50)):
         _, axes = plotting.subplots(1, 2)
@@ -50,8 +49,6 @@ def test_scales_never_shrink_from_frame_to_frame(scene):
 
 
 def test_a_step_without_contacts_can_be_drawn():
-    from deep_contact.reporting import plotting
-
     (frame,) = viewer.frames(dc.single_body(height=5.0), steps=1)
     _, axes = plotting.subplots(1, 2)
     viewer.Painter()(axes, frame)

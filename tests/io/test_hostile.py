@@ -174,10 +174,7 @@ def simulation(tmp_path_factory):
     "text", ["[" * 30_000, '{"a":' * 10_000, "9" * 5000, '{"method": "PGS", "sweeps": ' + "9" * 400 + "}", '"\\ud800"']
 )
 def test_json_that_no_reader_bears_is_refused_by_name(simulation, tmp_path, name, text):
-    path = tmp_path / "sim.h5"
-    path.write_bytes(simulation)
-    with h5py.File(path, "r+") as file:
-        file.attrs[name] = np.bytes_(text.encode())
+    path = spelt(simulation, tmp_path / "sim.h5", **{name: text.encode()})
     for read in (read_simulation, simulation_info):
         try:
             read(path)
@@ -185,17 +182,18 @@ def test_json_that_no_reader_bears_is_refused_by_name(simulation, tmp_path, name
             assert str(error).startswith(f"{path}: ")  # noqa: PT017 (what the header alone shows is not read by info)
 
 
-def spelt(simulation, path, solver):
+def spelt(simulation, path, **attributes):
     path.write_bytes(simulation)
     with h5py.File(path, "r+") as file:
-        file.attrs["solver"] = np.bytes_(solver)
+        for name, text in attributes.items():
+            file.attrs[name] = np.bytes_(text)
     return path
 
 
 @pytest.mark.parametrize("solver", [b'{"method": "Unheard", "sweeps": 3}', b"[1]", b"3", b'{"sweeps": 3}'])
 def test_a_simulation_of_an_unknown_solver_is_refused(simulation, tmp_path, solver):
     with pytest.raises(DataFileError, match=r"sim.h5: solver: expected null, or a method and its options, got "):
-        simulation_info(spelt(simulation, tmp_path / "sim.h5", solver))
+        simulation_info(spelt(simulation, tmp_path / "sim.h5", solver=solver))
 
 
 @pytest.mark.parametrize(
@@ -204,12 +202,11 @@ def test_a_simulation_of_an_unknown_solver_is_refused(simulation, tmp_path, solv
 )
 def test_a_simulation_of_a_solver_that_is_gone_is_read_with_a_warning(simulation, tmp_path, solver, name):
     with pytest.warns(UserWarning, match=rf"solver: {name}.* is no longer part of Deep Contact"):
-        assert simulation_info(spelt(simulation, tmp_path / "sim.h5", solver)).header["solver"] is None
+        assert simulation_info(spelt(simulation, tmp_path / "sim.h5", solver=solver)).header["solver"] is None
 
 
 def test_a_simulation_whose_arrays_are_not_in_it_is_refused(simulation, tmp_path):
-    path = tmp_path / "sim.h5"
-    path.write_bytes(simulation)
+    path = spelt(simulation, tmp_path / "sim.h5")
     change(path, "position", None, shape=(1, 3, 2), dtype="<f8", maxshape=(None, 3, 2))
     with pytest.raises(DataFileError, match=r"sim.h5: position: expected what the file holds"):
         read_simulation(path)
