@@ -27,9 +27,6 @@ COMMANDS = {
     "predict": "predict the impulses of state files",
 }
 
-SCRIPTS = ("figure", "table", "predict")
-"""Commands that a script carries out, which reads the arguments that follow."""
-
 INTERRUPTED = 130
 
 
@@ -43,10 +40,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
     parser, commands = _parsers()
     name, following = (arguments or [""])[0], arguments[1:]
-    script = None
     try:
-        if name in SCRIPTS and (name == "predict" or (following and not following[0].startswith("-"))):
-            script, following = _script(name, following)
+        if name == "predict":
+            script = shipped.ROOT / "scripts" / "predict.py"
+        elif name in ("figure", "table") and following and not following[0].startswith("-"):
+            script = _script(name, following.pop(0))
         else:
             given = parser.parse_args(arguments)
             return given.run(given)
@@ -60,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         commands[name].error(str(error))
     except KeyboardInterrupt:
         return INTERRUPTED
+    # Outside of the try block: the error of a script is none of an argument.
     words = arguments[: len(arguments) - len(following)]
     return _run(script, [" ".join([parser.prog, *words]), *following])
 
@@ -70,18 +69,14 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     parser = argparse.ArgumentParser(prog=prog, description="Rigid contact of circles.")
     parser.add_argument("--version", action="version", version=f"deep-contact {VERSION}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
-    commands = {
-        name: add(name, help=text, description=f"{text[0].upper()}{text[1:]}.") for name, text in COMMANDS.items()
-    }
+    commands = {name: add(name, help=text, description=f"{text.capitalize()}.") for name, text in COMMANDS.items()}
     _add_simulate(commands["simulate"])
     _add_view(commands["view"])
     commands["sample"].add_argument("name", nargs="?", help="impact_154, settling_349, … (default: all)")
     commands["sample"].set_defaults(run=_sample)
-    for name in SCRIPTS:
-        if name != "predict":
-            commands[name].add_argument(
-                "number", nargs="?", help="3.7, say, or all; the options after it are in `… 3.7 --help`"
-            )
+    for name in ("figure", "table"):
+        text = "3.7, say, or all; the options after it are in `… 3.7 --help`"
+        commands[name].add_argument("number", nargs="?", help=text)
         commands[name].set_defaults(run=_list)
     return parser, commands
 
@@ -227,19 +222,15 @@ def _known(command: str) -> dict[str, Path]:
     return {number: path for number, path in found.items() if command == "figure" or number.startswith("T")}
 
 
-def _script(command: str, following: list[str]) -> tuple[Path, list[str]]:
-    """The script of a command, and the arguments that it reads. Raises ValueError naming the figures that there are."""
-    folder = shipped.ROOT / "scripts"
-    if command == "predict":
-        return folder / "predict.py", following
-    number, *following = following
+def _script(command: str, number: str) -> Path:
+    """The script of a figure or table. Raises ValueError naming those that there are."""
     if number == "all":
-        return folder / "all_figures.py", following
+        return shipped.ROOT / "scripts" / "all_figures.py"
     number = scripts.normalized(number)
     if command == "table" and not number.startswith("T"):
         number = f"T{number}"
     (path,) = scripts.choose(_known(command), [number]).values()
-    return path, following
+    return path
 
 
 def _run(script: Path, argv: list[str]) -> int:

@@ -34,6 +34,8 @@ def test_a_state_shows_each_circle_and_contact_where_it_is(run):
     svg = picture_in(state._repr_html_())
     circles, lines = svg.findall("g/circle"), svg.findall("g/line")
     assert (len(circles), len(lines)) == (3, 3)
+    widths = [float(line.get("stroke-width")) for line in lines]
+    assert np.argsort(widths).tolist() == np.argsort(state.contacts.normal_impulse).tolist()
     frame = svg.find("rect")
     x_min, _, x_max, y_max = state.world.box
     scale = float(frame.get("width")) / (x_max - x_min)
@@ -41,13 +43,6 @@ def test_a_state_shows_each_circle_and_contact_where_it_is(run):
         found = [float(circle.get(name)) for name in ("cx", "cy", "r")]
         # Of a tenth of a pixel, and the y axis of a screen points down.
         assert found == pytest.approx([(x - x_min) * scale, (y_max - y) * scale, r * scale], abs=0.6)
-
-
-def test_the_widest_line_is_the_largest_impulse(run):
-    lines = picture_in(run.state._repr_html_()).findall("g/line")
-    widths = [float(line.get("stroke-width")) for line in lines]
-    impulses = run.state.contacts.normal_impulse
-    assert np.argsort(widths).tolist() == np.argsort(impulses).tolist()
 
 
 def test_what_cannot_be_drawn_is_left_out():
@@ -89,20 +84,15 @@ def test_the_results_of_a_figure_are_a_dict_that_shows_the_picture(tmp_path):
 # ---- states that compare, and that nothing changes by accident ----
 
 
-def test_states_are_equal_if_all_their_numbers_are(run, tmp_path):
-    state = run.state
-    again = dc.simulate(dc.column(3), steps=60, solver=dc.PGS()).state
+def test_states_are_equal_if_all_their_numbers_are(run):
+    state, again = run.state, dc.simulate(dc.column(3), steps=60, solver=dc.PGS()).state
     assert state == again
     assert not state != again
-    dc.write_state(tmp_path / "state.xml", state)
-    assert dc.read_state(tmp_path / "state.xml") == state
-    assert state != state.replace(time=7.0)
-    assert state != state.replace(contacts=None)
     moved = state.bodies._replace(position=state.bodies.position + 1e-15)
-    assert state != state.replace(bodies=moved)
+    for change in ({"time": 7.0}, {"contacts": None}, {"bodies": moved}):
+        assert state != state.replace(**change)
     assert state.bodies != moved
     assert state.contacts == again.contacts
-    assert state.__eq__("a state") is NotImplemented
     assert state != "a state"
     with pytest.raises(TypeError, match="unhashable"):
         hash(state)

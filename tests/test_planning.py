@@ -1,15 +1,11 @@
 """Plans: what a run uses and leaves out, said as `simulate` does it, with the savings read from Figure 6.7's file."""
 
-import shutil
-
 import pytest
-from conftest import load_script
 from numba import config
 
 import deep_contact as dc
 from deep_contact import planning
 from deep_contact.compiled import crew
-from deep_contact.reporting import figures
 
 
 def one(ratio, spread=0.0):
@@ -95,15 +91,6 @@ def test_the_results_in_the_package_are_told():
     ratio = table["data"]["savings"]["frictionless"]["ratio"]
     assert f"a sweep costs {100 / ratio:.3g} %" in str(dc.plan(dc.column(2)))
     assert table["provenance"]["cpu"] in str(dc.plan(dc.column(2)))
-
-
-def test_the_figure_draws_and_judges_the_results_in_the_package(tmp_path):
-    script = load_script("figure_6_7_scene_requirements")
-    shutil.copy(planning.TABLE, tmp_path)
-    assert figures.main(script.FIGURE, ["--replot", "--out", str(tmp_path)]) == 0
-    assert (tmp_path / "figure_6_7.png").stat().st_size > 10_000
-    stored = planning.installed_results()
-    assert [claim.holds for claim in script.claims(stored["data"])] == [one["holds"] for one in stored["claims"]]
 
 
 def test_missing_results_say_how_they_are_made(monkeypatch, tmp_path):

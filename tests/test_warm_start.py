@@ -65,7 +65,6 @@ def test_scaled_along_a_run_is_given_the_rows():
     scene = dc.circles_in_box(20, size=12.0, seed=1)
     run = dc.simulate(scene, steps=150, warm_start="scaled", solver=dc.PGS(sweeps=10, tolerance=None))
     assert run.contacts[-1] > 20
-    assert np.isfinite(run.state.bodies.position).all()
 
 
 @pytest.mark.parametrize("start", [Random(seed=1), Bad()])
@@ -106,10 +105,7 @@ def test_own_arrays_are_a_start(falling_states):
         (([1.0], [0.0]), "one a contact, got"),
         ("magic", "expected one of"),
         (3.0, "expected two arrays"),
-        (
-            lambda state, solver: 2 * [state.contacts.position[:, 0] * np.nan],
-            r"of at most 1e\+50 N·s, got nan at contact 0",
-        ),
+        (lambda state, _: 2 * [state.contacts.separation * np.nan], r"of at most 1e\+50 N·s, got nan at contact 0"),
     ],
 )
 def test_a_start_that_does_not_fit_raises(falling_states, start, message):
