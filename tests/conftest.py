@@ -12,6 +12,7 @@ from scipy import optimize
 
 import deep_contact as dc
 from deep_contact.physics.lcp import contact_problem
+from deep_contact.studies.starts import solved_states
 
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = ROOT / "scripts"
@@ -52,18 +53,6 @@ def nnls_velocities(frictionless_states):
         expected, _ = optimize.nnls(B, -problem.free_velocity / root, maxiter=100_000)
         found.append(problem.velocities(expected).reshape(-1, 3))
     return found
-
-
-def solved_states(scene, *, steps, every=1, solver=None, **options):
-    """Solved states of a run, one in `every`, those without contacts left out."""
-    states = []
-
-    def keep(state, record):
-        if state.step % every == 0 and state.contacts.count:
-            states.append(state)
-
-    dc.simulate(scene, steps=steps, solver=solver or dc.PGS(sweeps=500), on_step=keep, **options)
-    return states
 
 
 def stacked(solution):

@@ -130,18 +130,18 @@ def gradient_ratio(activation: str, *, depth: int, width: int, gain: float, seed
 # ---- max pooling ----
 
 
-def max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
-    """The largest value of each window of size × size adjacent nodes (section 4.2.4); (n_y, n_x, ...).
+def max_pool(image: np.ndarray) -> np.ndarray:
+    """The largest value of each window of 2 × 2 adjacent nodes (section 4.2.4); (n_y, n_x, ...).
 
     Incomplete windows at the far edges count, as with Keras's border mode "same" (Table 5.2): 61 nodes -> 31.
     """
-    rows, columns = (range(0, n, size) for n in image.shape[:2])
-    return np.array([[image[i : i + size, j : j + size].max(axis=(0, 1)) for j in columns] for i in rows])
+    rows, columns = (range(0, n, 2) for n in image.shape[:2])
+    return np.array([[image[i : i + 2, j : j + 2].max(axis=(0, 1)) for j in columns] for i in rows])
 
 
-def keras_max_pool(image: np.ndarray, size: int = 2) -> np.ndarray:
+def keras_max_pool(image: np.ndarray) -> np.ndarray:
     """The same by Keras's `MaxPooling2D`; image: (n_y, n_x, d)."""
-    return by_keras("MaxPooling2D", size, x=image, strides=size, padding="same")
+    return by_keras("MaxPooling2D", 2, x=image, padding="same")
 
 
 def pooled_sizes(n: int, times: int) -> list[int]:

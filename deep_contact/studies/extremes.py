@@ -244,42 +244,32 @@ def loaded_silo(n: int, ratio: float, *, at: int = -1) -> State:
     return with_bodies(scene, mass=mass)
 
 
-def struck_silo(n: int, *, speed: float = 5.0, after: int = 20, **options) -> State:
-    """A silo whose top circle arrives at `speed` (m/s) in step `after` with every Δt and gravity.
-
-    options: those of `column`, and dt, s.
-    """
-    dt = options.pop("dt", constants.TIME_STEP)
+def struck_silo(n: int, *, dt: float = constants.TIME_STEP, **options) -> State:
+    """A silo whose top circle arrives at 5 m/s in step 20 with every Δt and gravity. options: those of `column`."""
     scene = silo(n, **options).replace(dt=dt)
     position, velocity = scene.bodies.position.copy(), scene.bodies.velocity.copy()
-    position[-1, 1] += min(speed * dt, scene.scales.max_translation) * after
-    velocity[-1, 1] = -speed
+    position[-1, 1] += min(5.0 * dt, scene.scales.max_translation) * 20
+    velocity[-1, 1] = -5.0
     top = max(scene.world.box[3], position[-1, 1] + 2 * scene.bodies.radius[-1])
     return with_box(with_bodies(scene, position=position, velocity=velocity), top=top)
 
 
-def pyramid(rows: int, *, radius: float = 1.0) -> State:
+def pyramid(rows: int) -> State:
     """Circles in hexagonal order on a floor as wide as the lowest row, each row one shorter."""
-    centres = [
-        (radius * (WALL_SKIN + (1 + row + 2 * i)), radius * (WALL_SKIN + (1 + np.sqrt(3) * row)))
-        for row in range(rows)
-        for i in range(rows - row)
-    ]
-    side = 2 * radius * (rows + WALL_SKIN)
-    world = World(box=(0, 0, side, side))
-    return State(name=f"pyramid_{rows}", world=world, bodies=make_bodies(centres, radius=radius))
+    places = [(row, i) for row in range(rows) for i in range(rows - row)]
+    centres = [(WALL_SKIN + (1 + row + 2 * i), WALL_SKIN + (1 + np.sqrt(3) * row)) for row, i in places]
+    side = 2 * (rows + WALL_SKIN)
+    return State(name=f"pyramid_{rows}", world=World(box=(0, 0, side, side)), bodies=make_bodies(centres))
 
 
-def bed_under(ratio: float, *, n: int = 8) -> State:
-    """A circle `ratio` times as large as the n of radius 1 in a row on the floor that carry it; all weigh the same."""
-    radius = np.array([1.0] * n + [ratio])
+def bed_under(ratio: float) -> State:
+    """A circle `ratio` times as large as the eight in a row on the floor that carry it; all weigh the same."""
+    radius = np.array([1.0] * 8 + [ratio])
     skin = WALL_SKIN * mean(radius)
-    width = max(2.0 * n, 2 * ratio) + 2 * skin
-    row = np.column_stack([width / 2 + 2.0 * np.arange(n) - (n - 1), np.full(n, skin + 1.0)])
-    centres = [*row, (width / 2, skin + 2.0 + ratio)]
-    world = World(box=(0, 0, width, 2 * ratio + 6))
-    bodies = make_bodies(centres, radius=radius, mass=1.0)
-    return State(name=f"bed_{n}", world=world, bodies=bodies)
+    width = 2 * max(8, ratio) + 2 * skin
+    row = np.column_stack([width / 2 + 2.0 * np.arange(8) - 7, np.full(8, skin + 1.0)])
+    bodies = make_bodies([*row, (width / 2, skin + 2.0 + ratio)], radius=radius, mass=1.0)
+    return State(name="bed_8", world=World(box=(0, 0, width, 2 * ratio + 6)), bodies=bodies)
 
 
 def channel(speed: float) -> State:
@@ -294,10 +284,10 @@ def overlapping(share: float, n: int = 2) -> State:
     return State(name=f"overlap_{n}", world=World(gravity=(0, 0)), bodies=make_bodies(centres))
 
 
-def cornered(depth: float, n: int = 5) -> State:
-    """n circles on a diagonal, touching, without gravity; the first is `depth` m too deep in a corner, on both axes."""
-    centres = 1.01 - depth + np.sqrt(2) * np.arange(n)[:, None] * np.ones(2)
-    return State(name=f"corner_{n}", world=World(gravity=(0, 0)), bodies=make_bodies(centres))
+def cornered(depth: float) -> State:
+    """Five circles on a diagonal, touching, without gravity; the first is `depth` m too deep in a corner, both ways."""
+    centres = 1.01 - depth + np.sqrt(2) * np.arange(5)[:, None] * np.ones(2)
+    return State(name="corner_5", world=World(gravity=(0, 0)), bodies=make_bodies(centres))
 
 
 def shifted(scene: State, by: float) -> State:
@@ -308,8 +298,7 @@ def shifted(scene: State, by: float) -> State:
 
 def small_pile(**options) -> State:
     """Thirty circles that fall into a box ten wide."""
-    options = {"size": (10.0, 40.0), "sigma_coef": 1.2, "seed": 5} | options
-    return circles_in_box(30, **options)
+    return circles_in_box(30, size=(10.0, 40.0), sigma_coef=1.2, seed=5, **options)
 
 
 def misleading_start(kind: str, factor: float):
@@ -439,15 +428,12 @@ SOLVERS = (
 """Every method in both precisions and every start, for `run_solver`."""
 
 
-def run_solver(name: str, steps: int = 600) -> dict:
-    """`measure` of `small_pile` by one of `SOLVERS`, or "start …, 1e-9 N·s". A start without its network is absent."""
-    kind, _, name_of_kind = name.partition(" ")
-    what, _, how = name_of_kind.partition(", ")
-    if kind == "method":
-        options = {"solver": METHODS[what](precision=how)}
-    else:
-        options = {"solver": ACCURATE if how else PGS(), "warm_start": what}
-    return {"name": name, **measure(Trial(scene=small_pile(), steps=steps, **options))}
+def run_solver(name: str) -> dict:
+    """`measure` of `small_pile` by one of `SOLVERS`. A start without its network is absent."""
+    kind, _, what = name.partition(" ")
+    method, _, precision = what.partition(", ")
+    options = {"solver": METHODS[method](precision=precision)} if kind == "method" else {"warm_start": what}
+    return {"name": name, **measure(Trial(scene=small_pile(), steps=600, **({"solver": PGS()} | options)))}
 
 
 def spans(values, verdicts) -> list[tuple[str, float, float]]:
@@ -486,12 +472,11 @@ PRESSED = 1e-4
 """Overlap of contacts that have to exist in every engine, m. Without it, rounding to float32 decides."""
 
 
-def leaning_silo(n: int, *, lean: float = 0.05) -> State:
-    """A `silo` that is `lean` m wider: the circles stand in zigzag, each pressed into the next and into a wall."""
-    scene = silo(n)
+def leaning_silo(n: int) -> State:
+    """A `silo` that is 5 cm wider: the circles stand in zigzag, each pressed into the next and into a wall."""
+    scene, lean = silo(n), 0.05
     x_min, y_min, x_max, _ = scene.world.box
-    across, reach = lean + 2 * PRESSED, 2.0 - PRESSED
-    wall = WALL_SKIN + 1.0 - PRESSED
+    across, reach, wall = lean + 2 * PRESSED, 2.0 - PRESSED, WALL_SKIN + 1.0 - PRESSED
     order = np.arange(n)
     x, y = x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order
     return with_box(with_bodies(scene, position=np.column_stack([x, y])), right=x_max + lean)

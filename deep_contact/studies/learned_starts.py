@@ -107,7 +107,7 @@ def errors_on_scenes(
     Returns for each kind, scene by scene, {"step": (k,), "sweeps": {setting: (k,) sweeps until θ is below the
     tolerance}, "errors": {setting: (k, len(after))}}.
     """
-    settings = {name: FOLLOWING if name in with_all else ("PGS",) for name in starts}
+    settings = [*starts, *(f"{name}, {solver}" for name in starts if name in with_all for solver in FOLLOWING[1:])]
     tasks = [
         {**options, "starts": starts, "settings": settings, "kind": {**TRAINED, **kind}, "number": i, "seed": s}
         for i, kind in enumerate(kinds)
@@ -119,7 +119,7 @@ def errors_on_scenes(
 
 def _errors_on_scene(task: Mapping) -> dict:
     starts = {name: start_of(description) for name, description in task["starts"].items()}
-    settings = [f"{name}, {s}" if s != "PGS" else name for name in starts for s in task["settings"][name]]
+    settings = task["settings"]
     steps = round(task["steps"] * TRAINED["dt"] / task["kind"]["dt"])  # as much time in every kind
     count = task.get("states") or task["steps"] // task["every"]
     scene = scene_of_kind(task["kind"], task["seed"])
@@ -380,10 +380,10 @@ def piles_of(data: Mapping, **values) -> list[dict]:
     return [pile for pile in data["piles"] if all(pile[name] == value for name, value in values.items())]
 
 
-def price_of(data: Mapping, circles: int, start: str = LEARNED) -> dict[str, float]:
-    """Median time of a start, "ms", and "in sweeps" of PGS."""
+def price_of(data: Mapping, circles: int) -> dict[str, float]:
+    """Median time of the learned start, "ms", and "in sweeps" of PGS."""
     here = piles_of(data, circles=circles)
-    seconds = float(np.median(np.concatenate([pile["start_seconds"][start] for pile in here])))
+    seconds = float(np.median(np.concatenate([pile["start_seconds"][LEARNED] for pile in here])))
     return {"ms": 1e3 * seconds, "in sweeps": seconds / float(np.median([p["sweep_seconds"]["PGS"] for p in here]))}
 
 

@@ -44,7 +44,7 @@ REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 
 
 def solved_states(
-    scene: State, *, steps: int, solver=THOROUGH, warm_start="builtin", every: int = 1, contacts_only: bool = True
+    scene: State, *, steps: int, solver=THOROUGH, every: int = 1, contacts_only: bool = True
 ) -> list[StateWithContacts]:
     """Solved states of a run, one in `every` steps, by default only those with contacts."""
     states = []
@@ -53,7 +53,7 @@ def solved_states(
         if state.step % every == 0 and (state.contacts.count or not contacts_only):
             states.append(state)
 
-    simulate(scene, steps=steps, solver=solver, warm_start=warm_start, on_step=keep)
+    simulate(scene, steps=steps, solver=solver, on_step=keep)
     return states
 
 
@@ -98,11 +98,10 @@ def paired(
     return found
 
 
-def swept_on(state: State, solver=REFERENCE) -> State:
-    """A solved state with its solution swept on until `solver` converges."""
+def swept_on(state: State) -> State:
+    """A solved state with its solution swept on until `REFERENCE` converges."""
     contacts = state.contacts
-    given = contacts.normal_impulse, contacts.tangent_impulse
-    solution = solve_contacts(state, solver=solver, start=given)
+    solution = solve_contacts(state, solver=REFERENCE, start=(contacts.normal_impulse, contacts.tangent_impulse))
     better = {"normal_impulse": solution.normal_impulses, "tangent_impulse": solution.tangent_impulses}
     return state.replace(contacts=contacts._replace(**better), solved=True)
 
@@ -210,7 +209,7 @@ def compare_starts(
     if velocity_sweeps:
         together = [part for task, part in zip(tasks, found) if task[0] == "paired"]
         errors = {name: np.concatenate([part[name]["velocity"] for part in together]) for name in starts}
-        kept = np.all([np.isfinite(of_start).all(axis=1) for of_start in errors.values()], axis=0)
+        kept = np.isfinite(list(errors.values())).all(axis=(0, 2))
         data["velocity"] = {
             "sweeps": list(velocity_sweeps),
             "states": int(kept.sum()),
@@ -220,9 +219,9 @@ def compare_starts(
     return data
 
 
-def sampled_sweeps(sweeps: int, points: int = CURVE_POINTS) -> np.ndarray:
-    """Up to `points` sweep numbers from 1 to `sweeps`, evenly on a logarithmic axis, without repeats."""
-    return np.unique(np.round(np.geomspace(1, sweeps, points)).astype(np.int64))
+def sampled_sweeps(sweeps: int) -> np.ndarray:
+    """Up to `CURVE_POINTS` sweep numbers from 1 to `sweeps`, evenly on a logarithmic axis, without repeats."""
+    return np.unique(np.round(np.geomspace(1, sweeps, CURVE_POINTS)).astype(np.int64))
 
 
 def table_of_starts(data: dict, after: Sequence[int] = (10, 100, 1000)) -> list[list]:
@@ -265,22 +264,13 @@ def draw_convergence(ax, data: dict, mode: str, *, floor: float, title: str) -> 
 
 def draw_ratios(ax, data: dict, mode: str, over: str | None = None) -> None:
     """θ of every start over that of one, by default Builtin or else the first, with the intervals of `verdicts`."""
-    from matplotlib.ticker import LogLocator
-
     names = list(data[mode])
     over = over or ("builtin" if "builtin" in names else names[0])
     styles = plotting.styles_of(names)
     for name in names:
-        ratio, low, high = verdicts.intervals(data[mode], name, over)
-        ax.plot(data["sweep"], ratio, **(styles[name] | {"label": None}))
-        ax.fill_between(data["sweep"], low, high, color=styles[name]["color"], alpha=0.18, linewidth=0)
-    ax.set_xscale("log")
-    ax.set_yscale("log")
-    ax.yaxis.set_major_formatter("{x:g}")
-    low, high = ax.get_ylim()
-    if high < 30 * low:  # less than two decades have too few powers of ten
-        ax.yaxis.set_minor_locator(LogLocator(subs=(0.7, 1.5, 2.0, 5.0)))
-        ax.yaxis.set_minor_formatter("{x:g}")
+        ratios = verdicts.intervals(data[mode], name, over)
+        plotting.band(ax, data["sweep"], *ratios, **(styles[name] | {"label": None}))
+    plotting.log_axes(ax)
     plotting.label_axes(ax, "sweep", f"θ over that of\n{styles[over]['label']}")
 
 

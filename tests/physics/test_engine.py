@@ -25,11 +25,6 @@ def test_free_fall_is_symplectic_euler():
     assert (state.step, state.time) == (k, k * dt)
 
 
-def test_without_gravity_nothing_moves_by_itself():
-    scene = dc.circles_in_box(20, gravity=(0, 0), seed=1)
-    np.testing.assert_array_equal(dc.simulate(scene, steps=10).state.bodies.position, scene.bodies.position)
-
-
 def test_rolling_circle_keeps_rolling():
     # v = -ω r on the floor (normal down, tangent (-1, 0)): no slip, no friction, no braking.
     scene = single_body()

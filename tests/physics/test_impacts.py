@@ -99,11 +99,6 @@ def test_what_rests_does_not_rebound():
         assert np.abs(state.bodies.velocity).max() < 1e-3
 
 
-def test_a_pile_with_restitution_comes_to_rest():
-    state = dc.simulate(dc.circles_in_box(30, restitution=0.8, seed=4), steps=1500, accuracy="fast").state
-    assert np.abs(state.bodies.velocity).max() < 0.05
-
-
 @pytest.mark.parametrize("speed", [-80.0, 80.0])
 def test_what_stops_early_keeps_the_energy_of_its_height(speed):
     velocity, time, g = np.array([3.0, speed]), 0.004, 9.81

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import assert_same_bits
+from conftest import assert_same_bits, solved_states
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -38,12 +38,6 @@ def test_islands_are_the_components_of_the_contact_graph(seed):
         assert number == np.flatnonzero(island == number)[0]
 
 
-def test_walls_connect_nothing():
-    state = dc.single_body().replace(bodies=make_bodies([[5.0, 1.0], [20.0, 1.0], [22.0, 1.0]]))
-    state = state.replace(contacts=contacts_of(state))
-    np.testing.assert_array_equal(islands_of(state), [0, 1, 1])
-
-
 @pytest.mark.parametrize("friction", [0.5, 0.0])
 def test_without_a_tolerance_islands_change_not_a_bit(friction):
     scene = dc.circles_in_box(60, seed=2, friction=friction, **WIDE)
@@ -56,11 +50,8 @@ def test_without_a_tolerance_islands_change_not_a_bit(friction):
     np.testing.assert_array_equal(one.relaxations, other.relaxations)
 
 
-def states_with_islands():
-    states = []
-    scene = dc.circles_in_box(60, seed=3, **WIDE)
-    dc.simulate(scene, steps=400, on_step=lambda state, record: states.append(state))
-    return [state for state in states[::10] if state.contacts.count]
+def islands_of_a_fall():
+    return solved_states(dc.circles_in_box(60, seed=3, **WIDE), steps=400, every=10)
 
 
 def alone(state, island, number):
@@ -77,7 +68,7 @@ def alone(state, island, number):
 
 def test_an_island_is_solved_as_if_it_were_alone():
     solver = dc.PGS(islands=True)
-    for state in states_with_islands()[::4]:
+    for state in islands_of_a_fall()[::4]:
         found = dc.solve_contacts(state, solver=solver)
         island = islands_of(state)
         longest = 0
@@ -93,7 +84,7 @@ def test_an_island_is_solved_as_if_it_were_alone():
 def test_islands_reach_the_tolerance_with_less_work():
     # 6e-5 N·s is the change that a sweep may still make; what is left after it, slower, is no more than ten of those.
     less = 0
-    for state in states_with_islands():
+    for state in islands_of_a_fall():
         one, other = (dc.simulate(state, steps=1, solver=dc.PGS(islands=islands)) for islands in (False, True))
         assert other.theta[0] <= 6e-5 or other.sweeps[0] == 3000
         assert other.relaxations[0] <= one.relaxations[0]
@@ -103,7 +94,7 @@ def test_islands_reach_the_tolerance_with_less_work():
 
 
 def test_theta_is_the_largest_of_the_islands_still_swept():
-    state = states_with_islands()[-1]
+    state = islands_of_a_fall()[-1]
     found = dc.solve_contacts(state, solver=dc.PGS(islands=True, tolerance=1e-9), start="none").record
     together = dc.solve_contacts(state, solver=dc.PGS(tolerance=1e-9), start="none").record
     assert (found.status, found.sweeps) == ("converged", together.sweeps)

@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from conftest import assert_same_bits, momentum
+from conftest import assert_same_bits
 
 import deep_contact as dc
 from deep_contact import simulation
 from deep_contact.physics import engine
 from deep_contact.physics.contact_solver import sweep
-from deep_contact.physics.metrics import kinetic_energy
 
 
 def spinning_scene(**options):
@@ -45,21 +44,15 @@ def test_frictionless_nncg_solves_the_same_problem(frictionless_states):
         np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-8)
 
 
-def test_frictionless_rows_have_no_tangents():
-    state = simulation.ready(dc.column(3, friction=0.0))
-    rows, _, friction = engine.step_problem(state, dc.PGS())
-    assert friction is None
-    assert (rows.data.shape, rows.impulse.shape) == ((state.contacts.count, 3), (state.contacts.count, 1))
-
-
-@pytest.mark.parametrize(("friction", "start"), [(0.5, 0.0), (1e-9, 0.0), (0.0, 1e-3)])
+@pytest.mark.parametrize(("friction", "start"), [(0.5, 0.0), (1e-9, 0.0), (0.0, 1e-3), (0.0, 0.0)])
 def test_friction_or_a_start_with_tangents_requires_them(friction, start):
     state = simulation.ready(dc.column(3, friction=friction))
-    for solver in (dc.PGS(), dc.NNCG()):
-        started = state.replace(contacts=state.contacts._replace(tangent_start=np.full(state.contacts.count, start)))
-        problem = engine.step_problem(started, solver)
-        assert problem.friction == friction
-        assert problem.rows.impulse.shape == (state.contacts.count, 2)
+    state = state.replace(contacts=state.contacts._replace(tangent_start=np.full(state.contacts.count, start)))
+    for solver in (dc.PGS(), dc.NNCG(), dc.BatchedPGS()):
+        problem = engine.step_problem(state, solver)
+        needed = friction > 0 or start > 0 or type(solver) is dc.BatchedPGS
+        assert problem.friction == (friction if needed else None)
+        assert problem.rows.impulse.shape == (state.contacts.count, 1 + needed)
 
 
 def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_states):
@@ -70,25 +63,12 @@ def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_state
     assert found.record.theta[0] >= 1.0
 
 
-def test_batches_keep_tangent_rows():
-    state = simulation.ready(dc.column(3, friction=0.0))
-    assert engine.step_problem(state, dc.BatchedPGS()).friction == 0.0
-
-
 def test_nothing_turns_without_friction():
     scene = spinning_scene()
     run = dc.simulate(scene, steps=150)
     # ω r and back by r rounds once a step.
     np.testing.assert_allclose(run.state.bodies.spin, scene.bodies.spin, rtol=150 * 2**-52)
     np.testing.assert_array_equal(run.state.contacts.tangent_impulse, 0.0)
-
-
-def test_frictionless_impacts_keep_momentum_and_the_energy_of_newtons_law():
-    # Head-on at ±1 m/s: v' = ∓e v, so that e² of the energy is left.
-    scene = dc.two_bodies(speed=2.0, friction=0.0, restitution=0.5)
-    after = dc.simulate(scene, steps=1, solver=dc.PGS(tolerance=1e-15)).state.bodies
-    np.testing.assert_allclose(momentum(after), 0.0, atol=1e-14)
-    np.testing.assert_allclose(kinetic_energy(after), 0.25 * kinetic_energy(scene.bodies), rtol=1e-12)
 
 
 def test_a_frictionless_sweep_relaxes_each_normal_row():

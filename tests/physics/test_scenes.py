@@ -38,12 +38,6 @@ def test_seed_and_generator_are_the_same():
     assert not np.array_equal(one, dc.circles_in_box(30, seed=5).bodies.position)
 
 
-def test_lattice_holds_many_without_overlap():
-    scene = dc.lattice_in_box(500, radius=(0.5, 1.0), seed=1)
-    assert scene.bodies.count == 500
-    assert overlap(scene.bodies) < 0
-
-
 def test_column_touches_and_stands():
     scene = dc.column(20)
     assert scene.world.box == (0, 0, 30, 42)  # room for one more
