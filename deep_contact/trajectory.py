@@ -21,7 +21,6 @@ from deep_contact.validation import number
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
-    from pandas import DataFrame
 
     from deep_contact.io.simulation_h5 import StoredSimulation
     from deep_contact.state import State, StateWithContacts, World
@@ -124,16 +123,6 @@ class Trajectory:
         turning = self.spins**2 @ (0.5 * mass * radius**2)
         potential = -(self.positions @ np.array(self.world.gravity)) @ mass
         return np.column_stack([0.5 * (linear + turning), potential])
-
-    def to_frame(self) -> DataFrame:
-        """A pandas table with a row for each circle at each time. Raises ImportError where pandas is not installed."""
-        import pandas
-
-        count, n = len(self), self.positions.shape[1]
-        columns = {"time": np.repeat(self.times, n), "body": np.tile(np.arange(n), count)}
-        for name, array in (("", self.positions), ("v_", self.velocities)):
-            columns |= {f"{name}{axis}": array[:, :, k].ravel() for k, axis in enumerate("xy")}
-        return pandas.DataFrame(columns | {"angle": self.angles.ravel(), "spin": self.spins.ravel()})
 
     def animate(self, *, fps: float = 25, height: float = 5.0) -> FuncAnimation:
         """A matplotlib animation of the circles, coloured by speed, and their contacts, as wide as their impulses.

@@ -66,14 +66,6 @@ def test_an_animation_has_a_frame_for_each_state(run):
         run.animate(fps=0)
 
 
-def test_a_table_has_a_row_for_each_circle_and_time(run):
-    pytest.importorskip("pandas")
-    frame = run.to_frame()
-    assert list(frame.columns) == ["time", "body", "x", "y", "v_x", "v_y", "angle", "spin"]
-    row = frame[(frame.time == run.times[3]) & (frame.body == 5)].iloc[0]
-    assert (row.x, row.v_y, row.spin) == (run.positions[3, 5, 0], run.velocities[3, 5, 1], run.spins[3, 5])
-
-
 def test_states_that_are_no_run_are_refused(states):
     with pytest.raises(ValueError, match="at least one state"):
         Trajectory.from_states([])

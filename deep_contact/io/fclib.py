@@ -1,4 +1,4 @@
-"""Contact problems of other programs: Siconos's text files (fc2d) and FCLIB's HDF5, planar with friction.
+"""Contact problems of other programs: Siconos's text files (fc2d), which are read, and FCLIB's HDF5, read and written.
 
 Both hold Delassus' operator W, the velocities q without reactions and μ; with two rows a contact, normal first, they
 are A, b and friction of a `ContactProblem`, without bodies. `read_problem` knows which it is.
@@ -15,7 +15,6 @@ group `vectors` (`q`, `mu`). Impulses to start from are a guess, which is writte
 
 from __future__ import annotations
 
-import gzip
 import os
 import re
 from pathlib import Path
@@ -25,7 +24,7 @@ import numpy as np
 from scipy import sparse
 
 from deep_contact.io import hdf5
-from deep_contact.io.files import read_bytes, replacing, write_bytes
+from deep_contact.io.files import read_bytes, replacing
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite
 from deep_contact.state import State
 
@@ -52,26 +51,6 @@ def read_problem(path: str | os.PathLike) -> ContactProblem:
         raise ValueError(f"{path}: {error}") from error
 
 
-def write_fc2d(path: str | os.PathLike, problem: ContactProblem | State) -> Path:
-    """Write a problem, or that of a state, as Siconos's text; gzipped where the path ends so. Returns the path.
-
-    Numbers have 17 digits, so that reading returns the same bits; Siconos's own files have 6 in W.
-    """
-    problem, A = _with_columns(problem)
-    rows = A.shape[0]
-    lines = ["2", f"{rows // 2}", "2", f"{rows}", f"{rows}", "CSparse Version 3.1.9"]
-    lines += [f"{rows}-by-{rows}, nzmax: {A.nnz} nnz: {A.nnz}, 1-norm: {sparse.linalg.norm(A, 1) if A.nnz else 0:.6g}"]
-    for j in range(rows):
-        first, last = A.indptr[j], A.indptr[j + 1]
-        lines.append(f"    col {j} : locations {first} to {last - 1}")
-        lines += [f"      {i} : {value!r}" for i, value in zip(A.indices[first:last], A.data[first:last].tolist())]
-    lines += [" ".join(map(repr, values.tolist())) for values in (problem.b, problem.friction)]
-    text = ("\n".join(lines) + "\n").encode()
-    if len(text) > MAX_TEXT:
-        raise ValueError(f"problem: expected at most {MAX_TEXT} bytes of text, got {len(text)}")
-    return write_bytes(path, gzip.compress(text, mtime=0) if Path(path).suffix == ".gz" else text)
-
-
 def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, guess: np.ndarray | None = None) -> Path:
     """Write a problem, or that of a state, as a local problem of FCLIB. Returns the path.
 
@@ -79,7 +58,9 @@ def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, gue
     """
     if guess is None and isinstance(problem, State) and problem.contacts is not None:
         guess = np.column_stack([problem.contacts.normal_start, problem.contacts.tangent_start]).ravel()
-    problem, A = _with_columns(problem)
+    problem = check_problem(contact_problem(problem) if isinstance(problem, State) else problem)
+    A = sparse.csc_array(problem.A)
+    A.sort_indices()
     arrays = {
         "fclib_local/spacedim": np.array([2], np.int32),
         "fclib_local/vectors/q": problem.b,
@@ -100,14 +81,6 @@ def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, gue
         for name, array in arrays.items():
             file.create_dataset(name, data=array)
     return Path(path)
-
-
-def _with_columns(problem: ContactProblem | State) -> tuple[ContactProblem, sparse.csc_array]:
-    """The problem, or that of a state, and its matrix by columns in order."""
-    problem = check_problem(contact_problem(problem) if isinstance(problem, State) else problem)
-    A = sparse.csc_array(problem.A)
-    A.sort_indices()
-    return problem, A
 
 
 def _read_fc2d(lines: list[str]) -> ContactProblem:

@@ -7,10 +7,11 @@ import h5py
 import numpy as np
 import pytest
 from scipy import sparse
+from test_fclib import TEXT
 
 import deep_contact as dc
 from deep_contact.io import hdf5
-from deep_contact.io.fclib import MAX_TEXT, read_problem, write_fc2d, write_fclib
+from deep_contact.io.fclib import MAX_TEXT, read_problem, write_fclib
 from deep_contact.io.simulation_h5 import DataFileError, read_simulation, simulation_info, write_simulation
 from deep_contact.physics.lcp import ContactProblem
 
@@ -125,17 +126,14 @@ def test_a_damaged_checksum_is_refused_by_name(path, tmp_path):
     change(path, "fclib_local/vectors/q", np.arange(4.0), chunks=(4,), fletcher32=True)
     with h5py.File(path, "r") as file:
         at = file["fclib_local/vectors/q"].id.get_chunk_info(0).byte_offset
-    data = bytearray(path.read_bytes())
-    data[at] ^= 1
-    path.write_bytes(data)
-    with pytest.raises(ValueError, match=r"hostile.hdf5: expected an HDF5 file, whole and undamaged"):
-        read_problem(path)
-    text = write_fc2d(tmp_path / "pile.dat.gz", PROBLEM)
-    data = bytearray(text.read_bytes())
-    data[-6] ^= 1
-    text.write_bytes(data)
-    with pytest.raises(ValueError, match=r"pile.dat.gz: expected gzip data, whole and undamaged"):
-        read_problem(text)
+    text = tmp_path / "pile.dat.gz"
+    text.write_bytes(gzip.compress(TEXT.encode()))
+    for damaged, place, expected in ((path, at, "an HDF5 file"), (text, -6, "gzip data")):
+        data = bytearray(damaged.read_bytes())
+        data[place] ^= 1
+        damaged.write_bytes(data)
+        with pytest.raises(ValueError, match=rf"{damaged.name}: expected {expected}, whole and undamaged"):
+            read_problem(damaged)
 
 
 def test_a_file_that_is_cut_off_is_refused_by_name(path):
@@ -153,11 +151,11 @@ def test_text_that_unpacks_beyond_the_limit_is_refused(tmp_path):
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [(" 0 : 1.0", f" {10**30} : 1.0"), (" 0 : 1.0", f" {'9' * 5000} : 1.0"), ("nnz: 4", f"nnz: {'9' * 5000}")],
+    [(" 0 : 2", f" {10**30} : 2"), (" 0 : 2", f" {'9' * 5000} : 2"), ("nnz: 6", f"nnz: {'9' * 5000}")],
 )
 def test_long_integers_in_text_are_refused_by_name(tmp_path, old, new):
-    path = write_fc2d(tmp_path / "long.dat", PROBLEM)
-    path.write_text(path.read_text().replace(old, new, 1))
+    path = tmp_path / "long.dat"
+    path.write_text(TEXT.replace(old, new, 1))
     with pytest.raises(ValueError, match=r"long.dat: "):
         read_problem(path)
 

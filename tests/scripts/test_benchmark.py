@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import load_script
 
-from deep_contact.io.fclib import write_fc2d
+from deep_contact.io.fclib import write_fclib
 from deep_contact.physics.lcp import check_problem, contact_problem, siconos_error
 from deep_contact.studies import rivals
 
@@ -55,7 +55,7 @@ def test_transfer_and_state_files_are_timed(run):
 
 
 def test_solvers_are_compared_on_files_and_piles_and_a_second_run_is_added(run, falling_states, tmp_path):
-    path = write_fc2d(tmp_path / "pile.dat.gz", falling_states[9])
+    path = write_fclib(tmp_path / "pile.hdf5", falling_states[9])
     command = ("outside", path, "--sizes", "--repeats", 1, "--tolerance", 1e-4)
     first = run(*command, "--only", "ours, PGS")
     assert first["contacts"]["pile"] == falling_states[9].contacts.count
@@ -69,7 +69,7 @@ def test_solvers_are_compared_on_files_and_piles_and_a_second_run_is_added(run, 
 
 def test_who_is_slow_is_left_out_of_larger_problems(run, falling_states, tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "MOST", 0.0)
-    files = [write_fc2d(tmp_path / f"pile_{k}.dat", falling_states[k]) for k in (12, 2)]
+    files = [write_fclib(tmp_path / f"pile_{k}.hdf5", falling_states[k]) for k in (12, 2)]
     found = run("outside", *files, "--sizes", "--only", "ours, PGS")
     small, large = found["seconds"].values()
     assert small["ours, PGS"] > 0
