@@ -140,4 +140,4 @@ def record(found: Iterator[Frame], path, *, fps: int = 25) -> list[Path]:
         raise ValueError(f"out: expected a name that ends in .gif or .mp4, got {str(path)!r}")
     if suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
         raise ValueError(f"out: expected ffmpeg to be installed for {str(path)!r}, found none; a .gif needs none")
-    return plotting.animate(found, path, fps=fps, draw=Painter(), panels=PANELS, size=5.0)
+    return plotting.animate(found, path, draw=Painter(), panels=PANELS, fps=fps)

@@ -15,10 +15,10 @@ import re
 import sys
 from pathlib import Path
 
+from deep_contact.io.files import replacing
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
-from deep_contact.reporting.results import replacing
 from deep_contact.studies.runs import ERRORS
 
 ROOT = Path(__file__).resolve().parent.parent

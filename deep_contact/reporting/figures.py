@@ -42,19 +42,7 @@ from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
 
-__all__ = [
-    "Claim",
-    "Figure",
-    "aligned",
-    "assigned",
-    "cell",
-    "claim_line",
-    "main",
-    "parallel_map",
-    "produce",
-    "progress_bar",
-    "seeds",
-]
+__all__ = ["Claim", "Figure", "assigned", "cell", "main", "parallel_map", "produce", "progress_bar", "seeds"]
 
 MEANINGS = json.loads((Path(__file__).parent / "settings.json").read_text(encoding="utf-8"))
 """Name of a setting -> its meaning and unit; "4.2 kernel" is that of Figure 4.2 alone."""
@@ -73,7 +61,7 @@ class Figure:
 
     compute(options, seed, jobs, progress) -> data: dict of what `results.plain` can store. `jobs` goes to
     `parallel_map`, `progress` has the signature of `progress_bar`.
-    claims(data) -> list of `Claim`; table(data) -> rows to print, head first. Both see the stored data.
+    table(data) -> rows to print, head first; a figure may have none. claims(data) -> `Claim`s. Both see stored data.
     draw(data, options) -> matplotlib figure. A table without `draw` gets a picture of its rows.
 
     Raises ValueError naming the field.
@@ -84,7 +72,7 @@ class Figure:
     compute: Callable[[dict, int, int, Callable], dict]
     table: Callable[[dict], Sequence[Sequence]] | None = None
     draw: Callable[[dict, dict], object] | None = None
-    claims: Callable[[dict], list[Claim]] = lambda data: []
+    claims: Callable[[dict], Iterable[Claim]] = lambda data: ()
     _: KW_ONLY
     options: dict = field(default_factory=dict)
     quick: dict = field(default_factory=dict)
@@ -115,14 +103,14 @@ class Figure:
         return f"{'Table' if self.is_table else 'Figure'} {self.id.removeprefix('T ')}: {self.title}"
 
     def beside(self, options: dict) -> dict | None:
-        """The reference results beside which a quick run with these options is judged (`results.verdict`).
+        """The reference results beside which a quick run is judged (`results.verdict`); None for any other run."""
+        is_quick = self.quick and options == results.plain(self.options | self.quick)
+        return (results.reference(self.stem) or {"claims": []}) if is_quick else None
 
-        None for any other run. Without claims for a quick one where there is no reference.
-        """
-        quick = self.options | self.quick
-        if not self.quick or any(options.get(name) != value for name, value in results.plain(quick).items()):
-            return None
-        return results.reference(self.stem) or {"claims": []}
+    def settings(self, changes: dict, quick: bool) -> dict:
+        """All options of a run, as its results file stores them. Raises ValueError for changes of unknown ones."""
+        _refuse_unknown(changes, self.options, "options")
+        return results.plain(self.options | (self.quick if quick else {}) | changes, where="options")
 
     def rows(self, data: dict) -> list[list[str]]:
         """The table of the data as text, head first."""
@@ -149,21 +137,19 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
     changes, path = dict(given.set), Path(given.out, f"{figure.stem}.json")
+    seed = figure.seed if given.seed is None else given.seed
     try:
         with _exit_on_sigterm():
             if given.replot:
                 _report(figure, _redrawn(figure, path), path, print, given.verbose)
-                return 0
-            options = results.plain(figure.options | (figure.quick if given.quick else {}) | changes)
-            seed = figure.seed if given.seed is None else given.seed
-            if given.resume and _is_current(figure, path, options, seed):
+            elif given.resume and _is_current(figure, path, figure.settings(changes, given.quick), seed):
                 print(f"{figure.stem}: up to date")
-                return 0
-            kept = {"seed": seed, "out": given.out, "verbose": given.verbose, "quick": given.quick}
-            say = partial(print, file=sys.stderr, flush=True)
-            with announced(say), parallel.opened(given.jobs, given.scheduler) as jobs:
-                produce(figure, options=changes, jobs=jobs, **kept)
-            return 0
+            else:
+                kept = {"seed": seed, "out": given.out, "verbose": given.verbose, "quick": given.quick}
+                say = partial(print, file=sys.stderr, flush=True)
+                with announced(say), parallel.opened(given.jobs, given.scheduler) as jobs:
+                    produce(figure, options=changes, jobs=jobs, **kept)
+        return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -199,26 +185,19 @@ def produce(
     Raises ValueError for an option that is unknown, or that `compute` did not read.
     """
     changes = options or {}
-    _refuse_unknown(changes, figure.options, "options")
-    options = results.plain(figure.options | (figure.quick if quick else {}) | changes, where="options")
+    options = figure.settings(changes, quick)
     seed, watched, path = figure.seed if seed is None else seed, _Watched(options), Path(out, f"{figure.stem}.json")
     start = time.perf_counter()
     data = figure.compute(watched, seed, jobs, progress or progress_bar)
-    wall_s = time.perf_counter() - start
+    made = provenance.provenance(seed=seed, wall_s=time.perf_counter() - start, options=options)
     if unread := [name for name in changes if name not in watched.read]:
         others = ", ".join(f"{name}={options[name]}" for name in options if name in watched.read)
         raise ValueError(
             f"{unread[0]}: expected a setting that changes what is drawn, got one without effect beside {others}"
         )
     data = results.plain(data, digits=figure.digits)
-    found = {
-        "id": figure.id,
-        "title": figure.title,
-        "options": options,
-        "provenance": provenance.provenance(seed=seed, wall_s=wall_s, options=options),
-        "claims": list(figure.claims(data)),
-        "data": data,
-    }
+    found = {"id": figure.id, "title": figure.title, "options": options, "provenance": made}
+    found |= {"claims": list(figure.claims(data)), "data": data}
     found = results.read_results(results.write_results(path, found))
     _draw(figure, found, path)
     _report(figure, found, path, echo, verbose)
@@ -262,13 +241,12 @@ class Results(dict):
 
 
 def _draw(figure: Figure, found: dict, path: Path) -> None:
-    path = path.with_suffix(".png")
     with plotting.style():
         if figure.draw is None:
             picture = plotting.draw_table(figure.rows(found["data"]), figure.heading)
         else:
             picture = figure.draw(found["data"], found["options"])
-        plotting.save(picture, path)
+        plotting.save(picture, path.with_suffix(".png"))
     if figure.is_table:
         with replacing(path.with_suffix(".md")) as temporary:
             temporary.write_text(_markdown(figure, found), encoding="utf-8")
@@ -281,19 +259,17 @@ def _redrawn(figure: Figure, path: Path) -> dict:
     found = results.read_results(path)
     if found["id"] != figure.id:
         raise results.ResultsError(f"{path.name}: expected id {figure.id!r}, got {found['id']!r}")
-    judged = results.plain({"title": figure.title, "claims": list(figure.claims(found["data"]))})
-    if any(found[name] != value for name, value in judged.items()):
-        found = results.check_results(found | judged)
-        results.write_results(path, found)
-    _draw(figure, found, path)
-    return found
+    judged = found | results.plain({"title": figure.title, "claims": list(figure.claims(found["data"]))})
+    if judged != found:
+        results.write_results(path, judged)
+    _draw(figure, judged, path)
+    return judged
 
 
 def _is_current(figure: Figure, path: Path, options: dict, seed: int) -> bool:
     """Whether results and pictures are what this commit would make with these options."""
-    wanted = [".png", ".md"] if figure.is_table else [".png"]
     made = {"seed": seed, "inputs": provenance.digests(options)}
-    drawn = all(path.with_suffix(suffix).exists() for suffix in wanted)
+    drawn = all(path.with_suffix(suffix).exists() for suffix in ([".png", ".md"] if figure.is_table else [".png"]))
     return drawn and results.is_current(path, made, id=figure.id, options=options)
 
 
@@ -305,18 +281,13 @@ def _report(figure: Figure, found: dict, path: Path, echo: Callable[[str], None]
     beside = figure.beside(found["options"])
     verbose = verbose or beside is None
     echo(figure.heading)
-    if figure.table and (verbose or figure.is_table):
-        for line in aligned(figure.rows(found["data"])):
-            echo(f"  {line}")
+    rows = figure.rows(found["data"]) if figure.table and (verbose or figure.is_table) else []
+    widths = [max(map(len, column)) for column in zip(*rows)]
+    for row in rows:
+        echo(f"  {'  '.join(map(str.ljust, row, widths))}".rstrip())
     for claim in found["claims"]:
         echo(claim_line(claim, beside, measured=verbose))
     echo(f"picture: {path.with_suffix('.png')}")
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """A table of text as lines with columns."""
-    widths = [max(map(len, column)) for column in zip(*rows)]
-    return ["  ".join(text.ljust(width) for text, width in zip(row, widths)).rstrip() for row in rows]
 
 
 def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True) -> str:
@@ -359,9 +330,10 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--quick", action="store_true", help="a smaller run that ends within a minute")
-    add("--seed", type=_integer_from(0), help=f"of everything random (default: {figure.seed})")
+    add("--seed", type=partial(_integer, least=0), help=f"of everything random (default: {figure.seed})")
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
-    add("--jobs", type=_integer_from(1), default=_cores(), help="processes (default: one for each core)")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    add("--jobs", type=partial(_integer, least=1), default=cores, help="processes (default: one for each core)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     add("--replot", action="store_true", help="judge and draw again from the stored results alone")
     add("--verbose", action="store_true", help="print the numbers of a quick run, too")
@@ -379,22 +351,13 @@ def meaning(figure: str, name: str) -> str:
 def _described(id: str, name: str, value) -> str:
     """A line of the settings in `--help`; a long value is cut."""
     text = f"{name}={value if isinstance(value, str) else json.dumps(results.plain(value))}"
-    text = text if len(text) <= 60 else f"{text[:59]}…"
-    return f"  {text:<32}  {meaning(id, name)}".rstrip()
+    return f"  {text if len(text) <= 60 else f'{text[:59]}…':<32}  {meaning(id, name)}".rstrip()
 
 
-def _integer_from(least: int) -> Callable[[str], int]:
-    def integer(text: str) -> int:
-        value = int(text)
-        if value < least:
-            raise argparse.ArgumentTypeError(f"expected an integer >= {least}, got {value}")
-        return value
-
-    return integer
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _integer(text: str, *, least: int) -> int:
+    if not text.strip().isdecimal() or int(text) < least:
+        raise argparse.ArgumentTypeError(f"expected an integer >= {least}, got {text}")
+    return int(text)
 
 
 def assigned(options: dict, text: str) -> tuple[str, object]:
@@ -414,14 +377,16 @@ def assigned(options: dict, text: str) -> tuple[str, object]:
 
 def _value(text: str, default):
     """Text as a value like the default. Raises ValueError."""
+    if isinstance(default, str):
+        return text
+    if isinstance(default, list) and not text.startswith("["):
+        return [_value(item.strip(), default[0] if default else None) for item in text.split(",")]
     try:
-        return text if isinstance(default, str) else _like(json.loads(text), default)
-    except ValueError:
+        return _like(json.loads(text), default)
+    except json.JSONDecodeError:
         if default is None:
             return text
-        if not isinstance(default, list) or text.startswith("["):
-            raise
-        return [_value(item.strip(), default[0] if default else None) for item in text.split(",")]
+        raise
 
 
 def _like(value, default):
@@ -429,11 +394,10 @@ def _like(value, default):
     if isinstance(default, list) and isinstance(value, list):
         return [_like(item, default[0]) for item in value] if default else value
     if type(default) is float and type(value) is int:
-        return float(value)
+        value = float(value)
     counts = type(default) is int and default >= 1
-    if default is not None and (type(value) is not type(default) or (counts and value < 1)):
-        raise ValueError
-    if isinstance(value, float) and not math.isfinite(value):
+    wrong = default is not None and (type(value) is not type(default) or (counts and value < 1))
+    if wrong or (isinstance(value, float) and not math.isfinite(value)):
         raise ValueError
     return value
 
@@ -452,8 +416,7 @@ def progress_bar(items: Iterable | None = None, *, total: int | None = None, tex
     from tqdm import tqdm
 
     every = 0.2 if sys.stderr.isatty() else 10.0
-    style = {"file": sys.stderr, "mininterval": every, "delay": 1.0, "leave": False}
-    return tqdm(items, total=total, desc=text or None, **style)
+    return tqdm(items, total=total, desc=text or None, file=sys.stderr, mininterval=every, delay=1.0, leave=False)
 
 
 def seeds(seed: int, count: int) -> list[int]:
@@ -481,15 +444,14 @@ def parallel_map(
 @contextmanager
 def _exit_on_sigterm():
     """Turn SIGTERM into an exit of this process, so that temporary files and child processes are cleaned up."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
 
     def leave(number, frame):
         raise SystemExit(128 + number)
 
-    before = signal.signal(signal.SIGTERM, leave)
+    is_main = threading.current_thread() is threading.main_thread()  # no other may set what a signal does
+    before = signal.signal(signal.SIGTERM, leave) if is_main else None
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        if is_main:
+            signal.signal(signal.SIGTERM, before)

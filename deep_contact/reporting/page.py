@@ -20,9 +20,7 @@ from deep_contact.reporting.figures import cell
 
 MEDIA = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
 
-ERRATA: dict[str, list[dict[str, str]]] = json.loads(
-    (Path(__file__).parent / "errata.json").read_text(encoding="utf-8")
-)
+ERRATA: dict[str, list[dict]] = json.loads((Path(__file__).parent / "errata.json").read_text(encoding="utf-8"))
 """Kind of a fault of the thesis or of its authors' code -> one dict a fault: where it is, what the thesis says, what is
 right, what is done here."""
 
@@ -46,7 +44,14 @@ def write_report(
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"folder of results: {folder} does not exist")
-    found, faults = _collect(folder, captions or {})
+    found, faults, captions = [], [], captions or {}
+    for path in sorted(folder.glob("*.json")):
+        if re.fullmatch(r"(figure|table)_[0-9A-Z]+_[0-9]+\.json", path.name):
+            try:
+                found.append(_content(path))
+            except results.ResultsError as error:
+                faults.append(str(error))
+    found.sort(key=lambda entry: _order(entry["id"]))
     there, expected = {entry["id"] for entry in found}, set(expected)
     if missing := _names(expected - there):
         faults.append(f"No results of {missing}.")
@@ -54,53 +59,39 @@ def write_report(
     environment.filters["cell"] = cell
     page = environment.get_template("page.html.j2").render(
         policy=POLICY,
-        found=found,
+        found=[entry | {"caption": captions.get(entry["id"], "")} for entry in found],
         claims=[claim for entry in found for claim in entry["claims"] if claim["thesis"]],
         faults=faults,
         not_drawn=_names(set(others) - expected - there),
         animations=_animations(folder),
         errata=ERRATA,
     )
-    path = folder / "index.html"
-    with replacing(path) as temporary:
+    with replacing(folder / "index.html") as temporary:
         temporary.write_text(page, encoding="utf-8")
-    return path
+    return folder / "index.html"
 
 
 def _names(ids: Iterable[str]) -> str:
     return ", ".join(_name(id) for id in sorted(ids, key=_order))
 
 
-def _collect(folder: Path, captions: Mapping[str, str]) -> tuple[list[dict], list[str]]:
-    """Content of the page for each results file, in the order of their ids, and a line for each file with a fault."""
-    found, faults = [], []
-    for path in folder.glob("*.json"):
-        if re.fullmatch(r"(figure|table)_[0-9A-Z]+_[0-9]+\.json", path.name):
-            try:
-                entry = results.read_results(path)
-            except results.ResultsError as error:
-                faults.append(str(error))
-                continue
-            made, picture = entry["provenance"], path.with_suffix(".png")
-            reference = results.reference(path.stem)
-            other = _other_settings(entry, reference)
-            found.append(
-                {key: entry[key] for key in ("id", "title")}
-                | {
-                    "claims": [_judged(claim, reference if other else None) for claim in entry["claims"]],
-                    "caption": captions.get(entry["id"], ""),
-                    "full": None if reference is None else not other,
-                    "other": other,
-                    "name": _name(entry["id"]),
-                    "anchor": _name(entry["id"]).lower().replace(" ", "-").replace(".", "-"),
-                    "picture": _embedded(picture) if picture.exists() else None,
-                    "settings": {**entry["options"], "seed": made["seed"]},
-                    "made": {k: v for k, v in made.items() if k not in ("packages", "seed", "inputs")}
-                    | made["packages"]
-                    | made.get("inputs", {}),
-                }
-            )
-    return sorted(found, key=lambda entry: _order(entry["id"])), sorted(faults)
+def _content(path: Path) -> dict:
+    """Content of the page for a results file. Raises ResultsError where it cannot be read."""
+    entry, reference, picture = results.read_results(path), results.reference(path.stem), path.with_suffix(".png")
+    made, other, name = entry["provenance"], _other_settings(entry, reference), _name(entry["id"])
+    run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs")}
+    return {
+        "id": entry["id"],
+        "title": entry["title"],
+        "claims": [_judged(claim, reference if other else None) for claim in entry["claims"]],
+        "full": None if reference is None else not other,
+        "other": other,
+        "name": name,
+        "anchor": name.lower().replace(" ", "-").replace(".", "-"),
+        "picture": _embedded(picture) if picture.exists() else None,
+        "settings": {**entry["options"], "seed": made["seed"]},
+        "made": run | made["packages"] | made.get("inputs", {}),
+    }
 
 
 def _other_settings(entry: dict, reference: dict | None) -> dict[str, str]:

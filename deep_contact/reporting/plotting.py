@@ -46,8 +46,6 @@ START_STYLE = {
         ("far field", PURPLE, "-.", "p", "CNN, far field"),
         ("guarded", ORANGE, "-", "*", "Guarded"),
         ("best classical", BLACK, "-", "o", "Best classical"),
-        ("random", GREY, ":", "+", "Random"),
-        ("bad", GREY, "--", "1", "Bad"),
     )
 }
 """Name of a start -> keywords for `ax.plot`, the same in every figure."""
@@ -111,10 +109,8 @@ def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | Non
     size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. keywords go to
     `matplotlib.figure.Figure.subplots`.
     """
-    if size is None:
-        size = (6.0, 4.0) if rows == columns == 1 else (4.2 * columns, 3.6 * rows)
     with style():
-        figure = new_figure(size)
+        figure = new_figure(size or ((6.0, 4.0) if rows == columns == 1 else (4.2 * columns, 3.6 * rows)))
         return figure, figure.subplots(rows, columns, **keywords)
 
 
@@ -199,25 +195,21 @@ def draw_grid(ax, x: np.ndarray, y: np.ndarray, *, lines: bool = True, node_size
     lines: draw the edges of the cells, under the circles. node_size: diameter of the nodes' dots, drawn over the
     circles, points; 0 omits them.
     """
-    from matplotlib.collections import LineCollection
-
     if lines:
-        upright = [[(a, y[0]), (a, y[-1])] for a in x]
-        level = [[(x[0], b), (x[-1], b)] for b in y]
-        ax.add_collection(LineCollection(upright + level, colors="#BBBBBB", linewidths=0.4, zorder=0.5))
+        look = {"colors": "#BBBBBB", "linewidths": 0.4, "zorder": 0.5}
+        ax.vlines(x, y[0], y[-1], **look)
+        ax.hlines(y, x[0], x[-1], **look)
     if node_size:
         a, b = np.meshgrid(x, y)
         ax.plot(a.ravel(), b.ravel(), "o", color=VERMILION, markersize=node_size, markeredgewidth=0, zorder=1.2)
 
 
-def zoom_into(ax, window: Sequence[float], *, outline_in=None) -> None:
-    """Show only `window`, (x_min, y_min, x_max, y_max), m, and outline it in the axes `outline_in` if given."""
+def zoom_into(ax, window: Sequence[float], *, outline_in) -> None:
+    """Show only `window`, (x_min, y_min, x_max, y_max), m, and outline it in the axes `outline_in`."""
     x_min, y_min, x_max, y_max = window
     ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max))
-    ax.spines[:].set_visible(True)
-    ax.spines[:].set_color(BLUE)
-    if outline_in is not None:
-        _outline(outline_in, window, edgecolor=BLUE, linewidth=1.8, zorder=5)
+    ax.spines[:].set(visible=True, color=BLUE)
+    _outline(outline_in, window, edgecolor=BLUE, linewidth=1.8, zorder=5)
 
 
 def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
@@ -239,11 +231,9 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
 
 def state_data(state) -> dict:
     """The part of a state that `draw_state` needs, for the data of a results file; `state_of` reads it back."""
-    bodies, contacts, world = state.bodies, state.contacts, state.world
-    data = {"name": state.name, "time": state.time, "box": list(world.box), "bodies": bodies._asdict()}
-    if world.segments:
-        data["segments"] = [list(segment) for segment in world.segments]
-    return {**data, "contacts": None if contacts is None else contacts._asdict()}
+    contacts, world = state.contacts, state.world
+    data = {"name": state.name, "time": state.time, "box": world.box, "bodies": state.bodies}
+    return data | ({"segments": world.segments} if world.segments else {}) | {"contacts": contacts}
 
 
 def state_of(data: Mapping):
@@ -267,7 +257,6 @@ def draw_state(
     *,
     colour_by: str | None = "speed",
     contacts: bool = True,
-    walls: bool = True,
     limits: tuple[float, float] | None = None,
     largest_impulse: float | None = None,
 ):
@@ -283,18 +272,13 @@ def draw_state(
 
     bodies = state.bodies
     circles = PatchCollection([Circle(p, r) for p, r in zip(bodies.position, bodies.radius)], linewidths=0.5)
-    circles.set_edgecolor("#333333")
-    if colour_by is None:
-        circles.set_facecolor("#CFE6F5")
-    else:
+    circles.set(edgecolor="#333333", facecolor="#CFE6F5")
+    if colour_by is not None:
         values, label = body_values(state, colour_by)
         low, high = limits or (0.0, float(values.max(initial=0.0)))
-        circles.set_array(values)
-        circles.set_clim(low, high if high > low else low + 1.0)
-        circles.set_cmap(COLOUR_MAP)
-        circles.set_label(label)
-    scene_axes(ax, state.world.box, walls=walls)
-    if walls and state.world.segments:
+        circles.set(array=values, clim=(low, high if high > low else low + 1.0), cmap=COLOUR_MAP, label=label)
+    scene_axes(ax, state.world.box)
+    if state.world.segments:
         segments = np.reshape(state.world.segments, (-1, 2, 2))
         ax.add_collection(LineCollection(segments, colors=BLACK, linewidths=1.5, capstyle="round"))
     ax.add_collection(circles)
@@ -314,14 +298,14 @@ def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
     from matplotlib.collections import LineCollection
 
     bodies, contacts = state.bodies, state.contacts
-    start = bodies.position[contacts.body_a]
-    end = np.array(contacts.position, dtype=np.float64)
-    between = contacts.body_b < bodies.count
-    end[between] = bodies.position[contacts.body_b[between]]
-    impulse = contacts.normal_impulse
-    largest = float(impulse.max()) if largest_impulse is None else largest_impulse
-    width = 0.3 + 4.0 * (impulse / largest if largest > 0 else np.zeros_like(impulse))
-    lines = np.stack([start, end], axis=1)
+    ends = np.where(
+        (contacts.body_b < bodies.count)[:, None],
+        bodies.position[np.minimum(contacts.body_b, bodies.count - 1)],
+        contacts.position,
+    )
+    lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
+    largest = float(contacts.normal_impulse.max()) if largest_impulse is None else largest_impulse
+    width = 0.3 + 4.0 * contacts.normal_impulse / (largest or 1.0)
     # A white line below sets each line off from circles of any colour.
     for colour, more in (("white", 0.8), (VERMILION, 0.0)):
         ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
@@ -331,10 +315,9 @@ def impulse_key(figure, largest: float) -> None:
     """A key below a figure of states: how wide a line is for which normal impulse, N·s, and what the ticks are."""
     from matplotlib.lines import Line2D
 
-    shares = (0.1, 0.5, 1.0) if largest > 0 else ()
     lines = [
         Line2D([], [], color=VERMILION, linewidth=0.3 + 4.0 * share, label=f"λ$_n$ = {share * largest:.2g} N·s")
-        for share in shares
+        for share in ((0.1, 0.5, 1.0) if largest > 0 else ())
     ]
     tick = Line2D([], [], color="#222222", linewidth=1.0, label="tick: orientation of a circle")
     figure.legend(handles=[*lines, tick], loc="outside lower center", ncols=len(lines) + 1, fontsize=8)
@@ -354,46 +337,32 @@ def colour_bar(ax, collection):
 
 def convergence_plot(
     ax,
+    sweeps: Sequence[int],
     curves: Mapping[str, np.ndarray],
+    bands: Mapping[str, tuple[np.ndarray, np.ndarray]],
     *,
-    sweeps: Sequence[int] | None = None,
-    bands: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None,
-    threshold: float | None = None,
-    floor: float | None = None,
-) -> float:
-    """Plot the convergence rate θ after each sweep, both axes logarithmic.
+    threshold: float,
+    floor: float,
+) -> None:
+    """Plot the convergence rate θ after some sweeps, both axes logarithmic.
 
-    curves: name -> θ, N·s; starts have their own style. sweeps: after which each θ was taken, by default every sweep
-    from the first. bands: name -> the quartiles (low, high) of the scenes around the curve of that name. threshold:
-    drawn as a horizontal line, N·s. floor: at which smaller θ are drawn, zero included, with a note; by default the
-    power of ten below the smallest θ > 0, at least 1e-12. Returns the floor. Raises ValueError for a negative or
-    non-finite θ.
+    curves: name -> θ, N·s; starts have their own style. bands: name -> the quartiles (low, high) of the scenes around
+    the curve of that name. threshold: drawn as a horizontal line, N·s. floor: at which smaller θ are drawn, zero
+    included, with a note.
     """
-    curves = {name: np.asarray(theta, dtype=np.float64) for name, theta in curves.items()}
-    for name, theta in curves.items():
-        if theta.ndim != 1 or not theta.size or not np.isfinite(theta).all() or (theta < 0).any():
-            raise ValueError(f"curves[{name!r}]: expected finite θ >= 0, one a sweep, got {theta}")
-    values = np.concatenate([np.zeros(0), *curves.values()])
-    if floor is None:
-        floor = 10.0 ** max(-12, np.floor(np.log10(values[values > 0].min(initial=1.0)) - 1e-9))
     for name, look in styles_of(curves).items():
-        x = np.arange(1, curves[name].size + 1) if sweeps is None else np.asarray(sweeps)
-        ax.plot(x, np.maximum(curves[name], floor), **look)
-        if bands and name in bands:
-            low, high = (np.maximum(edge, floor) for edge in bands[name])
-            ax.fill_between(x, low, high, color=look["color"], alpha=0.18, linewidth=0)
-    if threshold is not None:
-        # Labelled in the legend, where no curve can cross the label.
-        ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
+        ax.plot(sweeps, np.maximum(curves[name], floor), **look)
+        low, high = np.maximum(bands[name], floor)
+        ax.fill_between(sweeps, low, high, color=look["color"], alpha=0.18, linewidth=0)
+    # Labelled in the legend, where no curve can cross the label.
+    ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
     ax.set(xscale="log", yscale="log")
     label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
-    if (values < floor).any():
+    if min(map(min, curves.values())) < floor:
         note = f"θ below {floor:.0e}, zero included, is drawn there"
         ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=7, color="#555555", va="bottom")
     outside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)} if len(curves) > 4 else {}  # or it would hide curves
-    if curves:
-        ax.legend(title="band: quartiles of the scenes" if bands else None, **outside)
-    return float(floor)
+    ax.legend(title="band: quartiles of the scenes", **outside)
 
 
 PAGE = 8.3
@@ -415,25 +384,23 @@ def draw_table(rows: Sequence[Sequence[str]], title: str):
     while sum(widths) > room and widths != least:
         wide = max((i for i in range(len(widths)) if widths[i] > least[i]), key=widths.__getitem__)
         widths[wide] -= 1
-    wrapped = [[textwrap.fill(text, width) if text else "" for text, width in zip(row, widths)] for row in rows]
+    wrapped = [[textwrap.fill(text, width) for text, width in zip(row, widths)] for row in rows]
     lines = [max(text.count("\n") + 1 for text in row) for row in wrapped]
-    shares = [(width + 2) / (sum(widths) + 2 * len(widths)) for width in widths]
+    total = sum(widths) + 2 * len(widths)
+    needed = _CHARACTER * total
+    wide, scale = min(max(4.0, needed), PAGE), min(1.0, PAGE / needed)
+    figure, ax = subplots(size=(wide, scale * (_LINE * sum(lines) + 0.09 * len(rows)) + 0.5))
     with style():
-        needed = _CHARACTER * (sum(widths) + 2 * len(widths))
-        wide, scale = min(max(4.0, needed), PAGE), min(1.0, PAGE / needed)
-        figure = new_figure((wide, scale * (_LINE * sum(lines) + 0.09 * len(rows)) + 0.5))
-        ax = figure.subplots()
         ax.axis("off")
         ax.set_title(textwrap.fill(title, int(wide / 0.1)))
+        shares = [(width + 2) / total for width in widths]
         table = ax.table(wrapped, colWidths=shares, loc="center", cellLoc="left", bbox=(0, 0, 1, 1))
         table.auto_set_font_size(False)
         table.set_fontsize(7.4 * scale)
         for (row, _), cell in table.get_celld().items():
-            cell.set_height(_LINE * lines[row] + 0.09)
+            cell.set(height=_LINE * lines[row] + 0.09, edgecolor="#CCCCCC" if row else BLACK)
             cell.visible_edges = "B"
-            cell.set_edgecolor(BLACK if row == 0 else "#CCCCCC")
-            if row == 0:
-                cell.set_text_props(weight="bold")
+            cell.set_text_props(weight="normal" if row else "bold")
     return figure
 
 
@@ -459,13 +426,12 @@ def draw_network(
     largest = max(np.abs(between).max() for between in weights) or 1.0
     for i, between in enumerate(weights):
         for sign, colour, line in ((1, BLUE, "-"), (-1, VERMILION, "--")):
-            lines, widths = [], []
-            for (a, b), weight in np.ndenumerate(between):
-                if sign * weight > 0 and not (gone[i][a] or gone[i + 1][b]):
-                    lines.append((places[i][a], places[i + 1][b]))
-                    widths.append(0.3 + 2.7 * abs(weight) / largest)
+            kept = [(a, b) for (a, b), weight in np.ndenumerate(between)
+                    if sign * weight > 0 and not (gone[i][a] or gone[i + 1][b])]  # fmt: skip
+            lines = [(places[i][a], places[i + 1][b]) for a, b in kept]
+            widths = [0.3 + 2.7 * abs(between[a][b]) / largest for a, b in kept]
             ax.add_collection(LineCollection(lines, colors=colour, linestyles=line, linewidths=widths, zorder=1))
-    low = min(y for layer in places for _, y in layer)
+    low, high = (edge(y for layer in places for _, y in layer) for edge in (min, max))
     for i, layer in enumerate(places):
         for (x, y), value, out in zip(layer, values[i], gone[i]):
             face, edge = ("#EEEEEE", GREY) if out else ("#CFE6F5", BLACK)
@@ -476,9 +442,7 @@ def draw_network(
                 ax.text(x, y, numbers.format(value), ha="center", va="center", fontsize=8, zorder=3)
         if i < len(titles):
             ax.text(i, low - 0.45, titles[i], ha="center", va="top", fontsize=9)
-    high = max(y for layer in places for _, y in layer)
-    ax.set_xlim(-0.4, len(values) - 0.6)
-    ax.set_ylim(low - (0.9 if titles else 0.5), high + 0.5)
+    ax.set(xlim=(-0.4, len(values) - 0.6), ylim=(low - (0.9 if titles else 0.5), high + 0.5))
     ax.axis("off")
 
 
@@ -496,18 +460,17 @@ def animate(
     states: Iterable,
     path: str | os.PathLike,
     *,
+    draw: Callable,
+    panels: Sequence[float],
     fps: int = 25,
-    draw: Callable | None = None,
     size: float = 5.0,
     dpi: int = 80,
-    panels: Sequence[float] = (1.0,),
 ) -> list[Path]:
     """Write states as an animation, one frame each: a GIF, and an MP4 beside it if matplotlib finds ffmpeg.
 
-    path: of the GIF; the MP4 has the same stem. fps: frames a second; a GIF rounds the time of a frame to hundredths of
-    a second. draw: `draw(ax, state)`; by default `draw_state`, coloured by speeds up to 12 m/s. size: height of a
-    frame, inches. panels: widths of the panels side by side, in heights; with several, `draw` gets the sequence of
-    their axes. Returns the paths written. Raises ValueError for no states or a wrong fps.
+    path: of the GIF; the MP4 has the same stem. draw: `draw(axes, state)`, with an axes for each panel, empty. panels:
+    their widths, side by side, in heights. fps: frames a second; a GIF rounds the time of a frame to hundredths of a
+    second. size: height of a frame, inches. Returns the paths written. Raises ValueError for no states or a wrong fps.
     """
     from matplotlib import animation
     from matplotlib.figure import Figure
@@ -522,21 +485,15 @@ def animate(
     writers = {path: animation.PillowWriter(fps=fps)}
     if animation.writers.is_available("ffmpeg"):
         writers[path.with_suffix(".mp4")] = animation.FFMpegWriter(fps=fps)
-    draw = draw or _draw_frame
     with style(), ExitStack() as stack:
         figure = Figure(figsize=(size * sum(panels), size), dpi=dpi, layout="constrained")
-        axes = figure.subplots(1, len(panels), width_ratios=list(panels), squeeze=False)[0]
+        axes = figure.subplots(1, len(panels), width_ratios=panels, squeeze=False)[0]
         for target, writer in writers.items():
             stack.enter_context(writer.saving(figure, stack.enter_context(replacing(target)), dpi))
         for state in states:
             for ax in axes:
                 ax.clear()
-            draw(axes if len(panels) > 1 else axes[0], state)
+            draw(axes, state)
             for writer in writers.values():
                 writer.grab_frame()
     return list(writers)
-
-
-def _draw_frame(ax, state) -> None:
-    draw_state(ax, state, limits=(0.0, 12.0))
-    ax.set_title(f"t = {state.time:.2f} s", loc="left")

@@ -32,25 +32,8 @@ from typing import NamedTuple
 import jsonschema
 import numpy as np
 
-from deep_contact.io.files import replacing, write_json
-from deep_contact.io.provenance import commit, package_versions, processor, provenance
-
-__all__ = [
-    "Claim",
-    "ResultsError",
-    "check_results",
-    "commit",
-    "is_current",
-    "package_versions",
-    "plain",
-    "processor",
-    "provenance",
-    "read_results",
-    "reference",
-    "replacing",
-    "verdict",
-    "write_results",
-]
+from deep_contact.io.files import write_json
+from deep_contact.io.provenance import provenance
 
 SCHEMA = json.loads((Path(__file__).parent / "results_schema.json").read_text(encoding="utf-8"))
 REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
@@ -95,18 +78,14 @@ def plain(value, *, digits: int | None = None, where: str = "data"):
     error messages. A NamedTuple becomes a dict. Raises ResultsError naming the place and the value for NaN,
     infinity, a key that is not a string, or anything that JSON does not know.
     """
-    if value is None or isinstance(value, (str, bool)):
-        return str(value) if isinstance(value, str) else value
     if isinstance(value, np.ndarray) and value.ndim:
         return _plain_array(value, digits, where)
     if isinstance(value, (np.generic, np.ndarray)):
-        return plain(value.item(), digits=digits, where=where)
-    if isinstance(value, int):
-        return int(value)
-    if isinstance(value, float):
-        if not math.isfinite(value):
-            raise ResultsError(f"{where}: expected {_FINITE}, got {value}")
-        return float(value)
+        value = value.item()
+    if isinstance(value, float) and not math.isfinite(value):
+        raise ResultsError(f"{where}: expected {_FINITE}, got {value}")
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
     if hasattr(value, "_asdict"):
         value = value._asdict()
     if isinstance(value, Mapping):
@@ -126,11 +105,9 @@ def _plain_array(array: np.ndarray, digits: int | None, where: str) -> list:
         raise ResultsError(f"{where}: expected an array of numbers or text, got dtype {array.dtype}")
     if array.dtype.kind != "f":
         return array.tolist()
-    bad = np.argwhere(~np.isfinite(array))
-    if bad.size:
-        index = tuple(int(i) for i in bad[0])
+    for index in np.argwhere(~np.isfinite(array)).tolist():
         place = where + "".join(f"[{i}]" for i in index)
-        raise ResultsError(f"{place}: expected {_FINITE}, got {array[index]}")
+        raise ResultsError(f"{place}: expected {_FINITE}, got {array[tuple(index)]}")
     if digits is None:
         return array.tolist()
     rounded = [float(f"{x:.{digits}g}") for x in array.ravel().tolist()]
@@ -145,11 +122,9 @@ def check_results(results: dict) -> dict:
     error = jsonschema.exceptions.best_match(_VALIDATOR.iter_errors(results))
     if error is not None:
         place = error.json_path.removeprefix("$").lstrip(".") or "results"
-        found = error.instance
-        if error.validator in ("required", "additionalProperties"):
-            found = list(found)
-        shown = repr(found)
-        shown = shown if len(shown) <= 200 else shown[:200] + " …"
+        names_only = error.validator in ("required", "additionalProperties")
+        shown = repr(list(error.instance) if names_only else error.instance)
+        shown = shown if len(shown) <= 200 else f"{shown[:200]} …"
         raise ResultsError(f"{place}: expected {error.schema['description']}, got {shown}")
     plain(results, where="results")
     return results
@@ -161,24 +136,18 @@ def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | No
     digits: see `plain`. Claims may be `Claim` tuples. Returns the path. Raises ResultsError naming field and
     value, and then leaves whatever was there before untouched.
     """
-    path = Path(path)
-    results = check_results(plain(results, digits=digits, where="results"))
-    return write_json(path, results)
+    return write_json(path, check_results(plain(results, digits=digits, where="results")))
 
 
 def read_results(path: str | os.PathLike) -> dict:
     """The checked contents of a results file. Raises ResultsError naming file, field and value."""
     path = Path(path)
     try:
-        results = json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant)
-    except (json.JSONDecodeError, UnicodeDecodeError, ResultsError) as error:
-        raise ResultsError(f"{path.name}: expected strict JSON: {error}") from None
-    except RecursionError:
-        raise ResultsError(f"{path.name}: expected strict JSON: nested too deeply") from None
-    try:
-        return check_results(results)
+        return check_results(json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant))
     except ResultsError as error:
         raise ResultsError(f"{path.name}: {error}") from None
+    except (ValueError, RecursionError) as error:
+        raise ResultsError(f"{path.name}: expected strict JSON: {error}") from None
 
 
 def is_current(path: str | os.PathLike, made: Mapping | None = None, **fields) -> bool:

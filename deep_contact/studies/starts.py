@@ -258,7 +258,7 @@ def draw_convergence(ax, data: dict, mode: str, *, floor: float, title: str) -> 
     """θ by sweep of every start in `compare_starts`' data, with the quartiles of the scenes."""
     curves = {name: found["theta"] for name, found in data[mode].items()}
     bands = {name: np.percentile(found["scenes"]["theta"], (25, 75), axis=0) for name, found in data[mode].items()}
-    plotting.convergence_plot(ax, curves, sweeps=data["sweep"], bands=bands, threshold=data["threshold"], floor=floor)
+    plotting.convergence_plot(ax, data["sweep"], curves, bands, threshold=data["threshold"], floor=floor)
     ax.set_title(title)
 
 

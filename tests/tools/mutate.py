@@ -32,6 +32,7 @@ from cosmic_ray.plugins import get_operator, operator_names
 from cosmic_ray.testing import run_tests
 from coverage import CoverageData
 
+from deep_contact.io.files import replacing
 from deep_contact.reporting import results
 from deep_contact.reporting.figures import progress_bar
 
@@ -165,7 +166,7 @@ def main() -> None:
             done[name] = entry
             counts = Counter(found["outcome"] for found in done.values())
             record = {"tried": len(done), **counts, "provenance": results.provenance(seed=given.seed), "mutants": done}
-            with results.replacing(given.out) as path:
+            with replacing(given.out) as path:
                 path.write_text(json.dumps(record, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
 
 

@@ -12,7 +12,7 @@ from deep_contact.cnn.dataset import Store, evenly
 from deep_contact.cnn.images import ImageSpec, input_image, label_image
 from deep_contact.cnn.losses import masked_squared_error
 from deep_contact.cnn.training.config import TrainingConfig
-from deep_contact.reporting.results import package_versions, processor
+from deep_contact.io.provenance import package_versions, processor
 
 
 class NetworkRun:
