@@ -86,10 +86,8 @@ def test_costs_are_those_of_the_model():
     contacts = np.array([700, 710, 740, 760])  # of all 4 steps of a block
     seconds = 4 * 30e-6 + 5e-9 * np.array(benchmark.BLOCKS) * contacts
     found = benchmark.costs(seconds, contacts, 4)
-    assert found["sweep_ns"] == pytest.approx(5)
-    assert found["overhead_us"] == pytest.approx(30)
-    assert found["step_us"] == pytest.approx(30 + 5e-3 * 10 * 1460 / 8)
-    assert found["contacts"] == pytest.approx(2910 / 16)
+    expected = {"contacts": 2910 / 16, "sweep_ns": 5, "overhead_us": 30, "step_us": 30 + 5e-3 * 10 * 1460 / 8}
+    assert found == pytest.approx(expected)
 
 
 def test_the_padded_problem_is_the_same_with_a_tangent_that_meets_nothing(falling_states):
