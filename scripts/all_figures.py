@@ -31,17 +31,17 @@ HERE = Path(__file__).resolve().parent
 TOOLS = HERE.parent / "tests" / "tools"
 
 STUDIES = {
-    "run_tradeoff": [HERE / "run_tradeoff.py", "--out"],
-    "run_tradeoff_verify": [HERE / "run_tradeoff.py", "--verify", "--out"],
-    "benchmark_engine": [HERE / "benchmark.py", "engine", "--out"],
-    "benchmark_step": [HERE / "benchmark.py", "step", "--out"],
-    "benchmark_transfer": [HERE / "benchmark.py", "transfer", "--out"],
-    "benchmark_state_xml": [HERE / "benchmark.py", "xml", "--out"],
-    "soak": [TOOLS / "soak.py", "--out"],
-    "mutants": [TOOLS / "mutate.py", "--mutants", "100", "--out"],
-    "mutants_late": [TOOLS / "mutate.py", "--late", "--mutants", "64", "--out"],
+    "run_tradeoff": [HERE / "run_tradeoff.py"],
+    "run_tradeoff_verify": [HERE / "run_tradeoff.py", "--verify"],
+    "benchmark_engine": [HERE / "benchmark.py", "engine"],
+    "benchmark_step": [HERE / "benchmark.py", "step"],
+    "benchmark_transfer": [HERE / "benchmark.py", "transfer"],
+    "benchmark_state_xml": [HERE / "benchmark.py", "xml"],
+    "soak": [TOOLS / "soak.py"],
+    "mutants": [TOOLS / "mutate.py", "--mutants", "100"],
+    "mutants_late": [TOOLS / "mutate.py", "--late", "--mutants", "64"],
 }
-"""File of data/reference -> the script and options that write it; the path follows."""
+"""File of data/reference -> the script and options that write it; `--out` and the path follow."""
 
 ELSEWHERE = ("benchmark_disks", "benchmark_outside", "fuzz")
 """Files that need problems and solvers of others (docs/benchmarks.md says which), and one that several runs fill."""
@@ -61,8 +61,7 @@ def main(arguments=None, folder=HERE):
         print(*(" ".join(map(str, command)) for command in studies), *map(str, chosen.values()), sep="\n")
         return 0
     work = [(command[-1].stem, command, None) for command in studies]
-    for name, script in chosen.items():
-        work.append((name, [script, *passed_on], Path(given.out) / f"{stem(script)}.json"))
+    work += [(name, [path, *passed_on], Path(given.out) / f"{stem(path)}.json") for name, path in chosen.items()]
     if given.references:
         work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
     done, status = [], 0
@@ -84,43 +83,42 @@ def main(arguments=None, folder=HERE):
 def parse(arguments):
     """The arguments, and the list of those that are passed on to every script."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
-    parser.add_argument("--out", default="figures", metavar="FOLDER")
-    for name in ("--quick", "--resume", "--replot", "--verbose", "--references", "--list"):
-        parser.add_argument(name, action="store_true")
-    for name in ("--jobs", "--seed"):
-        parser.add_argument(name, type=int)
-    parser.add_argument("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
+    add, flags = parser.add_argument, ("quick", "resume", "replot", "verbose")
+    add("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
+    add("--out", default="figures", metavar="FOLDER")
+    for name in (*flags, "references", "list"):
+        add(f"--{name}", action="store_true")
+    add("--jobs", type=int)
+    add("--seed", type=int)
+    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
     if given.references:
         given.out, given.resume = str(REFERENCE), True
-    passed_on = ["--out", given.out]
-    for name in ("quick", "resume", "replot", "verbose", "jobs", "seed", "scheduler"):
-        value = getattr(given, name)
-        if value is not None and value is not False:
-            passed_on += [f"--{name}"] if value is True else [f"--{name}", str(value)]
+    passed_on = [f"--{name}" for name in flags if getattr(given, name)]
+    for name in ("out", "jobs", "seed", "scheduler"):
+        if getattr(given, name) is not None:
+            passed_on += [f"--{name}", str(getattr(given, name))]
     return given, passed_on
 
 
 def missing_studies():
     """Commands of the studies and benchmarks whose files were not made by this commit."""
-    paths = {REFERENCE / f"{name}.json": command for name, command in STUDIES.items()}
-    return [[*command, path] for path, command in paths.items() if not results.is_current(path)]
+    commands = [[*command, "--out", REFERENCE / f"{name}.json"] for name, command in STUDIES.items()]
+    return [command for command in commands if not results.is_current(command[-1])]
 
 
 def timed(command):
     """Exit status of a script, and its time, s. After Ctrl-C it has 10 s to clean up."""
     start = time.perf_counter()
-    process = subprocess.Popen([sys.executable, *map(str, command)])
-    try:
-        status = process.wait()
-    except KeyboardInterrupt:
+    with subprocess.Popen([sys.executable, *map(str, command)]) as process:
         try:
-            process.wait(timeout=10)
-        except subprocess.TimeoutExpired:
-            process.terminate()
-            process.wait()
-        status = INTERRUPTED
+            status = process.wait()
+        except KeyboardInterrupt:
+            status = INTERRUPTED
+            try:
+                process.wait(timeout=10)
+            except subprocess.TimeoutExpired:
+                process.terminate()
     return status, time.perf_counter() - start
 
 

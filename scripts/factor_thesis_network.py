@@ -70,31 +70,27 @@ def round_as_trained(model) -> None:
 
 def measured(model, images) -> dict[str, float]:
     """Appendix B's loss, the same with absolute values, and the root of the squared error over the squared labels."""
-    totals, count = np.zeros(3), 0
+    totals = np.zeros(4)
     for inputs, labels in (images[k] for k in range(len(images))):
         labels = labels.astype(np.float64)
         off = np.where(labels != 0, model.predict_on_batch(inputs) - labels, 0.0)
-        totals += np.sum(off**2), np.sum(np.abs(off)), np.sum(labels**2)
-        count += labels.size
-    squares, absolutes, size = totals.tolist()
-    return {
-        "masked_squared_error": squares / count,
-        "masked_absolute_error": absolutes / count,
-        "relative_error": (squares / size) ** 0.5,
-    }
+        totals += np.sum(off**2), np.sum(np.abs(off)), np.sum(labels**2), labels.size
+    squares, absolutes, size, count = totals.tolist()
+    found = {"masked_squared_error": squares / count, "masked_absolute_error": absolutes / count}
+    return found | {"relative_error": (squares / size) ** 0.5}
 
 
 def main() -> int:
     """Factor, measure, save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("model", type=Path)
-    parser.add_argument("--data", default="data/generated")
-    parser.add_argument("--out", type=Path, default=Path("models/thesis_factored.h5"))
-    parser.add_argument("--bytes", type=int, default=25_000_000, help="largest size of the file")
-    parser.add_argument("--rank", type=int, default=None, help="instead of the largest that fits")
-    parser.add_argument("--states", type=int, default=2000, help="training states for the decomposition")
-    parser.add_argument("--held-out", type=int, default=300, help="test states to measure on")
-    parser.add_argument("--threads", type=int, default=1)
+    add = parser.add_argument
+    add("model", type=Path)
+    add("--data", default="data/generated")
+    add("--out", type=Path, default=Path("models/thesis_factored.h5"))
+    add("--bytes", type=int, default=25_000_000, help="largest size of the file")
+    add("--states", type=int, default=2000, help="training states for the decomposition")
+    add("--held-out", type=int, default=300, help="test states to measure on")
+    add("--threads", type=int, default=1)
     given = parser.parse_args()
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.dataset import Store, evenly
@@ -111,23 +107,18 @@ def main() -> int:
     images = ImageDataset(store, chosen, spec, batch_size=32)
     before = keras.Sequential([keras.Input(model.input_shape[1:]), *model.layers[:-1]])
     features = np.concatenate([before.predict_on_batch(images[k][0]) for k in range(len(images))])
-    rank = given.rank or largest_rank(model, given.bytes)
+    rank = largest_rank(model, given.bytes)
     small = factored(model, right_vectors(features, model.layers[-1].get_weights()[0], rank))
-
     if full.card["config"].get("precision") == "mixed_bfloat16":
         round_as_trained(small)
-
     tested = evenly(store.states(split["test"]), given.held_out)
     test = ImageDataset(store, tested, spec, batch_size=32)
     errors = {name: measured(network, test) for name, network in (("full", model), ("factored", small))}
     networks = {"full": model, "cnn": small}
     starts = {name: Cnn(LearnedModel(source=network, spec=spec, box=box)) for name, network in networks.items()}
-    held_out = held_out_errors((store.state(*state) for state in tested.tolist()), BASELINES | starts)
-    card = full.card | {
-        "factored": {"rank": rank, "training_states": len(chosen), "errors": errors, "of": "the last Dense layer"},
-        "held_out": held_out,
-        "parameters": int(small.count_params()),
-    }
+    card = full.card | {"parameters": int(small.count_params())}
+    card["factored"] = {"rank": rank, "training_states": len(chosen), "errors": errors, "of": "the last Dense layer"}
+    card["held_out"] = held_out_errors((store.state(*state) for state in tested.tolist()), BASELINES | starts)
     save_model(given.out, small, spec, card, box=(0.0, 0.0, *box))
     print(f"{given.out}: rank {rank}, {given.out.stat().st_size / 1e6:.1f} MB")
     for name, found in errors.items():

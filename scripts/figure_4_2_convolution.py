@@ -47,29 +47,24 @@ def claims(data):
         return float(np.abs(np.subtract(data["results"][a], data["results"][b])).max())
 
     same = {f"largest difference to {name}": apart("Eq 4.1", name) for name in ("Keras Conv2D", "SciPy correlate2d")}
-    plain, flipped = apart("Eq 4.1", "SciPy convolve2d"), apart("Eq 4.1, flipped kernel", "SciPy convolve2d")
-    cross = {"difference to SciPy's convolution": plain, "with the kernel flipped": flipped}
-    example, sizes = data["example of section 4.2.2"], {}
-    for row in data["sizes"]:
-        sizes["I = {I}, K = {K}, s = {s}".format(**row)] = f"{row['Eq 4.2']:g}, Keras {row['Keras']}"
-    name = "what the layer computes is a cross-correlation; a convolution in terms of mathematics flips the kernel"
-    depth = "32 × 32 × 3 with a 3 × 3 × 3 kernel gives 30 × 30 × 1, and with n kernels 30 × 30 × n"
-    deep = example["one kernel"] == [30, 30, 1] and example["four kernels"] == [30, 30, 4]
-    fitting = [row for row in data["sizes"] if (row["I"] - row["K"]) % row["s"] == 0]
-    others = [row for row in data["sizes"] if row not in fitting]
-    equal = all(row["Eq 4.2"] == row["Keras"] for row in fitting)
-    exact = equal and not others
-    where = None if exact else "holds where the stride divides I − K; elsewhere rounded down" if equal else None
-    smaller = {f"{row['I']} with K = {row['K']}, s = {row['s']}": row["Keras"] for row in data["sizes"]}
-    shrinks = all(row["Keras"] < row["I"] for row in data["sizes"])
     # Sums of a few products of small whole numbers: exact, or nearly so.
-    return [
-        Claim("Eq 4.1 is what a convolutional layer computes", "Eq 4.1", max(same.values()) < 1e-9, same),
-        Claim(name, "section 4.2", flipped < 1e-9 < plain, cross),
-        Claim(depth, "section 4.2.2", deep, example),
-        Claim("Eq 4.2 gives the size of the output", "Eq 4.2", equal, sizes, where),
-        Claim("without padding each convolution makes the map smaller", "section 4.2.2", shrinks, smaller),
-    ]
+    yield Claim("Eq 4.1 is what a convolutional layer computes", "Eq 4.1", max(same.values()) < 1e-9, same)
+    plain, flipped = apart("Eq 4.1", "SciPy convolve2d"), apart("Eq 4.1, flipped kernel", "SciPy convolve2d")
+    text = "what the layer computes is a cross-correlation; a convolution in terms of mathematics flips the kernel"
+    measured = {"difference to SciPy's convolution": plain, "with the kernel flipped": flipped}
+    yield Claim(text, "section 4.2", flipped < 1e-9 < plain, measured)
+    example, sizes = data["example of section 4.2.2"], data["sizes"]
+    deep = example["one kernel"] == [30, 30, 1] and example["four kernels"] == [30, 30, 4]
+    text = "32 × 32 × 3 with a 3 × 3 × 3 kernel gives 30 × 30 × 1, and with n kernels 30 × 30 × n"
+    yield Claim(text, "section 4.2.2", deep, example)
+    fits = [(row["I"] - row["K"]) % row["s"] == 0 for row in sizes]
+    equal = all(row["Eq 4.2"] == row["Keras"] for row, fit in zip(sizes, fits) if fit)
+    where = "holds where the stride divides I − K; elsewhere rounded down" if equal and not all(fits) else None
+    found = {"I = {I}, K = {K}, s = {s}".format(**row): f"{row['Eq 4.2']:g}, Keras {row['Keras']}" for row in sizes}
+    yield Claim("Eq 4.2 gives the size of the output", "Eq 4.2", equal, found, where)
+    smaller = {f"{row['I']} with K = {row['K']}, s = {row['s']}": row["Keras"] for row in sizes}
+    shrinks = all(row["Keras"] < row["I"] for row in sizes)
+    yield Claim("without padding each convolution makes the map smaller", "section 4.2.2", shrinks, smaller)
 
 
 def draw(data, options):
@@ -106,9 +101,13 @@ def draw(data, options):
 
 
 IMAGE = [
-    [0, 0, 1, 2, 1, 0], [0, 1, 3, 4, 2, 0], [1, 2, 5, 3, 1, 1], [0, 3, 4, 2, 0, 2], [1, 1, 2, 0, 1, 3],
+    [0, 0, 1, 2, 1, 0],
+    [0, 1, 3, 4, 2, 0],
+    [1, 2, 5, 3, 1, 1],
+    [0, 3, 4, 2, 0, 2],
+    [1, 1, 2, 0, 1, 3],
     [0, 0, 1, 1, 2, 4],
-]  # fmt: skip
+]
 KERNEL = [[1, 0, -1], [2, 1, -2], [0, 1, -1]]
 """No symmetry that would hide a flip."""
 SIZES = [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]]

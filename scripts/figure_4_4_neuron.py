@@ -43,18 +43,14 @@ def claims(data):
         f"largest {what} for x < 0": float(np.max(np.array(data[part]["ReLU"])[below]))
         for what, part in (("value", "functions"), ("derivative", "derivatives"))
     }
-    relu = {f"{gain} × He": ratio for gain, ratio in ratios["ReLU"].items()}
+    yield Claim("ReLU gets rid of every piece of negative information", "section 4.2.3", not any(lost.values()), lost)
     he = {name: found["1"] for name, found in ratios.items()}
-    normal = (
-        "vanishing or exploding gradients hardly affect ReLU: with the thesis's He normal weights (Table 5.2) a "
-        f"gradient keeps its size through {data['depth']} layers, within a factor of ten"
-    )
-    every = f"with weights of {' and '.join(ratios['ReLU'])} times He's it keeps it too"
-    return [
-        Claim("ReLU gets rid of every piece of negative information", "section 4.2.3", not any(lost.values()), lost),
-        Claim(normal, "section 4.2.3, Table 5.2", 0.1 <= he["ReLU"] <= 10, he),
-        Claim(every, None, all(0.1 <= ratio <= 10 for ratio in relu.values()), relu),
-    ]
+    text = "vanishing or exploding gradients hardly affect ReLU: with the thesis's He normal weights (Table 5.2) a"
+    text += f" gradient keeps its size through {data['depth']} layers, within a factor of ten"
+    yield Claim(text, "section 4.2.3, Table 5.2", 0.1 <= he["ReLU"] <= 10, he)
+    relu = {f"{gain} × He": ratio for gain, ratio in ratios["ReLU"].items()}
+    text = f"with weights of {' and '.join(ratios['ReLU'])} times He's it keeps it too"
+    yield Claim(text, None, all(0.1 <= ratio <= 10 for ratio in relu.values()), relu)
 
 
 def draw(data, options):

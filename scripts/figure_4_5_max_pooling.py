@@ -31,15 +31,13 @@ def claims(data):
     """Section 4.2.4."""
     small = float(np.abs(np.subtract(data["pooled"], data["Keras"])).max())
     differences = {"largest difference to Keras": small, "on a whole image": data["difference on a whole image"]}
+    text = "the output holds the largest value within each window: equal to Keras's"
+    yield Claim(text, "section 4.2.4", max(differences.values()) == 0, differences)
     sizes, weights = data["sizes"], data["weights of the last layer"]
     smaller = all(after < before for before, after in zip(sizes, sizes[1:]))
+    yield Claim("pooling decreases the size of the output", "section 4.2.4", smaller, {"nodes along an edge": sizes})
     fewer = weights["with pooling"] < weights["without"]
-    equal = "the output holds the largest value within each window: equal to Keras's"
-    return [
-        Claim(equal, "section 4.2.4", max(differences.values()) == 0, differences),
-        Claim("pooling decreases the size of the output", "section 4.2.4", smaller, {"nodes along an edge": sizes}),
-        Claim("pooling decreases the number of weights", "section 4.2.4", fewer, weights),
-    ]
+    yield Claim("pooling decreases the number of weights", "section 4.2.4", fewer, weights)
 
 
 def draw(data, options):

@@ -19,7 +19,7 @@ def compute(options, seed, jobs, progress):
     automatic = worked.automatic_gradients(x, w_h, w_o, target)
     step_o, step_h = w_o - rate * automatic["output"], w_h - rate * automatic["hidden"]  # Eq 4.8, the first step
     chain = found.chain
-    common = chain["∂L/∂e"] * chain["∂e/∂y"]
+    common, by_hidden = chain["∂L/∂e"] * chain["∂e/∂y"], chain["∂y/∂v"] * chain["∂v/∂w"]
     early, late = (w_h + 2 * rate * found.e * np.outer(x, w) for w in (w_o, step_o))
     loss = {"before": found.loss, "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss}
     output, hidden = automatic["output"], automatic["hidden"]
@@ -28,11 +28,7 @@ def compute(options, seed, jobs, progress):
         **{"v": found.v, "y": found.y, "e": found.e, "loss": loss, "chain": chain},
         "gradients": {
             "output": {"Eq 4.12": common * chain["∂y/∂w"], "Eq 4.13": found.output, "automatic": output},
-            "hidden": {
-                "Eq 4.15": common * chain["∂y/∂v"] * chain["∂v/∂w"],
-                "Eq 4.17": found.hidden,
-                "automatic": hidden,
-            },
+            "hidden": {"Eq 4.15": common * by_hidden, "Eq 4.17": found.hidden, "automatic": hidden},
         },
         "chain, automatic": {name: automatic[name] for name in chain},
         "updated": {

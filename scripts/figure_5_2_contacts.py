@@ -70,16 +70,14 @@ def claims(data):
     )
     few, many = zip(*(scene["µs a contact"] for scene in scenes))
     here, ones = "section 5.1.2, Figure 5.2", [1.0] * len(scenes)
-    grows = "the number of contacts grows as the pile falls together: at first at most half as many as at the end"
-    stays = "and then it stays: its standard deviation in the last sixth of the steps is under a tenth"
-    time = "the time of the contact solution grows with the number of contacts: their correlation is above 0.9"
-    equal = "a sweep of PGS costs O(n): as much a contact among many as among few, within a quarter"
-    return [
-        verdicts.judged_values(first, last, grows, here, within=verdicts.MUCH_FASTER),
-        verdicts.judged_values(spread, last, stays, here, within=(0.0, 0.1)),
-        verdicts.judged_values(together, ones, time, here, within=(0.9, 1.0 + 1e-9)),
-        verdicts.judged_values(many, few, equal, "section 2.4.1", within=verdicts.ALIKE),
-    ]
+    text = "the number of contacts grows as the pile falls together: at first at most half as many as at the end"
+    yield verdicts.judged_values(first, last, text, here, within=verdicts.MUCH_FASTER)
+    text = "and then it stays: its standard deviation in the last sixth of the steps is under a tenth"
+    yield verdicts.judged_values(spread, last, text, here, within=(0.0, 0.1))
+    text = "the time of the contact solution grows with the number of contacts: their correlation is above 0.9"
+    yield verdicts.judged_values(together, ones, text, here, within=(0.9, 1.0 + 1e-9))
+    text = "a sweep of PGS costs O(n): as much a contact among many as among few, within a quarter"
+    yield verdicts.judged_values(many, few, text, "section 2.4.1", within=verdicts.ALIKE)
 
 
 def draw(data, options):
@@ -90,8 +88,8 @@ def draw(data, options):
     right.plot(data["timed contacts"], data["time (ms)"], ".", color=plotting.BLUE, markersize=4)
     slope, intercept, _ = fit(data)
     x = np.array([0, max(data["timed contacts"])])
-    label = f"{slope:.3g} µs a contact"
-    right.plot(x, (slope * x + intercept) / 1e3, color=plotting.VERMILION, linewidth=1.0, label=label)
+    look = {"color": plotting.VERMILION, "linewidth": 1.0, "label": f"{slope:.3g} µs a contact"}
+    right.plot(x, (slope * x + intercept) / 1e3, **look)
     right.set_ylim(bottom=0)
     right.legend()
     title = f"b) contact solution, {options['sweeps']} sweeps"

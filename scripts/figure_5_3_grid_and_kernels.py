@@ -43,19 +43,18 @@ def contacts_in_one_cell(box, contacts, d):
 
 def claims(data):
     """The rules by which the thesis chooses d and h."""
+    shared = {float(d): found["cells with several"] for d, found in data["contacts in one cell, by d"].items()}
+    measured = {f"cells with several, d = {d:.4g} m": count for d, count in shared.items()}
+    several = any(count for d, count in shared.items() if d <= 1)
+    yield Claim("with d <= r = 1 m no two contact points lie in one cell", "section 5.1.3", not several, measured)
     reached = {float(ratio): np.array(nodes) for ratio, nodes in data["nodes reached, by h / d"].items()}
-    missed = {f"share that misses, h = {r:g} d": float((nodes == 0).mean()) for r, nodes in reached.items()}
+    most = int(reached[1.0].max())
+    text = "with h <= d a contact reaches four nodes at most"
+    yield Claim(text, "section 5.1.3", most <= 4, {"most nodes reached, h = d": most})
     bound = min(reached, key=lambda ratio: abs(ratio - SMALLEST))
-    lost = {name: share for name, share in missed.items() if name.endswith(f"= {bound:g} d")}
-    cells = data["contacts in one cell, by d"]
-    fine = {f"cells with several, d = {d} m": found["cells with several"] for d, found in cells.items()}
-    coarse = any(found["cells with several"] for d, found in cells.items() if float(d) <= 1)
-    most = {"most nodes reached, h = d": int(reached[1.0].max())}
-    return [
-        Claim("with d <= r = 1 m no two contact points lie in one cell", "section 5.1.3", not coarse, fine),
-        Claim("with h <= d a contact reaches four nodes at most", "section 5.1.3", max(most.values()) <= 4, most),
-        Claim("with h >= 0.71 d every contact reaches a node", "section 5.1.3", not any(lost.values()), missed),
-    ]
+    missed = {f"share that misses, h = {r:g} d": float((nodes == 0).mean()) for r, nodes in reached.items()}
+    text = "with h >= 0.71 d every contact reaches a node"
+    yield Claim(text, "section 5.1.3", bool(reached[bound].all()), missed)
 
 
 def draw(data, options):

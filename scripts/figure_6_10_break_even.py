@@ -28,19 +28,16 @@ def compute(options, seed, jobs, progress):
     return {"sweeps": options["sweeps"], "piles": piles}
 
 
-def sizes_of(data):
-    """Numbers of circles, rising."""
-    return sorted({pile["circles"] for pile in data["piles"]})
-
-
-def kinds_of(data):
-    """Kinds of piles, in their order."""
-    return list(dict.fromkeys(pile["kind"] for pile in data["piles"]))
+def sizes_and_kinds(data):
+    """Numbers of circles, rising, and kinds of piles, in their order."""
+    piles = data["piles"]
+    return sorted({pile["circles"] for pile in piles}), list(dict.fromkeys(pile["kind"] for pile in piles))
 
 
 def claims(data):
     """Whether the learned start reaches some error first, and what it costs."""
-    cases = product(sizes_of(data), kinds_of(data), TOLERANCES)
+    sizes, kinds = sizes_and_kinds(data)
+    cases = product(sizes, kinds, TOLERANCES)
     found = {case: learned_starts.median_with_interval(time_ratios(data, *case)) for case in cases}
     known = sorted((*reversed(interval), case) for case, interval in found.items() if interval)
     shown = [
@@ -48,7 +45,7 @@ def claims(data):
         for high, low, middle, case in known[:3]
     ]
     wins, ties = sum(k[0] < 1 for k in known), sum(k[1] <= 1 <= k[0] for k in known)
-    prices = {f"{n} circles": learned_starts.price_of(data, n) for n in sizes_of(data)}
+    prices = {f"{n} circles": learned_starts.price_of(data, n) for n in sizes}
     measured = {"cases": len(known), "wins": wins, "ties": ties, "best": shown, LEARNED: prices}
     text = "somewhere a learned start reaches an error sooner than the best classical setting (95 %)"
     yield Claim(text, None, wins > 0, measured)
@@ -60,7 +57,7 @@ def claims(data):
 def table(data):
     """Time to an error from the network over that of the best classical setting, by pile; and which it is."""
     rows = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]]
-    for kind, count in product(kinds_of(data), sizes_of(data)):
+    for kind, count in product(*reversed(sizes_and_kinds(data))):
         ratios = [time_ratios(data, count, kind, error) for error in TOLERANCES]
         cost = learned_starts.price_of(data, count)["ms"]
         rows.append([count, kind, LEARNED, cost, *(float(np.median(r)) if r.size else None for r in ratios)])
@@ -75,7 +72,7 @@ def draw(data, options):
 
     Grey where there are fewer than `FEWEST` states.
     """
-    kinds, counts = kinds_of(data), sizes_of(data)
+    counts, kinds = sizes_and_kinds(data)
     figure, axes = plotting.subplots(1, len(kinds), size=(5.0 * len(kinds), 3.6), squeeze=False)
     for axis, kind in zip(axes[0], kinds):
         cells = [[time_ratios(data, count, kind, error) for error in TOLERANCES] for count in counts]
@@ -91,9 +88,8 @@ def draw(data, options):
         axis.set_yticks(range(len(counts)), [f"{count:,}" for count in counts])
         axis.grid(False)
         plotting.label_axes(axis, "velocity error asked for", "circles", title=f"{kind} piles")
-    bar = figure.colorbar(picture, ax=axes, ticks=[-1, 0, 1])
-    bar.set_ticklabels(["0.1", "1", "10"])
-    bar.set_label("time of the network's start over\nthat of the best classical setting")
+    label = "time of the network's start over\nthat of the best classical setting"
+    figure.colorbar(picture, ax=axes, ticks=[-1, 0, 1], label=label).set_ticklabels(["0.1", "1", "10"])
     return figure
 
 

@@ -62,14 +62,9 @@ def solved_with(data, n, divisor):
     return next(row for row in line(data, n, divisor) if row["sweeps"] == SOLVED)
 
 
-def sizes_of(data):
-    """Numbers of circles with all of the steps that are drawn, ascending."""
-    return sorted({row["n_bodies"] for row in data["rows"]})
-
-
 def claims(data):
     """At the price of twenty sweeps with Δt, is a smaller step with few sweeps better?"""
-    for n in sizes_of(data):
+    for n in runs.sizes_of(data["rows"]):
         solved = solved_with(data, n, 1)
         smaller = [row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] > 1]
         cheaper = [row for row in smaller if row["us"] <= solved["us"]]
@@ -83,19 +78,17 @@ def claims(data):
 
 def table(data):
     rows = [["circles", "Δt /", "sweeps", "µs per 10 ms", *(f"{text}, %" for text in SHOWN.values())]]
-    for n in sizes_of(data):
-        for divisor in DIVISORS:
-            for row in line(data, n, divisor):
-                rows.append([n, divisor, row["sweeps"], row["us"], *(row["errors"][name] for name in SHOWN)])
-        for row in data["model"]:
-            if row["n_bodies"] == n:
-                rows.append([n, row["what"], None, None, *row["errors"].values()])
+    for n in runs.sizes_of(data["rows"]):
+        for row in (row for divisor in DIVISORS for row in line(data, n, divisor)):
+            rows.append([n, int(row["divisor"]), row["sweeps"], row["us"], *(row["errors"][name] for name in SHOWN)])
+        for row in (row for row in data["model"] if row["n_bodies"] == n):
+            rows.append([n, row["what"], None, None, *(row["errors"][name] for name in SHOWN)])
     return rows
 
 
 def draw(data, options):
     """A row of panels for each size: a line for each step, along which sweeps grow; error by time; and the parts."""
-    sizes = sizes_of(data)
+    sizes = runs.sizes_of(data["rows"])
     figure, panels = plotting.subplots(len(sizes), len(SHOWN) + 1, size=(14.5, 3.2 * len(sizes)), squeeze=False)
     for row_of_panels, n in zip(panels, sizes):
         draw_parts(row_of_panels[-1], data, n)
@@ -118,12 +111,11 @@ def draw(data, options):
 
 def draw_parts(ax, data, n):
     """Bars: what each part adds to each of the errors."""
-    found = {name: parts(data, n, name) for name in SHOWN}
-    for k, (name, mine) in enumerate(found.items()):
-        for i, (part, value) in enumerate(mine.items()):
+    for k, name in enumerate(SHOWN):
+        for i, (part, value) in enumerate(parts(data, n, name).items()):
             colour = PARTS.get(part, plotting.VERMILION)
             ax.barh(k + 0.15 * (i - 2), value, 0.14, color=colour, label=part if name == ABSOLUTE else None)
-    ax.set_yticks(range(len(found)), list(SHOWN.values()))
+    ax.set_yticks(range(len(SHOWN)), list(SHOWN.values()))
     ax.invert_yaxis()
     plotting.label_axes(ax, "part of the error", None, x_unit="%", title=f"{n:,} circles, by part")
     ax.legend(fontsize=6)

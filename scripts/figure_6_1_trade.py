@@ -22,14 +22,9 @@ def compute(options, seed, jobs, progress):
     return {"rows": rows, "presets": found["presets"]}
 
 
-def sizes_of(data):
-    """Numbers of circles, ascending."""
-    return sorted({row["n_bodies"] for row in data["rows"]})
-
-
 def claims(data):
     """For each size: what the cheapest setting within each preset costs, and the cheapest rival."""
-    for n in sizes_of(data):
+    for n in runs.sizes_of(data["rows"]):
         here = {row["preset"]: runs.cheaper_than_rivals(row) for row in data["presets"] if row["n_bodies"] == n}
         if ratios := {preset: ratio for preset, ratio in here.items() if ratio}:
             text = f"no preset is dearer than with the fastest rival, {n} circles"
@@ -49,7 +44,7 @@ def table(data):
 
 def draw(data, options):
     """A row of panels for each size, a column for each error: every setting, the front of ours, the tolerances."""
-    sizes = sizes_of(data)
+    sizes = runs.sizes_of(data["rows"])
     figure, panels = plotting.subplots(len(sizes), len(SHOWN), size=(11.0, 3.2 * len(sizes)), squeeze=False)
     for line, n in zip(panels, sizes):
         rows = [row for row in data["rows"] if row["n_bodies"] == n]

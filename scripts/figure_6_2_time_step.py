@@ -31,10 +31,8 @@ def compute(options, seed, jobs, progress):
 
 def by_size(data):
     """Number of circles -> its rows, the shortest step first; the fewest circles first."""
-    found = {}
-    for row in sorted(data["rows"], key=lambda row: (row["n_bodies"], row["dt"])):
-        found.setdefault(row["n_bodies"], []).append(row)
-    return found
+    rows = sorted(data["rows"], key=lambda row: row["dt"])
+    return {n: [row for row in rows if row["n_bodies"] == n] for n in runs.sizes_of(rows)}
 
 
 def claims(data):

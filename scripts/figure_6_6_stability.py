@@ -1,5 +1,6 @@
 """python scripts/figure_6_6_stability.py: how far each quantity can be pushed, in our engine and in two others."""
 
+from collections import defaultdict
 from functools import partial
 
 from deep_contact.constants import LINEAR_SLOP
@@ -11,7 +12,6 @@ from deep_contact.studies.extremes import ABSENT, ACCURATE, DEGRADED, ENGINES, F
 
 ROUNDING = 1e-9
 """Rise of the energy that rounding may cause, as a share of its initial value."""
-
 MILD_START = 1e12
 """Largest misleading start, in weights, whose rounding errors stay below `ROUNDING`."""
 
@@ -33,11 +33,11 @@ RESTING = {
 
 def compute(options, seed, jobs, progress):
     """Every value of every quantity in every engine; columns in a silo that have to rest; every method and start."""
+    parallel_map = partial(figures.parallel_map, jobs=jobs, progress=progress)
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
-    found = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
     cells = [
         {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"], **outcome}
-        for case, outcome in zip(cases, found)
+        for case, outcome in zip(cases, parallel_map(extremes.run_case, cases, text="scenes"))
     ]
     silos = {}
     for name, (make, arguments, solver) in SILOS.items():
@@ -46,9 +46,7 @@ def compute(options, seed, jobs, progress):
         stand = partial(extremes.stand, make(options["silo"], **arguments), solver=solver, seconds=options["seconds"])
         silos[name] = {engine: stand(engine) for engine in engines}
     units = {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}
-    solvers = figures.parallel_map(
-        extremes.run_solver, options["solvers"], jobs=jobs, progress=progress, text="methods and starts"
-    )
+    solvers = parallel_map(extremes.run_solver, options["solvers"], text="methods and starts")
     return {"units": units, "cells": cells, "silos": silos, "solvers": solvers}
 
 
@@ -110,16 +108,16 @@ def claims(data):
 
 def by_quantity(data):
     """quantity -> engine -> its cells."""
-    found = {}
+    found = defaultdict(lambda: defaultdict(list))
     for cell in cells_of(data):
-        found.setdefault(cell["quantity"], {}).setdefault(cell["engine"], []).append(cell)
+        found[cell["quantity"]][cell["engine"]].append(cell)
     return found
 
 
-def ranges(cells, *verdicts):
-    """The values that got one of the verdicts, as text: "1 to 100; 1e+06"."""
+def ranges(cells, verdict):
+    """The values that got the verdict, as text: "1 to 100; 1e+06"."""
     spans = extremes.spans([cell["value"] for cell in cells], [cell["verdict"] for cell in cells])
-    texts = [f"{low:g}" if low == high else f"{low:g} to {high:g}" for found, low, high in spans if found in verdicts]
+    texts = [f"{low:g}" if low == high else f"{low:g} to {high:g}" for found, low, high in spans if found == verdict]
     return "; ".join(texts) or None
 
 
@@ -133,7 +131,7 @@ def table(data):
         good = [cell for cell in mine if cell["verdict"] == SAFE]
         worst = max((cell["worst"] / cell["slop"] for cell in good), default=None)
         recovered = max((cell["recovered"] for cell in good if cell["recovered"] is not None), default=None)
-        peers = [ranges(engines.get(engine, []), SAFE) for engine in ENGINES[1:]]
+        peers = [ranges(engines[engine], SAFE) for engine in ENGINES[1:]]
         rows.append([name, data["units"][name], *(ranges(mine, v) for v in verdicts), worst, recovered, *peers])
     for name, engines in data["silos"].items():
         settled = {e: found["settled"] / LINEAR_SLOP for e, found in engines.items() if "settled" in found}
@@ -181,8 +179,7 @@ def draw(data, options):
     ax.spines[["left", "bottom"]].set_visible(False)
     handles = [
         Patch(facecolor=colour, edgecolor=plotting.GREY, label=f"{verdict} ({letter})" if letter else verdict)
-        for verdict, (colour, letter) in LOOKS.items()
-        if verdict != ABSENT
+        for verdict, (colour, letter) in list(LOOKS.items())[:4]  # those that an engine can get
     ]
     ax.legend(handles=handles, loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), fontsize=8)
     return figure

@@ -425,6 +425,11 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
     ]
 
 
+def sizes_of(rows: Iterable[Mapping]) -> list[int]:
+    """Numbers of circles, ascending."""
+    return sorted({row["n_bodies"] for row in rows})
+
+
 def cheaper_than_rivals(row: Mapping) -> float | None:
     """Cost of the fastest other engine over ours, on plain piles, for a row of `presets`; None where one is missing."""
     rivals = [peer["us"] for peer in row["peers"].values() if peer]

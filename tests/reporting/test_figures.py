@@ -438,8 +438,8 @@ def three_circles(contacts=True):
 
 
 def test_no_two_curves_share_colour_and_line():
-    names = [*plotting.START_STYLE, *(f"h = {h}" for h in range(10))]
-    assert len({(style["color"], style["linestyle"]) for style in plotting.styles_of(names).values()}) == len(names)
+    for names in (plotting.START_STYLE, [*(f"h = {h}" for h in range(10)), "copy"]):
+        assert len({(look["color"], look["linestyle"]) for look in plotting.styles_of(names).values()}) == len(names)
     assert plotting.style_of("copy", marker=True)["marker"] == "D"
     with pytest.raises(ValueError, match=r"expected one of none, builtin, sph.*, got 'sphh'"):
         plotting.style_of("sphh")
