@@ -25,7 +25,14 @@ from lxml import etree
 from deep_contact import constants
 from deep_contact.io.xml_tree import expect, quote, read_integer, read_text, refuse_attributes, to_float
 
-_TAGS = {"angle": "orientation", "angular_velocity": "spin"}
+BODY = dict(mass="value", position="x y", velocity="x y", orientation="theta", inertia="value", spin="omega")
+CONTACT = dict(position="x y", normal="x y", impulse="n t", start="n t")
+"""Children of bodies and contacts, and their attributes, in canonical form; below as pybox2d's exports have them."""
+
+OLD_BODY = dict(mass="value", position="x y", velocity="vx vy", angle="theta", inertia="value")
+OLD_BODY |= {"angular_velocity": "omega"}
+OLD_CONTACT = dict(position="x y", normal="nx ny", impulse="ni ti")
+_TAGS = dict(zip(OLD_BODY, BODY))
 _ATTRIBUTES = {"vx": "x", "vy": "y", "nx": "x", "ny": "y", "ni": "n", "ti": "t"}
 _OF_SOLVER = ("vel_iter", "vel_thres", "pos_iter", "pos_thres")
 

@@ -47,7 +47,7 @@ import numpy as np
 
 from deep_contact.constants import WALL_SKIN
 from deep_contact.io.files import read_bytes, write_bytes
-from deep_contact.io.old_dialects import modernise
+from deep_contact.io.old_dialects import BODY, CONTACT, OLD_BODY, OLD_CONTACT, modernise
 from deep_contact.io.xml_tree import (
     INTEGER,
     MAX_BYTES,
@@ -66,6 +66,7 @@ from deep_contact.io.xml_tree import (
     read_text,
     refuse_attributes,
     refuse_too_large,
+    text_of,
     to_float,
 )
 from deep_contact.physics.solvers import METHODS, PGS, solver_from
@@ -80,43 +81,17 @@ _UNIT_TOLERANCE = 1e-4
 
 _SETTINGS = ("step", "gravity_x", "gravity_y", "friction", "restitution", "solved")
 _PARTS = ("solver", "scales", "bodies", "segments", "contacts")
-_BODY_TAGS = {"mass", "position", "velocity", "orientation", "inertia", "spin", "shape"}
 _MOTION = (("velocity", "x"), ("velocity", "y"), ("orientation", "theta"), ("spin", "omega"))
 _ENDS = ("x_0", "y_0", "x_1", "y_1")
-_CONTACT_TAGS = {"position", "normal", "impulse", "start"}
 
-_BODY_TEXT = """\
-    <body index="%d" type="free">
-      <mass value="%r"/>
-      <position x="%r" y="%r"/>
-      <velocity x="%r" y="%r"/>
-      <orientation theta="%r"/>
-      <inertia value="%r"/>
-      <spin omega="%r"/>
-      <shape value="circle" radius="%r"/>
-    </body>
-"""
 _CORNERS = '<shape value="box">\n' + 4 * '        <corner x="%r" y="%r"/>\n' + "      </shape>"
-_BOX_TEXT = _BODY_TEXT.replace("free", "fixed").replace('<shape value="circle" radius="%r"/>', _CORNERS)
+_BODY_TEXT = text_of('body index="%d" type="free"', BODY, '<shape value="circle" radius="%r"/>')
+_BOX_TEXT = text_of('body index="%d" type="fixed"', BODY, _CORNERS)
 _SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"%s/>\n'
-_CONTACT_TEXT = """\
-    <contact index="%d" master="%d" slave="%d" separation="%r">
-      <position x="%r" y="%r"/>
-      <normal x="%r" y="%r"/>
-      <impulse n="%r" t="%r"/>
-      <start n="%r" t="%r"/>
-    </contact>
-"""
-_PYBOX2D_WORDS = {
-    'velocity x="%r" y': 'velocity vx="%r" vy',
-    'normal x="%r" y': 'normal nx="%r" ny',
-    'impulse n="%r" t': 'impulse ni="%r" ti',
-    "orientation": "angle",
-    "spin": "angular_velocity",
-    '"circle" radius="%r"': '"dcCircleShape(radius=%r)"',
-    ' separation="%r"': "",
-    '      <start n="%r" t="%r"/>\n': "",
-}
+_CONTACT_TEXT = text_of('contact index="%d" master="%d" slave="%d" separation="%r"', CONTACT)
+_OLD_BODY_TEXT = text_of('body index="%d" type="free"', OLD_BODY, '<shape value="dcCircleShape(radius=%r)"/>')
+_OLD_BOX_TEXT = text_of('body index="%d" type="fixed"', OLD_BODY, '<shape value="dcLoopShape(vertices=%s)"/>')
+_OLD_CONTACT_TEXT = text_of('contact index="%d" master="%d" slave="%d"', OLD_CONTACT)
 _POSITION_THRESHOLD = 2e-5
 """`pos_thres` of the authors' generator, m; the engine has none, and so writes theirs."""
 
@@ -200,20 +175,19 @@ def format_pybox2d(state: State) -> bytes:
     if type(solver) is PGS and isinstance(solver.tolerance, float):
         settings = f' vel_iter="{solver.sweeps}" vel_thres="{solver.tolerance!r}"'
         settings += f' pos_iter="{solver.position_sweeps}" pos_thres="{_POSITION_THRESHOLD!r}"'
-    n, loop = bodies.count, f"dcLoopShape(vertices={_corners(state.world.box)})"
-    template, contact_template = _in_words_of_pybox2d(_BODY_TEXT), _in_words_of_pybox2d(_CONTACT_TEXT)
+    n = bodies.count
     text = '<?xml version="1.0" encoding="UTF-8"?>\n'
     text += f'<configuration dt="{float(state.dt)!r}" name={quoted_attribute("name", state.name)}{settings}'
     text += f' time="{float(state.time)!r}">\n  <bodies>\n'
-    text += template.replace("free", "fixed").replace("dcCircleShape(radius=%r)", loop) % (0, *(0.0,) * 8)
-    text += fill(template, n, (range(1, n + 1), *_columns(bodies))) + "  </bodies>\n"
+    text += _OLD_BOX_TEXT % (0, *(0.0,) * 8, _corners(state.world.box))
+    text += fill(_OLD_BODY_TEXT, n, (range(1, n + 1), *_columns(bodies))) + "  </bodies>\n"
     if contacts is not None:
         wall = contacts.body_b >= n
         master, slave = np.where(wall, 0, contacts.body_a + 1), np.where(wall, contacts.body_a, contacts.body_b) + 1
         normal = np.where(wall[:, None], -contacts.normal, contacts.normal)
         impulses = contacts.normal_impulse, contacts.tangent_impulse
         rows = (range(contacts.count), master, slave, *contacts.position.T, *normal.T, *impulses)
-        text += f"  <contacts>\n{fill(contact_template, contacts.count, rows)}  </contacts>\n"
+        text += f"  <contacts>\n{fill(_OLD_CONTACT_TEXT, contacts.count, rows)}  </contacts>\n"
     return (text + "</configuration>\n").encode("utf-8")
 
 
@@ -241,11 +215,11 @@ def _read_tree(root, source: str) -> State:
     settings, world = _read_settings(root, parts)
     circles, box_body, rank = _number_bodies(elements_of(parts.get("bodies"), "body"))
     world |= _read_segments(elements_of(parts.get("segments"), "segment"), rank)
-    bodies = _read_bodies(Rows(circles, _BODY_TAGS))
+    bodies = _read_bodies(Rows(circles, {*BODY, "shape"}))
     box = _read_box(root, box_body, bodies, is_old)
     contacts = None
     if "contacts" in parts:
-        rows = Rows(elements_of(parts["contacts"], "contact"), _CONTACT_TAGS)
+        rows = Rows(elements_of(parts["contacts"], "contact"), CONTACT)
         contacts = _read_contacts(rows, bodies, box, rank, is_old)
     try:
         return check_state(State(world=World(box=box, **world), bodies=bodies, contacts=contacts, **settings))
@@ -330,14 +304,8 @@ def _read_bodies(rows: Rows) -> Bodies:
     rows.refuse(np.array([text != "circle" for text in rows.texts("shape", "value")]), "shape", "value", "circle")
     radius = rows.numbers("shape", "radius")
     rows.refuse(radius <= 0, "shape", "radius", "a number > 0")
-    bodies = Bodies(
-        position=rows.numbers("position", "x y"),
-        velocity=rows.numbers("velocity", "x y"),
-        angle=rows.numbers("orientation", "theta"),
-        spin=rows.numbers("spin", "omega"),
-        mass=mass,
-        radius=radius,
-    )
+    found = {tag: rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")}
+    bodies = Bodies(*found.values(), mass, radius)
     # m r²/2 of a disc may overflow where m and r do not; "inf" is then what was written.
     inertia = np.array([math.inf if text == "inf" else to_float(text) for text in rows.texts("inertia", "value")])
     with np.errstate(all="ignore"):
@@ -350,7 +318,7 @@ def _read_bodies(rows: Rows) -> Bodies:
 
 def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
     """(x_min, y_min, x_max, y_max)"""
-    parts = {} if body is None else children(body, _BODY_TAGS)
+    parts = {} if body is None else children(body, {*BODY, "shape"})
     for tag, name in _MOTION:
         if tag in parts and name in parts[tag].attrib:
             still = read_number(parts[tag], name) == 0
@@ -405,8 +373,7 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
     for i, element in enumerate(rows.elements):
         if not is_old or "separation" in element.attrib:
             separation[i] = read_number(element, "separation")
-    position = rows.numbers("position", "x y")
-    impulse, start = rows.numbers("impulse", "n t"), rows.numbers("start", "n t")
+    position, impulse, start = (rows.numbers(tag, CONTACT[tag]) for tag in ("position", "impulse", "start"))
     rows.refuse(impulse[:, 0] < 0, "impulse", "n", "a normal impulse >= 0")
     return Contacts(a, b, position, normal, separation, *impulse.T, *start.T)
 
@@ -474,7 +441,7 @@ def _format_scales(scales: ContactScales | None) -> str:
 
 
 def _columns(bodies: Bodies) -> tuple[np.ndarray, ...]:
-    """What `_BODY_TEXT` holds of each circle, in its order."""
+    """What `BODY` holds of each circle, and the radius."""
     with np.errstate(over="ignore", under="ignore"):
         inertia = bodies.inertia
     position, velocity = bodies.position.T, bodies.velocity.T
@@ -483,15 +450,8 @@ def _columns(bodies: Bodies) -> tuple[np.ndarray, ...]:
 
 def _format_bodies(bodies: Bodies, box) -> str:
     circles = fill(_BODY_TEXT, bodies.count, (range(bodies.count), *_columns(bodies)))
-    return (
-        f"  <bodies>\n{circles}{_BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*_corners(box)))}  </bodies>\n"
-    )
-
-
-def _in_words_of_pybox2d(template: str) -> str:
-    for ours, theirs in _PYBOX2D_WORDS.items():
-        template = template.replace(ours, theirs)
-    return template
+    box_body = _BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*_corners(box)))
+    return f"  <bodies>\n{circles}{box_body}  </bodies>\n"
 
 
 def _format_segments(world: World, n: int) -> str:

@@ -218,6 +218,14 @@ def quoted_attribute(name: str, text: str) -> str:
     return quoteattr(text)
 
 
+def text_of(opening: str, children: dict[str, str], last: str = "") -> str:
+    """The template of an element of a list: its children with their attributes, such as "x y", as numbers."""
+    attributes = {tag: " ".join(f'{name}="%r"' for name in names.split()) for tag, names in children.items()}
+    lines = [f"<{tag} {texts}/>" for tag, texts in attributes.items()] + ([last] if last else [])
+    inner = "".join(f"      {line}\n" for line in lines)
+    return f"    <{opening}>\n{inner}    </{opening.split()[0]}>\n"
+
+
 def fill(template: str, rows: int, columns) -> str:
     """The template once per row. One call for all rows, on Python numbers, is what makes writing fast."""
     lists = [column.tolist() if isinstance(column, np.ndarray) else column for column in columns]
