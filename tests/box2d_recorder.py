@@ -133,9 +133,21 @@ def _sorted_contacts(bodies: Bodies, world: World, listener, ratio: float) -> tu
 def _separations(bodies: Bodies, world: World, body_a: np.ndarray, body_b: np.ndarray) -> np.ndarray:
     """Gaps of the pairs, (m,): between surfaces of circles, or from a circle to the skin of a wall."""
     n = bodies.count
-    to_walls = peers._wall_distances(bodies.position, world)
+    to_walls = _wall_distances(bodies.position, world)
     is_wall = body_b >= n
     other = np.where(is_wall, body_a, body_b)
     between = np.hypot(*(bodies.position[other] - bodies.position[body_a]).T) - bodies.radius[other]
     to_wall = to_walls[body_a, np.where(is_wall, body_b - n, 0)] - constants.WALL_SKIN
     return np.where(is_wall, to_wall, between) - bodies.radius[body_a]
+
+
+def _wall_distances(position: np.ndarray, world: World) -> np.ndarray:
+    """Distance of the centres from the four walls and the segments, (n, 4 + S)."""
+    x_min, y_min, x_max, y_max = world.box
+    x, y = position[:, 0], position[:, 1]
+    found = [y - y_min, x_max - x, y_max - y, x - x_min]
+    for ends in np.reshape(world.segments, (-1, 2, 2)):
+        along = ends[1] - ends[0]
+        share = np.clip((position - ends[0]) @ along / (along @ along), 0.0, 1.0)
+        found.append(np.hypot(*(ends[0] + share[:, None] * along - position).T))
+    return np.stack(found, axis=1)

@@ -14,10 +14,12 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from deep_contact import constants
+from deep_contact.physics.engine import contacts_of
 from deep_contact.state import Bodies, State, World, check_bodies, check_state
 
 SPECULATIVE_DISTANCE = 4 * constants.LINEAR_SLOP
@@ -184,13 +186,8 @@ class Box2D3(_Peer):
             ground.create_shape(b3.shape_def(material=material), b3.capsule(*ends, self._state.scales.wall_skin))
         self._bodies, self._batch = [], b3.Bodies()
         for position, velocity, angle, spin, mass, radius in self._circles():
-            body = self.world.create_dynamic_body(
-                position=position,
-                linear_velocity=velocity,
-                rotation=b3.make_rot(angle),
-                angular_velocity=spin,
-                enable_sleep=False,
-            )
+            motion = {"linear_velocity": velocity, "angular_velocity": spin, "enable_sleep": False}
+            body = self.world.create_dynamic_body(position=position, rotation=b3.make_rot(angle), **motion)
             shape = b3.shape_def(material=material, density=mass / (math.pi * radius**2))
             body.create_shape(shape, b3.circle(radius=radius))
             self._bodies.append(body)
@@ -203,22 +200,17 @@ class Box2D3(_Peer):
     def bodies(self) -> Bodies:
         """The bodies now, masses as Box2D has them (float32 in all but the radius). Angles lie in (-π, π]."""
         batch = self._batch
-        cosine, sine = batch.get_rotations().astype(np.float64).T
-        velocity, spin = batch.get_linear_velocities(), batch.get_angular_velocities()
+        angle = np.arctan2(*batch.get_rotations().astype(np.float64).T[::-1])
         mass = np.array([body.mass for body in self._bodies])
-        radius = self._state.bodies.radius
-        return check_bodies(Bodies(batch.get_positions(), velocity, np.arctan2(sine, cosine), spin, mass, radius))
+        motion = batch.get_linear_velocities(), angle, batch.get_angular_velocities()
+        return check_bodies(Bodies(batch.get_positions(), *motion, mass, self._state.bodies.radius))
 
     def contact_count(self) -> int:
         """Contacts that the next step will solve: gaps of at most the speculative distance. pyb2d3 shows none."""
-        from scipy.spatial import cKDTree
-
-        position, radius = self._batch.get_positions().astype(np.float64), self._state.bodies.radius
-        skin = self._state.scales.wall_skin
-        to_walls = _wall_distances(position, self._state.world) - radius[:, None] - skin
-        near = cKDTree(position).query_pairs(2 * radius.max() + SPECULATIVE_DISTANCE, output_type="ndarray")
-        gap = np.hypot(*(position[near[:, 1]] - position[near[:, 0]]).T) - radius[near].sum(axis=1)
-        return int((gap <= SPECULATIVE_DISTANCE).sum() + (to_walls <= SPECULATIVE_DISTANCE).sum())
+        state, bodies, near = self._state, self.bodies(), 0.5 * SPECULATIVE_DISTANCE
+        scales = state.scales._replace(wall_skin=state.scales.wall_skin + near)
+        grown = bodies._replace(radius=bodies.radius + near)
+        return contacts_of(state.replace(bodies=grown, world=replace(state.world, scales=scales))).count
 
 
 ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
@@ -246,15 +238,3 @@ def _edges(world: World) -> list[tuple]:
     """The two ends of each wall, in the order of `_corners`, and of each segment."""
     corners = _corners(world)
     return list(zip(corners, corners[1:] + corners[:1])) + [(ends[:2], ends[2:]) for ends in world.segments]
-
-
-def _wall_distances(position: np.ndarray, world: World) -> np.ndarray:
-    """Distance of the centres from the four walls and the segments, (n, 4 + S)."""
-    x_min, y_min, x_max, y_max = world.box
-    x, y = position[:, 0], position[:, 1]
-    found = [y - y_min, x_max - x, y_max - y, x - x_min]
-    for ends in np.reshape(world.segments, (-1, 2, 2)):
-        along = ends[1] - ends[0]
-        share = np.clip((position - ends[0]) @ along / (along @ along), 0.0, 1.0)
-        found.append(np.hypot(*(ends[0] + share[:, None] * along - position).T))
-    return np.stack(found, axis=1)
