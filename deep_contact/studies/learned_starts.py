@@ -18,9 +18,11 @@ from itertools import product
 
 import numpy as np
 
+from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
 from deep_contact.cnn.images import input_image, read_back
 from deep_contact.cnn.inference import Cnn, limit_threads, load_model, network_file, projected
+from deep_contact.cnn.model_file import weights_of
 from deep_contact.constants import THETA_TOLERANCE
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import solve, step_problem
@@ -291,8 +293,6 @@ def times_of_runtimes(task: Mapping) -> dict[str, list]:
 def runtimes(network, shape: tuple, threads: int) -> dict[str, Callable]:
     """Runtime -> function of a batch of images of this shape."""
     from deep_contact.cnn.backend import tensorflow as tf
-    from deep_contact.cnn.convolution import Program
-    from deep_contact.cnn.model_file import weights_of
 
     program = Program(weights_of(network), shape[1:3], threads=threads)
 

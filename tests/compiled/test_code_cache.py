@@ -49,11 +49,8 @@ def test_code_is_stale_once_anything_changed_that_its_module_imports(stamp, name
     assert stamp(name, SOURCES[name]) == before
 
 
-def test_code_stays_when_another_module_changes(stamp):
+def test_code_stays_when_another_module_changes_and_circles_of_imports_have_a_stamp(stamp):
     assert stamp("plotting.py", "x = 2\n") == stamp("plotting.py", SOURCES["plotting.py"])
-
-
-def test_modules_that_import_each_other_have_a_stamp(stamp):
     assert stamp("constants.py", "from deep_contact.physics.sweep import x\n")
 
 
@@ -80,10 +77,7 @@ def test_a_damaged_file_counts_as_missing_and_is_replaced(cached, tmp_path, name
     assert cached.load("key") is None
     cached.save("key", {"code": np.ones(1)})
     assert cached.load("key")["code"].sum() == 1
-
-
-def test_code_of_another_stamp_is_not_loaded(cached, tmp_path):
-    assert caching.IndexDataCacheFile(str(tmp_path), "sweep", "other").load("key") is None
+    assert caching.IndexDataCacheFile(str(tmp_path), "sweep", "other").load("key") is None  # of another stamp
 
 
 def test_a_users_function_is_stale_once_the_package_changed(tmp_path, monkeypatch):

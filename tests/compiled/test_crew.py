@@ -44,30 +44,19 @@ def leave_alone(lost, crew):
     return crew.rank
 
 
-@needs_threads
-@pytest.mark.timeout(60)
-@pytest.mark.parametrize("lost", [0, 1])
-def test_nobody_waits_for_a_thread_that_is_lost(lost):
-    with pytest.raises(ZeroDivisionError):
-        together(2, leave_alone, lost)
-
-
-@njit(nogil=True)
-def wait_for_others(crew):
-    wait(crew)
+def interrupted(lost, crew):
+    if crew.rank == lost:
+        raise KeyboardInterrupt
+    leave_alone(-1, crew)
 
 
 @needs_threads
 @pytest.mark.timeout(60)
+@pytest.mark.parametrize(("work", "error"), [(leave_alone, ZeroDivisionError), (interrupted, KeyboardInterrupt)])
 @pytest.mark.parametrize("lost", [0, 1])
-def test_nobody_waits_for_an_interrupted_thread(lost):
-    def interrupted(crew):
-        if crew.rank == lost:
-            raise KeyboardInterrupt
-        wait_for_others(crew)
-
-    with pytest.raises(KeyboardInterrupt):
-        together(2, interrupted)
+def test_nobody_waits_for_a_thread_that_is_lost_and_its_error_is_raised(lost, work, error):
+    with pytest.raises(error):
+        together(2, work, lost)
 
 
 def test_a_barrier_is_ready_for_the_next_round_before_it_opens(monkeypatch):
