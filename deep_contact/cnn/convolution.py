@@ -74,6 +74,12 @@ class Image(NamedTuple):
         """Place of each of these rows' and columns' nodes, row by row; -1 is the margin."""
         return (((rows[:, None] + 1) * (self.width + 1) + columns + 1) * self.numbers).ravel()
 
+    def view(self, space: np.ndarray) -> np.ndarray:
+        """The image in a workspace, (height, width, numbers)."""
+        first = self.place + self.pitch + self.numbers
+        rows = space[first : first + self.height * self.pitch].reshape(self.height, self.width + 1, self.numbers)
+        return rows[:, : self.width]
+
 
 class Program:
     """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8).
@@ -97,25 +103,23 @@ class Program:
         second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
         last = self._image(second[1].height, second[1].width, outputs)
         self._convolution("coefficients", second[1], last)
-        self.image_shape, self.shape = (*shape, found[0]), (last.height, last.width, outputs)
-        self.input, self.output = (image.place, image.pitch), (last.place, last.pitch, last.numbers)
         self.layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
         self.weights, self.workspace = np.concatenate(self._weights), _aligned(self._size)
+        self._input, self._output = image.view(self.workspace), last.view(self.workspace)[:, :, :outputs]
         del self._of, self._layers, self._nodes, self._weights
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Coefficients (rows, columns, outputs) of an image of this shape, both float32."""
-        if image.shape != self.image_shape:
-            raise ValueError(f"image: expected shape {self.image_shape}, got {image.shape}")
-        rows, columns, outputs = self.shape
-        found = np.empty((rows * columns, outputs), np.float32)
-        given = image, self.input, self.layers, self.nodes, self.weights, self.workspace, self.output, found
+        if image.shape != self._input.shape:
+            raise ValueError(f"image: expected shape {self._input.shape}, got {image.shape}")
+        self._input[:] = image
+        given = self.layers, self.nodes, self.weights, self.workspace
         if self._threads == 1:
             _run(*given)
         else:
             with at_most_threads(self._threads):
                 _run_side_by_side(*given)
-        return found.reshape(self.shape)
+        return self._output.copy()
 
     def _image(self, height, width, features) -> Image:
         """Room for an image, zero as the margin has to be."""
@@ -257,41 +261,15 @@ def _block(layer, b, nodes, weights, space):
 
 
 @njit(cache=True, error_model="numpy")
-def _put(image, place, space):
-    """Copy an image into the workspace, a node from its margin."""
-    first, pitch = place
-    numbers = image.shape[2]
-    for y in range(image.shape[0]):
-        row = first + (y + 1) * pitch + numbers
-        for x in range(image.shape[1]):
-            for c in range(numbers):
-                space[row + x * numbers + c] = image[y, x, c]
-
-
-@njit(cache=True, error_model="numpy")
-def _take(space, place, columns, found):
-    """Copy an image out of the workspace; found: (nodes, outputs)."""
-    first, pitch, numbers = place
-    for i in range(found.shape[0]):
-        node = first + (i // columns + 1) * pitch + (i % columns + 1) * numbers
-        for c in range(found.shape[1]):
-            found[i, c] = space[node + c]
-
-
-@njit(cache=True, error_model="numpy")
-def _run(image, inlet, layers, nodes, weights, space, outlet, found):
-    _put(image, inlet, space)
+def _run(layers, nodes, weights, space):
     for layer in layers:
         for b in range(layer.blocks):
             _block(layer, b, nodes, weights, space)
-    _take(space, outlet, (image.shape[1] + 1) // 2, found)
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def _run_side_by_side(image, inlet, layers, nodes, weights, space, outlet, found):
-    _put(image, inlet, space)
+def _run_side_by_side(layers, nodes, weights, space):
     for i in range(layers.shape[0]):
         for b in prange(layers[i].blocks):
             # Numba hands an array to its threads, and no single record.
             _block(layers[i], b, nodes, weights, space)
-    _take(space, outlet, (image.shape[1] + 1) // 2, found)

@@ -48,7 +48,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
-from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight, bilinear_weights
+from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
 from deep_contact.sph.kernels import kernel_number
 from deep_contact.state import State
 from deep_contact.validation import flag, number, one_of
@@ -224,26 +224,18 @@ def corrected(description: Description, coefficients: np.ndarray) -> np.ndarray:
 
 
 def nodes_of(description: Description, shape: tuple[int, int]):
-    """Nodes of the flattened output, an image of this shape, around each contact, (m, 4), and their weights, (m, 4)."""
-    point, grid = description.point, description.grid
-    node, weight = np.empty((len(point), 4), np.int32), np.empty((len(point), 4), np.float32)
-    distance = grid.spacing[0] * COARSENING
-    _bilinear_nodes((*grid.origin, distance, distance), *shape, point, node, weight)
-    return node, weight
+    """Nodes of the flattened output, an image of this shape, around each contact, (m, 4), and their weights, (m, 4).
 
-
-@njit(cache=True, error_model="numpy")
-def _bilinear_nodes(geometry, n_y, n_x, point, node, weight):
-    """Fill node and weight, (m, 4) each: the nodes of a flattened image around points (m, 2), weighted as by `gather`.
-
-    geometry: (x_0, y_0, d_x, d_y) of the grid, m. A point outside reads the edge of the grid.
+    The weights are those of `sph.gather`; a point outside reads the edge of the grid.
     """
-    for k in range(point.shape[0]):
-        i, _, j, _, _ = bilinear_weights(geometry, n_y, n_x, point[k, 0], point[k, 1], weight[k])
-        node[k, 0] = j * n_x + i
-        node[k, 1] = node[k, 0] + 1
-        node[k, 2] = node[k, 0] + n_x
-        node[k, 3] = node[k, 2] + 1
+    grid, (n_y, n_x) = description.grid, shape
+    place = (description.point - grid.origin) / (COARSENING * grid.spacing[0])
+    place = np.clip(place, 0.0, (n_x - 1.0, n_y - 1.0))
+    cell = np.minimum(place.astype(np.int32), np.array([n_x - 2, n_y - 2], np.int32))
+    (i, j), (s, t) = cell.T, (place - cell).T
+    node = (j * n_x + i)[:, None] + np.array([0, 1, n_x, n_x + 1], np.int32)
+    weight = np.stack([(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t], axis=1)
+    return node.astype(np.int32), weight.astype(np.float32)
 
 
 @njit(cache=True, error_model="numpy")

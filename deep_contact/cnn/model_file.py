@@ -113,11 +113,10 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
     """
     from deep_contact.cnn.backend import keras
 
-    path = Path(path)
+    path, weights = Path(path), weights_of(model)
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": _coarsening(spec), "box": size, "card": card}
     config = json.dumps(portable(json.loads(model.to_json())))
-    weights = weights_of(model)
     _check_fit(model, weights, spec, size, path)
     # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
     content = io.BytesIO()
@@ -156,17 +155,16 @@ def read_model(path):
     """
     network, metadata = _read(Path(path))
     spec = spec_of(metadata, path)
-    model = None if isinstance(spec, FarFieldSpec) else network.build()
+    model = network if isinstance(spec, FarFieldSpec) else network.build()
     _check_fit(model, network.weights, spec, metadata["box"], path)
-    return model or network, spec, metadata
+    return model, spec, metadata
 
 
 def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
     """The spec in the metadata of a file. Raises ModelFileError naming the field where it is not one."""
-    given = metadata["spec"]
-    kind = FarFieldSpec if given.get("kind") == "far field" else ImageSpec
+    kind = FarFieldSpec if metadata["spec"].get("kind") == "far field" else ImageSpec
     try:
-        spec = kind.from_dict(given)
+        spec = kind.from_dict(metadata["spec"])
     except ValueError as error:
         raise ModelFileError(f"{path}: spec: {error}") from error
     if metadata["coarsening"] != _coarsening(spec):
@@ -177,6 +175,33 @@ def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
 def _coarsening(spec: ImageSpec | FarFieldSpec) -> int:
     """k: networks of this kind take n = 1 (mod k) nodes along an edge."""
     return 8 if isinstance(spec, FarFieldSpec) else 1
+
+
+def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box, path) -> None:
+    """Raise ModelFileError unless the network takes the spec's images and gives its targets.
+
+    A far-field network by its weights, any other by the shapes of the `keras.Model`.
+    """
+    channels, targets = len(spec.channels), len(spec.targets)
+    if isinstance(spec, FarFieldSpec):
+        if (dimensions(weights) or ())[:2] != (channels, targets):
+            expected = f"the layers of architectures.far_field with {channels} channels and {targets} outputs"
+            raise ModelFileError(f"{path}: model_weights: expected {expected}, got {', '.join(weights)}")
+        return
+    inputs, outputs = model.input_shape, model.output_shape
+    if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != channels:
+        expected = f"a network of {channels} input channels ({', '.join(spec.channels)})"
+        raise ModelFileError(f"{path}: channels: expected {expected}, got one of shape {inputs}")
+    is_fixed = None not in inputs[1:3]
+    flat = is_fixed and len(outputs) == 2 and outputs[-1] == inputs[1] * inputs[2] * targets
+    if not flat and (len(outputs) != 4 or outputs[-1] != targets):
+        expected = f"a network that gives {targets} images ({', '.join(spec.targets)})"
+        raise ModelFileError(f"{path}: targets: expected {expected}, got outputs of shape {outputs}")
+    if is_fixed and box is None:
+        raise ModelFileError(f"{path}: box: expected [width, height] for a network of {inputs[1:3]} nodes, got none")
+
+
+# ---- Keras's configuration, reduced to what every version reads ----
 
 
 def portable(config) -> dict:
@@ -197,17 +222,15 @@ def portable(config) -> dict:
 
 def _layer(layer, i: int) -> dict:
     """A layer with only the arguments that shape it."""
-    name = layer.get("class_name") if isinstance(layer, dict) else layer
-    module = layer.get("module", "keras.layers") if isinstance(layer, dict) else None
+    where, is_object = f"model_config.layers[{i}]", isinstance(layer, dict)
+    name, module = (layer.get("class_name"), layer.get("module", "keras.layers")) if is_object else (layer, None)
     if name not in _LAYERS or module != "keras.layers" or layer.get("registered_name") not in (None, name):
-        raise ModelFileError(
-            f"model_config.layers[{i}]: expected a stock Keras layer of the list, got {name!r} of "
-            f"{module!r}; custom and Lambda layers are refused"
-        )
+        expected = "a stock Keras layer of the list, no custom or Lambda layer"
+        raise ModelFileError(f"{where}: expected {expected}, got {name!r} of {module!r}")
     given = layer.get("config")
-    _check_parts([given, layer.get("inbound_nodes")], f"layers[{i}]")
+    _check_parts([given, layer.get("inbound_nodes")], where)
     if not isinstance(given, dict):
-        raise ModelFileError(f"model_config.layers[{i}].config: expected an object, got {given!r}")
+        raise ModelFileError(f"{where}.config: expected an object, got {given!r}")
     kept = {"class_name": name, "config": {key: given[key] for key in given if key in _ARGUMENTS}}
     return kept | {key: layer[key] for key in ("name", "inbound_nodes") if key in layer}
 
@@ -218,12 +241,14 @@ def _check_parts(value, where) -> None:
         if name not in (None, "__keras_tensor__"):
             allowed = _PARTS.get(module, ())
             if not (allowed is None or name in allowed) or value.get("registered_name"):
-                raise ModelFileError(f"model_config.{where}: expected stock parts, got {name!r} of {module!r}")
+                raise ModelFileError(f"{where}: expected stock parts, got {name!r} of {module!r}")
         if value.get("activation") not in _ACTIVATIONS:
-            got = value["activation"]
-            raise ModelFileError(f"model_config.{where}.activation: expected a stock one, got {got!r}")
+            raise ModelFileError(f"{where}.activation: expected a stock one, got {value['activation']!r}")
     for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_parts(item, where)
+
+
+# ---- the contents of a file ----
 
 
 def _read(path: Path) -> tuple[StoredNetwork, dict]:
@@ -236,19 +261,18 @@ def _read(path: Path) -> tuple[StoredNetwork, dict]:
         if not isinstance(file.get("model_weights", getlink=True), h5py.HardLink):
             raise ValueError("model_weights: expected the network's weights, got none")
         group = file["model_weights"]
-        datasets = _datasets(group)
-        metadata = _metadata(file)
+        datasets, metadata = _datasets(group), _metadata(file)
         if _digest(given, datasets, metadata) != metadata["digest"]:
             raise ValueError("digest: expected that of the file's contents, got another; it was changed or damaged")
+        for name, array in datasets.items():
+            if not np.isfinite(array).all():
+                bad = array[~np.isfinite(array)][0]
+                raise ValueError(f"model_weights/{name}: expected finite weights, got {bad}")
         weights = {}
         for layer in group:
             names = [n.decode() if isinstance(n, bytes) else n for n in hdf5.attribute(group[layer], "weight_names")]
             if names:
                 weights[layer] = [np.asarray(datasets[f"{layer}/{n}"], np.float32) for n in names]
-        for name, array in datasets.items():
-            if not np.isfinite(array).all():
-                bad = array[~np.isfinite(array)][0]
-                raise ValueError(f"model_weights/{name}: expected finite weights, got {bad}")
     return StoredNetwork(path, config, weights), metadata
 
 
@@ -263,57 +287,27 @@ def _metadata(file) -> dict:
     text = hdf5.dataset(file, METADATA)
     if text.shape != ():
         raise ValueError(f"{METADATA}: expected one text, our metadata, got shape {text.shape}")
-    metadata = _parsed(text[()], METADATA)
-    if not isinstance(metadata, dict) or set(metadata) != set(_FIELDS):
-        got = sorted(metadata) if isinstance(metadata, dict) else type(metadata).__name__
+    found = _parsed(text[()], METADATA)
+    if not isinstance(found, dict) or set(found) != set(_FIELDS):
+        got = sorted(found) if isinstance(found, dict) else type(found).__name__
         raise ModelFileError(f"{METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
-    if metadata["format"] != FORMAT:
-        raise ModelFileError(f"format: expected {FORMAT}, got {metadata['format']!r}")
-    for name in ("spec", "card"):
-        if not isinstance(metadata[name], dict):
-            raise ModelFileError(f"{name}: expected an object, got {metadata[name]!r}")
-    box = metadata["box"]
-    if box is not None and not (
-        isinstance(box, list) and len(box) == 2 and all(isinstance(x, (int, float)) and x > 0 for x in box)
+    box = found["box"]
+    is_size = isinstance(box, list) and len(box) == 2 and all(isinstance(x, (int, float)) and x > 0 for x in box)
+    for name, good, expected in (
+        ("format", found["format"] == FORMAT, FORMAT),
+        ("spec", isinstance(found["spec"], dict), "an object"),
+        ("card", isinstance(found["card"], dict), "an object"),
+        ("box", box is None or is_size, "null or [width, height] in m"),
     ):
-        raise ModelFileError(f"box: expected null or [width, height] in m, got {box!r}")
-    return metadata
+        if not good:
+            raise ModelFileError(f"{name}: expected {expected}, got {found[name]!r}")
+    return found
 
 
 def _datasets(group) -> dict[str, np.ndarray]:
     """Name -> array of every dataset below a group, in the order of the names: no more numbers than the file holds."""
     found = hdf5.read(hdf5.datasets(group), group.file.id.get_filesize())
     return {name: np.ascontiguousarray(array) for name, array in found.items()}
-
-
-def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box, path) -> None:
-    """Raise ModelFileError unless the network takes the spec's images and gives its targets.
-
-    A far-field network by its weights, any other by the shapes of the `keras.Model`.
-    """
-    channels, targets = len(spec.channels), len(spec.targets)
-    if isinstance(spec, FarFieldSpec):
-        if (dimensions(weights) or ())[:2] != (channels, targets):
-            raise ModelFileError(
-                f"{path}: model_weights: expected the layers of architectures.far_field with {channels} channels and "
-                f"{targets} outputs, got {', '.join(weights)}"
-            )
-        return
-    inputs, outputs = model.input_shape, model.output_shape
-    if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != channels:
-        raise ModelFileError(
-            f"{path}: channels: expected a network of {channels} input channels ({', '.join(spec.channels)}), "
-            f"got one of shape {inputs}"
-        )
-    size = inputs[1:3]
-    flat = len(outputs) == 2 and None not in size and outputs[-1] == size[0] * size[1] * targets
-    if not (flat or (len(outputs) == 4 and outputs[-1] == targets)):
-        raise ModelFileError(
-            f"{path}: targets: expected a network that gives {targets} images ({', '.join(spec.targets)}), "
-            f"got outputs of shape {outputs}"
-        )
-    if None not in size and box is None:
-        raise ModelFileError(f"{path}: box: expected [width, height] for a network of the fixed size {size}, got none")
 
 
 def _digest(config, datasets: dict[str, np.ndarray], metadata: dict) -> str:

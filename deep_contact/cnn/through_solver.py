@@ -45,19 +45,11 @@ _NOTHING = 1e-12
 
 
 class SolvedProblem(NamedTuple):
-    """A contact problem with its solution.
+    """A contact problem with its solution."""
 
-    | field    | meaning                                                | shape      | unit |
-    |----------|--------------------------------------------------------|------------|------|
-    | rows     | `Rows`, with the impulses of Builtin's start           |            |      |
-    | free     | velocities after Δt of gravity, packed for the solver  | (n + 4, 4) |      |
-    | solution | λ*                                                     | (m, 2)     | N·s  |
-    | friction | μ                                                      |            |      |
-    """
-
-    rows: Rows
-    free: np.ndarray
-    solution: np.ndarray
+    rows: Rows  # with the impulses of Builtin's start
+    free: np.ndarray  # velocities after Δt of gravity, packed for the solver, (n + 4, 4)
+    solution: np.ndarray  # λ*, (m, 2), N·s
     friction: float
 
 
@@ -68,10 +60,6 @@ def solved_problem(state: State) -> SolvedProblem:
     rows, free, friction = step_problem(state)
     solution = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     return SolvedProblem(rows, free, solution, friction)
-
-
-MEASURES = ("velocity", "residual")
-"""The error that a loss measures after each number of sweeps."""
 
 
 def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int]) -> np.ndarray:
@@ -94,7 +82,7 @@ def loss_and_gradient(
     The start is projected on λ_n ≥ 0 and the cone before the first sweep. Where the projection cuts a negative normal
     impulse off, the gradient is kept if it asks for more impulse; otherwise such a contact could never learn to push.
     """
-    one_of("measure", measure, MEASURES)
+    one_of("measure", measure, ("velocity", "residual"))
     sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
     in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
     errors, gradient = _errors_and_gradient(problem, in_cone, sweeps, weights, measure == "residual")
@@ -209,8 +197,8 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
     and the engine's own sweep does not keep them.
     """
     for i in range(rows.body.shape[0]):
-        a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
-        n_x, n_y, k_n, k_t = rows.data[i, N_X], rows.data[i, N_Y], rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
+        a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]
+        n_x, n_y, k_n, k_t = row[N_X], row[N_Y], row[NORMAL_MASS], row[TANGENT_MASS]
         v_n, v_t = row_velocity(rows, velocity, i)
         old_n, old_t = impulse[i, 0], impulse[i, 1]
         largest = friction * old_n
@@ -228,10 +216,10 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
         w_a, w_b = velocity[a, INVERSE_MASS], velocity[b, INVERSE_MASS]
         velocity[a, V_X] -= w_a * p_x
         velocity[a, V_Y] -= w_a * p_y
-        velocity[a, V_S] += 2.0 * w_a * rows.data[i, ARM_A] * p_t
+        velocity[a, V_S] += 2.0 * w_a * row[ARM_A] * p_t
         velocity[b, V_X] += w_b * p_x
         velocity[b, V_Y] += w_b * p_y
-        velocity[b, V_S] += 2.0 * w_b * rows.data[i, ARM_B] * p_t
+        velocity[b, V_S] += 2.0 * w_b * row[ARM_B] * p_t
 
 
 @njit(cache=True)
@@ -241,17 +229,16 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
     velocity: any packed velocities, for their inverse masses. by_velocity: (n + 4, 3). by_impulse: (m, 2).
     """
     for i in range(rows.body.shape[0] - 1, -1, -1):
-        a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
-        n_x, n_y, k_n, k_t = rows.data[i, N_X], rows.data[i, N_Y], rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS]
-        arm_a, arm_b = rows.data[i, ARM_A], rows.data[i, ARM_B]
+        a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]
+        n_x, n_y, k_n, k_t = row[N_X], row[N_Y], row[NORMAL_MASS], row[TANGENT_MASS]
         d_n, d_t = _by_change(rows, velocity, by_velocity, i)
         # Derivatives by the changes p_n and p_t of this contact's impulses.
         d_n += by_impulse[i, 0]
         d_t += by_impulse[i, 1]
         if clamped[i, 1] == 0:
             _push(by_velocity, a, b, -k_t * d_t * n_y, k_t * d_t * n_x)
-            by_velocity[a, 2] -= k_t * d_t * arm_a
-            by_velocity[b, 2] -= k_t * d_t * arm_b
+            by_velocity[a, 2] -= k_t * d_t * row[ARM_A]
+            by_velocity[b, 2] -= k_t * d_t * row[ARM_B]
         else:
             by_impulse[i, 1] -= d_t
             by_impulse[i, 0] += clamped[i, 1] * friction * d_t
@@ -273,10 +260,9 @@ def _push(by_velocity, a, b, x, y):
 @njit(cache=True)
 def _by_change(rows, velocity, by_velocity, i):
     """Derivative by a normal and by a tangent impulse of contact i through the velocities that they change."""
-    a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
-    n_x, n_y, arm_a, arm_b = rows.data[i, N_X], rows.data[i, N_Y], rows.data[i, ARM_A], rows.data[i, ARM_B]
-    w_a, w_b = velocity[a, INVERSE_MASS], velocity[b, INVERSE_MASS]
+    a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]
+    n_x, n_y, w_a, w_b = row[N_X], row[N_Y], velocity[a, INVERSE_MASS], velocity[b, INVERSE_MASS]
     g_x = w_b * by_velocity[b, 0] - w_a * by_velocity[a, 0]
     g_y = w_b * by_velocity[b, 1] - w_a * by_velocity[a, 1]
-    turn = 2.0 * (w_a * arm_a * by_velocity[a, 2] + w_b * arm_b * by_velocity[b, 2])
+    turn = 2.0 * (w_a * row[ARM_A] * by_velocity[a, 2] + w_b * row[ARM_B] * by_velocity[b, 2])
     return g_x * n_x + g_y * n_y, g_x * n_y - g_y * n_x + turn

@@ -36,12 +36,12 @@ _OPTIONS = {
     "normalization": {"raw": 0, "particle": 1, "consistent": 2},
     "method": {"bilinear": 0, "sph": 1},
     "unreached": {"error": 0, "zero": 1, "nearest": 2},
-    "outside": {"error": 0, "clamp": 1, "ignore": 2},
+    "outside": {"error": 0, "clamp": 1},
 }
 """Names of options, and the numbers by which Numba code knows them."""
 
-_RAW, _CONSISTENT, _SPH = 0, 2, 1
-_ZERO, _NEAREST, _CLAMP, _IGNORE = 1, 2, 1, 2
+_RAW, _CONSISTENT, _SPH, _CLAMP = 0, 2, 1, 1
+_ZERO, _NEAREST = 1, 2
 _DONE, _BAD_RESULT, _IS_OUTSIDE, _IS_UNREACHED = range(4)
 _NO_DENSITY = np.empty((0, 0))
 
@@ -194,8 +194,6 @@ def _splat_core(geometry, position, values, h, kernel, normalization, unreached,
         x, in_x = _place(position[k, 0], geometry[0], geometry[2], n_x, outside)
         y, in_y = _place(position[k, 1], geometry[1], geometry[3], n_y, outside)
         if not (in_x and in_y):
-            if outside == _IGNORE:
-                continue
             return _IS_OUTSIDE, k
         i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights)
         if total > 0.0:
@@ -246,8 +244,6 @@ def _gather_core(geometry, image, density, position, h, kernel, method, unreache
         x, in_x = _place(position[k, 0], geometry[0], geometry[2], n_x, outside)
         y, in_y = _place(position[k, 1], geometry[1], geometry[3], n_y, outside)
         if not (in_x and in_y):
-            if outside == _IGNORE:
-                continue
             return _IS_OUTSIDE, k
         if method == _SPH:
             i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, x, y, h, kernel, weights)
@@ -294,8 +290,8 @@ def splat(
     normalization: "raw", "particle" or "consistent" (the same image as "particle"); see the module.
     unreached: for a particle with no node within h. "error"; "zero": it adds nothing; "nearest": it goes to the nearest
     node (with the weight 1, or 1 / (dx dy) if raw).
-    outside: for a particle outside the grid. "error"; "clamp": it acts from the nearest point of the grid; "ignore": it
-    adds nothing. Contacts with a wall lie beyond it by half their penetration: clamp these.
+    outside: for a particle outside the grid. "error"; "clamp": it acts from the nearest point of the grid. Contacts
+    with a wall lie beyond it by half their penetration: clamp these.
 
     Raises ValueError naming the argument, what was expected and the value.
     """
@@ -349,7 +345,7 @@ def gather(
     h, kernel: as for `splat`; h may be None if neither `method` nor `density` needs it.
     unreached: for a query with no node within h ("sph") or no density around it ("consistent"). "error"; "zero": it
     reads 0; "nearest": it reads the nearest node, over that node's density (an error if it has none).
-    outside: for a query outside the grid. "error"; "clamp": it reads the nearest point of the grid; "ignore": 0.
+    outside: for a query outside the grid. "error"; "clamp": it reads the nearest point of the grid.
 
     Raises ValueError naming the argument, what was expected and the value, also if a result is not finite.
     """

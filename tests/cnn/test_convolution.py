@@ -69,7 +69,9 @@ def test_the_image_is_the_splat_of_the_contacts_and_of_the_circles(support, fall
     expected = sph.splat(found.grid, found.point, np.column_stack([np.ones(len(walls)), walls]), **options)
     np.testing.assert_allclose(found.image[:, :, [0, first - 1]], expected, atol=1e-6)
     spin = np.arcsinh(measured.body_sizes[:, 5])
-    expected = sph.splat(found.grid, measured.centre, spin, outside="ignore", **options)
+    low, high = np.reshape(found.grid.box, (2, 2))
+    seen = ((measured.centre >= low) & (measured.centre <= high)).all(axis=1)
+    expected = sph.splat(found.grid, measured.centre[seen], spin[seen], **options)
     np.testing.assert_allclose(found.image[:, :, -1], expected, atol=1e-6 * max(1.0, np.abs(expected).max()))
     # The tensors n ⊗ n and t ⊗ n, t = (n_y, −n_x): the difference of the diagonal, and the sum beside it.
     n_x, n_y = measured.normal.T

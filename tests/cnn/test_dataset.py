@@ -370,10 +370,9 @@ def test_no_simulation_is_on_both_sides(ids, fractions, seed):
 def test_splits_that_cannot_be_are_refused():
     assert [len(side) for side in split_by_simulation(range(150))] == [120, 15, 15]
     assert split_by_simulation(range(150), seed=1) != split_by_simulation(range(150))
-    with pytest.raises(ValueError, match="fractions"):
-        split_by_simulation(range(9), fractions=(0.5, 0.2, 0.2))
-    with pytest.raises(ValueError, match="2 simulations"):
-        split_by_simulation(range(2))
+    for count, fractions, message in ((9, (0.5, 0.2, 0.2), "fractions"), (2, (0.8, 0.1, 0.1), "2 simulations")):
+        with pytest.raises(ValueError, match=message):
+            split_by_simulation(range(count), fractions=fractions)
 
 
 # ---- scripts/generate_data.py ----

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.cnn import inference, model_file, registry
+from deep_contact.cnn import far_field, inference, model_file, registry
 from deep_contact.cnn.architectures import build
 from deep_contact.cnn.evaluation import held_out_errors, velocity_errors
 from deep_contact.cnn.images import CHANNELS, ImageSpec, input_image, read_back
@@ -132,7 +132,7 @@ def test_foreign_files_are_refused(tmp_path, network):
         load_model(path)
 
 
-@pytest.mark.parametrize("text", ["[" * 100_000, '{"a":' * 100_000])
+@pytest.mark.parametrize("text", ["[" * 60_000, '{"a":' * 12_000])
 def test_deep_nesting_is_refused(file, text):
     with h5py.File(file, "r+") as f:
         del f[METADATA]
@@ -140,7 +140,7 @@ def test_deep_nesting_is_refused(file, text):
     with pytest.raises(ModelFileError, match=METADATA):
         load_model(file)
     with h5py.File(file, "r+") as f:
-        f.attrs["model_config"] = text[:60_000]
+        f.attrs["model_config"] = text
     with pytest.raises(ModelFileError, match="model_config"):
         load_model(file)
 
@@ -154,27 +154,28 @@ def test_a_registry_that_is_none_is_refused(tmp_path, monkeypatch, text):
         load_model("model")
 
 
-def test_custom_layer_is_not_written(tmp_path):
+def custom(network):
     class Mine(keras.layers.Layer):
         def call(self, x):
             return x
 
-    network = keras.Sequential([keras.Input((None, None, len(SPEC.channels))), Mine(), keras.layers.Conv2D(2, 1)])
-    with pytest.raises(ModelFileError, match="Mine"):
-        save_model(tmp_path / "model.h5", network, SPEC, CARD)
-    assert not list(tmp_path.iterdir())
+    return keras.Sequential([network, Mine()])
 
 
 @pytest.mark.parametrize(
-    ("spec", "field"),
+    ("made", "spec", "field"),
     [
-        (replace(SPEC, channels=("mass",)), "channels"),
-        (replace(SPEC, targets=("normal_impulse",)), "targets"),
+        (custom, SPEC, "expected a stock"),
+        (lambda network: network, replace(SPEC, channels=("mass",)), "channels"),
+        (lambda network: network, replace(SPEC, targets=("normal_impulse",)), "targets"),
+        (lambda network: random_network(shape=(9, 13)), ImageSpec(), "box"),
+        (lambda network: network, far_field.FarFieldSpec(), "model_weights: expected the layers of"),
     ],
 )
-def test_network_that_does_not_fit_the_spec_is_not_written(tmp_path, network, spec, field):
+def test_a_network_that_may_not_or_does_not_fit_is_not_written(tmp_path, network, made, spec, field):
     with pytest.raises(ModelFileError, match=field):
-        save_model(tmp_path / "model.h5", network, spec, CARD)
+        save_model(tmp_path / "model.h5", made(network), spec, CARD)
+    assert not list(tmp_path.iterdir())
 
 
 # Arguments that Keras 3.15 writes and Keras 3.4 refuses, and one that no Keras knows.
@@ -379,25 +380,14 @@ def test_network_of_fixed_size_refuses_another_box(fixed, size):
         fixed.predict(small_state(size))
 
 
-def test_network_of_fixed_size_needs_its_box(tmp_path):
-    with pytest.raises(ModelFileError, match="box"):
-        save_model(tmp_path / "model.h5", random_network(shape=(9, 13)), ImageSpec(), {})
-
-
 @pytest.mark.parametrize("size", [(6.0, 6.0), (7.3, 4.1)])
-def test_convolutional_network_takes_any_box(network, size):
-    state = small_state(size)
-    image = LearnedModel(source=network, spec=SPEC).predict_image(state)
+def test_convolutional_network_runs_in_any_box(network, size):
+    state, model = small_state(size), LearnedModel(source=network, spec=SPEC)
+    image = model.predict_image(state)
     assert image.shape == (*SPEC.shape(state.world), 2)
-
-
-# ---- inference ----
-
-
-def test_inference_is_the_network(network, falling_states):
-    model = LearnedModel(source=network, spec=SPEC)
-    image = input_image(falling_states[5], SPEC)
-    np.testing.assert_allclose(model.run(image), np.asarray(network(image[None]))[0], rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(image, network(input_image(state, SPEC)[None])[0], rtol=1e-5, atol=1e-6)
+    run = dc.simulate(state, steps=3, solver=dc.PGS(), warm_start=Cnn(model))
+    assert set(run.status) <= {"converged", "no_contacts"}
 
 
 def test_inference_is_traced_once(network, falling_states, monkeypatch):
@@ -420,13 +410,6 @@ def test_projection_is_on_the_friction_cone():
     np.testing.assert_array_equal(tangent, [0.0, -1.0, 0.5])
 
 
-def test_projection_takes_a_friction_for_each_contact_and_keeps_the_precision():
-    impulses = np.array([[2.0, 5.0], [2.0, -5.0]], np.float32)
-    normal, tangent = projected(*impulses.T, np.array([0.5, 1.0], np.float32))
-    assert normal.dtype == tangent.dtype == np.float32
-    np.testing.assert_array_equal(tangent, [1.0, -2.0])
-
-
 def test_cnn_start_is_the_prediction_projected(file, falling_states):
     start, state = Cnn(file), falling_states[5]
     normal, tangent = start(state, state.solver)
@@ -434,11 +417,6 @@ def test_cnn_start_is_the_prediction_projected(file, falling_states):
     np.testing.assert_array_equal((normal, tangent), expected)
     assert (normal > 0).any()
     assert (np.abs(tangent) <= state.world.friction * normal).all()
-
-
-def test_simulation_runs_from_a_network(file):
-    run = dc.simulate(small_state(), steps=3, solver=dc.PGS(), warm_start=Cnn(file))
-    assert (run.status == "converged").all()
 
 
 @pytest.mark.parametrize("name", ["thesis_factored", "model"])
@@ -459,12 +437,9 @@ def test_several_states_and_foreign_byte_orders(name, falling_states):
 
     foreign = states[0].replace(bodies=swapped(states[0].bodies), contacts=swapped(states[0].contacts))
     np.testing.assert_array_equal(model.predict(foreign), expected[0])
-    image = model.predict_image(foreign)
-    np.testing.assert_array_equal(image, model.predict_image(states[0]))
-
-
-def test_a_foreign_image_is_cast():
-    model, image = load_model("model"), np.random.default_rng(0).normal(size=(9, 9, 29))
+    np.testing.assert_array_equal(model.predict_image(foreign), model.predict_image(states[0]))
+    sides = (9, 9) if name == "model" else (61, 61)
+    image = np.random.default_rng(0).normal(size=(*sides, len(model.spec.channels)))
     expected = model.run(image.astype(np.float32))
     np.testing.assert_array_equal(model.run(np.asfortranarray(image.astype(">f8"))), expected)
 

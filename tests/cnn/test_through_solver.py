@@ -6,13 +6,7 @@ import pytest
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.inference import projected
-from deep_contact.cnn.through_solver import (
-    MEASURES,
-    errors_after,
-    impulse_loss,
-    loss_and_gradient,
-    solved_problem,
-)
+from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
 
 SWEEPS, WEIGHTS = (0, 3, 10), (0.5, 1.0, 2.0)
 
@@ -30,7 +24,7 @@ def test_errors_are_those_of_the_engines_sweeps(falling_states, index):
     np.testing.assert_allclose(errors_after(solved_problem(state), start, (0, 3, 30)), expected, rtol=1e-9)
 
 
-@pytest.mark.parametrize("measure", MEASURES)
+@pytest.mark.parametrize("measure", ["velocity", "residual"])
 @pytest.mark.parametrize("index", [2, 6, 12])
 def test_gradient_equals_finite_differences(falling_states, index, measure):
     problem = solved_problem(falling_states[index])

@@ -84,15 +84,6 @@ def test_gradient_is_the_finite_difference_of_the_value(kernel, dim):
 
 @kernels
 @dims
-def test_derivative_is_the_radial_part_of_the_gradient(kernel, dim):
-    x = off_the_knots(dim)
-    r = np.linalg.norm(x, axis=1)
-    radial = (sph.gradient(kernel, x, H, dim) * x).sum(axis=1) / r
-    np.testing.assert_allclose(sph.derivative(kernel, r, H, dim), radial, rtol=1e-12)
-
-
-@kernels
-@dims
 def test_laplacian_is_the_divergence_of_the_gradient(kernel, dim):
     x, step = off_the_knots(dim), 1e-5 * H
     numeric = 0.0
@@ -146,20 +137,6 @@ def test_equations_3_9_and_3_12_hold_in_space():
     np.testing.assert_allclose(sph.gradient("spiky", x, H, dim=3), spiky, rtol=1e-12)
 
 
-def test_gradient_of_poly6_vanishes_towards_the_centre_and_that_of_spiky_does_not():
-    """Figure 3.4, and why Desbrun and Gascuel made the spiky kernel."""
-    x = np.array([[1e-9, 0.0]])
-    assert np.linalg.norm(sph.gradient("poly6", x, 1.0)) < 1e-7
-    assert sph.gradient("spiky", x, 1.0)[0, 0] == pytest.approx(-30 / math.pi, rel=1e-8)
-
-
-@pytest.mark.parametrize("kernel", [k for k in sph.KERNELS if k != "spiky"])
-@dims
-def test_laplacian_at_the_centre_is_its_limit(kernel, dim):
-    limit = sph.laplacian(kernel, 1e-9 * H, H, dim)
-    assert sph.laplacian(kernel, 0.0, H, dim) == pytest.approx(limit, rel=1e-8)
-
-
 @kernels
 def test_value_and_gradient_go_to_zero_continuously(kernel):
     """All but the Gaussian, which documents a step of exp(-9) of its peak."""
@@ -211,12 +188,6 @@ def test_gradient_turns_with_its_argument(kernel, r, angle, dim):
         np.testing.assert_allclose(gradient[-2:], expected, atol=1e-12)
 
 
-def test_shapes():
-    assert isinstance(sph.value("poly6", 0.5, 1.0), float)
-    assert sph.value("poly6", np.zeros((2, 3)), 1.0).shape == (2, 3)
-    assert sph.gradient("poly6", np.zeros((4, 5, 3)), 1.0, dim=3).shape == (4, 5, 3)
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
@@ -238,10 +209,9 @@ def test_errors_name_the_argument_and_the_value(arguments, message):
         sph.value(*arguments)
 
 
-@pytest.mark.parametrize(
-    ("displacement", "message"),
-    [([1.0, 2.0, 3.0], r"shape \(..., 2\)"), ([[0.0, math.nan]], r"\[0, 1\].*nan")],
-)
-def test_gradient_refuses_bad_displacements(displacement, message):
-    with pytest.raises(ValueError, match=message):
-        sph.gradient("poly6", displacement, 1.0)
+def test_displacements_of_other_shapes_or_without_numbers_are_refused():
+    assert isinstance(sph.value("poly6", 0.5, 1.0), float)
+    assert sph.gradient("poly6", np.zeros((4, 5, 3)), 1.0, dim=3).shape == (4, 5, 3)
+    for displacement, message in (([1.0, 2.0, 3.0], r"shape \(..., 2\)"), ([[0.0, math.nan]], r"\[0, 1\].*nan")):
+        with pytest.raises(ValueError, match=message):
+            sph.gradient("poly6", displacement, 1.0)

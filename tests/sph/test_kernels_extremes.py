@@ -14,10 +14,10 @@ from deep_contact import sph
 
 SUPPORTS = [10.0**p for p in range(-6, 7)]
 SUBNORMAL = 5e-324
+each = pytest.mark.parametrize(("kernel", "dim"), [(kernel, dim) for kernel in sph.KERNELS for dim in (2, 3)])
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kernel", sph.KERNELS)
+@each
 def test_shape_does_not_depend_on_h_from_a_millionth_to_a_million(kernel, dim):
     # W(q h, h) h^dim = W(q, 1), and one power of h more for every derivative: to a few roundings of q and of the power.
     q = np.array([0.0, 1e-9, 0.1, 0.49, 0.5, 0.51, 0.9, 0.999])
@@ -27,8 +27,7 @@ def test_shape_does_not_depend_on_h_from_a_millionth_to_a_million(kernel, dim):
             np.testing.assert_allclose(found, function(kernel, q, 1.0, dim), rtol=1e-11, atol=1e-13)
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kernel", sph.KERNELS)
+@each
 @pytest.mark.parametrize("h", [1e-6, 1.0, 1e6])
 def test_at_the_centre_all_is_defined(kernel, dim, h):
     assert sph.value(kernel, 0.0, h, dim) > 0
@@ -38,8 +37,7 @@ def test_at_the_centre_all_is_defined(kernel, dim, h):
     assert laplacian < 0  # a maximum
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kernel", sph.KERNELS)
+@each
 @pytest.mark.parametrize("h", [1e-50, 1e-6, 1 / 3, 1.0, 1e6, 1e50])
 def test_at_the_edge_all_is_zero_and_just_inside_nothing_is_negative(kernel, dim, h):
     for function in (sph.value, sph.derivative, sph.laplacian):
@@ -50,8 +48,7 @@ def test_at_the_edge_all_is_zero_and_just_inside_nothing_is_negative(kernel, dim
     assert sph.derivative(kernel, inside, h, dim) <= 0.0
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kernel", sph.KERNELS)
+@each
 def test_subnormal_distances_are_the_centre(kernel, dim):
     assert sph.value(kernel, SUBNORMAL, 1.0, dim) == sph.value(kernel, 0.0, 1.0, dim)
     towards = np.zeros(dim)
@@ -63,8 +60,7 @@ def test_subnormal_distances_are_the_centre(kernel, dim):
     assert np.isfinite(sph.laplacian(kernel, 1e-300, 1.0, dim))
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-@pytest.mark.parametrize("kernel", sph.KERNELS)
+@each
 def test_the_laplacian_has_its_limit_from_the_smallest_distances_on(kernel, dim):
     if kernel == "spiky":
         # (dim - 1) W'(0) / r, without bound: to a rounding where r is small.
@@ -145,11 +141,3 @@ def test_a_grid_far_away_loses_only_what_its_coordinates_round(far):
     np.testing.assert_allclose(
         sph.splat(grid, position + far, values, h=0.75), sph.splat(near, position, values, h=0.75), rtol=1e-13
     )
-
-
-def test_float32_positions_and_values_are_widened_before_anything_is_computed():
-    grid = sph.Grid.over_box((0, 0, 10, 10), 0.5)
-    position = np.random.default_rng(2).uniform(0, 10, (30, 2)).astype(np.float32)
-    values = position.sum(axis=1, keepdims=True)
-    wide = sph.splat(grid, position.astype(np.float64), values.astype(np.float64), h=0.5)
-    np.testing.assert_array_equal(sph.splat(grid, position, values, h=0.5), wide)
