@@ -1,10 +1,10 @@
-"""The contact solver against analytic solutions, invariants, non-negative least squares, and Algorithm 1 on A and b."""
+"""Contacts solved by sweeps and by pivots against closed forms and invariants."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import carried, momentum, solved_states, stacked
+from conftest import momentum, solved_states, stacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -75,31 +75,6 @@ def test_circle_on_the_floor_slips_or_sticks(speed, friction_speed, solved):
     solution = solved(ready(scene.replace(bodies=scene.bodies._replace(velocity=np.array([[speed, 0.0]])))))
     np.testing.assert_allclose(solution.velocities[0], [speed - friction_speed, 0.0], atol=1e-11)
     np.testing.assert_allclose(solution.angular_velocities[0], -2 * friction_speed, atol=1e-11)
-
-
-def algorithm_1(A, b, impulse, *, sweeps, friction):
-    """The thesis's Solver(A, b, λ) with friction, each contact's tangent row before its normal row. λ, θ by sweep."""
-    A, impulse, theta = A.toarray(), impulse.copy(), []
-    for _ in range(sweeps):
-        before = impulse.copy()
-        for i in np.arange(impulse.size).reshape(-1, 2)[:, ::-1].ravel():
-            new = impulse[i] - (A[i] @ impulse + b[i]) / A[i, i]
-            largest = friction * impulse[i - 1]
-            impulse[i] = max(-largest, min(new, largest)) if i % 2 else max(0.0, new)
-        theta.append(np.abs(impulse - before).max())
-    return impulse, theta
-
-
-def test_sweeps_equal_algorithm_1_on_matrices(falling_states):
-    # The same 30 sweeps, once through velocities, once through A: equal to rounding, θ included.
-    for state in falling_states[::4]:
-        problem = contact_problem(state)
-        expected, theta = algorithm_1(problem.A, problem.b, carried(state), sweeps=30, friction=state.world.friction)
-        solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=30, tolerance=None))
-        scale = np.abs(expected).max()
-        np.testing.assert_allclose(solution.normal_impulses, expected[::2], atol=1e-11 * scale)
-        np.testing.assert_allclose(solution.tangent_impulses, expected[1::2], atol=1e-11 * scale)
-        np.testing.assert_allclose(solution.record.theta, theta, atol=1e-11 * scale)
 
 
 @settings(max_examples=25, deadline=None)

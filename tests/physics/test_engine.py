@@ -9,6 +9,7 @@ from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION, W
 from deep_contact.physics.engine import is_valid
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.scenes import single_body
+from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World, make_bodies
 
 
@@ -77,26 +78,38 @@ def test_step_by_step_equals_in_one_go():
     assert_same_run(state, dc.simulate(scene, steps=120).state)
 
 
-@pytest.mark.parametrize("warm_start", [None, "builtin", "copy"])
-def test_watching_changes_nothing(warm_start):
-    scene = dc.circles_in_box(40, seed=9)
-    options = {"steps": 150, "warm_start": warm_start, "solver": dc.PGS(sweeps=100)}
-    assert_same_run(
-        dc.simulate(scene, on_step=lambda state, record: None, **options).state, dc.simulate(scene, **options).state
-    )
+FALL, COLUMN = dc.circles_in_box(40, seed=9), dc.column(4)
 
 
-@pytest.mark.parametrize("warm_start", [None, "builtin"])
-@pytest.mark.parametrize("solved", [True, False])
-def test_resumed_from_xml_as_if_never_stopped(tmp_path, solved, warm_start):
-    scene = dc.circles_in_box(50, radius=(0.5, 1.5), restitution=0.3, seed=10)
-    options = {"warm_start": warm_start, "solver": dc.PGS(sweeps=40, tolerance=1e-3, position_sweeps=4), "dt": 0.008}
-    through = dc.simulate(scene, steps=200, **options).state
+@pytest.mark.parametrize(
+    ("scene", "options"),
+    [*((FALL, {"warm_start": start}) for start in (None, "builtin", "copy")), (COLUMN, {"sleep": True})],
+    ids=str,
+)
+def test_watching_changes_nothing(scene, options):
+    options, seen = {"steps": 150, "solver": dc.PGS(sweeps=200, tolerance=1e-9)} | options, []
+    watched = dc.simulate(scene, on_step=lambda state, record: seen.append(record.status), **options).state
+    assert_same_run(watched, dc.simulate(scene, **options).state)
+    assert (seen[-1] == "no_contacts") == ("sleep" in options)
+
+
+LOOSE = dc.PGS(sweeps=40, tolerance=1e-3, position_sweeps=4)
+RESUMED = [(method(sweeps=25), "builtin", False) for method in METHODS.values()]
+RESUMED += [(LOOSE, start, solved) for start in (None, "builtin") for solved in (True, False)]
+RESUMED += [(dc.PGS(sweeps=4, tolerance=None, substeps=8), start, False) for start in ("builtin", "sph")]
+
+
+@pytest.mark.parametrize(("solver", "warm_start", "solved"), RESUMED, ids=str)
+def test_resumed_from_xml_as_if_never_stopped(tmp_path, solver, warm_start, solved):
+    scene = dc.circles_in_box(40, radius=(0.5, 1.5), restitution=0.3, seed=10)
+    options = {"warm_start": warm_start, "solver": solver, "dt": 0.008}
+    through = dc.simulate(scene, steps=150, **options).state
     kept = {}
     stopped = dc.simulate(scene, steps=101, on_step=lambda s, r: kept.update({s.step: s}), **options).state
     dc.write_state(tmp_path / "stop.xml", kept[100] if solved else stopped)
     state = dc.read_state(tmp_path / "stop.xml")
-    resumed = dc.simulate(state, steps=200 - state.step, warm_start=warm_start).state
+    assert state.solver == stopped.solver
+    resumed = dc.simulate(state, steps=150 - state.step, warm_start=warm_start).state
     assert_same_run(resumed, through)
 
 

@@ -92,15 +92,6 @@ def test_the_tolerances_are_those_of_box2d(velocity, spin, awake):
     assert np.isfinite(still_after_a_step(scene, 1.0)) == awake
 
 
-def test_calls_between_steps_change_nothing():
-    scene = dc.column(4)
-    plain = dc.simulate(scene, steps=80, solver=RESTING, sleep=True)
-    seen = []
-    told = dc.simulate(scene, steps=80, solver=RESTING, sleep=True, on_step=lambda s, r: seen.append(r.status))
-    assert_same_bits(plain.state, told.state)
-    assert seen[-1] == "no_contacts"
-
-
 def test_a_resumed_run_starts_awake(tmp_path):
     state = dc.simulate(dc.column(3), steps=80, solver=RESTING, sleep=True).state
     dc.write_state(tmp_path / "state.xml", state)

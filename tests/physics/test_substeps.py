@@ -32,18 +32,6 @@ def test_substeps_are_short_steps(solver, sleep):
     np.testing.assert_array_equal(whole.theta, short.theta[3::4])
 
 
-@pytest.mark.parametrize("start", ["builtin", "none", "sph"])
-def test_a_divided_run_goes_on_from_a_file_bit_for_bit(tmp_path, start):
-    scene, solver = dc.circles_in_box(50, size=20, seed=2), dc.PGS(sweeps=4, tolerance=None, substeps=8)
-    through = dc.simulate(scene, steps=50, solver=solver, warm_start=start).state
-    dc.write_state(tmp_path / "half.xml", dc.simulate(scene, steps=30, solver=solver, warm_start=start).state)
-    half = dc.read_state(tmp_path / "half.xml")
-    assert half.solver == solver
-    later = dc.simulate(half, steps=20, warm_start=start).state
-    np.testing.assert_array_equal(later.bodies.position, through.bodies.position)
-    assert (later.time, later.step) == (through.time, through.step)
-
-
 def test_any_number_divides_and_records_are_whole_steps():
     scene = dc.circles_in_box(20, size=15, seed=3)
     run = dc.simulate(scene, steps=10, record=4, solver=dc.PGS(sweeps=3, tolerance=None, substeps=3))
