@@ -46,8 +46,5 @@ def test_a_public_name_may_differ_from_that_of_its_module():
 
     assert dc.experiments is starts
     assert "starts" not in dir(dc)
-
-
-def test_an_unknown_name_is_an_attribute_error():
     with pytest.raises(AttributeError, match="no attribute 'magic'"):
         dc.magic  # noqa: B018

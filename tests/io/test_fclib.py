@@ -1,18 +1,14 @@
 """fc2d and FCLIB files: problems come back bit for bit, foreign files are read, bad ones name what is wrong."""
 
 import gzip
-import os
-from pathlib import Path
 
 import h5py
 import numpy as np
 import pytest
 from scipy import sparse
 
-import deep_contact as dc
 from deep_contact.io.fclib import read_problem, write_fclib
-from deep_contact.physics.lcp import ContactProblem, contact_problem, siconos_error
-from deep_contact.physics.matrix_solvers import solve_problem
+from deep_contact.physics.lcp import ContactProblem, contact_problem
 
 # By hand, as CSparse prints it: two contacts that share a body.
 TEXT = """2
@@ -36,7 +32,6 @@ CSparse Version 3.1.9, May 4, 2016.  Copyright (c) Timothy A. Davis, 2006-2016
  5.0e-01 2.0e-01
 """
 W = np.array([[2, 0, -0.5, 0], [0, 3, 0, 0], [-0.5, 0, 4, 0], [0, 0, 0, 1.5]])
-OUTSIDE = Path(os.environ.get("DEEP_CONTACT_OUTSIDE", Path(__file__).parents[3] / "shared" / "outside"))
 
 
 def check_equal(problem, A, b, friction):
@@ -142,18 +137,3 @@ def test_bad_hdf5_says_where(tmp_path, name, value, message):
         file["other"] = 1
     with pytest.raises(ValueError, match="expected the group fclib_local, got"):
         read_problem(path)
-
-
-@pytest.mark.skipif(
-    not OUTSIDE.is_dir(), reason="Siconos's three files are not here; DEEP_CONTACT_OUTSIDE names a folder"
-)
-@pytest.mark.parametrize(("name", "contacts"), [("00667_00000", 667), ("02020_00213", 2020), ("07002_00801", 7002)])
-def test_granular_flow_of_siconos(name, contacts):
-    # Siconos's own tests ask for an error of 1e-5 within 10,000 iterations.
-    problem = read_problem(OUTSIDE / f"fc2d_granularflowonwall_{name}.dat.gz")
-    assert problem.friction.size == contacts
-    assert (problem.friction == 0.5).all()
-    for solver in (dc.PGS, dc.NesterovPGS):
-        impulse, record = solve_problem(problem, solver(sweeps=10_000, tolerance=None), error=1e-5)
-        assert record.status == "converged"
-        assert siconos_error(problem, impulse) <= 1e-5

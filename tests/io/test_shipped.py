@@ -1,8 +1,5 @@
 """The files that come with the package, in a checkout and in a wheel."""
 
-import importlib.util
-import shutil
-
 import pytest
 
 import deep_contact as dc
@@ -27,18 +24,6 @@ def test_without_samples_the_error_says_where_they_are(tmp_path, monkeypatch):
     monkeypatch.setattr(shipped, "ROOT", tmp_path)
     with pytest.raises(FileNotFoundError, match="source repository"):
         dc.sample_file()
-
-
-@pytest.mark.parametrize("inside", [True, False])
-def test_the_root_is_the_package_if_the_models_lie_in_it(inside, tmp_path):
-    package = tmp_path / "deep_contact"
-    (package / "io").mkdir(parents=True)
-    (package if inside else tmp_path).joinpath("models").mkdir()
-    copy = shutil.copy(shipped.__file__, package / "io")
-    spec = importlib.util.spec_from_file_location("shipped_elsewhere", copy)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert module.ROOT == (package if inside else tmp_path)
 
 
 def test_a_file_is_found_here_first_then_among_those_that_are_shipped(tmp_path, monkeypatch):
