@@ -65,40 +65,6 @@ BOX2D = ContactScales(
 """The absolute values of Box2D 2.3, whatever the size of the circles: `World(scales=BOX2D)`."""
 
 
-class SceneUnits(NamedTuple):
-    """Units that a scene has of its own; each is 1 for the thesis's scene.
-
-    | field   | meaning                                                                     | unit |
-    |---------|-----------------------------------------------------------------------------|------|
-    | length  | r̄, the mean radius                                                          | m    |
-    | speed   | √(g r̄ / 9.81 m/s²); without gravity r̄ per Δt, over 1 m per 0.01 s           | m/s  |
-    | impulse | m̄ g Δt, over π kg · 9.81 m/s² · 0.01 s; without gravity likewise m̄ r̄ / Δt   | N·s  |
-    """
-
-    length: float
-    speed: float
-    impulse: float
-
-
-def scene_units(mass, radius, gravity, dt: float) -> SceneUnits:
-    """The units of a scene. mass: (n,), kg. radius: (n,), m. gravity: (g_x, g_y), m/s². dt: s."""
-    length, speed, felt = _length_and_speeds(radius, gravity, dt)
-    thesis_dt = constants.TIME_STEP
-    # In this order the thesis's scene is divided by itself: 1 exactly.
-    if felt > 0.0:
-        impulse = mean(mass) * math.hypot(*gravity) * dt / (math.pi * _GRAVITY * thesis_dt)
-    else:
-        impulse = mean(mass) * length / dt / (math.pi * 1.0 / thesis_dt)
-    return SceneUnits(length, speed, impulse)
-
-
-def _length_and_speeds(radius, gravity, dt: float) -> tuple[float, float, float]:
-    """Length and speed of `SceneUnits`, and the speed that gravity gives alone: 0 without it."""
-    length = mean(radius)
-    felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)
-    return length, felt if felt > 0.0 else length * constants.TIME_STEP / dt, felt
-
-
 def contact_scales(
     radius, gravity, dt: float, given: ContactScales | None = None, *, bounces: bool = False
 ) -> ContactScales:
@@ -106,7 +72,9 @@ def contact_scales(
 
     bounces: whether e > 0, where a cut of the largest translation would take energy. It is cut to `FASTEST` times Δt.
     """
-    length, speed, felt = _length_and_speeds(radius, gravity, dt)
+    length = mean(radius)
+    felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)  # 0 without gravity
+    speed = felt if felt > 0.0 else length * constants.TIME_STEP / dt
     scales = given or ContactScales(
         slop=BOX2D.slop * length,
         wall_skin=BOX2D.wall_skin * length,
@@ -121,8 +89,16 @@ def contact_scales(
 
 
 def theta_tolerance(mass, radius, gravity, dt: float) -> float:
-    """θ at which sweeps end by default, N·s: 6e-5 N·s of the authors' code, in units of the scene's impulses."""
-    return constants.THETA_TOLERANCE * scene_units(mass, radius, gravity, dt).impulse
+    """θ at which sweeps end by default, N·s: 6e-5 N·s of the authors' code, in units of the scene's impulses.
+
+    That unit is m̄ g Δt, over π kg · 9.81 m/s² · 0.01 s; without gravity likewise m̄ r̄ / Δt: 1 for the thesis's scene.
+    mass: (n,), kg. radius: (n,), m. gravity: (g_x, g_y), m/s². dt: s.
+    """
+    felt, thesis_dt = math.hypot(*gravity), constants.TIME_STEP
+    # In this order the thesis's scene is divided by itself: 1 exactly.
+    if felt > 0.0:
+        return constants.THETA_TOLERANCE * (mean(mass) * felt * dt / (math.pi * _GRAVITY * thesis_dt))
+    return constants.THETA_TOLERANCE * (mean(mass) * mean(radius) / dt / (math.pi * 1.0 / thesis_dt))
 
 
 def mean(values: np.ndarray) -> float:

@@ -5,6 +5,7 @@ The command line is `python -m deep_contact view`, see `deep_contact.__main__`.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -39,17 +40,16 @@ def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start=
     steps, every = integer("steps", steps, least=1), integer("every", every, least=1)
 
     def run(state: State) -> Iterator[Frame]:
-        kept: list[Frame] = []
+        last: deque[Frame] = deque(maxlen=1)
         for done in range(0, steps, every):
             state = simulate(
                 state,
                 steps=min(every, steps - done),
                 solver=solver,
                 warm_start=warm_start,
-                on_step=lambda *solved: kept.append(Frame(*solved)),
+                on_step=lambda *solved: last.append(Frame(*solved)),
             ).state
-            yield kept.pop()
-            kept.clear()
+            yield last[0]
 
     return run(scene)
 
@@ -108,13 +108,13 @@ def has_display() -> bool:
     return found
 
 
-def play(found: Iterator[Frame], *, height: float = 6.0) -> int:
+def play(found: Iterator[Frame]) -> int:
     """Show frames in a window until they end or the window is closed. Returns how many were shown."""
     from matplotlib import pyplot
 
     painter, shown = Painter(), 0
     with plotting.style():
-        figure = pyplot.figure(figsize=(height * sum(PANELS), height), layout="constrained")
+        figure = pyplot.figure(figsize=(6.0 * sum(PANELS), 6.0), layout="constrained")
         axes = figure.subplots(1, 2, width_ratios=PANELS)
         for frame in found:
             for ax in axes:

@@ -164,11 +164,6 @@ class StoredSimulation:
         return (errors <= SETTLING).astype(np.int64) + (errors <= REST)
 
 
-def start_error(state: State) -> float:
-    """‖λ₀ − λ‖ / ‖λ‖ over all rows of a solved state, as `StoredSimulation.start_errors`."""
-    return float(pack_simulation([state]).start_errors()[0])
-
-
 def phase(state: State) -> str:
     """One of `PHASES`, as `StoredSimulation.phases`."""
     return PHASES[pack_simulation([state]).phases()[0]]
