@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import reprlib
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -199,7 +199,7 @@ class World:
             object.__setattr__(self, name, value)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, repr=False)
 class State:
     """A moment of a simulation: the bodies before a step, and the contacts found where they are.
 
@@ -233,13 +233,6 @@ class State:
     def replace(self: S, **changes) -> S:
         """A copy with some fields changed."""
         return replace(self, **changes)
-
-    def __eq__(self, other) -> bool:
-        if not isinstance(other, State):
-            return NotImplemented
-        return all(getattr(self, field.name) == getattr(other, field.name) for field in fields(self))
-
-    __hash__ = None  # type: ignore[assignment]
 
     def __repr__(self) -> str:
         return f"State({self.name!r}, {', '.join(self._summary().values())})"

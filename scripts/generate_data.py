@@ -37,7 +37,7 @@ from deep_contact.cnn.dataset import simulation_path
 from deep_contact.io import simulation_h5
 from deep_contact.io.files import replacing
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
-from deep_contact.io.state_xml import state_path, write_state
+from deep_contact.io.state_xml import write_state
 from deep_contact.reporting import figures
 
 SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)
@@ -69,7 +69,7 @@ class Job:
     @property
     def xml_folder(self) -> Path:
         """The folder of the simulation's XML files."""
-        return state_path(Path(self.out) / "xml", f"sim_{self.number:04d}", 0).parent
+        return Path(self.out) / "xml" / f"sim_{self.number:04d}"
 
     @property
     def header(self) -> dict:
@@ -111,7 +111,7 @@ def write_xml(job: Job) -> None:
     shutil.rmtree(unfinished, ignore_errors=True)
     try:
         for state in map(simulation.state, range(simulation.count)):
-            write_state(unfinished / state_path("", final.name, state.step, gz=job.gzip).name, state)
+            write_state(unfinished / f"{final.name}_{state.step}.xml{'.gz' if job.gzip else ''}", state)
         os.replace(unfinished, final)
     finally:
         shutil.rmtree(unfinished, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""States as XML files, one file a step (thesis, section 5.2.1): `read_state`, `write_state`, `state_path`.
+"""States as XML files, one file a step (thesis, section 5.2.1): `read_state` and `write_state`.
 
 Canonical form, written by `write_state` (one element a line, floats by `repr`: the round trip is exact)::
 
@@ -40,7 +40,6 @@ import dataclasses
 import gzip
 import itertools
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -123,16 +122,6 @@ def write_state(path, state: State, *, dialect: str = "canonical") -> None:
         # Neither time nor name go into the header, so that the same state gives the same file.
         data = gzip.compress(data, compresslevel=6, mtime=0)
     write_bytes(path, data)
-
-
-def state_path(folder, name: str, step: int, *, gz: bool = False) -> Path:
-    """Where the files of a simulation lie: `<folder>/<name>/<name>_<step>.xml`, or `.xml.gz`.
-
-    Raises ValueError unless the name is a file name and the step an integer >= 0.
-    """
-    if not isinstance(name, str) or name in ("", ".", "..") or re.search(r"[/\\\x00-\x1f]", name):
-        raise ValueError(f"name: expected a file name without separators, got {name!r}")
-    return Path(folder) / name / f"{name}_{integer('step', step)}.xml{'.gz' if gz else ''}"
 
 
 def format_state(state: State) -> bytes:

@@ -23,7 +23,6 @@ from deep_contact.io.state_xml import (
     format_state,
     parse_state,
     read_state,
-    state_path,
     write_state,
 )
 from deep_contact.physics.solvers import METHODS, PGS
@@ -535,13 +534,6 @@ def test_state_larger_than_can_be_read_is_not_written(monkeypatch, tmp_path):
     monkeypatch.setattr(xml_tree, "MAX_TAGS", 30)
     with pytest.raises(StateFileError, match="too large"):
         write_state(tmp_path / "s.xml", example())
-
-
-def test_state_path_is_one_folder_a_simulation():
-    assert state_path("data", "pile", 12, gz=True) == Path("data/pile/pile_12.xml.gz")
-    for name, step in (("", 0), ("..", 0), ("a/b", 0), ("pile", -1), ("pile", 1.5), ("pile", True)):
-        with pytest.raises(ValueError, match=r"(name|step): expected"):
-            state_path("data", name, step)
 
 
 def test_two_thousand_damaged_files_only_raise_state_file_errors():
