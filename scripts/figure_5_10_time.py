@@ -81,9 +81,10 @@ def claims_of(scene, name, where):
     whole = (1e3 * by_scene(scene, chapter_5.times_of(scene, start, TIGHT)) for start in pair)
     text, names = f"it is not efficient: to {TIGHT} it takes longer than Builtin", [f"{start}, ms" for start in pair]
     yield judged(*whole, text, "abstract", slower, names)
+    transient = np.isin(scene["phases"], TRANSIENT)
     loose = {
         f"{criterion}, transients, ms: {name}, builtin": [
-            1e3 * chapter_5.total_time(scene, start, criterion, TRANSIENT) for start in pair
+            1e3 * np.mean(chapter_5.times_of(scene, start, criterion), where=transient) for start in pair
         ]
         for criterion in scene["criteria"]
         if criterion != TIGHT
@@ -104,12 +105,12 @@ def table(data):
     rows = [["scene", "start", "splat", "network", "gather", *(f"{c}: sweeps, ms" for c in criteria), "not reached"]]
     for title, scene in data["scenes"].items():
         for name, found in scene["starts"].items():
-            stages = chapter_5.mean_stages(scene, name, TIGHT)
-            own = [1e3 * stages[stage] if stage in found["stages"] else None for stage in chapter_5.STAGES[:-1]]
+            stages = chapter_5.seconds_of(scene, name, TIGHT)
+            own = [1e3 * stages[stage].mean() if stage in found["stages"] else None for stage in chapter_5.STAGES[:-1]]
             ends = []
             for c in criteria:
-                sweeps, time = chapter_5.mean_sweeps_to(scene, name, c), 1e3 * chapter_5.total_time(scene, name, c)
-                ends.append(f"{sweeps:.4g}, {time:.3g}")
+                sweeps, times = chapter_5.sweeps_of(scene, name, c), chapter_5.times_of(scene, name, c)
+                ends.append(f"{sweeps.mean():.4g}, {1e3 * times.mean():.3g}")
             missed = max(sum(n is None for n in found["sweeps"][c]) for c in criteria)
             rows.append([title, name, *own, *ends, f"{missed} of {len(scene['phases'])}"])
         for name, why in scene["refused"].items():
@@ -139,13 +140,13 @@ def draw(data, options):
 def draw_bars(ax, scene, names, criterion):
     """Stacked bars from the top down, ms."""
     left = np.zeros(len(names))
-    stages = [chapter_5.mean_stages(scene, name, criterion) for name in names]
+    stages = [chapter_5.seconds_of(scene, name, criterion) for name in names]
     for stage in chapter_5.STAGES:
-        widths = np.array([1e3 * found[stage] for found in stages])
+        widths = np.array([1e3 * found[stage].mean() for found in stages])
         ax.barh(range(len(names)), widths, left=left, color=COLOURS[stage], label=stage, height=0.7)
         left = left + widths
     for place, (name, end) in enumerate(zip(names, left)):
-        ax.text(end, place, f" {chapter_5.mean_sweeps_to(scene, name, criterion):,.0f}", va="center", fontsize=8)
+        ax.text(end, place, f" {chapter_5.sweeps_of(scene, name, criterion).mean():,.0f}", va="center", fontsize=8)
     ax.invert_yaxis()
     ax.set_yticks(range(len(names)), [])
     ax.grid(axis="y", visible=False)

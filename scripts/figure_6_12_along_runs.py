@@ -4,7 +4,7 @@ import numpy as np
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.learned_starts import BASE, at_equal_times, curve, measure_runs, ratios_of, settings_of
+from deep_contact.studies.learned_starts import BASE, at_equal_times, curves, measure_runs, ratios_of
 
 LEARNED = f"guarded, {BASE}"
 CLASSICAL = [f"builtin, {solver}" for solver in (BASE, "PSOR 1.7", "PSOR 1.8 | 1.4", "NesterovPGS")]
@@ -60,13 +60,13 @@ def table(data):
 
 def draw(data, options):
     """Mean error against time of a step, one panel a size."""
-    sizes = list(dict.fromkeys(entry["circles"] for entry in data["runs"]))
+    sizes = curves(data["runs"])
     figure, axes = plotting.subplots(1, len(sizes), size=(4.2 * len(sizes), 3.8), squeeze=False)
     styles = plotting.styles_of([*CLASSICAL, LEARNED])
-    for axis, circles in zip(axes[0], sizes):
-        for name in (name for name in settings_of(data["runs"], circles) if name in styles):
-            seconds, errors = curve(data["runs"], circles, name)
-            axis.plot(1e3 * seconds, errors.mean(axis=1), marker="o", markersize=3, **styles[name])
+    for axis, (circles, of_size) in zip(axes[0], sizes.items()):
+        for name, (_, seconds, errors) in of_size.items():
+            if name in styles:
+                axis.plot(1e3 * seconds, errors.mean(axis=1), marker="o", markersize=3, **styles[name])
         plotting.log_axes(axis)
         plotting.label_axes(axis, "time of a step", "mean velocity error", x_unit="ms", title=f"{circles:,} circles")
     axes[0, 0].legend()

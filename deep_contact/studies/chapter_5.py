@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 
-from deep_contact.cnn.dataset import PHASES, Store, evenly, phase, simulation_path, write_simulation
+from deep_contact.cnn.dataset import Store, evenly, phase, simulation_path, write_simulation
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.inference import network_file, network_start, one_thread, projected
@@ -289,33 +289,21 @@ def time_to_thresholds(
     }
 
 
-def mean_stages(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> dict[str, float]:
-    """Mean seconds of each stage of a start over the states of some phases; see `mean_sweeps_to` for those given up."""
+def seconds_of(data: Mapping, name: str, criterion: str) -> dict[str, np.ndarray]:
+    """Seconds of each of `STAGES` of a start to a criterion, one a state; of a state given up, of all its sweeps."""
     found = data["starts"][name]
-    chosen = np.isin(data["phases"], list(phases))
     stages = found["stages"] | {"solve": found["solve"][criterion]}
-    return {stage: float(np.mean(stages[stage], where=chosen)) if stage in stages else 0.0 for stage in STAGES}
-
-
-def total_time(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> float:
-    """Mean seconds of a whole contact solution, see `mean_stages`."""
-    return sum(mean_stages(data, name, criterion, phases).values())
+    return {stage: np.array(stages.get(stage, np.zeros(len(data["phases"])))) for stage in STAGES}
 
 
 def times_of(data: Mapping, name: str, criterion: str) -> np.ndarray:
     """Seconds of a whole contact solution, one a state."""
-    found = data["starts"][name]
-    return np.sum([*found["stages"].values(), found["solve"][criterion]], axis=0)
+    return sum(seconds_of(data, name, criterion).values())
 
 
 def sweeps_of(data: Mapping, name: str, criterion: str) -> np.ndarray:
     """Sweeps to a criterion, one a state; a state given up counts with all its sweeps."""
     return np.array([data["most"] if n is None else n for n in data["starts"][name]["sweeps"][criterion]])
-
-
-def mean_sweeps_to(data: Mapping, name: str, criterion: str, phases: Sequence[str] = PHASES) -> float:
-    """Mean sweeps to a criterion over the states of some phases (`sweeps_of`)."""
-    return float(np.mean(sweeps_of(data, name, criterion), where=np.isin(data["phases"], list(phases))))
 
 
 def time_by_tree(states: Sequence[State], *, repeats: int) -> float:

@@ -484,16 +484,21 @@ def _timed_as(setting: str) -> str:
     return f"{start}, {BASE}" if isinstance(SOLVERS[solver], PSOR) and not SOLVERS[solver].adaptive else setting
 
 
-def curve(entries: Sequence[Mapping], circles: int, setting: str) -> tuple[np.ndarray, np.ndarray]:
-    """(seconds (c,), errors (c, scenes)) of a setting by its numbers of sweeps.
+def curves(entries: Sequence[Mapping]) -> dict[int, dict[str, tuple]]:
+    """{circles: {setting: (sweeps (c,), seconds (c,), errors (c, scenes))}} of `measure_runs`' entries, by sweeps.
 
     No time is longer than that of more sweeps: a run of very few sweeps can take longer, because it has more positions
     to correct.
     """
-    here = [entry for entry in entries if (entry["circles"], entry["setting"]) == (circles, setting)]
-    here.sort(key=lambda entry: entry["sweeps"])
-    seconds = np.minimum.accumulate([entry["seconds"] for entry in here[::-1]])[::-1]
-    return seconds, np.array([entry["error"] for entry in here])
+    found: dict = {}
+    for entry in sorted(entries, key=lambda entry: entry["sweeps"]):
+        rows = found.setdefault(entry["circles"], {}).setdefault(entry["setting"], [])
+        rows.append((entry["sweeps"], entry["seconds"], entry["error"]))
+    for of_size in found.values():
+        for setting, rows in of_size.items():
+            sweeps, seconds, errors = zip(*rows)
+            of_size[setting] = sweeps, np.minimum.accumulate(seconds[::-1])[::-1], np.array(errors)
+    return found
 
 
 def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarray | None:
@@ -506,11 +511,6 @@ def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarra
     return np.exp([np.interp(np.log(seconds), np.log(times), scene) for scene in np.log(errors).T])
 
 
-def settings_of(entries: Sequence[Mapping], circles: int) -> list[str]:
-    """The settings that were run with so many circles."""
-    return list(dict.fromkeys(entry["setting"] for entry in entries if entry["circles"] == circles))
-
-
 def at_equal_times(entries: Sequence[Mapping], columns: Sequence[int]) -> list[dict]:
     """Errors of all settings at the time of so many sweeps of `BASE` from Builtin, for every size.
 
@@ -518,13 +518,11 @@ def at_equal_times(entries: Sequence[Mapping], columns: Sequence[int]) -> list[d
     classical setting of the least mean error}].
     """
     found = []
-    for circles, sweeps in product(dict.fromkeys(entry["circles"] for entry in entries), columns):
-        here = [e["sweeps"] for e in entries if (e["circles"], e["setting"]) == (circles, f"builtin, {BASE}")]
-        if sweeps not in here:
-            continue
-        seconds = float(curve(entries, circles, f"builtin, {BASE}")[0][sorted(here).index(sweeps)])
-        errors = {name: error_at(seconds, *curve(entries, circles, name)) for name in settings_of(entries, circles)}
-        means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}
-        best = min(means, key=means.get)
-        found.append({"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors, "best": best})
+    for circles, of_size in curves(entries).items():
+        swept, times, _ = of_size.get(f"builtin, {BASE}", ((), (), ()))
+        for sweeps, seconds in ((k, float(times[swept.index(k)])) for k in columns if k in swept):
+            errors = {name: error_at(seconds, *rest) for name, (_, *rest) in of_size.items()}
+            means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}
+            best = min(means, key=means.get)
+            found.append({"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors, "best": best})
     return found
