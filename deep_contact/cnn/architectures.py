@@ -14,13 +14,7 @@ from deep_contact.validation import flag, integer, number, one_of
 
 layers = keras.layers
 
-THESIS_STACKS = (
-    (32, (3, 3)),
-    (64, (3, 3, 2)),
-    (128, (2, 2, 2)),
-    (256, (2, 2, 2)),
-    (512, (2, 2, 2)),
-)
+THESIS_STACKS = ((32, (3, 3)), (64, (3, 3, 2)), (128, (2, 2, 2)), (256, (2, 2, 2)), (512, (2, 2, 2)))
 """Filters, and the sides of the kernels (Appendix B; Table 5.2 has 3 × 3 for all)."""
 
 _NORMALIZED = (2, 4)

@@ -37,24 +37,21 @@ _WIDEST = 2 if get_host_cpu_features().get("avx512f") else 1
 
 
 LAYER = np.dtype(
-    [(name, np.int64) for name in "first blocks pitch rows run weights groups vectors skip out positive".split()]
+    [
+        ("first", np.int64),  # of its nodes in `Program.nodes`
+        ("blocks", np.int64),  # how many times `WIDTH` nodes
+        ("pitch", np.int64),  # numbers from a row of taps to the next in the input
+        ("rows", np.int64),  # of taps
+        ("run", np.int64),  # numbers in a row of taps
+        ("weights", np.int64),  # first vector in `Program.weights`: bias, then taps, group by group
+        ("groups", np.int64),  # of features
+        ("vectors", np.int64),  # of `WIDTH` features in a group, 1 or 2
+        ("skip", np.int64),  # image that is added
+        ("out", np.int64),  # image that is written
+        ("positive", np.int64),  # image of the same with negative numbers cut
+    ]
 )
-"""One row of the program. Places count in vectors of `WIDTH` numbers in the workspace; -1 is nowhere.
-
-| field    | meaning                                                              |
-|----------|----------------------------------------------------------------------|
-| first    | of its nodes in `Program.nodes`                                      |
-| blocks   | how many times `WIDTH` nodes                                         |
-| pitch    | numbers from a row of taps to the next in the input                  |
-| rows     | of taps                                                              |
-| run      | numbers in a row of taps                                             |
-| weights  | first vector in `Program.weights`: bias, then taps, group by group   |
-| groups   | of features                                                          |
-| vectors  | of `WIDTH` features in a group, 1 or 2                               |
-| skip     | image that is added                                                  |
-| out      | image that is written                                                |
-| positive | image of the same with negative numbers cut                          |
-"""
+"""One row of the program. Places count in vectors of `WIDTH` numbers in the workspace; -1 is nowhere."""
 
 
 class Image(NamedTuple):

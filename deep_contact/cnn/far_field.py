@@ -155,24 +155,14 @@ def window_side(cells: float) -> int:
 
 
 class Description(NamedTuple):
-    """A state as the input of the far-field network, possibly turned (`symmetry`).
+    """A state as the input of the far-field network, possibly turned (`symmetry`)."""
 
-    | field    | meaning                                                              | shape          |
-    |----------|----------------------------------------------------------------------|----------------|
-    | image    | the input, float32                                                   | (n_y, n_x, c)  |
-    | grid     | of the image                                                         |                |
-    | point    | contact points, turned, m                                            | (m, 2)         |
-    | features | F: change of λ_n and λ_t per coefficient (not turned), N·s           | (m, 12, 2)     |
-    | start    | the impulses to correct: Builtin's, or zeros, N·s                    | (m, 2)         |
-    | unsolved | rms change by one relaxation of each row, over the rms of λ          |                |
-    """
-
-    image: np.ndarray
-    grid: Grid
-    point: np.ndarray
-    features: np.ndarray
-    start: np.ndarray
-    unsolved: float
+    image: np.ndarray  # the input, float32, (n_y, n_x, c)
+    grid: Grid  # of the image
+    point: np.ndarray  # contact points, turned, (m, 2), m
+    features: np.ndarray  # F: change of λ_n and λ_t per coefficient, not turned, (m, 12, 2), N·s
+    start: np.ndarray  # the impulses to correct: Builtin's, or zeros, (m, 2), N·s
+    unsolved: float  # rms change by one relaxation of each row, over the rms of λ
 
 
 def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None) -> Description:

@@ -29,10 +29,8 @@ from deep_contact.physics.contact_solver import (
     N_Y,
     NORMAL_MASS,
     TANGENT_MASS,
-    V_S,
-    V_X,
-    V_Y,
     Rows,
+    apply_impulse,
     apply_impulses,
     projected,
 )
@@ -197,12 +195,10 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
     and the engine's own sweep does not keep them.
     """
     for i in range(rows.body.shape[0]):
-        a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]
-        n_x, n_y, k_n, k_t = row[N_X], row[N_Y], row[NORMAL_MASS], row[TANGENT_MASS]
-        v_n, v_t = row_velocity(rows, velocity, i)
+        row, (v_n, v_t) = rows.data[i], row_velocity(rows, velocity, i)
         old_n, old_t = impulse[i, 0], impulse[i, 1]
         largest = friction * old_n
-        new_n, new_t = old_n - k_n * v_n, old_t - k_t * v_t
+        new_n, new_t = old_n - row[NORMAL_MASS] * v_n, old_t - row[TANGENT_MASS] * v_t
         clamped[i, 0] = clamped[i, 1] = 0
         if new_n < 0.0:
             new_n, clamped[i, 0] = 0.0, 1
@@ -211,15 +207,8 @@ def forward_sweep(rows, friction, velocity, impulse, clamped):
         elif new_t < -largest:
             new_t, clamped[i, 1] = -largest, -1
         impulse[i, 0], impulse[i, 1] = new_n, new_t
-        p_n, p_t = new_n - old_n, new_t - old_t
-        p_x, p_y = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x
-        w_a, w_b = velocity[a, INVERSE_MASS], velocity[b, INVERSE_MASS]
-        velocity[a, V_X] -= w_a * p_x
-        velocity[a, V_Y] -= w_a * p_y
-        velocity[a, V_S] += 2.0 * w_a * row[ARM_A] * p_t
-        velocity[b, V_X] += w_b * p_x
-        velocity[b, V_Y] += w_b * p_y
-        velocity[b, V_S] += 2.0 * w_b * row[ARM_B] * p_t
+        change, arms = (new_n - old_n, new_t - old_t), (row[ARM_A], row[ARM_B])
+        apply_impulse(velocity, rows.body[i, BODY_A], rows.body[i, BODY_B], (row[N_X], row[N_Y]), arms, change)
 
 
 @njit(cache=True)
@@ -230,31 +219,25 @@ def adjoint_sweep(rows, friction, velocity, clamped, by_velocity, by_impulse):
     """
     for i in range(rows.body.shape[0] - 1, -1, -1):
         a, b, row = rows.body[i, BODY_A], rows.body[i, BODY_B], rows.data[i]
-        n_x, n_y, k_n, k_t = row[N_X], row[N_Y], row[NORMAL_MASS], row[TANGENT_MASS]
         d_n, d_t = _by_change(rows, velocity, by_velocity, i)
         # Derivatives by the changes p_n and p_t of this contact's impulses.
         d_n += by_impulse[i, 0]
         d_t += by_impulse[i, 1]
-        if clamped[i, 1] == 0:
-            _push(by_velocity, a, b, -k_t * d_t * n_y, k_t * d_t * n_x)
-            by_velocity[a, 2] -= k_t * d_t * row[ARM_A]
-            by_velocity[b, 2] -= k_t * d_t * row[ARM_B]
-        else:
+        if clamped[i, 1] != 0:
             by_impulse[i, 1] -= d_t
             by_impulse[i, 0] += clamped[i, 1] * friction * d_t
-        if clamped[i, 0] == 0:
-            _push(by_velocity, a, b, -k_n * d_n * n_x, -k_n * d_n * n_y)
-        else:
+        if clamped[i, 0] != 0:
             by_impulse[i, 0] -= d_n
-
-
-@njit(cache=True)
-def _push(by_velocity, a, b, x, y):
-    """Add a derivative by the relative velocity of two bodies, in place."""
-    by_velocity[b, 0] += x
-    by_velocity[b, 1] += y
-    by_velocity[a, 0] -= x
-    by_velocity[a, 1] -= y
+        # Derivatives by the velocities v_n and v_t, which do not matter to a row that was cut.
+        g_n = -row[NORMAL_MASS] * d_n if clamped[i, 0] == 0 else 0.0
+        g_t = -row[TANGENT_MASS] * d_t if clamped[i, 1] == 0 else 0.0
+        g_x, g_y = g_n * row[N_X] + g_t * row[N_Y], g_n * row[N_Y] - g_t * row[N_X]
+        by_velocity[a, 0] -= g_x
+        by_velocity[a, 1] -= g_y
+        by_velocity[a, 2] += g_t * row[ARM_A]
+        by_velocity[b, 0] += g_x
+        by_velocity[b, 1] += g_y
+        by_velocity[b, 2] += g_t * row[ARM_B]
 
 
 @njit(cache=True)

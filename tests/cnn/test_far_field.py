@@ -90,12 +90,11 @@ def test_far_away_contacts_make_a_coarser_window():
     assert description.grid.box[2] > 9_999.1
 
 
-@pytest.mark.parametrize("inputs", ["all", "contacts", "bodies"])
-def test_inputs_are_parts_of_one_image(state, inputs):
-    spec = FarFieldSpec(inputs=inputs)
-    everything, part = describe(state, SPEC).image, describe(state, spec).image
-    chosen = [SPEC.channels.index(name) for name in spec.channels]
-    np.testing.assert_array_equal(part, everything[:, :, chosen])
+def test_inputs_are_parts_of_one_image(state):
+    everything = describe(state, SPEC).image
+    for spec in (FarFieldSpec(inputs="contacts"), FarFieldSpec(inputs="bodies")):
+        chosen = [SPEC.channels.index(name) for name in spec.channels]
+        np.testing.assert_array_equal(describe(state, spec).image, everything[:, :, chosen])
 
 
 def test_without_correction_nothing_is_added_to(state):

@@ -69,14 +69,6 @@ def test_the_residual_is_what_one_more_sweep_of_the_engine_changes(falling_state
     np.testing.assert_allclose(residual, change(start, (3, 4)) / change((zero, zero), (0, 1)), rtol=1e-9)
 
 
-def test_a_step_down_the_gradient_lowers_the_loss(falling_states):
-    problem = solved_problem(falling_states[6])
-    start = builtin(falling_states[6])
-    loss, gradient, _ = loss_and_gradient(problem, start, SWEEPS, WEIGHTS)
-    size = 1e-3 * np.linalg.norm(start) / np.linalg.norm(gradient)
-    assert loss_and_gradient(problem, start - size * gradient, SWEEPS, WEIGHTS)[0] < loss
-
-
 def test_the_solution_has_no_error(falling_states):
     problem = solved_problem(falling_states[-1])
     # The stored solution is one to θ < 6e-5, so that further sweeps move it by as little.

@@ -191,14 +191,11 @@ def test_an_epoch_shows_other_states_in_full_batches_and_repeats(data):
     assert (inputs.dtype, labels.dtype) == (np.float32, np.float32)
 
 
-def test_states_to_validate_on_come_in_their_order_and_all_of_them(data):
+def test_states_to_validate_on_come_in_their_order_and_from_boxes_of_one_size(data, tmp_path):
     chosen = [[2, 5], [1, 6], [2, 4]]
     images = ImageDataset(Store(data), chosen, ImageSpec(), batch_size=2)
     assert [len(images[k][0]) for k in range(len(images))] == [2, 1]
     assert images.order.tolist() == chosen
-
-
-def test_boxes_of_two_sizes_make_no_batch(data, tmp_path):
     shutil.copy(data / "sim_0000.h5", tmp_path)
     state = dc.simulate(dc.single_body(), steps=1).state
     write_simulation(tmp_path / "sim_0001.h5", [state])

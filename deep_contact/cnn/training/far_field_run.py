@@ -77,10 +77,6 @@ class FarFieldRun(NetworkRun):
                 break
         called.on_train_end()
 
-    def validated(self, logs: dict) -> dict[str, float]:
-        """The columns of the history on the validation states."""
-        return {name: value for name, value in logs.items() if name.startswith("validation_")}
-
     def epoch(self, epoch: int, callbacks: keras.callbacks.CallbackList) -> float:
         """Train on one epoch's states. Returns the mean loss."""
         rng = np.random.default_rng((self.config.seed, epoch))

@@ -118,7 +118,3 @@ class ImageRun(NetworkRun):
         self.images.start(first)
         given = {"validation_data": self.validation_images, "callbacks": callbacks, "shuffle": False}
         self.model.fit(self.images, epochs=epochs, initial_epoch=first, verbose=verbose, **given)
-
-    def validated(self, logs: dict) -> dict[str, float]:
-        """The columns of the history on the validation states."""
-        return {"validation_loss": float(logs["val_masked_squared_error"])}

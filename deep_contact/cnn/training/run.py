@@ -90,11 +90,15 @@ def train(
     split = split_by_simulation(sims, fractions=config.fractions, seed=config.seed)
     settings = asdict(config) | {"data": store.data_hash(sims)}
     settings["from_model"] = None if from_model is None else read_metadata(from_model)["digest"]
+    initial = None if from_model is None else load_model(from_model)
+    if initial and initial.spec != config.spec():
+        raise ValueError(f"from_model: expected a network for the images {config.spec()}, got one for {initial.spec}")
     settings = json.loads(json.dumps(settings))
     policy = keras.config.dtype_policy()
     try:
         keras.config.set_dtype_policy(config.precision)
-        run = (FarFieldRun if config.is_far_field else ImageRun)(config, store, split, _initial(from_model, config))
+        kind = FarFieldRun if config.is_far_field else ImageRun
+        run = kind(config, store, split, initial and initial.network)
     finally:
         keras.config.set_dtype_policy(policy)
     about = {"command": command, "config": settings, "data_hash": settings["data"], "split": split._asdict()}
@@ -113,15 +117,6 @@ def train(
     card = record.card() | {"best_epoch": best_epoch, "held_out": errors}
     path = save_model(out / "model.h5", model.network, run.spec, card, box=run.box)
     return Training(history, best_epoch, path, load_model(path))
-
-
-def _initial(from_model, config: TrainingConfig) -> keras.Model | None:
-    if from_model is None:
-        return None
-    initial = load_model(from_model)
-    if initial.spec != config.spec():
-        raise ValueError(f"from_model: expected a network for the images {config.spec()}, got one for {initial.spec}")
-    return initial.network
 
 
 class Record(keras.callbacks.Callback):
@@ -156,7 +151,9 @@ class Record(keras.callbacks.Callback):
             )
         rate = float(f"{float(self.run.optimizer.learning_rate):.7g}")
         line = {"epoch": epoch, "rate": rate, "loss": float(logs["loss"])}
-        line |= self.run.validated(logs) | {"seconds": round(time.perf_counter() - self.start, 2)}
+        columns = {"val_masked_squared_error": "validation_loss"} | {n: n for n in logs if n.startswith("validation_")}
+        line |= {column: float(logs[name]) for name, column in columns.items() if name in logs}
+        line |= {"seconds": round(time.perf_counter() - self.start, 2)}
         best = min((before["validation_loss"] for before in self.history), default=math.inf)
         self.history.append(line)
         # The best one first: killed between the two, the epoch is repeated with the same result.
