@@ -21,11 +21,11 @@ starts: dict[str, dc.warm_start.WarmStart] = {
 }
 found = dc.experiments.paired(states, starts, sweeps=1000)
 for name, one in found.items():
-    print(f"{name:15s} mean {one.sweeps.mean():6.1f} sweeps to 6e-5 N·s, median {np.median(one.sweeps):5.0f}")
+    print(f"{name:15s} mean {one['sweeps'].mean():6.1f} sweeps to 6e-5 N·s, median {np.median(one['sweeps']):5.0f}")
 
 figure, ax = dc.plotting.subplots()
 for name, one in found.items():
-    ax.loglog(np.arange(1, 1001), one.theta, **dc.plotting.style_of(name))
+    ax.loglog(np.arange(1, 1001), one["theta"], **dc.plotting.style_of(name))
 dc.plotting.label_axes(ax, "sweep", "θ, mean over states", y_unit="N·s")
 ax.legend()
 dc.plotting.save(figure, "compare_starts.png")

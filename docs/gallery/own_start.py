@@ -28,7 +28,7 @@ given = {name: dc.warm_start.warm_start_of(start) for name, start in starts.item
 paired = dc.experiments.paired(states, given, sweeps=300, velocity_sweeps=(3, 10, 30))
 print("median velocity error after 3, 10, 30 sweeps; θ along a run of its own with 10 sweeps a step, N·s")
 for name, start in starts.items():
-    errors = np.median(np.asarray(paired[name].velocity), axis=0)
+    errors = np.median(paired[name]["velocity"], axis=0)
     run = dc.simulate(scene, steps=200, solver=dc.PGS(sweeps=10, tolerance=None), warm_start=start)
     theta = run.theta[run.contacts > 0].mean()
     print(f"{name:12s}", "  ".join(f"{error:.3f}" for error in errors), f"  {theta:.4f}")
