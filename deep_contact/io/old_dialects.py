@@ -23,7 +23,7 @@ import re
 from lxml import etree
 
 from deep_contact import constants
-from deep_contact.io.xml_tree import expect, quote, read_integer, read_text, refuse_attributes, to_float
+from deep_contact.io.xml_tree import by_index, expect, quote, read_integer, read_text, refuse_attributes, to_float
 
 BODY = dict(mass="value", position="x y", velocity="x y", orientation="theta", inertia="value", spin="omega")
 CONTACT = dict(position="x y", normal="x y", impulse="n t", start="n t")
@@ -65,6 +65,7 @@ def modernise(root, source: str) -> None:
         if root.find(container) is None and (elements or is_flat):
             _add(root, container).extend(elements)
     contacts = root.findall("contacts/contact")
+    by_index(contacts)  # so that a file of nothing but contacts is refused at once
     _complete_settings(root, source)
     _complete_shapes(root.iterfind("bodies/body"), contacts)
     solved = root.find("contacts") is not None and (not contacts or not _none_has("impulse", contacts))
@@ -114,16 +115,16 @@ def _complete_shapes(bodies, contacts: list) -> None:
         if len(shape) or "radius" in shape.attrib:
             continue
         if text in (("ground", "box") if is_box else ("circle",)):
-            element, text = printed.get(read_integer(body, "index"), (shape, ""))
+            element, text = printed.get(read_integer(body, "index"), (shape, None))
         shape.set("value", "box" if is_box else "circle")
-        compact = _compact(element, text)
+        compact = _compact(element, text or "")
         if is_box:
             match = _LOOP.fullmatch(compact)
-            fits = element is not shape or not text or (match and not _PAIR.sub("", match[1]).strip(","))
+            fits = element is not shape or text is None or (match and not _PAIR.sub("", match[1]).strip(","))
             expect(fits, element, "shape: expected box with four corners, or LoopShape(vertices=[(x, y), …])", text)
             for x, y in _PAIR.findall(match[1]) if match else ():
                 _add(shape, "corner", x=x, y=y)
-        elif compact:
+        elif text is not None:
             match = _CIRCLE.fullmatch(compact)
             fits = match and not _OFF_CENTRE.search(compact)
             expect(fits, element, "shape: expected circle, or CircleShape(radius=…) around the centre", text)

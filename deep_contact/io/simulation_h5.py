@@ -299,9 +299,9 @@ def simulation_info(path) -> SimulationInfo:
 
 
 def _expect(condition, message: str) -> None:
-    """Raise DataFileError unless the condition holds; `_opened` names the file."""
+    """Raise ValueError unless the condition holds; `hdf5.opened` names the file."""
     if not condition:
-        raise DataFileError(message)
+        raise ValueError(message)
 
 
 def _per_state(name: str, given, count: int, dtype, missing) -> np.ndarray:
@@ -325,22 +325,18 @@ def _json_value(name: str, value):
 
 
 def _attributes(header: dict) -> dict:
-    """The attributes of a file but its digest, in the order of the digest."""
+    """The attributes of a file but its digest. Optional ones only where they are set: digests without them stay."""
     solver, world = header["solver"], header["world"]
     settings = None if solver is None else {"method": type(solver).__name__, **asdict(solver)}
+    segments = tuple(itertools.chain.from_iterable(world.segments))
+    optional = {"scales": tuple(world.scales or ()), "segments": segments, "surface_speeds": world.surface_speeds}
     return {
         "format": FORMAT,
         "version": VERSION,
         "name": header["name"],
         "dt": header["dt"],
-        "box": world.box,
-        "gravity": world.gravity,
-        "friction": world.friction,
-        "restitution": world.restitution,
-        # Only where they are set, so that the digests of files without them stay.
-        **({} if world.scales is None else {"scales": tuple(world.scales)}),
-        **({"segments": tuple(itertools.chain.from_iterable(world.segments))} if world.segments else {}),
-        **({"surface_speeds": world.surface_speeds} if world.surface_speeds else {}),
+        **{name: getattr(world, name) for name in ("box", "gravity", "friction", "restitution")},
+        **{name: value for name, value in optional.items() if value},
         "solver": json.dumps(settings, sort_keys=True, default=lambda value: value.item()),
         "seed": json.dumps(header["seed"], sort_keys=True),
         "options": json.dumps(header["options"], sort_keys=True),
@@ -387,15 +383,12 @@ def _header(attributes: dict) -> dict:
     for name in ("solver", "seed", "options"):
         try:
             header[name] = json.loads(attributes[name])
-        except (ValueError, RecursionError) as error:
-            raise DataFileError(f"{name}: expected JSON, got {attributes[name][:80]!r}: {error}") from None
-    if header["solver"] is not None:
-        try:
-            options = dict(header["solver"])
-            header["solver"] = solver_from(options.pop("method", None), options)
-        except (TypeError, ValueError) as error:
-            got = attributes["solver"][:200]
-            raise DataFileError(f"solver: expected null, or a method and its options, got {got}: {error}") from None
+            if name == "solver" and header[name] is not None:
+                options = dict(header[name])
+                header[name] = solver_from(options.pop("method", None), options)
+        except (TypeError, ValueError, RecursionError) as error:
+            expected = "null, or a method and its options" if name == "solver" else "JSON"
+            raise ValueError(f"{name}: expected {expected}, got {attributes[name][:200]!r}: {error}") from None
     return header
 
 
@@ -424,7 +417,7 @@ def _check_arrays(arrays: dict, segments: int) -> None:
         if bad.any():
             at = tuple(int(i) for i in np.argwhere(bad)[0])
             where = ", ".join(map(str, at))
-            raise DataFileError(f"{name}[{where}]: expected {expected}, got {arrays[name][at]}")
+            raise ValueError(f"{name}[{where}]: expected {expected}, got {arrays[name][at]}")
 
     for name, array in arrays.items():
         if array.dtype.kind == "f" and name != "theta":

@@ -12,7 +12,7 @@ import deep_contact as dc
 from deep_contact.io.simulation_h5 import DataFileError, write_simulation
 from deep_contact.io.state_xml import format_state, parse_state
 from deep_contact.io.xml_tree import StateFileError
-from deep_contact.reporting import plotting
+from deep_contact.reporting import plotting, results
 
 
 @pytest.fixture(scope="module")
@@ -91,7 +91,7 @@ def test_pictures_show_segments(run):
     drawn = [c for c in ax.collections if hasattr(c, "get_segments")]
     wanted = np.reshape(run.state.world.segments, (-1, 2, 2))
     assert any(np.array_equal(c.get_segments(), wanted) for c in drawn)
-    again = plotting.state_of(plotting.state_data(run.state))
+    again = plotting.state_of(results.plain(plotting.state_data(run.state)))
     assert again.world.segments == run.state.world.segments
     plain = run.state.replace(world=replace(run.state.world, segments=()), contacts=None)
     lines = [state._repr_html_().count("<line") for state in (plain, run.state.replace(contacts=None))]

@@ -372,6 +372,8 @@ def test_bad_value_is_named_with_file_line_and_element(tmp_path, case):
         ("a", '<impulse ni="0.5" ti="-0.125"/>', "", "<contact> '1': element <impulse> is missing"),
         ("a", "dcCircleShape(radius=1)", "dcCircleShape(radius=__import__('os'))", "<shape>.*__import__"),
         ("a", "dcCircleShape(radius=1)", "dcCircleShape(radius=-1)", "<shape>.*radius: .*-1"),
+        ("a", '"dcCircleShape(radius=1)"', '""', "<shape> of body '1'.*expected circle"),
+        ("a", "dcLoopShape(vertices=[(30, 0), (30, 30), (0, 30), (0, 0)])", "", "<shape> of body '0'.*expected box"),
         ("a", "(30, 30), ", "", "<shape>.*four corners"),
         ("a", "(30, 30)", "(30, nan)", "<shape>.*vertices"),
         ("a", "(30, 30)", "(31, 30)", "<shape>.*corners"),
