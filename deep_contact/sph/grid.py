@@ -60,8 +60,9 @@ class Grid:
     _geometry: tuple[float, float, float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
-        origin, spacing = _pair("origin", self.origin), _spacing(self.spacing)
-        shape = _pair("shape", self.shape, partial(integer, least=2, most=_MOST_NODES), "integers >= 2, (n_y, n_x)")
+        origin, spacing = _several("origin", self.origin), _spacing(self.spacing)
+        nodes = partial(integer, least=2, most=_MOST_NODES)
+        shape = _several("shape", self.shape, check=nodes, expected="integers >= 2, (n_y, n_x)")
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
@@ -76,13 +77,9 @@ class Grid:
         divide the extent, the last nodes lie beyond the box: 30 m at 0.5 m gives 61 nodes, up to 30 m; at 0.7 m it
         gives 44, up to 30.1 m. Raises ValueError naming the argument and the value.
         """
-        try:
-            x_min, y_min, x_max, y_max = (float(v) for v in box)
-            good = math.isfinite(x_max - x_min + y_max - y_min) and x_min < x_max and y_min < y_max
-        except (TypeError, ValueError):
-            good = False
-        if not good:
-            raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max), not empty, got {box}")
+        x_min, y_min, x_max, y_max = _several("box", box, 4)
+        if not (x_min < x_max and y_min < y_max and math.isfinite(x_max - x_min + y_max - y_min)):
+            raise ValueError(f"box: expected (x_min, y_min, x_max, y_max) of finite extent > 0, got {box}")
         dx, dy = _spacing(spacing)
         cells = (y_max - y_min) / dy, (x_max - x_min) / dx
         if max(cells) >= _MOST_NODES:
@@ -376,16 +373,18 @@ def gather(
     return out if np.ndim(image) == 3 else out.reshape(-1)
 
 
-def _pair(name, given, check=number, expected="finite numbers"):
+def _several(name, given, count=2, *, check=number, expected="finite numbers"):
     try:
-        x, y = (check(name, v) for v in given)
+        found = tuple(check(name, value) for value in given)
     except (TypeError, ValueError):
-        raise ValueError(f"{name}: expected two {expected}, got {given}") from None
-    return x, y
+        found = ()
+    if len(found) != count:
+        raise ValueError(f"{name}: expected {count} {expected}, got {given}")
+    return found
 
 
 def _spacing(given):
-    spacing = _pair("spacing", (given,) * 2 if np.ndim(given) == 0 else given)
+    spacing = _several("spacing", (given,) * 2 if np.ndim(given) == 0 else given)
     if not min(spacing) > 0:
         raise ValueError(f"spacing: expected numbers > 0, got {given}")
     return spacing

@@ -120,28 +120,23 @@ def profile(kernel, q, dim):
 
 
 @njit(cache=True, error_model="numpy")
-def _radial_term(order, kernel, q, dim):
-    """W (order 0), dW/dr (1) or ∇²W = W'' + (dim - 1) W'/q (2) for h = 1. At q = 0 one-sided slope and limit."""
-    w, first, second = profile(kernel, q, dim)
-    if order == 0:
-        return w
-    if order == 1:
-        return first
-    if q > 0.0:
-        return second + (dim - 1) * first / q
-    return dim * second if first == 0.0 else math.copysign(math.inf, first)
-
-
-@njit(cache=True, error_model="numpy")
 def _evaluate(order, kernel, r, h, dim, out):
-    """Fill `out` with W (order 0), dW/dr (1) or ∇²W (2) at the distances r, m^-(dim + order).
+    """Fill `out` with W (order 0), dW/dr (1) or ∇²W = W'' + (dim - 1) W'/r (2) at the distances r, m^-(dim + order).
 
-    Returns the index of the first distance that is negative or not finite, or -1.
+    At r = 0 one-sided slope and limit. Returns the index of the first distance that is negative or not finite, or -1.
     """
     for k in range(r.shape[0]):
         if not (0.0 <= r[k] < math.inf):
             return k
-        out[k] = _radial_term(order, kernel, r[k] / h, dim) / h ** (dim + order)
+        q = r[k] / h
+        w, first, second = profile(kernel, q, dim)
+        term = w if order == 0 else first
+        if order == 2:
+            if q > 0.0:
+                term = second + (dim - 1) * first / q
+            else:
+                term = dim * second if first == 0.0 else math.copysign(math.inf, first)
+        out[k] = term / h ** (dim + order)
     return -1
 
 

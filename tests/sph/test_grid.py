@@ -59,13 +59,13 @@ def test_grid_covers_the_box_with_as_few_nodes_as_can(spacing, count):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"origin": (0, math.nan)}, "origin: expected two finite numbers.*nan"),
+        ({"origin": (0, math.nan)}, "origin: expected 2 finite numbers.*nan"),
         ({"origin": (0, 0, 0)}, "origin"),
         ({"spacing": (0.5, 0)}, r"spacing: expected numbers > 0, got \(0.5, 0\)"),
         ({"spacing": -1}, "spacing.*-1"),
         ({"spacing": math.inf}, "spacing.*inf"),
         ({"origin": (1e20, 0)}, "spacing: expected nodes that differ"),
-        ({"shape": (1, 5)}, r"shape: expected two integers >= 2, \(n_y, n_x\), got \(1, 5\)"),
+        ({"shape": (1, 5)}, r"shape: expected 2 integers >= 2, \(n_y, n_x\), got \(1, 5\)"),
         ({"shape": (5.5, 5)}, "shape"),
         ({"shape": 5}, "shape"),
     ],
@@ -81,8 +81,8 @@ def test_grid_refuses(change, message):
         ((0, 0, 0, 1), 0.5, "box"),
         ((0, 0, 1), 0.5, "box"),
         ((0, 0, math.inf, 1), 0.5, "box.*inf"),
-        ((-1e308, 0, 1e308, 1), 0.5, "box: expected finite"),  # an extent beyond all numbers
-        ((0, -1e308, 1, 1e308), 0.5, "box: expected finite"),
+        ((-1e308, 0, 1e308, 1), 0.5, "box: expected .* of finite extent"),  # an extent beyond all numbers
+        ((0, -1e308, 1, 1e308), 0.5, "box: expected .* of finite extent"),
         ((0, 0, 1, 1), 0, "spacing.*0"),
         ((0, 0, 1, 1), 1e-12, "spacing: expected at most"),
     ],
