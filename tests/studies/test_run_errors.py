@@ -116,25 +116,16 @@ def test_calm_is_no_error_and_unknown_forces_are_none():
 
 
 def test_the_impact_is_that_of_the_ensemble():
-    def with_peak(peak):
-        seen = observation()
-        force = seen.force.copy()
-        force[4] = peak
-        return seen._replace(force=force)
-
-    found = errors([with_peak(4.0), with_peak(2.0)], [with_peak(2.0), with_peak(2.0)])
-    np.testing.assert_allclose(found["impact"], 50.0)
+    seen = observation()
+    low, high = (seen._replace(force=np.where(np.arange(seen.force.size) == 4, peak, 1.0)) for peak in (2.0, 4.0))
+    np.testing.assert_allclose(errors([high, low], [low, low])["impact"], 50.0)
 
 
 def test_intervals_hold_the_value_and_shrink_with_seeds():
-    rng = np.random.default_rng(1)
-
-    def ensemble(count):
-        return [observation(kinetic=1 + 0.1 * rng.normal()) for _ in range(count)]
-
-    widths = []
+    rng, widths = np.random.default_rng(1), []
     for count in (4, 64):
-        value, low, high = intervals(ensemble(count), ensemble(count), resamples=300)["energy"]
+        ensembles = ([observation(kinetic=1 + 0.1 * rng.normal()) for _ in range(count)] for _ in range(2))
+        value, low, high = intervals(*ensembles, resamples=300)["energy"]
         assert low <= value <= high
         widths.append(high - low)
     assert widths[1] < 0.6 * widths[0]

@@ -116,12 +116,6 @@ def test_a_step_that_misses_the_observations_is_refused():
         runs.observed("plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
 
 
-def test_times_name_every_setting():
-    fine = COARSE | {"dt": TIME_STEP / 8}
-    took = runs.times(30, 1, [COARSE, fine], steps=5, repeats=1)
-    assert took.keys() == {runs.name_of(COARSE), runs.name_of(fine)}
-
-
 def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
     parts = [("observed", {"n_bodies": 1, "k": k}) for k in range(4)]
     calls = []
@@ -142,30 +136,23 @@ def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
 @pytest.mark.parametrize("damage", [b"", b'{"k": ', b"\xff\x00", b"\0" * 8])
 def test_a_damaged_part_of_a_study_is_computed_again(tmp_path, damage):
     parts, calls = [("observed", {"n_bodies": 1, "k": k}) for k in range(3)], []
-
-    def compute(n_bodies, k):
-        calls.append(k)
-        return {"k": k}
-
-    first = done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts")
+    functions = {"observed": lambda n_bodies, k: calls.append(k) or {"k": k}}
+    first = done(parts, functions, work=tmp_path, jobs=1, text="parts")
     sorted(tmp_path.iterdir())[1].write_bytes(damage)
-    assert done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts") == first
+    assert done(parts, functions, work=tmp_path, jobs=1, text="parts") == first
     assert len(calls) == 4
+
+
+def tiny(script, **changes):
+    """The settings of a quick run of the script, made smaller."""
+    small = {"sizes": [20], "seeds": {"20": {"plain": 2}}, "model": [], "seconds": 1.0, "peers": {"20": []}}
+    return script.QUICK | small | {"steps": {"20": 5}, "repeats": 1} | changes
 
 
 def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys):
     script = load_script("run_tradeoff")
-    tiny = script.QUICK | {
-        "sizes": [20],
-        "seeds": {"20": {"plain": 2}},
-        "model": [20],
-        "seconds": 1.0,
-        "settings": {"20": [runs.REFERENCE, COARSE, {"method": "NNCG", "sweeps": 2, "dt": TIME_STEP}]},
-        "peers": {"20": []},
-        "steps": {"20": 5},
-        "repeats": 1,
-    }
-    monkeypatch.setattr(script, "QUICK", tiny)
+    settings = {"20": [runs.REFERENCE, COARSE, {"method": "NNCG", "sweeps": 2, "dt": TIME_STEP}]}
+    monkeypatch.setattr(script, "QUICK", tiny(script, settings=settings, model=[20]))
     monkeypatch.setattr(script, "TABLE", tmp_path / "runs.json")
     out = tmp_path / "study.json"
     arguments = ["--quick", "--install", "--jobs", "1", "--out", str(out), "--work", str(tmp_path / "work")]
@@ -188,17 +175,14 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
 def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
     script = load_script("run_tradeoff")
     colours = {"method": "BatchedPGS", "sweeps": 3, "dt": TIME_STEP, "order": "colours"}
-    tiny = script.QUICK | {
-        "sizes": [20], "seeds": {"20": {"plain": 2}}, "model": [], "seconds": 1.0, "peers": {"20": []},
-        "settings": {"20": [runs.REFERENCE, COARSE, COARSE | {"method": "PSOR"}]},
-        "steps": {"20": 5}, "repeats": 1,
-    }  # fmt: skip
-    monkeypatch.setattr(script, "QUICK", tiny)
+    settings = [runs.REFERENCE, COARSE, COARSE | {"method": "PSOR"}]
+    small = tiny(script, settings={"20": settings})
+    monkeypatch.setattr(script, "QUICK", small)
     out = tmp_path / "study.json"
     arguments = ["--quick", "--jobs", "1", "--out", str(out), "--work"]
     assert script.main([*arguments, str(tmp_path / "first")]) == 0
     before = {row["name"]: row for row in results.read_results(out)["data"]["rows"]}
-    monkeypatch.setattr(script, "QUICK", tiny | {"settings": {"20": [*tiny["settings"]["20"], colours]}})
+    monkeypatch.setattr(script, "QUICK", small | {"settings": {"20": [*settings, colours]}})
     assert script.main([*arguments, str(tmp_path / "second"), "--add"]) == 0
     found = results.read_results(out)
     assert found["options"]["errors_from"] == [found["provenance"]["commit"]]
@@ -210,6 +194,6 @@ def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
         assert after[name]["errors"] == row["errors"]
         assert after[name]["us"] > 0
     assert after["BatchedPGS, 3 sweeps, order=colours, Δt"]["errors"]["energy"]
-    monkeypatch.setattr(script, "QUICK", tiny | {"seconds": 2.0})
+    monkeypatch.setattr(script, "QUICK", small | {"seconds": 2.0})
     with pytest.raises(ValueError, match=r"seconds: expected 2\.0 in the results, got 1\.0"):
         script.main([*arguments, str(tmp_path / "third"), "--add"])
