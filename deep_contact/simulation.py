@@ -20,6 +20,8 @@ from deep_contact.physics.engine import (
     Steps,
     contacts_of,
     is_valid,
+    motion_parts,
+    scales_of,
     solve,
     step_input,
     step_problem,
@@ -60,6 +62,7 @@ class Simulation(NamedTuple):
     | sweeps      | number of velocity sweeps in each step, (steps,); of its slowest island, with islands     |
     | theta       | θ after the last sweep of each step, (steps,), N·s; infinite where no sweep was done      |
     | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over them              |
+    | substeps    | into how many each step was divided, (steps,)                                             |
     | recorded    | the recorded states as a `Trajectory`, the last being `state`; None where none were asked |
 
     With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
@@ -70,6 +73,7 @@ class Simulation(NamedTuple):
     sweeps: np.ndarray
     theta: np.ndarray
     relaxations: np.ndarray
+    substeps: np.ndarray
     recorded: Trajectory | None = None
 
     @property
@@ -101,6 +105,8 @@ class Simulation(NamedTuple):
         if self.sweeps.size:
             ends, times = np.unique(self.status, return_counts=True)
             found["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
+            if self.substeps.max() > 1:
+                found["substeps"] = f"{self.substeps.mean():.1f} substeps a step"
             found["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
             found["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
         return found | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
@@ -170,15 +176,15 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
     substeps = solver.substeps if isinstance(solver, PGS) else 1
-    if substeps == 1:
-        state, log, frames = _advance(state, steps, start, sleep, None if record is None else every, on_step, stopped)
-    else:
-        state, log, frames = _advance(
-            _in_substeps(state, substeps), steps * substeps, start, sleep, record and every * substeps, on_step, stopped
-        )
-        state, frames = _in_steps(state, solver), [_in_steps(frame, solver) for frame in frames]
+    advance = Steps(solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
+    if substeps > 1:
+        state = _in_substeps(state, substeps, motion_parts(solver))
+    kept = None if record is None else every * substeps
+    state, log, frames = _advance(state, steps * substeps, advance, start, kept, on_step, stopped)
+    if substeps > 1:
+        state, frames = _in_steps(state, solver, substeps), [_in_steps(one, solver, substeps) for one in frames]
         log = _log_of_steps(log, substeps)
-    return Simulation(state, *log[:4], None if record is None else Trajectory.from_states(frames))
+    return Simulation(state, *log[:5], None if record is None else Trajectory.from_states(frames))
 
 
 def simulate_many(
@@ -229,16 +235,17 @@ def simulate_many(
 
 
 def _advance(
-    state: State, steps: int, start, sleep: bool, record: int | None, on_step, stopped
+    state: State, steps: int, advance: Steps, start, record: int | None, on_step, stopped
 ) -> tuple[State, StepLog, list]:
     """So many steps of a state with its solver: the state after them, their log, the recorded states."""
     solver = state.solver
     # Builtin and NoStart need nothing from Python between two steps.
     by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
+    if by_step and motion_parts(solver) > 1:
+        return _advance_by_parts(state, steps, advance, start, record, on_step, stopped)
     every = record or steps + 1
-    advance = Steps(solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
     log = make_log(steps)
-    scales = state.scales  # of radii that do not change in a run
+    scales = scales_of(state, solver)  # of radii that do not change in a run
     # Before the arrays of the result, so that its release leaves no gap on top of the heap, which would be given back.
     advance.memory(step_input(state, solver, scales))
     frames = [] if record is None else [state]
@@ -262,7 +269,7 @@ def _advance(
         if on_step is None:
             before = contacts = normal = tangent = None  # a million circles have 200 MB of them
         given = step_input(state, solver, scales)
-        chunk = StepLog(*(column[done : done + count] for column in log[:4]), np.array([0, work]))
+        chunk = StepLog(*(column[done : done + count] for column in log[:5]), np.array([0, work]))
         begun = time.perf_counter()
         solved, found = advance(given, chunk)
         # How a run is divided changes no bit of it.
@@ -286,31 +293,51 @@ def _advance(
     return state, log, frames
 
 
+def _advance_by_parts(state, steps, advance, start, record, on_step, stopped) -> tuple[State, StepLog, list]:
+    """`_advance` where motion divides the steps, and Python is called between their parts."""
+    solver, log, frames = state.solver, make_log(steps), [] if record is None else [state]
+    for k in range(steps):
+        parts = advance.parts(step_input(state, solver))
+        inside, of_parts, _ = _advance(_in_substeps(state, parts), parts, advance, start, None, on_step, stopped)
+        state = _in_steps(inside, solver, parts)
+        for column, value in zip(log[:5], _log_of_steps(of_parts, parts)):
+            column[k] = value[0]
+        if record is not None and ((k + 1) % record == 0 or k + 1 == steps):
+            frames.append(state)
+    return state, log, frames
+
+
 def _with_own_arrays(state: State) -> State:
     """The state with copies of what steps write into."""
     bodies, contacts = Bodies(*(field.copy() for field in state.bodies)), state.contacts
-    impulses = {name: getattr(contacts, name).copy() for name in ("normal_impulse", "tangent_impulse")}
-    return state.replace(bodies=bodies, contacts=contacts._replace(**impulses))
-
-
-def _in_substeps(state: State, substeps: int) -> State:
-    """The state as the substeps see it: their Δt, their number, the impulses that one of them carries."""
-    return with_time_step(state, state.dt / substeps).replace(
-        step=state.step * substeps, solver=replace(state.solver, substeps=1)
+    names = ("normal_impulse", "tangent_impulse", "normal_start", "tangent_start")
+    return state.replace(
+        bodies=bodies, contacts=contacts._replace(**{name: getattr(contacts, name).copy() for name in names})
     )
 
 
-def _in_steps(state: State, solver: PGS) -> State:
+def _in_substeps(state: State, substeps: int, most: int | None = None) -> State:
+    """The state as the substeps see it: their Δt, their number, the impulses that one of them carries.
+
+    most: parts into which motion may divide a substep.
+    """
+    return with_time_step(state, state.dt / substeps).replace(
+        step=state.step * substeps, solver=replace(state.solver, substeps=1, most_substeps=most)
+    )
+
+
+def _in_steps(state: State, solver: PGS, substeps: int) -> State:
     """The inverse of `_in_substeps`, after whole steps."""
-    step, dt = state.step // solver.substeps, state.dt * solver.substeps
+    step, dt = state.step // substeps, state.dt * substeps
     time = step * dt if state.time == state.step * state.dt else state.time
     return with_time_step(state, dt).replace(step=step, time=time, solver=solver)
 
 
 def _log_of_steps(log: StepLog, substeps: int) -> StepLog:
     """The log of substeps, step by step: see `Simulation`."""
-    contacts, sweeps, theta, relaxations = (column.reshape(-1, substeps) for column in log[:4])
-    return StepLog(contacts[:, -1], sweeps.sum(axis=1), theta[:, -1], relaxations.sum(axis=1), log.progress)
+    contacts, sweeps, theta, relaxations, parts = (column.reshape(-1, substeps) for column in log[:5])
+    sums = relaxations.sum(axis=1), parts.sum(axis=1)
+    return StepLog(contacts[:, -1], sweeps.sum(axis=1), theta[:, -1], *sums, log.progress)
 
 
 def with_time_step(state: State, dt: float) -> State:

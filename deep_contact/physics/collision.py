@@ -134,13 +134,16 @@ def own_contacts(contacts):
 
 
 @njit(cache=True, error_model="numpy")
-def has_list(position, radius, cells):
-    """Whether the pairs that touch are among those that `cells` remembers; they are found anew where that pays."""
-    n, memory, half, x, y, apart = position.shape[0], cells.memory, 0.49 * cells.gap[0], 0.0, 0.0, math.inf
+def has_list(position, radius, cells, ahead=0.0):
+    """Whether the pairs that touch are among those that `cells` remembers; they are found anew where that pays.
+
+    ahead: m; with it, the pairs that are no farther apart.
+    """
+    n, memory, half, x, y, apart = position.shape[0], cells.memory, 0.49 * (cells.gap[0] - ahead), 0.0, 0.0, math.inf
     if n == 0:
         return False
     if memory[SEARCHES] >= 0:
-        memory[SEARCHES] += 1
+        memory[SEARCHES] += ahead == 0.0
         if memory[PAIRS] >= 0 and moves_within(position, cells.anchor, x, y, half):
             return True
         x, y, apart = common_motion(position, cells.anchor)
@@ -153,8 +156,8 @@ def has_list(position, radius, cells):
     gap, apart = MOST_NEAR * smallest, apart / max(memory[SEARCHES], 1)
     if memory[WAIT] > 0:
         memory[WAIT] -= 1
-    elif LASTING * apart <= gap:
-        gap = min(gap, smallest * max(LEAST_NEAR, NEAR_BY_MOTION * math.sqrt(apart / smallest)))
+    elif LASTING * apart + ahead <= gap:
+        gap = min(gap, ahead + smallest * max(LEAST_NEAR, NEAR_BY_MOTION * math.sqrt(apart / smallest)))
         find_near(position, radius, gap, cells)
         if memory[PAIRS] >= 0:
             return True
@@ -167,7 +170,7 @@ def has_list(position, radius, cells):
 @njit(cache=True)
 def moves_within(position, anchor, x, y, distance):
     """Whether every circle is within this distance of (x, y) from where it was, m. One without a position is not."""
-    within, square = True, distance * distance
+    within, square = distance >= 0.0, distance * distance
     for i in range(position.shape[0]):
         dx, dy = position[i, 0] - anchor[i, 0] - x, position[i, 1] - anchor[i, 1] - y
         within &= dx * dx + dy * dy <= square

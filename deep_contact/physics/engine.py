@@ -40,8 +40,9 @@ from deep_contact.physics.sleeping import (
 )
 from deep_contact.physics.solvers import PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
-from deep_contact.physics.step import StepInput, StepLog, StepMemory, StepOptions, log_step, make_memory
-from deep_contact.scales import ContactScales
+from deep_contact.physics.step import Motion, StepInput, StepLog, StepMemory, StepOptions, log_step, make_memory
+from deep_contact.physics.substeps import part_of, parts_of, rescale
+from deep_contact.scales import ContactScales, mean
 from deep_contact.state import LIMITS, Contacts, State, native
 from deep_contact.validation import flag
 
@@ -63,35 +64,43 @@ def advance(given, options, memory, log):
     solver_bodies, theta, sleep = memory.solver_bodies, memory.theta, memory.sleep
     workspace = make_workspace(options.settings, memory.rows, solver_bodies)
     solved = contacts = given.contacts
+    part, parts, turn = given, 1, 0
     for k in range(log.contacts.shape[0]):
         solved = contacts
         if all_asleep(sleep):
             log_step(log, k, 0, 0, theta, 0)
             continue
-        active = awake_contacts(solved, sleep)
-        # Velocities.
-        if given.restitution > 0.0:  # here: a call counts references to all arrays that it is handed
-            rebound(given, active)
-        integrate_velocities(bodies, given.gravity, given.dt, solver_bodies)
-        hold_sleeping(solver_bodies, sleep)
-        rows = contact_rows(active, bodies.radius, segments, solver_bodies, memory.rows, friction)
-        apply_impulses(rows, solver_bodies, friction)
-        sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
-        store_impulses(rows, active)
-        if sleep is not None:
-            store_awake_impulses(active, solved, sleep)
-        # Positions.
-        before = positions_before(bodies, segments)
-        integrate_positions(bodies, solver_bodies, given)
-        correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
-        # The contacts that the next step solves.
-        contacts = next_contacts(
-            bodies, before, box, segments, scales.wall_skin, memory.cells, solved, options.carry, memory.contacts[k % 2]
-        )
-        if sleep is not None:
-            wake_and_put_to_sleep(given, contacts, sleep)
-        if log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations):
+        wanted = parts_of(given, memory.cells)
+        if wanted != parts:
+            rescale(contacts, parts / wanted)
+            part, parts = part_of(given, wanted), wanted
+        for _ in range(parts):
+            solved = contacts
+            active = awake_contacts(solved, sleep)
+            # Velocities.
+            if part.restitution > 0.0:  # here: a call counts references to all arrays that it is handed
+                rebound(part, active)
+            integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
+            hold_sleeping(solver_bodies, sleep)
+            rows = contact_rows(active, bodies.radius, segments, solver_bodies, memory.rows, friction)
+            apply_impulses(rows, solver_bodies, friction)
+            sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
+            store_impulses(rows, active)
+            if sleep is not None:
+                store_awake_impulses(active, solved, sleep)
+            # Positions.
+            before = positions_before(bodies, segments)
+            integrate_positions(bodies, solver_bodies, part)
+            correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
+            # The contacts that the next part or step solves.
+            turn, buffer, skin = 1 - turn, memory.contacts[turn], scales.wall_skin
+            contacts = next_contacts(bodies, before, box, segments, skin, memory.cells, solved, options.carry, buffer)
+            if sleep is not None:
+                wake_and_put_to_sleep(part, contacts, sleep)
+            is_over = log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
+        if is_over:
             break
+    rescale(contacts, parts)
     return solved, contacts
 
 
@@ -119,6 +128,10 @@ class Steps:
             dtype, sweeps = PRECISIONS[self._solver.precision], self._solver.sweeps
             self._memory[key] = make_memory(n, max(4 * n, m + m // 2) + 64, dtype, sweeps, given.friction, self._sleep)
         return self._memory[key]
+
+    def parts(self, given: StepInput) -> int:
+        """Into how many parts motion divides the next step."""
+        return parts_of(given, self.memory(given).cells)
 
     def __call__(self, given: StepInput, log: StepLog) -> tuple[Contacts, Contacts]:
         """Do as many steps as the log has rows, which is filled: the bodies move in place.
@@ -240,11 +253,27 @@ def leaves_tangents_out(state: State, solver) -> bool:
 
 
 def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
-    """What the next steps of a state read; it shares the state's arrays. scales: the state's, if they are at hand."""
+    """What the next steps of a state read; it shares the state's arrays. scales: of `scales_of`."""
     box, segments, gravity, friction, restitution = world_arguments(state)
     friction = None if leaves_tangents_out(state, solver) else friction
-    scales = state.scales if scales is None else scales
-    return StepInput(state.bodies, state.contacts, box, segments, gravity, friction, restitution, state.dt, scales)
+    scales = scales_of(state, solver) if scales is None else scales
+    most = motion_parts(solver)
+    motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
+    return StepInput(
+        state.bodies, state.contacts, box, segments, gravity, friction, restitution, state.dt, scales, motion
+    )  # fmt: skip
+
+
+def scales_of(state: State, solver) -> ContactScales:
+    """The scales of a state with the solver's slop."""
+    slop, scales = getattr(solver, "slop", 1.0), state.scales
+    return scales if slop == 1.0 else scales._replace(slop=slop * scales.slop)
+
+
+def motion_parts(solver) -> int:
+    """Into how many parts motion may divide each of a solver's substeps."""
+    most = getattr(solver, "most_substeps", None)
+    return 1 if most is None else most // solver.substeps
 
 
 def after_impacts(state: State) -> State:

@@ -15,13 +15,20 @@ from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts
 
 
+class Motion(NamedTuple):
+    """How steps are divided by motion (`substeps`). most: parts of a step, a power of two; 1: never. reach: m."""
+
+    most: int
+    reach: float
+
+
 class StepInput(NamedTuple):
     """What the steps read.
 
     bodies: `Bodies`; they move in place. contacts: `Contacts` at their positions, with the impulses to start from.
     box, gravity, friction, restitution: of the `World`; friction None, in place of 0, leaves the tangent rows out.
     segments: (S, 5), m and m/s (`segments.segments_of`).
-    dt: s. scales: `ContactScales` of the state that the steps begin with.
+    dt: s. scales: `ContactScales` of the state that the steps begin with. motion: how steps are divided by it.
     """
 
     bodies: Bodies
@@ -33,6 +40,7 @@ class StepInput(NamedTuple):
     restitution: float
     dt: float
     scales: ContactScales
+    motion: Motion = Motion(1, 0.0)
 
 
 class StepOptions(NamedTuple):
@@ -78,8 +86,9 @@ def make_memory(n: int, capacity: int, dtype, sweeps: int, friction, sleep: Slee
 
 
 class StepLog(NamedTuple):
-    """What the steps log, (steps,) each: number of contacts, of sweeps, last θ (N·s), relaxations.
+    """What the steps log, (steps,) each: contacts, sweeps, last θ (N·s), relaxations, parts of a step.
 
+    Of a divided step: contacts and θ of the last part, sums of the others.
     progress: (2,), the steps that this call has done, and the work, in relaxations, after which it ends.
     """
 
@@ -87,25 +96,27 @@ class StepLog(NamedTuple):
     sweeps: np.ndarray
     theta: np.ndarray
     relaxations: np.ndarray
+    parts: np.ndarray
     progress: np.ndarray
 
 
 def make_log(steps: int) -> StepLog:
     """A log for so many steps, which one call may do all."""
-    columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64))
+    columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
     return StepLog(*columns, np.array([0, np.iinfo(np.int64).max]))
 
 
 @njit(cache=True)
 def log_step(log, k, contacts, sweeps, theta, relaxations):
-    """Write the k-th step into the log. contacts: number of them. theta: of the step's sweeps.
+    """Add a part of the k-th step to the log. contacts: number of them. theta: of the part's sweeps.
 
     Returns whether the call ends here, its work being done.
     """
     log.contacts[k] = contacts
-    log.sweeps[k] = sweeps
+    log.sweeps[k] += sweeps
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
-    log.relaxations[k] = relaxations
+    log.relaxations[k] += relaxations
+    log.parts[k] += 1
     log.progress[0] = k + 1
     log.progress[1] -= relaxations + 20 * contacts
     return log.progress[1] <= 0

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import NamedTuple
@@ -81,7 +80,7 @@ def scene(kind: str, n_bodies: int, seed: int) -> State:
 
 def solver_of(setting: Mapping):
     """The options of a setting's method, without substeps."""
-    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start", "slop")}
+    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
     return solver_from(setting["method"], options | {"tolerance": None})
 
 
@@ -118,9 +117,6 @@ def observation(stored: Mapping) -> Observation:
 
 def _states(state: State, setting: Mapping, frames: int) -> Iterator[State]:
     state, each = state.replace(dt=setting["dt"]), round(INTERVAL / setting["dt"])
-    if "slop" in setting:  # as a multiple of the scene's own
-        scales = state.scales._replace(slop=setting["slop"] * state.scales.slop)
-        state = state.replace(world=replace(state.world, scales=scales))
     solver = solver_of(setting)
     for _ in range(frames):
         state = simulate(state, steps=each, solver=solver, warm_start=setting.get("start", "builtin")).state

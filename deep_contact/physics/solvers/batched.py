@@ -75,6 +75,7 @@ from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.physics.step import log_step
+from deep_contact.physics.substeps import part_of, parts_of, rescale
 from deep_contact.state import Bodies
 
 
@@ -245,6 +246,9 @@ def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps, crew):
     take_centres(tiles.centre[first:last], mine)
 
 
+PAIRS_FOUND, PARTS = range(2)
+"""Columns of `Shared.found`."""
+
 _FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "told", "found")
 
 
@@ -253,7 +257,8 @@ class _Shared:
 
     plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. memory: `StepMemory`.
     told: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite,
-    whether there is a list of near pairs, whether the call ends. found: pairs of its share that touch, (size, 8).
+    whether there is a list of near pairs, whether the call ends. found: pairs of its share that touch, and parts of a
+    step, (size, 8).
     """
 
     def __init__(self, *values):
@@ -321,30 +326,39 @@ def advance_by_crew(given, options, log, shared, crew):
     first, last = share_of(n, crew)
     mine = some_bodies(bodies, first, last)
     mine_a, mine_b = np.empty(4 * (last - first) + 64, np.int64), np.empty(4 * (last - first) + 64, np.int64)
-    for k in range(log.contacts.shape[0]):
+    part, parts, k, j, turn = given, 1, 0, 0, 0  # the j-th of the parts of the k-th step
+    while k < log.contacts.shape[0]:
         if crew.rank == 0:
             contacts = shared.contacts
+            if j == 0:
+                wanted = parts_of(given, memory.cells)
+                rescale(contacts, parts / wanted)
+                part, parts, shared.found[0, PARTS] = part_of(given, wanted), wanted, wanted
             if not is_plan_of(shared.plan, n, contacts, shared.solved):
                 shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
             shared.tiles = with_room(shared.plan, shared.tiles)
             shared.solved = contacts
-            rebound(given, contacts)
+            if part.restitution > 0.0:
+                rebound(part, contacts)
         wait(crew)
+        if crew.rank > 0 and j == 0:
+            parts = shared.found[0, PARTS]
+            part = part_of(given, parts)
         plan, tiles, solved = shared.plan, shared.tiles, shared.solved
         my_velocities, before = tiles.solver_bodies[first:last], positions_before(bodies, segments)
         # Velocities.
-        integrate_velocities(mine, given.gravity, given.dt, my_velocities)
+        integrate_velocities(mine, part.gravity, part.dt, my_velocities)
         wait(crew)
-        write_blocks(given, solved, plan, tiles, crew)
+        write_blocks(part, solved, plan, tiles, crew)
         sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, crew)
         told[crew.rank, 1] = all_finite(my_velocities)
         store_blocks(plan, tiles, solved, crew)
         # Positions.
-        told[crew.rank, 0] = move(mine, my_velocities, given)
+        told[crew.rank, 0] = move(mine, my_velocities, part)
         wait(crew)
         if told[:, 0].any():
             if crew.rank == 0:
-                stop_fast_circles(bodies, given)
+                stop_fast_circles(bodies, part)
             wait(crew)
         if segments.shape[0] == 0:
             correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps, crew)
@@ -360,16 +374,21 @@ def advance_by_crew(given, options, log, shared, crew):
             hold(bodies, before, box, segments, scales.wall_skin, solved)
             told[0, 2] = has_list(bodies.position, bodies.radius, memory.cells) and segments.shape[0] == 0
         wait(crew)
+        buffer, turn, j = memory.contacts[turn], 1 - turn, j + 1
         if told[0, 2]:
-            mine_a, mine_b = find_touching(given, shared, memory.contacts[k % 2], mine_a, mine_b, crew)
+            mine_a, mine_b = find_touching(given, shared, buffer, mine_a, mine_b, crew)
             describe_touching(given, options, shared, mine_a, mine_b, crew)
         elif crew.rank == 0:
             where = bodies.position, bodies.radius, box, segments, scales.wall_skin
-            shared.contacts = contacts_at(*where, memory.cells, memory.contacts[k % 2])
+            shared.contacts = contacts_at(*where, memory.cells, buffer)
             carry_impulses(solved, shared.contacts, options.carry)
         wait(crew)
-        if told[0, 3]:
-            break
+        if j == parts:
+            j, k = 0, k + 1
+            if told[0, 3]:
+                break
+    if crew.rank == 0:
+        rescale(shared.contacts, parts)
 
 
 @njit(cache=True, error_model="numpy")
@@ -384,10 +403,10 @@ def find_touching(given, shared, buffer, mine_a, mine_b, crew):
     while found < 0:
         mine_a, mine_b = np.empty(2 * mine_a.shape[0] + 64, np.int64), np.empty(2 * mine_b.shape[0] + 64, np.int64)
         found = write_near_pairs(*where, mine_a, mine_b)
-    shared.found[crew.rank, 0] = found
+    shared.found[crew.rank, PAIRS_FOUND] = found
     wait(crew)
     if crew.rank == 0:
-        m = shared.found[:, 0].sum()
+        m = shared.found[:, PAIRS_FOUND].sum()
         if m > buffer.body_a.shape[0]:
             buffer = make_contacts(m)
         shared.contacts = first_contacts(buffer, m)
@@ -399,7 +418,7 @@ def find_touching(given, shared, buffer, mine_a, mine_b, crew):
 def describe_touching(given, options, shared, mine_a, mine_b, crew):
     """Write this thread's pairs where they belong among the contacts, with their geometry and what they carry."""
     bodies, skin = given.bodies, given.scales.wall_skin
-    before, count = shared.found[: crew.rank, 0].sum(), shared.found[crew.rank, 0]
+    before, count = shared.found[: crew.rank, PAIRS_FOUND].sum(), shared.found[crew.rank, PAIRS_FOUND]
     contacts = some_contacts(shared.contacts, before, before + count)
     for i in range(count):
         contacts.body_a[i], contacts.body_b[i] = mine_a[i], mine_b[i]

@@ -1,0 +1,131 @@
+"""Substeps by motion: a step is divided where something is about to hit, and whole where nothing moves.
+
+With v the fastest approach that closes its gap within Δt, the step takes the least power of two of parts with
+v Δt / parts ≤ reach, so that nothing that hits has gone farther than the reach into the other before a contact stops
+it. This is the condition that particle codes put on a time step by velocity, "a share of a radius a step" (a Courant
+number of motion), in place of the one by stiffness, which rigid contacts do not have; Rapaport, The Art of Molecular
+Dynamics Simulation, 2004, section 3.4, bounds the same motion for neighbour lists.
+
+The choice depends on positions, velocities and Δt alone, so a run that is read back goes on bit for bit; a power of two
+scales impulses exactly. Weakness: the fastest pair decides for the whole scene, and what contacts accelerate within the
+step is not foreseen.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from deep_contact.physics.collision import circles_around, has_list, sort_into_cells, wall_gap
+from deep_contact.physics.segments import segment_gap
+from deep_contact.physics.step import StepInput
+from deep_contact.state import WALL_NORMALS
+
+
+@njit(cache=True, error_model="numpy")
+def parts_of(given, cells):
+    """Into how many parts the next step is divided: a power of two. given: `StepInput`. cells: `Cells`, used."""
+    motion = given.motion
+    if motion.most == 1 or given.bodies.mass.shape[0] == 0:
+        return 1
+    dt, slow = given.dt, motion.reach / given.dt
+    pairs, walls = fastest_possible(given.bodies.velocity, given.gravity, dt)
+    fastest = slow
+    if walls > slow:
+        fastest = fastest_onto_walls(given, fastest)
+    if pairs > slow and fastest * dt <= 0.5 * motion.most * motion.reach:  # otherwise it is the most already
+        fastest = fastest_pair(given, cells, pairs * dt, fastest)
+    parts = 1
+    while parts < motion.most and fastest * dt > parts * motion.reach:
+        parts *= 2
+    return parts
+
+
+@njit(cache=True, fastmath={"nnan", "nsz"})
+def fastest_possible(velocity, gravity, dt):
+    """(Of two circles, of a circle and what stands still): no approach is faster, m/s. velocity: (n, 2), m/s."""
+    x_min = x_max = velocity[0, 0]
+    y_min = y_max = velocity[0, 1]
+    for i in range(velocity.shape[0]):
+        x, y = velocity[i, 0], velocity[i, 1]
+        x_min, x_max, y_min, y_max = min(x_min, x), max(x_max, x), min(y_min, y), max(y_max, y)
+    x, y = max(-x_min, x_max) + dt * abs(gravity[0]), max(-y_min, y_max) + dt * abs(gravity[1])
+    return math.hypot(x_max - x_min, y_max - y_min), math.hypot(x, y)
+
+
+@njit(cache=True, error_model="numpy")
+def fastest_onto_walls(given, fastest):
+    """The fastest approach that closes the gap of a circle to a wall or a segment within Δt, m/s, or `fastest`."""
+    bodies, box, segments, dt, skin = given.bodies, given.box, given.segments, given.dt, given.scales.wall_skin
+    for i in range(bodies.mass.shape[0]):
+        v_x, v_y = bodies.velocity[i, 0] + dt * given.gravity[0], bodies.velocity[i, 1] + dt * given.gravity[1]
+        if v_x * v_x + v_y * v_y <= fastest * fastest:
+            continue
+        x, y, reach = bodies.position[i, 0], bodies.position[i, 1], bodies.radius[i] + skin
+        for wall in range(4):
+            approach = v_x * WALL_NORMALS[wall, 0] + v_y * WALL_NORMALS[wall, 1]
+            if approach > fastest and wall_gap(x, y, box, wall) - reach < approach * dt:
+                fastest = approach
+        for s in range(segments.shape[0]):
+            gap, n_x, n_y = segment_gap(segments[s], x, y)
+            approach = v_x * n_x + v_y * n_y
+            if approach > fastest and gap - reach < approach * dt:
+                fastest = approach
+    return fastest
+
+
+@njit(cache=True, error_model="numpy")
+def fastest_pair(given, cells, gap, fastest):
+    """The fastest approach that closes the gap of two circles within Δt, m/s, or `fastest`.
+
+    gap: m, that no approach closes in Δt. It is read from the list of near pairs where that reaches so far, or pays.
+    """
+    position, radius = given.bodies.position, given.bodies.radius
+    if has_list(position, radius, cells, gap):
+        for a in range(position.shape[0]):
+            fastest = fastest_of(given, a, cells.near, cells.first[a], cells.first[a + 1], fastest)
+    elif math.isfinite(position.sum()):
+        levels = sort_into_cells(position, radius, gap, cells)
+        for a in range(position.shape[0]):
+            m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, 0)
+            fastest = fastest_of(given, a, cells.near, 0, m, fastest)
+    return fastest
+
+
+@njit(cache=True, error_model="numpy")
+def fastest_of(given, a, near, first, last, fastest):
+    """`fastest_pair` of circle a with those in near[first:last]."""
+    position, velocity, radius, dt = given.bodies.position, given.bodies.velocity, given.bodies.radius, given.dt
+    x, y, v_x, v_y, r = position[a, 0], position[a, 1], velocity[a, 0], velocity[a, 1], radius[a]
+    for k in range(first, last):
+        b = near[k]
+        d_x, d_y = position[b, 0] - x, position[b, 1] - y
+        # Approach times distance, so that few pairs need a root.
+        closing = (v_x - velocity[b, 0]) * d_x + (v_y - velocity[b, 1]) * d_y
+        square = d_x * d_x + d_y * d_y
+        if closing > 0.0 and closing * closing > fastest * fastest * square:
+            distance = math.sqrt(square)
+            if distance - r - radius[b] < closing / distance * dt:
+                fastest = closing / distance
+    return fastest
+
+
+@njit(cache=True, error_model="numpy")
+def part_of(given, parts):
+    """The input of one of so many parts of a step."""
+    return StepInput(
+        given.bodies, given.contacts, given.box, given.segments, given.gravity, given.friction, given.restitution,
+        given.dt / parts, given.scales, given.motion,
+    )  # fmt: skip
+
+
+@njit(cache=True)
+def rescale(contacts, ratio):
+    """Let the contacts carry the impulses of a step that is `ratio` times as long, in place."""
+    if ratio != 1.0:
+        for i in range(contacts.body_a.shape[0]):
+            contacts.normal_impulse[i] *= ratio
+            contacts.tangent_impulse[i] *= ratio
+            contacts.normal_start[i] *= ratio
+            contacts.tangent_start[i] *= ratio
