@@ -66,6 +66,33 @@ LARGE = [
     *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (5, 10), 4: (2, 3, 5, 10), 8: (2, 4)}, order="colours"),
     *ladder("BatchedPGS", {1: (6, 10, 20), 2: (5, 10), 4: (2, 3)}, order="colours", position_sweeps=3),
 ]
+
+
+def by_motion(method: str, budgets: dict, **options) -> list[dict]:
+    """Settings whose substeps follow the motion. budgets: (fewest, most substeps of 0.01 s, slop) -> sweeps."""
+    return [
+        {"method": method, "sweeps": sweeps, "dt": TIME_STEP / k, "most_substeps": most // k, "slop": slop, **options}
+        for (k, most, slop), found in budgets.items()
+        for sweeps in found
+    ]
+
+
+MOTION = [
+    *by_motion(
+        "PGS", {(1, 4, 1.0): (4, 6), (1, 8, 0.5): (3, 4, 6, 10), (2, 16, 0.5): (2, 3), (2, 16, 0.25): (2, 3, 4, 6)}
+    ),
+    *by_motion("PGS", {(4, 16, 0.25): (2, 4), (4, 32, 0.25): (4, 10)}),
+    *by_motion("BatchedPGS", {(1, 8, 1.0): (6,), (1, 8, 0.5): (4, 6, 10), (2, 16, 0.5): (3, 5)}, order="colours"),
+    *by_motion("BatchedPGS", {(2, 16, 0.25): (3, 5, 10), (4, 32, 0.25): (3, 5, 10)}, order="colours"),
+    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5,)}, order="colours", position_sweeps=3),
+    *by_motion("PSOR", {(1, 8, 0.5): (3, 4), (2, 16, 0.25): (2, 3), (4, 32, 0.25): (2,)}, omega=1.3),
+]
+LARGE_MOTION = [
+    *by_motion("PGS", {(1, 8, 0.5): (4, 6, 10), (2, 16, 0.25): (3, 4, 6), (4, 32, 0.25): (4, 10)}),
+    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10, 20), (2, 16, 0.5): (5,)}, order="colours"),
+    *by_motion("BatchedPGS", {(2, 16, 0.25): (5, 10, 20), (4, 32, 0.25): (5, 10, 20)}, order="colours"),
+    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5, 10)}, order="colours", position_sweeps=3),
+]
 PEERS = {
     "Box2D 2.3": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
     "pymunk": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
@@ -84,13 +111,18 @@ FULL = {
     "seeds": {
         "100": dict.fromkeys(runs.KINDS, 12),
         "1000": dict.fromkeys(runs.KINDS, 6),
-        "3000": {"plain": 3, "mixed radii": 2, "no friction": 2},
-        "10000": {"plain": 3, "mixed radii": 2, "no friction": 2},
+        "3000": dict.fromkeys(runs.KINDS, 6),
+        "10000": dict.fromkeys(runs.KINDS, 6),
     },
     "peer_seeds": {"100": 12, "1000": 3, "3000": 1, "10000": 1},
     "model": [100, 1000],
     "seconds": 6.0,
-    "settings": {"100": OURS, "1000": OURS, "3000": LARGE, "10000": LARGE},
+    "settings": {
+        "100": OURS + MOTION,
+        "1000": OURS + MOTION,
+        "3000": LARGE + MOTION,
+        "10000": LARGE + LARGE_MOTION,
+    },
     "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
     "repeats": 5,
@@ -133,8 +165,11 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
 
 
 def known_rows(file: Mapping, options: dict, seed: int) -> dict:
-    """Rows of a results file by (kind, n_bodies, name), but for the references. Raises ValueError on other options."""
-    for key in ("sizes", "seeds", "peer_seeds", "seconds"):
+    """Rows of a results file by (kind, n_bodies, name), but for the references. Raises ValueError on other options.
+
+    A row says of how many seeds it is: those that were added later may have more.
+    """
+    for key in ("sizes", "seconds"):
         if file["options"][key] != options[key]:
             raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
     if file["provenance"]["seed"] != seed:

@@ -1,0 +1,143 @@
+"""Substeps by motion: what the choice is, that it changes nothing else, and what it is for."""
+
+import math
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.physics.collision import make_cells
+from deep_contact.physics.engine import step_input
+from deep_contact.physics.metrics import kinetic_energy
+from deep_contact.physics.segments import segments_of
+from deep_contact.physics.substeps import parts_of
+from deep_contact.simulation import ready
+
+MOTION = dc.PGS(sweeps=5, tolerance=None, most_substeps=16, approach=0.02, slop=0.5)
+
+
+def fastest_approach(state):
+    """Of all pairs, walls and segments, one by one: the fastest that closes its gap within Δt, m/s."""
+    x, v, r, dt = state.bodies.position, state.bodies.velocity, state.bodies.radius, state.dt
+    found = [0.0]
+    for a, b in combinations(range(state.bodies.count), 2):
+        distance = np.linalg.norm(x[b] - x[a])
+        speed = -(v[b] - v[a]) @ (x[b] - x[a]) / distance
+        found.append(speed if distance - r[a] - r[b] < speed * dt else 0.0)
+    x_min, y_min, x_max, y_max = state.world.box
+    falling = v + dt * np.array(state.world.gravity)
+    reach = r + state.scales.wall_skin
+    for gap, speed in (
+        (x[:, 0] - x_min, -falling[:, 0]), (x_max - x[:, 0], falling[:, 0]),
+        (x[:, 1] - y_min, -falling[:, 1]), (y_max - x[:, 1], falling[:, 1]),
+    ):  # fmt: skip
+        found += [*np.where(gap - reach < speed * dt, speed, 0.0)]
+    for segment in segments_of(state.world):
+        start, end = segment[:2], segment[2:4]
+        along = np.clip((x - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+        way = start + along[:, None] * (end - start) - x
+        gap = np.linalg.norm(way, axis=1)
+        speed = (falling * way).sum(axis=1) / gap
+        found += [*np.where(gap - reach < speed * dt, speed, 0.0)]
+    return max(found)
+
+
+@pytest.mark.parametrize("speed", [0.0, 1.0, 10.0, 40.0, 400.0])
+@pytest.mark.parametrize("segments", [(), ((5.0, 3.0, 25.0, 6.0),)])
+def test_the_number_of_parts_is_that_of_the_fastest_approach_of_all(speed, segments):
+    rng, cells = np.random.default_rng(int(speed)), make_cells(60)
+    for _ in range(10):  # with what the search remembers of the states before
+        state = dc.circles_in_box(60, size=25, radius=(0.5, 1.2), seed=int(rng.integers(1000)))
+        velocity = rng.normal(0, speed, (60, 2)) * rng.random((60, 1)) ** 2
+        state = state.replace(
+            bodies=state.bodies._replace(velocity=velocity), world=replace(state.world, segments=segments)
+        )
+        wanted = fastest_approach(state) * state.dt / (0.02 * state.bodies.radius.mean())
+        expected = 1 if wanted <= 1 else min(16, 2 ** math.ceil(math.log2(wanted)))
+        assert parts_of(step_input(ready(state), MOTION), cells) == expected
+
+
+@pytest.mark.parametrize("height", [2.0, 5.0, 20.0])
+def test_what_hits_goes_no_deeper_than_the_approach(height):
+    # One circle onto the floor, at up to 20 m/s: in one step of 10 ms it would be up to 0.2 radii deep.
+    scene = dc.column(1)
+    scene = scene.replace(
+        bodies=scene.bodies._replace(position=scene.bodies.position + np.array([0.0, height])),
+        world=replace(scene.world, box=(-9.0, scene.world.box[1], 9.0, 40.0)),
+        contacts=None,
+    )
+    run = dc.simulate(scene, steps=300, record=1, solver=replace(MOTION, position_sweeps=0))
+    deepest = max(-state.contacts.separation.min(initial=0.0) for state in run.trajectory)
+    assert 0 < deepest <= 0.02
+    assert run.substeps.max() == 2 ** math.ceil(math.log2(math.sqrt(2 * 9.81 * height) * 0.01 / 0.02))
+    assert (run.substeps != 1).sum() <= 2  # the step in which it hits
+
+
+def test_a_run_by_motion_is_the_run_of_the_steps_it_chose():
+    scene = state = dc.circles_in_box(40, size=16, seed=4)
+    run = dc.simulate(scene, steps=150, solver=MOTION)
+    assert set(run.substeps) >= {1, 2, 4, 8}
+    for count in run.substeps:
+        state = dc.simulate(state, steps=1, solver=replace(MOTION, substeps=int(count), most_substeps=None)).state
+    for one, other in zip(state.bodies, run.state.bodies):
+        np.testing.assert_array_equal(one, other)
+    assert (run.sweeps <= 5 * run.substeps).all()
+    # With two at least, each half is divided by itself.
+    halves = dc.simulate(scene.replace(dt=0.005), steps=300, solver=replace(MOTION, most_substeps=8))
+    whole = dc.simulate(scene, steps=150, solver=replace(MOTION, substeps=2))
+    np.testing.assert_array_equal(whole.substeps, halves.substeps.reshape(-1, 2).sum(axis=1))
+    np.testing.assert_array_equal(whole.state.bodies.position, halves.state.bodies.position)
+
+
+@pytest.mark.parametrize("sleep", [False, True])
+def test_a_run_by_motion_is_the_same_in_parts_from_a_file_and_seen_step_by_step(tmp_path, sleep):
+    scene = dc.circles_in_box(40, size=16, seed=4)
+    run = dc.simulate(scene, steps=150, solver=MOTION, sleep=sleep)
+    seen = []
+    watched = dc.simulate(scene, steps=150, solver=MOTION, sleep=sleep, on_step=lambda state, _: seen.append(state.dt))
+    np.testing.assert_array_equal(watched.state.bodies.position, run.state.bodies.position)
+    np.testing.assert_array_equal(watched.substeps, run.substeps)
+    assert sum(seen) == pytest.approx(1.5)
+    assert len(seen) == run.substeps.sum()
+    if not sleep:  # who sleeps is known within a run only
+        dc.write_state(tmp_path / "half.xml", dc.simulate(scene, steps=70, solver=MOTION).state)
+        later = dc.simulate(dc.read_state(tmp_path / "half.xml"), steps=80)
+        assert later.state.solver == MOTION
+        np.testing.assert_array_equal(later.state.bodies.position, run.state.bodies.position)
+        np.testing.assert_array_equal(later.state.contacts.normal_start, run.state.contacts.normal_start)
+
+
+def test_batches_divide_by_motion_on_any_number_of_threads():
+    scene, batches = dc.lattice_in_box(200, seed=4), dc.BatchedPGS(**vars(replace(MOTION, sweeps=8)))
+    one, two = (dc.simulate(scene, steps=120, solver=replace(batches, threads=k)) for k in (1, 2))
+    assert one.substeps.max() > 1
+    np.testing.assert_array_equal(one.substeps, two.substeps)
+    np.testing.assert_array_equal(one.state.bodies.position, two.state.bodies.position)
+
+
+def test_a_pile_at_rest_takes_the_fewest_and_its_changes_give_no_energy():
+    settled = dc.simulate(dc.circles_in_box(60, seed=5), steps=900, solver=dc.PGS(sweeps=50, tolerance=None)).state
+    assert (dc.simulate(settled, steps=50, solver=MOTION).substeps == 1).all()
+    state, energies = settled, []
+    for k in range(60):
+        solver = dc.PGS(sweeps=50, tolerance=None, substeps=[1, 4, 2, 8][k % 4])
+        state = dc.simulate(state, steps=1, solver=solver).state
+        energies.append(kinetic_energy(state.bodies))
+    weight = settled.bodies.mass.sum() * 9.81
+    assert max(energies) < 1e-7 * weight  # 0.1 µm of height
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"substeps": 2, "most_substeps": 1}, "most_substeps: expected an integer >= 2"),
+        ({"substeps": 2, "most_substeps": 12}, "most_substeps: expected 2 times a power of two, got 12"),
+        ({"approach": 0.0}, "approach: expected a finite number > 0"),
+        ({"slop": -1.0}, "slop: expected a number from 0 to 100"),
+    ],
+)
+def test_bad_settings_are_refused(options, message):
+    with pytest.raises(ValueError, match=message):
+        dc.PGS(**options)
