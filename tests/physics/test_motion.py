@@ -64,8 +64,8 @@ def test_what_hits_goes_no_deeper_than_the_approach(height):
     # One circle onto the floor, at up to 20 m/s: in one step of 10 ms it would be up to 0.2 radii deep.
     scene = dc.column(1)
     scene = scene.replace(
-        bodies=scene.bodies._replace(position=scene.bodies.position + np.array([0.0, height])),
-        world=replace(scene.world, box=(-9.0, scene.world.box[1], 9.0, 40.0)),
+        bodies=scene.bodies._replace(position=np.array([[0.0, 1.0 + height]])),
+        world=replace(scene.world, box=(-9.0, 0.0, 9.0, 40.0)),
         contacts=None,
     )
     run = dc.simulate(scene, steps=300, record=1, solver=replace(MOTION, position_sweeps=0))
