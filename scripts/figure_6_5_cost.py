@@ -56,8 +56,8 @@ def claims(data):
 
 def table(data):
     """Each preset at each size: its setting on plain piles, times by phase, and the fastest rival's."""
-    head = ["circles", "preset", "setting", "impact, µs", "settling, µs", "rest, µs"]
-    rows = [[*head, "fastest rival", "impact, µs", "settling, µs", "rest, µs"]]
+    head = ["circles", "preset", "setting", "impact, µs", "run, µs", "rest, µs"]
+    rows = [[*head, "fastest rival", "impact, µs", "run, µs", "rest, µs"]]
     for row in data["presets"]:
         ours, rival = row["ours_plain"], fastest_rival(row)
         theirs = row["peers"][rival[0]] if rival else None
@@ -69,7 +69,7 @@ def table(data):
 
 
 def draw(data, options):
-    """Cost by size, with the fastest rival's; in impact and at rest, by that while settling; rival's by ours."""
+    """Cost by size, with the fastest rival's; in impact and at rest, by that of a run; rival's by ours."""
     figure, (left, middle, right) = plotting.subplots(1, 3, size=(13.5, 4.4))
     drawn = set()
     for preset, colour in presets_of(data).items():
@@ -93,8 +93,8 @@ def draw(data, options):
         ax.axhline(1, color=plotting.GREY, linewidth=0.6)
         ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
         ax.set_xscale("log")
-    plotting.label_axes(left, "circles", "wall time of 10 ms", y_unit="µs", title="Settling piles")
-    plotting.label_axes(middle, "circles", "cost by that of a settling pile", title="Impact and rest")
+    plotting.label_axes(left, "circles", "wall time of 10 ms", y_unit="µs", title="Runs of 6 s")
+    plotting.label_axes(middle, "circles", "cost by that of a run", title="Impact and rest")
     plotting.label_axes(right, "circles", "fastest rival's cost by ours", title="For the same tolerances")
     plotting.log_axes(left)
     left.legend(fontsize=7)

@@ -125,7 +125,7 @@ FULL = {
     },
     "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
-    "repeats": 5,
+    "repeats": 3,
 }
 QUICK = {
     "sizes": [100, 300],
@@ -159,7 +159,7 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
                     seen += [("observed", common | {"seed": s}) for s in chosen]
         times = {"n_bodies": n, "seed": seed, "settings": ours + rivals}
         times |= {"steps": options["steps"][str(n)], "repeats": options["repeats"]}
-        timed += [("times", times | {"phase": phase}) for phase in runs.PHASES]
+        timed += [("times", times | {"phase": phase}) for phase in (*runs.MOMENTS, *runs.PHASES)]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
     return seen, timed
 
@@ -239,13 +239,20 @@ def claims(data: dict) -> list[results.Claim]:
 
 VERIFY = {
     "sizes": [100, 300, 1000],
-    "kinds": {"plain": TIME_STEP, "narrow radii": TIME_STEP, "slippery": 2.5 * TIME_STEP, "loose": TIME_STEP / 2},
+    "kinds": {
+        "plain": TIME_STEP,
+        "narrow radii": TIME_STEP,
+        "slippery": 2.5 * TIME_STEP,
+        "loose": TIME_STEP / 2,
+        "bouncing": TIME_STEP,
+        "elastic": TIME_STEP,
+    },
     "seeds": {"100": 20, "300": 10, "1000": 6},
     "more_seeds": {"1000": 20},
     "seconds": 6.0,
     "timed": [100, 300, 1000, 3000, 10_000],
     "steps": {"100": 200, "300": 100, "1000": 50, "3000": 20, "10000": 10},
-    "repeats": 5,
+    "repeats": 3,
 }
 """Scenes outside the study: other seeds, sizes, radii, friction, heights to fall from, and time steps of the user."""
 
@@ -299,8 +306,9 @@ def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors
         wanted = {preset: recommended("plain", n, seed + 5000, TIME_STEP, preset) for preset in PRESETS}
         settings = list({runs.name_of(setting): setting for setting, _ in wanted.values()}.values())
         arguments = {"n_bodies": n, "seed": seed + 5000, "settings": settings, "steps": options["steps"][str(n)]}
-        part = ("times", arguments | {"repeats": options["repeats"]})
-        (took,) = done([part], FUNCTIONS, work=work, jobs=1, text="times")
+        parts = [("times", arguments | {"repeats": options["repeats"], "phase": moment}) for moment in runs.MOMENTS]
+        moments = done(parts, FUNCTIONS, work=work, jobs=1, text="times")
+        took = {name: sum(us[name] for us in moments) / len(moments) for name in moments[0]}
         for preset, (setting, predicted) in wanted.items():
             us = took[runs.name_of(setting)]
             timed.append({"n_bodies": n, "preset": preset, "predicted_us": predicted, "us": us})

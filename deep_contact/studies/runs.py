@@ -47,14 +47,19 @@ HELD_OUT_KINDS = {
     "plain": {},
     "narrow radii": {"radius": (0.7, 1.3)},
     "slippery": {"friction": 0.2},
+    "bouncing": {"restitution": 0.3},
+    "elastic": {"restitution": 0.8},
     "loose": {"gap": 0.3},
 }
 """Kinds of the scenes outside the study."""
 
-PHASES = ("impact", "settling", "rest")
-"""When piles are timed. The cost of a setting is that of a settling pile; the others show how it changes in a run."""
+MOMENTS = (0.5, 1.5, 2.5, 3.5, 4.5, 5.5)
+"""When piles are timed, s after the start. The cost of a setting is the mean over these: that of a run of 6 s."""
 
-CONTACTS = {"impact": 0.5, "settling": 1.5}
+PHASES = ("impact", "rest")
+"""Phases in which piles are timed as well, to show how a cost changes in a run."""
+
+CONTACTS = {"impact": 0.5, "rest": 1.5}
 """Contacts per circle from which on a pile is in a phase, whatever its size."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
@@ -286,9 +291,11 @@ def _peak(runs: Sequence[Observation]) -> float:
 
 
 def times(
-    n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int, phase: str = "settling"
+    n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int, phase: str | float
 ) -> dict[str, float]:
     """Wall time of TIME_STEP of a pile with each setting, μs, by name; they take turns, the least counts.
+
+    phase: one of `PHASES`, or seconds after the start.
 
     steps: of TIME_STEP in each run. Other engines start from the same bodies; what their Python wrapper costs a step is
     part of what their users pay. Of piles for which ours takes two threads, they are run on one and on two, where they
@@ -314,15 +321,17 @@ def times(
     return found
 
 
-def pile(n_bodies: int, seed: int, phase: str) -> State:
-    """A plain pile at the first tenth of a second at which it is in the phase of `PHASES`, or after 60 s.
+def pile(n_bodies: int, seed: int, phase: str | float) -> State:
+    """A plain pile after so many seconds, or at the first tenth of a second at which it is in the phase of `PHASES`.
 
-    It is at rest when it has been settling and its rms speed is below that of a resting pile.
+    It is at rest when it has so many contacts and its rms speed is below that of a resting pile; 60 s are the most.
     """
-    state = scene("plain", n_bodies, seed)
-    least = CONTACTS.get(phase, CONTACTS["settling"])
+    state, solver = scene("plain", n_bodies, seed), METHODS["PGS"](sweeps=20, tolerance=None)
+    if phase not in PHASES:
+        return simulate(state, steps=round(phase / TIME_STEP), solver=solver).state
+    least = CONTACTS[phase]
     for _ in range(600):
-        state = simulate(state, steps=10, solver=METHODS["PGS"](sweeps=20, tolerance=None)).state
+        state = simulate(state, steps=10, solver=solver).state
         if state.contacts.count >= least * n_bodies and (phase != "rest" or rms_speed(state) < SLOWEST["resting"]):
             break
     return state
@@ -340,7 +349,7 @@ def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
     """A row for each kind, size and setting: its errors with their intervals, and its times, μs, where measured.
 
     ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}. took: (n_bodies, phase) -> {name: μs}. "us" is
-    the time of a settling pile, "phases" has those of the other phases. The reference itself has no errors.
+    the mean over `MOMENTS`, "phases" has the times of the phases. The reference itself has no errors.
     """
     found = []
     for (kind, n_bodies), ensemble in ensembles.items():
@@ -363,7 +372,8 @@ def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
 def times_of(name: str, n_bodies: int, took: Mapping) -> dict:
     """What a row says of the times of a setting: "us" and "phases"."""
     phases = {phase: by_name[name] for (size, phase), by_name in took.items() if size == n_bodies and name in by_name}
-    return {"us": phases.pop("settling", None), "phases": phases}
+    moments = [phases.pop(moment) for moment in MOMENTS if moment in phases]
+    return {"us": math.fsum(moments) / len(moments) if moments else None, "phases": phases}
 
 
 def read_study(path) -> dict:
