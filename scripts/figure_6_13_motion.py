@@ -1,0 +1,79 @@
+"""python scripts/figure_6_13_motion.py: a pile that falls, with one number of substeps and with substeps by motion."""
+
+import numpy as np
+
+from deep_contact.constants import TIME_STEP
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.simulation import simulate
+from deep_contact.studies import runs
+
+SETTINGS = {
+    "1 substep": ({"method": "PGS", "sweeps": 4, "dt": TIME_STEP}, plotting.ORANGE),
+    "8 substeps": ({"method": "PGS", "sweeps": 4, "dt": TIME_STEP / 8}, plotting.BLUE),
+    "by motion, ¼ of the slop": (
+        {"method": "PGS", "sweeps": 4, "dt": TIME_STEP / 2, "most_substeps": 8, "slop": 0.25},
+        plotting.VERMILION,
+    ),
+}
+"""Name -> setting of the study, colour."""
+
+EACH = round(runs.INTERVAL / TIME_STEP)
+
+
+def compute(options, seed, jobs, progress):
+    """Of each setting: kinetic energy, deepest penetration and substeps of 10 ms, in intervals of a run."""
+    found = {}
+    for name in progress(list(SETTINGS), text="settings"):
+        setting, _ = SETTINGS[name]
+        parts = round(TIME_STEP / setting["dt"])
+        state = runs.scene(options["kind"], options["n_bodies"], seed).replace(dt=setting["dt"])
+        steps, every = round(options["seconds"] / setting["dt"]), EACH * parts
+        run = simulate(state, steps=steps, solver=runs.solver_of(setting), record=every)
+        seen = runs.observe(run.trajectory[k] for k in range(1, len(run.trajectory)))
+        found[name] = {
+            "time": [runs.INTERVAL * (k + 1) for k in range(len(seen.kinetic))],
+            "kinetic": seen.kinetic,
+            "deepest": 100 * seen.penetration[:, 2],
+            "substeps": parts * run.substeps.reshape(-1, every).mean(axis=1),
+        }
+    return {"courses": found}
+
+
+def means(data):
+    """Name -> (mean substeps of 10 ms, deepest penetration, %)."""
+    return {name: (float(np.mean(one["substeps"])), max(one["deepest"])) for name, one in data["courses"].items()}
+
+
+def claims(data):
+    """By motion a run is as little deep as with eight substeps, in fewer."""
+    (_, (most, deep), (mean, least)) = means(data).values()
+    measured = {"substeps": mean, "deepest, %": least, "deepest with 8, %": deep}
+    yield Claim(
+        "by motion half as many substeps go no deeper", None, mean <= most / 2 and least <= 1.1 * deep, measured
+    )
+
+
+def table(data):
+    return [["setting", "substeps of 10 ms", "deepest, % of r"], *([name, *row] for name, row in means(data).items())]
+
+
+def draw(data, options):
+    """Three panels over time: kinetic energy, substeps, deepest penetration."""
+    figure, panels = plotting.subplots(1, 3, size=(12.0, 3.6))
+    shown = {"kinetic": ("kinetic energy", "M g r"), "substeps": ("substeps of 10 ms", ""),
+             "deepest": ("deepest penetration", "% of r")}  # fmt: skip
+    for ax, (key, (text, unit)) in zip(panels, shown.items()):
+        for name, one in data["courses"].items():
+            ax.plot(one["time"], one[key], color=SETTINGS[name][1], label=name)
+        plotting.label_axes(ax, "time", text, x_unit="s", y_unit=unit)
+    plotting.legend_below(figure, panels[0])
+    return figure
+
+
+OPTIONS = {"kind": "mixed radii", "n_bodies": 1000, "seconds": 8.0}
+FIGURE = Figure("6.13", "Small steps where something hits", compute, table, draw, claims, options=OPTIONS,
+                quick={"n_bodies": 100, "seconds": 4.0})  # fmt: skip
+
+if __name__ == "__main__":
+    raise SystemExit(figures.main(FIGURE))
