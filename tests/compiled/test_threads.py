@@ -12,7 +12,7 @@ import multiprocessing
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn.convolution import Program
+from deep_contact.cnn.convolution import Program, dimensions
 from deep_contact.cnn.model_file import weights_of
 
 PILE = dc.lattice_in_box(900, gap=0.01, seed=1)
@@ -24,8 +24,9 @@ def crew(_):
 
 
 def network(_):
-    program = Program(weights_of(dc.load_model().source), (65, 65), threads=2)
-    return float(program(np.ones(program.image_shape, np.float32)).sum())
+    weights = weights_of(dc.load_model().source)
+    program = Program(weights, (65, 65), threads=2)
+    return float(program(np.ones((65, 65, dimensions(weights)[0]), np.float32)).sum())
 
 
 if __name__ == "__main__":
