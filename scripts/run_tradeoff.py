@@ -88,7 +88,7 @@ MOTION = [
     *by_motion("PSOR", {(1, 8, 0.5): (3, 4), (2, 16, 0.25): (2, 3), (4, 32, 0.25): (2,)}, omega=1.3),
 ]
 LARGE_MOTION = [
-    *by_motion("PGS", {(1, 8, 0.5): (4, 6, 10), (2, 16, 0.25): (3, 4, 6), (4, 32, 0.25): (4, 10)}),
+    *by_motion("PGS", {(1, 8, 0.5): (4, 6, 10)}),
     *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10, 20), (2, 16, 0.5): (5,)}, order="colours"),
     *by_motion("BatchedPGS", {(2, 16, 0.25): (5, 10, 20), (4, 32, 0.25): (5, 10, 20)}, order="colours"),
     *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5, 10)}, order="colours", position_sweeps=3),
