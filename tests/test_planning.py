@@ -45,6 +45,19 @@ def test_tangent_rows_are_planned_as_they_are_built(friction, solver, used, why)
     assert why in found.why
 
 
+@pytest.mark.parametrize(
+    ("options", "used", "why"),
+    [
+        ({}, False, "1 a step"),
+        ({"substeps": 4}, True, "4 a step"),
+        ({"most_substeps": 8}, True, "1 a step, up to 8 where something is about to hit"),
+    ],
+)
+def test_substeps_are_planned(options, used, why):
+    found = plan(dc.column(3), solver=dc.PGS(**options))["substeps"]
+    assert (found.used, found.why) == (used, why)
+
+
 def test_a_start_with_tangents_keeps_the_rows():
     state = dc.simulate(dc.column(3), steps=3).state
     contacts = state.contacts._replace(tangent_start=state.contacts.tangent_start + 1e-3)
