@@ -242,3 +242,16 @@ def test_a_preset_is_chosen_by_the_kinds_of_piles_that_a_scene_is_like():
     found = dc.recommend(mixed, table=study)
     assert found.solver.sweeps == 20
     assert found.reached
+
+
+@pytest.mark.parametrize("accuracy", presets.PRESETS)
+def test_a_pile_at_rest_stays_as_it_is(accuracy):
+    # Without drift (a tenth of a slop), trembling (a tenth of the speed at which circles fall asleep; half of them, as a
+    # loose one rolls on), and without a step that takes more substeps than the fewest.
+    settled = dc.simulate(dc.circles_in_box(60, seed=7), steps=1500, accuracy=accuracy).state.replace(solver=None)
+    run = dc.simulate(settled, steps=20_000, record=500, accuracy=accuracy)
+    heights = [state.bodies.position[:, 1].mean() for state in run.trajectory]
+    speeds = [np.median(np.hypot(*state.bodies.velocity.T)) for state in run.trajectory]
+    assert np.ptp(heights) < 0.1 * settled.scales.slop
+    assert max(speeds) < 0.1 * settled.scales.sleep_speed
+    assert len(set(run.substeps)) == 1
