@@ -125,7 +125,7 @@ FULL = {
     },
     "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
-    "repeats": 3,
+    "repeats": {"100": 5, "1000": 3, "3000": 2, "10000": 2},
 }
 QUICK = {
     "sizes": [100, 300],
@@ -136,7 +136,7 @@ QUICK = {
     "settings": {"100": OURS, "300": LARGE},
     "peers": {"100": PEER_SETTINGS[::3], "300": []},
     "steps": {"100": 50, "300": 20},
-    "repeats": 3,
+    "repeats": {"100": 3, "300": 3},
 }
 FUNCTIONS = {"observed": runs.observed, "times": runs.times}
 
@@ -158,7 +158,7 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
                     chosen = figures.seeds(seed, options["peer_seeds"][str(n)] if "engine" in setting else count)
                     seen += [("observed", common | {"seed": s}) for s in chosen]
         times = {"n_bodies": n, "seed": seed, "settings": ours + rivals}
-        times |= {"steps": options["steps"][str(n)], "repeats": options["repeats"]}
+        times |= {name: options[name][str(n)] for name in ("steps", "repeats")}
         timed += [("times", times | {"phase": phase}) for phase in (*runs.MOMENTS, *runs.PHASES)]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
     return seen, timed

@@ -246,7 +246,7 @@ def test_a_preset_is_chosen_by_the_kinds_of_piles_that_a_scene_is_like():
 
 @pytest.mark.parametrize("accuracy", presets.PRESETS)
 def test_a_pile_at_rest_stays_as_it_is(accuracy):
-    # Without drift (a tenth of a slop), trembling (a tenth of the speed at which circles fall asleep; half of them, as a
+    # Without drift (a tenth of a slop), trembling (a tenth of the speed at which circles fall asleep; half of them: a
     # loose one rolls on), and without a step that takes more substeps than the fewest.
     settled = dc.simulate(dc.circles_in_box(60, seed=7), steps=1500, accuracy=accuracy).state.replace(solver=None)
     run = dc.simulate(settled, steps=20_000, record=500, accuracy=accuracy)

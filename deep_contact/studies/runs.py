@@ -53,7 +53,7 @@ HELD_OUT_KINDS = {
 }
 """Kinds of the scenes outside the study."""
 
-MOMENTS = (0.5, 1.5, 2.5, 3.5, 4.5, 5.5)
+MOMENTS = (0.75, 2.25, 3.75, 5.25)
 """When piles are timed, s after the start. The cost of a setting is the mean over these: that of a run of 6 s."""
 
 PHASES = ("impact", "rest")

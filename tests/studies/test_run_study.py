@@ -151,7 +151,7 @@ def test_a_damaged_part_of_a_study_is_computed_again(tmp_path, damage):
 def tiny(script, **changes):
     """The settings of a quick run of the script, made smaller."""
     small = {"sizes": [20], "seeds": {"20": {"plain": 2}}, "model": [], "seconds": 1.0, "peers": {"20": []}}
-    return script.QUICK | small | {"steps": {"20": 5}, "repeats": 1} | changes
+    return script.QUICK | small | {"steps": {"20": 5}, "repeats": {"20": 1}} | changes
 
 
 def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys):
