@@ -37,7 +37,6 @@ def along_x(kernel, x, h, dim):
 
 
 def claims(data):
-    """The spiky kernel is proposed because poly6's gradient approaches zero at the centre."""
     texts = {
         "poly6": "poly6's gradient vanishes at the centre",
         "spiky": "spiky's gradient does not vanish at the centre: it is largest there",

@@ -6,7 +6,6 @@ from deep_contact.studies import starts, verdicts
 
 
 def claims(data):
-    """The conclusions under Figure 3.7."""
     medians = {name: found["sweeps"]["median"] for name, found in data["independent"].items()}
     at_most_two = "Copy needs nearly no iteration: one or two sweeps to θ < 6e-5 for most states"
     long = "None takes a long time to reach convergence: longer than Builtin"

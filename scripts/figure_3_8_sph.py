@@ -15,7 +15,6 @@ def compared(d):
 
 
 def claims(data):
-    """The hypothesis of section 3.4.1, and what the thesis sees in the figure and in Figure 5.7."""
     ours = "with the consistent transfer SPH is faster than Builtin"
     copy = "with the consistent transfer SPH's θ is at most 1.1 times Copy's, from the same states"
     unlike = "Figure 5.7 differs from Figure 3.8: SPH is faster at the chosen d = h = 0.5 m than on a grid of 41 nodes"

@@ -22,7 +22,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """section 4.2.5: matrix multiplications and biases are all there is to a fully connected network."""
     difference = float(np.abs(np.subtract(data["values"][-1], data["Keras"])).max())
     text = "matrix multiplications and biases, with ReLU between, complete a fully connected network: equal to Keras's"
     measured = {"largest difference": difference, "parameters": data["parameters"]}

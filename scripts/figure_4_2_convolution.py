@@ -41,8 +41,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """Eq 4.1, its name, its size, and the depth that several kernels make."""
-
     def apart(a, b):
         return float(np.abs(np.subtract(data["results"][a], data["results"][b])).max())
 

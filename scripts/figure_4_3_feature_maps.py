@@ -67,7 +67,6 @@ def panel(name, maps, labels, count):
 
 
 def claims(data):
-    """Section 4.2.2 on kernels and maps; and the error of the trained network."""
     layers, error = data["convolutions"], data["relative error of λ"]
     depths = {c["name"]: f"{c['kernel depth']} of {c['input depth']}" for c in layers}
     deep = all(c["kernel depth"] == c["input depth"] for c in layers)

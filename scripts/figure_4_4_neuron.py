@@ -36,7 +36,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The claims of section 4.2.3 on ReLU."""
     ratios = data["gradient ratio, by gain"]
     below = np.array(data["line"]) < 0
     lost = {

@@ -28,7 +28,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """Section 4.2.4."""
     small = float(np.abs(np.subtract(data["pooled"], data["Keras"])).max())
     differences = {"largest difference to Keras": small, "on a whole image": data["difference on a whole image"]}
     text = "the output holds the largest value within each window: equal to Keras's"

@@ -57,7 +57,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """section 4.3.2, and that dropout keeps the mean."""
     rate = data["rate"]
     # Three standard deviations of the share dropped among so many independent values.
     allowed = float(3 * np.sqrt(rate * (1 - rate) / data["values"]))

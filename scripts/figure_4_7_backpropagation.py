@@ -44,7 +44,6 @@ def apart(a, b):
 
 
 def claims(data):
-    """Each equation against automatic differentiation."""
     gradients, updated = data["gradients"], data["updated"]
     factors = {name: apart(value, data["chain, automatic"][name]) for name, value in data["chain"].items()}
 

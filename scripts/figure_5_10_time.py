@@ -51,7 +51,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The thesis: interpolation takes most of the time, and the CNN start is not efficient."""
     for title, scene in data["scenes"].items():
         for name in data["networks"]:
             if name in scene["starts"]:
@@ -100,7 +99,6 @@ def by_scene(scene, values):
 
 
 def table(data):
-    """Stages, and sweeps and time to each threshold, ms; for a network that refuses a scene, the reason."""
     criteria = next(iter(data["scenes"].values()))["criteria"]
     rows = [["scene", "start", "splat", "network", "gather", *(f"{c}: sweeps, ms" for c in criteria), "not reached"]]
     for title, scene in data["scenes"].items():

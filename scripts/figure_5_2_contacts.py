@@ -63,7 +63,6 @@ def costs(data):
 
 
 def claims(data):
-    """The thesis shows the contacts and the time; its text says that they grow together."""
     scenes = data["scenes"]
     first, last, spread, together = (
         [scene[name] for scene in scenes] for name in ("first sixth", "last sixth", "its std", "correlation")

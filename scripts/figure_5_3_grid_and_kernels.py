@@ -42,7 +42,6 @@ def contacts_in_one_cell(box, contacts, d):
 
 
 def claims(data):
-    """The rules by which the thesis chooses d and h."""
     shared = {float(d): found["cells with several"] for d, found in data["contacts in one cell, by d"].items()}
     measured = {f"cells with several, d = {d:.4g} m": count for d, count in shared.items()}
     several = any(count for d, count in shared.items() if d <= 1)

@@ -9,7 +9,6 @@ PLACE = "section 5.1.3, Figure 5.4"
 
 
 def claims(data):
-    """The conclusions of the thesis from Figure 5.4, by independent runs as in the thesis."""
     by_h, by_d = data["h"], data["d"]
     slow, twice = "h = 0.1 m", "h = 0.5 m"
     others = [name for name in by_d["independent"] if name != BEST]

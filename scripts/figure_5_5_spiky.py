@@ -8,7 +8,6 @@ PLACE = "section 5.1.3, Figure 5.5"
 
 
 def claims(data):
-    """The conclusions of the thesis from Figure 5.5, by independent runs as in the thesis."""
     by_h, by_d = data["h"], data["d"]
     every = list(by_d["independent"])
     rest, others = [name for name in by_h["independent"] if name != EQUAL], [name for name in every if name != FINEST]

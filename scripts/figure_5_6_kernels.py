@@ -15,7 +15,6 @@ def compared(transfer):
 
 
 def claims(data):
-    """The thesis chooses poly6."""
     return [verdicts.judged(data, POLY6, SPIKY, "poly6 performs better", "section 5.1.3, Figure 5.6")]
 
 

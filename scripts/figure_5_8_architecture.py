@@ -27,7 +27,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The thesis gives two numbers of weights."""
     trainable, every = (sum(layer[what] for layer in data["layers"]) for what in ("trainable", "parameters"))
     measured = {"trainable": trainable, "with the moving statistics": every}
     yield Claim("the network has 64,498,866 weights", "section 5.3.1", trainable == 64_498_866, measured)

@@ -16,13 +16,11 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The claims of the thesis on the figure, for each network."""
     for name in data["networks"]:
         yield from chapter_5.claims_of_network(data, name, chapter_5.LABELS.get(name, name))
 
 
 def table(data):
-    """θ by sweeps in both modes, and the velocity errors below."""
     return starts.table_of_starts(data, chapter_5.AFTER) + chapter_5.table_of_velocity(data)
 
 

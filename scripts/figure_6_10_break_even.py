@@ -35,7 +35,6 @@ def sizes_and_kinds(data):
 
 
 def claims(data):
-    """Whether the learned start reaches some error first, and what it costs."""
     sizes, kinds = sizes_and_kinds(data)
     cases = product(sizes, kinds, TOLERANCES)
     found = {case: learned_starts.median_with_interval(time_ratios(data, *case)) for case in cases}
@@ -55,7 +54,6 @@ def claims(data):
 
 
 def table(data):
-    """Time to an error from the network over that of the best classical setting, by pile; and which it is."""
     rows = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]]
     for kind, count in product(*reversed(sizes_and_kinds(data))):
         ratios = [time_ratios(data, count, kind, error) for error in TOLERANCES]

@@ -63,7 +63,6 @@ def solved_with(data, n, divisor):
 
 
 def claims(data):
-    """At the price of twenty sweeps with Δt, is a smaller step with few sweeps better?"""
     for n in runs.sizes_of(data["rows"]):
         solved = solved_with(data, n, 1)
         smaller = [row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] > 1]

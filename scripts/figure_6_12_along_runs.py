@@ -27,7 +27,6 @@ def ratio(one, other):
 
 
 def claims(data):
-    """Whether the network wins at equal time, or if its price is left out, and whether the friction's own ω does."""
     timed, swept, own = {}, {}, {}
     error = {(entry["circles"], entry["setting"], entry["sweeps"]): entry["error"] for entry in data["runs"]}
     for cell in at_equal_times(data["runs"], data["columns"]):

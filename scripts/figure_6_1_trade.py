@@ -23,7 +23,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """For each size: what the cheapest setting within each preset costs, and the cheapest rival."""
     for n in runs.sizes_of(data["rows"]):
         here = {row["preset"]: runs.cheaper_than_rivals(row) for row in data["presets"] if row["n_bodies"] == n}
         if ratios := {preset: ratio for preset, ratio in here.items() if ratio}:
@@ -32,7 +31,6 @@ def claims(data):
 
 
 def table(data):
-    """Each preset at each size, ours on all kinds of piles and on plain ones, and the other engines on these."""
     head = ["circles", "preset", "ours", "µs per 10 ms", "µs, plain piles"]
     rows = [head + [f"{engine}, µs" for engine in peers.ENGINES]]
     for row in data["presets"]:

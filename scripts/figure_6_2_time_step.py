@@ -36,7 +36,6 @@ def by_size(data):
 
 
 def claims(data):
-    """Penetration falls with the step, by a power fitted over all steps; energy stops changing within its intervals."""
     for n, rows in by_size(data).items():
         powers = {}
         for name in ("penetration", "penetration_max"):

@@ -86,7 +86,6 @@ CLAIMS = [
 
 
 def claims(data):
-    """How much the transfer loses, which part of it does, and how exact the consistent transfer is."""
     losses = {
         name.removesuffix(", d = h = 0.5").removeprefix("d = 0.25, "): of for name, of in data["by scene"].items()
     }

@@ -54,7 +54,6 @@ def networks_of(data):
 
 
 def claims(data):
-    """Whether size pays, in error and in time."""
     networks, after = networks_of(data), 10 if 10 in data["after"] else data["after"][-1]
     error = {n["weights"]: float(n["ratios"][data["after"].index(after), 0]) for n in networks}
     text = f"every larger network leaves less error after {after} sweeps than the one before"

@@ -34,7 +34,6 @@ def fastest_rival(row, phase="us"):
 
 
 def claims(data):
-    """What a circle more costs, and what rivals cost in impact and at rest."""
     powers = {}
     for preset in presets_of(data):
         large = [(row["n_bodies"], row["ours_plain"]["us"]) for row in rows_of(data, preset) if row["n_bodies"] >= 1000]
@@ -55,7 +54,6 @@ def claims(data):
 
 
 def table(data):
-    """Each preset at each size: its setting on plain piles, times by phase, and the fastest rival's."""
     head = ["circles", "preset", "setting", "impact, µs", "run, µs", "rest, µs"]
     rows = [[*head, "fastest rival", "impact, µs", "run, µs", "rest, µs"]]
     for row in data["presets"]:

@@ -73,7 +73,6 @@ def is_inelastic(cell):
 
 
 def claims(data):
-    """The goals of the engine at the extremes."""
     mine = [cell for cell in cells_of(data) if cell["engine"] == "ours"]
     accepted = [cell for cell in mine if cell["verdict"] != REFUSED]
     not_finite = sum(not cell["finite"] for cell in accepted)
@@ -122,7 +121,6 @@ def ranges(cells, verdict):
 
 
 def table(data):
-    """By quantity the values that are safe, degraded, failed and refused; what is safe in the peers."""
     verdicts = (SAFE, DEGRADED, FAILED, REFUSED)
     rows = [["quantity", "unit", *(f"ours: {v}" for v in verdicts), "worst (slops)", "back after (steps)"]]
     rows[0] += [f"{engine}: safe" for engine in ENGINES[1:]]

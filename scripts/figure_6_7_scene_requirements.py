@@ -45,7 +45,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The goals, against what was measured."""
     ratios = {name: one["ratio"] for name, one in data["savings"].items()}
     frictionless = {f"{n} circles": one["frictionless"]["ratio"] for n, one in data["sweeps"].items()}
     text = "without friction a sweep is at least 1.8 times cheaper"

@@ -31,7 +31,6 @@ def mean_sweeps(data, name):
 
 
 def claims(data):
-    """Whether the network pays: over PGS from Builtin, over the best classical setting, and in sweeps to θ."""
     few, scenes = [data["after"].index(k) for k in FEW], data["scenes"]
 
     def claim(text, ratios, column, most):

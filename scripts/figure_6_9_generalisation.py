@@ -31,14 +31,12 @@ def ratios_of(data):
 
 
 def claims(data):
-    """Whether the learned start is ever worse than the best classical setting."""
     by_kind = {kind: ratios[:, 0].tolist() for kind, ratios in ratios_of(data).items()}
     text = "guarded, on no kind of scene worse than 1.02 of the best classical setting after 3, 10 and 30 sweeps"
     return [Claim(text, None, max(map(max, by_kind.values())) <= 1.02, by_kind)]
 
 
 def table(data):
-    """Error of the guarded network with its best solver over the best classical setting's, by kind of scene."""
     rows = [["scenes", *(f"{k} sweeps" for k in FEW)]]
     return rows + [[kind, *cells_of(ratios, digits=2)] for kind, ratios in ratios_of(data).items()]
 

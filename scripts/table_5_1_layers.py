@@ -24,7 +24,6 @@ def differences(data):
 
 
 def claims(data):
-    """The network is the table's, but for its two misprints."""
     same_length, found = len(data["built"]) == len(data["printed"]), differences(data)
     measured = {f"{kind}: printed, built": [text(theirs), text(mine)] for kind, theirs, mine in found}
     count = {"layers, printed and built": [len(data["printed"]), len(data["built"])]}

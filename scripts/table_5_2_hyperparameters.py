@@ -18,7 +18,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """The configuration is that of the table, except where the table contradicts the number of weights."""
     printed, built = data["printed"], data["built"]
     found = {name: [value, built.get(name)] for name, value in printed.items() if value != built.get(name)}
     return [

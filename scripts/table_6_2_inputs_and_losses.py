@@ -44,7 +44,6 @@ def budget_of(path):
 
 
 def claims(data):
-    """Whether contact rows, the correction and the loss through the solver each pay."""
     few = [data["after"].index(k) for k in FEW]
     found = {name: ratios_to_builtin(data["scenes"], name, "off")[few, 0] for name in NETWORKS}
     goals = {
@@ -69,7 +68,6 @@ def best_ratios(data, starts):
 
 
 def table(data):
-    """Error over Builtin's after some sweeps where Builtin is off, with its 95 % interval."""
     rows = [["inputs", "loss on", "weights", *(f"after {k} sweeps" for k in data["after"])]]
     for name, (inputs, loss) in NETWORKS.items():
         cells = cells_of(ratios_to_builtin(data["scenes"], name, "off"))

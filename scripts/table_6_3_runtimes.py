@@ -27,7 +27,6 @@ def of_shipped(data):
 
 
 def claims(data):
-    """Whether the convolution in Numba is worth its lines, and a start its time."""
     data = of_shipped(data)
     times = {(t["network"], t["circles"], t["threads"], t["batch"], t["runtime"]): t["us"] for t in data["times"]}
     cases = list(dict.fromkeys(key[:-1] for key in times))
@@ -47,7 +46,6 @@ def claims(data):
 
 
 def table(data):
-    """μs of a scene by network, circles and threads for each runtime and batch; of a start, its parts."""
     data = of_shipped(data)
     batches = sorted({t["batch"] for t in data["times"]})
     many = [f"{name}, {b} at once" if b > 1 else name for name in RUNTIMES for b in batches]

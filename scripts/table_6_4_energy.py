@@ -54,7 +54,6 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """Whether elastic circles keep their energy, and none gain any."""
     elastic = [run for run in data["runs"] if run["restitution"] == 1 and run["friction"] == 0]
     worst = {preset: max(max(1 - r["least"], r["greatest"] - 1) for r in elastic if r["preset"] == preset)
              for preset in PRESETS}  # fmt: skip
@@ -66,7 +65,6 @@ def claims(data):
 
 
 def table(data):
-    """Energy at the end over that at the start."""
     cases = list(dict.fromkeys((r["friction"], r["mass_ratio"]) for r in data["runs"]))
     rows = [["preset", "restitution", *(f"μ = {mu:g}, masses 1 to {ratio:g}" for mu, ratio in cases)]]
     end = {(r["preset"], r["restitution"], r["friction"], r["mass_ratio"]): r["end"] for r in data["runs"]}

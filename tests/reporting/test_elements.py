@@ -1,6 +1,5 @@
 """The list of the thesis's elements: none left out, none twice, and every path and name that it gives exists."""
 
-import ast
 import re
 from pathlib import Path
 
@@ -51,13 +50,4 @@ def test_every_row_has_a_verdict_a_place_and_a_reason_where_something_is_wrong()
 @pytest.mark.parametrize("given", PATHS)
 def test_every_path_exists_and_has_the_name(given):
     path, _, name = given.partition(":")
-    assert (ROOT / path).is_file()
-    if name:
-        found = set()
-        for node in ast.parse((ROOT / path).read_text(encoding="utf-8")).body:
-            if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
-                found.add(node.name)
-            elif isinstance(node, (ast.Assign, ast.AnnAssign)):
-                targets = node.targets if isinstance(node, ast.Assign) else [node.target]
-                found |= {target.id for target in targets if isinstance(target, ast.Name)}
-        assert name in found
+    assert re.search(rf"^(def |class |){name or ''}\b", (ROOT / path).read_text(encoding="utf-8"), re.MULTILINE)

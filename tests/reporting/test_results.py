@@ -116,18 +116,25 @@ def test_a_place_of_the_thesis_is_a_section_or_something_numbered(place):
     assert results.check_results(changed("claims.0.thesis", place))
 
 
+FULL = {"claims": [{"text": "faster, 100 circles", "holds": True}]}
+
+
 @pytest.mark.parametrize(
-    ("holds", "own", "expected"),
+    ("text", "holds", "own", "beside", "expected"),
     [
-        (True, None, "holds"),
-        (False, None, "does not hold"),
-        (None, None, "open"),
-        (None, "within the noise", "within the noise"),
-        (True, "holds, sweeps 1 to 180", "holds, sweeps 1 to 180"),
+        ("", True, None, None, "holds"),
+        ("", False, None, None, "does not hold"),
+        ("", None, None, None, "open"),
+        ("", True, "holds, sweeps 1 to 180", None, "holds, sweeps 1 to 180"),
+        ("faster, 60 circles", True, None, FULL, "as in the reference run, holds"),
+        ("faster, 60 circles", False, None, FULL, "too few states to tell"),
+        ("slower", False, None, FULL, "too few states to tell"),
     ],
 )
-def test_a_verdict_is_the_claims_own_if_it_has_one(holds, own, expected):
-    assert results.verdict({"text": "any", "holds": holds, "verdict": own}) == expected
+def test_a_verdict_is_the_claims_own_and_that_of_a_quick_run_never_contradicts_the_reference(
+    text, holds, own, beside, expected
+):
+    assert results.verdict({"text": text, "holds": holds, "verdict": own}, beside) == expected
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path):
