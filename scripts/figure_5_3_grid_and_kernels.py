@@ -20,25 +20,18 @@ def compute(options, seed, jobs, progress):
     box, d = state.world.box, options["d"]
     contacts = state.contacts.position
     ratios = sorted({*options["h_over_d"], SMALLEST, 1.0})
-    reached = {f"{ratio:.4g}": nodes_reached(box, contacts, d, ratio * d) for ratio in ratios}
-    shared = {f"{size:.4g}": contacts_in_one_cell(box, contacts, size) for size in sorted({*options["cells"], 1.0, d})}
-    x, y = sph.Grid.over_box(box, d).nodes
+    grid = sph.Grid.over_box(box, d)
+    x, y = grid.nodes
+    reached, shared = {}, {}
+    for ratio in ratios:
+        reach = {"h": ratio * d, "unreached": "zero", "outside": "clamp"}
+        weights = (sph.splat(grid, point[None], np.ones(1), **reach) for point in contacts)
+        reached[f"{ratio:.4g}"] = [int((weight > 0).sum()) for weight in weights]
+    for size in sorted({*options["cells"], 1.0, d}):
+        _, count = np.unique(np.floor((contacts - box[:2]) / size).astype(int), axis=0, return_counts=True)
+        shared[f"{size:.4g}"] = {"most": int(count.max()), "cells with several": int((count > 1).sum())}
     found = {"nodes reached, by h / d": reached, "contacts in one cell, by d": shared}
     return {"scene": plotting.state_data(state), "d": d, "h": options["h"], "x": x, "y": y} | found
-
-
-def nodes_reached(box, contacts, d, h):
-    """Number of nodes on which each contact has weight."""
-    grid = sph.Grid.over_box(box, d)
-    options = {"h": h, "unreached": "zero", "outside": "clamp"}
-    return [int((sph.splat(grid, point[None], np.ones(1), **options) > 0).sum()) for point in contacts]
-
-
-def contacts_in_one_cell(box, contacts, d):
-    """The largest number of contact points in one cell, and the number of cells with several."""
-    cells = np.floor((contacts - box[:2]) / d).astype(int)
-    _, count = np.unique(cells, axis=0, return_counts=True)
-    return {"most": int(count.max(initial=0)), "cells with several": int((count > 1).sum())}
 
 
 def claims(data):

@@ -3,6 +3,8 @@
 The networks of models/comparison were trained alike but for the one setting that names them; this needs no training.
 """
 
+from deep_contact.cnn.inference import network_file
+from deep_contact.cnn.model_file import read_metadata
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import learned_starts
@@ -29,18 +31,12 @@ def compute(options, seed, jobs, progress):
     starts = dict(zip(CLASSICAL, CLASSICAL)) | {name: {"model": path} for name, path in paths.items()}
     settings = {"seed": seed + 40_000, "jobs": jobs, "progress": progress, "with_all": [*CLASSICAL, PLAIN]}
     (scenes,) = learned_starts.errors_on_scenes(starts, options, **settings)
-    budget = {name: budget_of(path) for name, path in paths.items()}
+    budget = {}
+    for name, path in paths.items():
+        card = read_metadata(network_file(path))["card"]
+        budget[name] = {"parameters": card["parameters"], "epochs": len(card["history"])}
+        budget[name] |= {"states_per_epoch": card["config"]["states_per_epoch"], "command": card["command"]}
     return {"after": options["after"], "scenes": scenes, "budget": budget}
-
-
-def budget_of(path):
-    """What a network was trained with."""
-    from deep_contact.cnn.inference import network_file
-    from deep_contact.cnn.model_file import read_metadata
-
-    card = read_metadata(network_file(path))["card"]
-    found = {"parameters": card["parameters"], "epochs": len(card["history"])}
-    return found | {"states_per_epoch": card["config"]["states_per_epoch"], "command": card["command"]}
 
 
 def claims(data):

@@ -55,7 +55,8 @@ def arguments() -> argparse.ArgumentParser:
         if kind is bool:
             how = {"action": argparse.BooleanOptionalAction, "help": shown}
         elif isinstance(kind, types.UnionType):
-            how = {"type": integer_or_none, "metavar": "NUMBER", "help": f"or none; {shown}"}
+            how = {"type": lambda text: None if text == "none" else int(text), "metavar": "NUMBER"}
+            how["help"] = f"or none; {shown}"
         else:
             how = {"type": kind, "help": shown}
         add("--" + field.name.replace("_", "-"), **special.get(field.name, how))
@@ -66,11 +67,6 @@ def option(text: str):
     """NAME=NUMBER as (name, value)."""
     name, _, value = text.partition("=")
     return name, float(value) if "." in value or "e" in value else int(value)
-
-
-def integer_or_none(text: str) -> int | None:
-    """An integer, or None for "none"."""
-    return None if text.lower() == "none" else int(text)
 
 
 def configuration(given: dict, from_model) -> TrainingConfig:

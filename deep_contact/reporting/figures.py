@@ -351,7 +351,7 @@ def meaning(figure: str, name: str) -> str:
 def _described(id: str, name: str, value) -> str:
     """A line of the settings in `--help`; a long value is cut."""
     text = f"{name}={value if isinstance(value, str) else json.dumps(results.plain(value))}"
-    return f"  {text if len(text) <= 60 else f'{text[:59]}…':<32}  {meaning(id, name)}".rstrip()
+    return f"  {text if len(text) <= 60 else f'{text[:59]}…':<32}  {meaning(id, name)}"
 
 
 def _integer(text: str, *, least: int) -> int:

@@ -12,7 +12,6 @@ import os
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from functools import cache
 from itertools import count
 from pathlib import Path
 
@@ -116,23 +115,18 @@ def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | Non
 
 def new_figure(size: tuple[float, float]):
     """An empty matplotlib figure of a width and a height, inches, which shows itself in a notebook's cell."""
-    return _kind_of_figure()(figsize=size, layout="constrained")
-
-
-@cache
-def _kind_of_figure():
     from matplotlib.figure import Figure
 
-    class NotebookFigure(Figure):
-        """IPython shows only the figures that pyplot has made, or what has this method."""
+    figure = Figure(figsize=size, layout="constrained")
 
-        def _repr_png_(self) -> bytes:
-            content = io.BytesIO()
-            with style():
-                self.savefig(content, format="png", dpi=DPI)
-            return content.getvalue()
+    def png() -> bytes:
+        content = io.BytesIO()
+        with style():
+            figure.savefig(content, format="png", dpi=DPI)
+        return content.getvalue()
 
-    return NotebookFigure
+    figure._repr_png_ = png  # IPython shows only the figures that pyplot has made, or what has this method
+    return figure
 
 
 def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title: str = "") -> None:

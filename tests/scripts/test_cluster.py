@@ -129,22 +129,18 @@ def test_a_study_stores_what_workers_return(workers, tmp_path):
 # ---- errors and interrupts ----
 
 
-def test_the_first_error_ends_the_map_and_the_executor_goes_on(cluster, workers):
-    with pytest.raises(ArithmeticError, match="refused: 2"):
-        figures.parallel_map(refuse_two, range(200), jobs=workers)
+def interrupted(results, **_):
+    """A progress bar at which Ctrl-C is pressed after the first result."""
+    yield next(results)
+    raise KeyboardInterrupt
+
+
+@pytest.mark.parametrize(("first", "error"), [(2, ArithmeticError), (7, KeyboardInterrupt)])
+def test_an_error_or_an_interrupt_leaves_no_tasks_behind_and_the_executor_goes_on(cluster, workers, first, error):
+    with pytest.raises(error):
+        figures.parallel_map(refuse_two, [first, *range(3, 200)], jobs=workers, progress=interrupted)
     assert settled(lambda: not unfinished(cluster))
     assert figures.parallel_map(refuse_two, [5], jobs=workers) == [5]
-
-
-def test_an_interrupt_leaves_no_tasks_behind(cluster, workers):
-    def interrupted(results, **_):
-        for result in results:
-            yield result
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        figures.parallel_map(refuse_two, [7] * 200, jobs=workers, progress=interrupted)
-    assert settled(lambda: not unfinished(cluster))
 
 
 def test_a_worker_with_other_code_refuses(workers, monkeypatch):
