@@ -14,6 +14,7 @@ def compute(options, seed, jobs, progress):
     """The small network before and after; the trained network's first maps and its prediction, off and on."""
     from deep_contact.cnn.backend import keras
 
+    keras.utils.set_random_seed(seed)  # of the masks
     model = load_model(network_file(options["model"]))
     rng = np.random.default_rng(seed)
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)

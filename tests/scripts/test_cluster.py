@@ -135,10 +135,12 @@ def interrupted(results, **_):
     raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize(("first", "error"), [(2, ArithmeticError), (7, KeyboardInterrupt)])
-def test_an_error_or_an_interrupt_leaves_no_tasks_behind_and_the_executor_goes_on(cluster, workers, first, error):
+@pytest.mark.parametrize(
+    ("first", "progress", "error"), [(2, None, ArithmeticError), (7, interrupted, KeyboardInterrupt)]
+)
+def test_an_error_or_an_interrupt_leaves_no_tasks_behind(cluster, workers, first, progress, error):
     with pytest.raises(error):
-        figures.parallel_map(refuse_two, [first, *range(3, 200)], jobs=workers, progress=interrupted)
+        figures.parallel_map(refuse_two, [first, *range(3, 200)], jobs=workers, progress=progress)
     assert settled(lambda: not unfinished(cluster))
     assert figures.parallel_map(refuse_two, [5], jobs=workers) == [5]
 
