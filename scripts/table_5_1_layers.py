@@ -4,7 +4,7 @@ from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_5
 
-MISPRINTS = ["Input", "BatchNormalization"]
+MISPRINTS = {f"{kind}: printed, built" for kind in ("Input", "BatchNormalization")}
 """Layers that the thesis's table gives wrongly: 4 channels for 5, and 4 × 4 × 512 for 4 × 4 × 256."""
 
 
@@ -14,23 +14,23 @@ def compute(options, seed, jobs, progress):
     return {"built": chapter_5.thesis_layers(), "printed": printed}
 
 
-def differences(data):
-    """(layer, printed, built) wherever the two differ."""
-    return [
-        (mine["kind"] if mine["kind"] == theirs["kind"] else f"{theirs['kind']} / {mine['kind']}", theirs, mine)
-        for theirs, mine in zip(data["printed"], data["built"])
-        if (theirs["kind"], theirs["shape"]) != (mine["kind"], mine["shape"])
-    ]
+def equal(theirs, mine):
+    """Whether a printed layer is the built one."""
+    return (theirs["kind"], theirs["shape"]) == (mine["kind"], mine["shape"])
 
 
 def claims(data):
-    same_length, found = len(data["built"]) == len(data["printed"]), differences(data)
-    measured = {f"{kind}: printed, built": [text(theirs), text(mine)] for kind, theirs, mine in found}
+    same_length = len(data["built"]) == len(data["printed"])
+    found = {}
+    for theirs, mine in zip(data["printed"], data["built"]):
+        if not equal(theirs, mine):
+            kinds = dict.fromkeys([theirs["kind"], mine["kind"]])
+            found[f"{' / '.join(kinds)}: printed, built"] = [text(theirs), text(mine)]
     count = {"layers, printed and built": [len(data["printed"]), len(data["built"])]}
-    equal = "the layers and shapes are those of Table 5.1"
-    yield Claim(equal, "Table 5.1", not found and same_length, count | measured)
+    same = "the layers and shapes are those of Table 5.1"
+    yield Claim(same, "Table 5.1", not found and same_length, count | found)
     known = "they are, but for its channels and its second batch normalisation"
-    yield Claim(known, "Table 5.1", same_length and [kind for kind, *_ in found] == MISPRINTS, measured)
+    yield Claim(known, "Table 5.1", same_length and found.keys() == MISPRINTS, found)
     trainable = sum(layer["trainable"] for layer in data["built"])
     holds, weights = trainable == 64_498_866, {"trainable parameters": trainable}
     yield Claim("its weights number 64,498,866", "section 5.3.1", holds, weights)
@@ -44,9 +44,8 @@ def text(layer):
 def table(data):
     rows = [["layer", "thesis's shape", "built", "kernel", "parameters", "equal"]]
     for theirs, mine in zip(data["printed"], data["built"]):
-        equal = (theirs["kind"], theirs["shape"]) == (mine["kind"], mine["shape"])
         kernel = " × ".join(map(str, mine["kernel"])) if mine["kernel"] else None
-        rows.append([mine["kind"], text(theirs), text(mine), kernel, f"{mine['parameters']:,}", equal])
+        rows.append([mine["kind"], text(theirs), text(mine), kernel, f"{mine['parameters']:,}", equal(theirs, mine)])
     total = sum(layer["parameters"] for layer in data["built"])
     return [*rows, ["all", None, None, None, f"{total:,}", None]]
 

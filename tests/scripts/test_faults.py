@@ -149,8 +149,6 @@ def test_a_run_killed_while_it_saves_leaves_the_trajectory_before_it(tmp_path):
 
 WRITERS = {
     "xml": "dc.write_state(out / 'it.xml', big)",
-    "xml.gz": "dc.write_state(out / 'it.xml.gz', big)",
-    "json": "results.write_results(out / 'it.json', found)",
     "h5": "dataset.write_simulation(out / 'it.h5', [big], compression=None)",
     "png": "plotting.save(plotting.subplots()[0], out / 'it.png')",
     "model.h5": "model_file.save_model(out / 'it.model.h5', model, spec, {})",
@@ -161,14 +159,11 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 import deep_contact as dc
-from deep_contact.reporting import plotting, results
+from deep_contact.reporting import plotting
 from deep_contact.cnn import dataset
 from deep_contact.simulation import ready
 out = Path(sys.argv[1])
 big = ready(dc.lattice_in_box(1000))
-claim = {{"text": "x", "thesis": None, "holds": True, "measured": {{"x": 1}}}}
-found = {{"id": "9.9", "title": "x", "options": {{}}, "provenance": results.provenance(), "claims": [claim],
-         "data": {{"x": list(range(9000))}}}}
 {prepare}
 plotting.subplots()  # loads what it needs, which may write caches of its own
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
