@@ -99,7 +99,7 @@ def test_a_kernel_of_ones_own_is_taken_up_by_the_tests(tmp_path):
     command = [sys.executable, "-m", "pytest", "-o", "addopts=", "-p", "mine", "-k", name, "tests/sph/test_kernels.py"]
     run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stdout[-2000:]
-    assert int(re.search(r"(\d+) passed", run.stdout)[1]) > 10
+    assert int(re.search(r"(\d+) passed", run.stdout)[1]) >= 10
 
 
 @cache
