@@ -6,8 +6,6 @@ in batches of the same size, with the same learning rates. The states and the ru
 stopped run continues from there.
 """
 
-import hashlib
-import json
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +13,7 @@ import numpy as np
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_5, verdicts
+from deep_contact.studies.parts import digest_of
 
 ONE, DEEPER, EACH = chapter_5.VARIANTS
 
@@ -25,8 +24,7 @@ def compute(options, seed, jobs, progress):
     """Make states, and train all networks on them."""
     made = {name: options[name] for name in ("simulations", "steps", "bodies")}
     used = {name: options[name] for name in ("stacks", "deeper", "settings", "held_out")}
-    decided = json.dumps(made | used | {"seed": seed}, sort_keys=True)
-    folder = Path(options["runs"]) / hashlib.sha256(decided.encode()).hexdigest()[:12]
+    folder = Path(options["runs"]) / digest_of(made | used | {"seed": seed})
     data = chapter_5.make_states(folder / "data", **made, seed=seed, progress=progress)
     seeds = [seed + i for i in range(options["seeds"])]
     return chapter_5.one_or_two_networks(data, folder, options, seeds=seeds, jobs=jobs, progress=progress)

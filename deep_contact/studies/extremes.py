@@ -104,10 +104,8 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
         run = _run_ours(trial, watch) if engine == "ours" else _run_peer(trial.scene, engine, trial.solver, trial.steps)
         for bodies in run:
             watch.see(bodies)
-    except ImportError as error:
+    except (ImportError, FileNotFoundError) as error:
         return watch.outcome(ABSENT, str(error))
-    except FileNotFoundError:
-        return watch.outcome(ABSENT, "there is no model file")
     except (ValueError, AssertionError, ArithmeticError) as error:
         # An error before the first step is a refusal; later, numbers have left the limits of a state.
         return watch.outcome(REFUSED if not watch.depth else FAILED, str(error).strip().splitlines()[-1])

@@ -25,10 +25,7 @@ def done(
     arguments is another part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`. text: of
     the progress bar.
     """
-    paths = []
-    for name, arguments in parts:
-        digest = hashlib.sha256(json.dumps([name, arguments], sort_keys=True).encode()).hexdigest()[:16]
-        paths.append(work / f"{name}_{arguments['n_bodies']}_{digest}.json")
+    paths = [work / f"{name}_{given['n_bodies']}_{digest_of([name, given])}.json" for name, given in parts]
     stored = [_read(path) for path in paths]
     missing = [i for i, found in enumerate(stored) if found is None]
     work.mkdir(parents=True, exist_ok=True)
@@ -38,6 +35,11 @@ def done(
             stored[missing[k]] = (result,)
             results.write_json(paths[missing[k]], result)
     return [result for (result,) in stored]
+
+
+def digest_of(value) -> str:
+    """Sixteen hexadecimal digits of a value that JSON can hold."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()[:16]
 
 
 def _read(path: Path) -> tuple | None:
