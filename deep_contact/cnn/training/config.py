@@ -18,11 +18,6 @@ LOSSES = {
 }
 """Name of a network (`architectures.ARCHITECTURES`) -> its losses."""
 
-OPTIMIZERS = ("sgd", "adam")
-
-PRECISIONS = ("float32", "mixed_bfloat16")
-"""Of the layers, by Keras's names. Weights, losses and model files are float32 with both."""
-
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
@@ -51,13 +46,14 @@ class TrainingConfig:
     validation_states: int = 1000  # about so many
     simulations: int | None = None  # only the first so many
     fractions: tuple[float, float, float] = (0.8, 0.1, 0.1)  # of the simulations: train, validation, test
-    precision: str = "float32"  # of `PRECISIONS`; images only
+    precision: str = "float32"  # or "mixed_bfloat16", of the layers on images; weights and losses are float32
     seed: int = 0
 
     def __post_init__(self):
-        known = {"architecture": LOSSES, "optimizer": OPTIMIZERS, "schedule": SCHEDULES, "precision": PRECISIONS}
-        for name, values in known.items():
-            one_of(name, getattr(self, name), values)
+        one_of("architecture", self.architecture, LOSSES)
+        one_of("optimizer", self.optimizer, ("sgd", "adam"))
+        one_of("schedule", self.schedule, SCHEDULES)
+        one_of("precision", self.precision, ("float32", "mixed_bfloat16"))
         one_of(f"loss of {self.architecture}", self.loss, LOSSES[self.architecture])
         for name in ("epochs", "batch_size", "validation_states", "states_per_epoch", "simulations"):
             if getattr(self, name) is not None or name not in ("states_per_epoch", "simulations"):
