@@ -19,7 +19,7 @@ from deep_contact.io.files import replacing
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
-from deep_contact.studies.runs import ERRORS
+from deep_contact.studies.runs import ERRORS, cheaper_than_rivals
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"
@@ -177,6 +177,15 @@ def presets() -> list[list]:
     return rows + [[text, *(f"{PRESETS[preset][name]:g}" for preset in PRESETS)] for name, text in ERRORS.items()]
 
 
+def rivals() -> list[list]:
+    """How many times as long as ours the fastest other engine takes for a preset on plain piles."""
+    found = stored("figure_6_1")["data"]["presets"]
+    sizes = dict.fromkeys(row["n_bodies"] for row in found)
+    times = {(row["n_bodies"], row["preset"]): cheaper_than_rivals(row) for row in found}
+    cells = ([times[n, preset] and f"{times[n, preset]:.1f}" for preset in PRESETS] for n in sizes)
+    return [["circles", *PRESETS], *([f"{n:,}", *row] for n, row in zip(sizes, cells))]
+
+
 def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
     """The claims of the thesis that reference runs have tested, or our goals with what was measured.
 
@@ -255,7 +264,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, figures)
+_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),
