@@ -332,7 +332,7 @@ BAD = [
     ("ours", ' sweeps="', ' sweep="', "<solver>.*unexpected keyword argument 'sweep'"),
     ("ours", ' sweeps="3000"', ' sweeps="-3"', "<solver>.*sweeps: .*-3"),
     ("ours", ' slop="0.005"', "", "<scales>.*slop: .*missing"),
-    ("ours", ' slop="', ' slip="', "<scales>.*slip"),
+    ("ours", ' wall_skin="', ' wall_skim="', "<scales>.*wall_skim"),
     ("ours", ' slop="0.005"', ' slop="-1.0"', "<configuration>.*scales.slop: .*-1.0"),
     ("ours", ' friction="0.5"', "", "<configuration>.*friction: .*missing"),
     ("ours", 'restitution="0.0"', 'restitution="2.0"', "<configuration>.*restitution: .*2.0"),
