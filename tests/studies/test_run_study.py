@@ -74,8 +74,8 @@ def test_rows_hold_every_setting_against_the_reference():
     rows = runs.rows(
         {("plain", 30): seen},
         {
-            (30, 0.5): {runs.name_of(COARSE): 6.0},
-            (30, 1.5): {runs.name_of(COARSE): 8.0},
+            (30, runs.MOMENTS[0]): {runs.name_of(COARSE): 6.0},
+            (30, runs.MOMENTS[1]): {runs.name_of(COARSE): 8.0},
             (30, "rest"): {runs.name_of(COARSE): 5.0},
         },
     )
