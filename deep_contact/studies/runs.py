@@ -264,7 +264,7 @@ def intervals(
 
     def of_seeds(drawn):
         pairs = [([found[i] for i in row], [reference[i] for i in row]) for row in drawn]
-        return np.array([[errors(*pair)[name] for name in known] for pair in pairs])
+        return np.array([[value for name, value in errors(*pair).items() if name in known] for pair in pairs])
 
     three = interval(of_seeds, len(found), resamples=resamples).T.tolist()
     return dict.fromkeys(values) | {name: tuple(numbers) for name, numbers in zip(known, three)}
