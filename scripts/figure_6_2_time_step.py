@@ -61,7 +61,7 @@ def draw(data, options):
     """An error in each panel against Δt, a line for each size."""
     figure, panels = plotting.subplots(1, len(SHOWN), size=(13.0, 3.4))
     for ax, (name, text) in zip(panels, SHOWN.items()):
-        for (n, rows), colour in zip(by_size(data).items(), COLOURS, strict=True):
+        for (n, rows), colour in zip(by_size(data).items(), COLOURS):
             steps, values = zip(*((row["dt"], row["errors"][name]) for row in rows if row["errors"][name]))
             value, *ends = np.array(values).T
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
