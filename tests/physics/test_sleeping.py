@@ -104,7 +104,7 @@ def test_a_resumed_run_starts_awake(tmp_path):
 
 def test_a_pile_sleeps_where_it_would_have_stayed_awake():
     # What may be lost is the rest of a motion below 0.01 m/s.
-    slept = dc.simulate(dc.circles_in_box(40, seed=2), steps=1500, sleep=True)
+    slept = dc.simulate(dc.circles_in_box(40, seed=2), steps=1500, solver=dc.PGS(), sleep=True)
     assert slept.relaxations[-1] == 0
     awake = dc.simulate(slept.state, steps=200).state
     np.testing.assert_allclose(slept.state.bodies.position, awake.bodies.position, atol=2.0 * 0.01)
