@@ -64,13 +64,14 @@ def advance(given, options, memory, log):
     solver_bodies, theta, sleep = memory.solver_bodies, memory.theta, memory.sleep
     workspace = make_workspace(options.settings, memory.rows, solver_bodies)
     solved = contacts = given.contacts
+    # Asked here whether a stage is needed: a call counts references to all arrays that it is handed.
     part, parts, turn = given, 1, 0
     for k in range(log.contacts.shape[0]):
         solved = contacts
         if all_asleep(sleep):
             log_step(log, k, 0, 0, theta, 0)
             continue
-        wanted = parts_of(given, memory.cells)
+        wanted = parts_of(given, memory.cells) if given.motion.most > 1 else 1
         if wanted != parts:
             rescale(contacts, parts / wanted)
             part, parts = part_of(given, wanted), wanted
@@ -78,7 +79,7 @@ def advance(given, options, memory, log):
             solved = contacts
             active = awake_contacts(solved, sleep)
             # Velocities.
-            if part.restitution > 0.0:  # here: a call counts references to all arrays that it is handed
+            if part.restitution > 0.0:
                 rebound(part, active)
             integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
             hold_sleeping(solver_bodies, sleep)
@@ -100,7 +101,8 @@ def advance(given, options, memory, log):
             is_over = log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
         if is_over:
             break
-    rescale(contacts, parts)
+    if parts > 1:
+        rescale(contacts, parts)
     return solved, contacts
 
 

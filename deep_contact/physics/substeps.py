@@ -122,9 +122,8 @@ def part_of(given, parts):
 @njit(cache=True)
 def rescale(contacts, ratio):
     """Let the contacts carry the impulses of a step that is `ratio` times as long, in place."""
-    if ratio != 1.0:
-        for i in range(contacts.body_a.shape[0]):
-            contacts.normal_impulse[i] *= ratio
-            contacts.tangent_impulse[i] *= ratio
-            contacts.normal_start[i] *= ratio
-            contacts.tangent_start[i] *= ratio
+    for i in range(contacts.body_a.shape[0]):
+        contacts.normal_impulse[i] *= ratio
+        contacts.tangent_impulse[i] *= ratio
+        contacts.normal_start[i] *= ratio
+        contacts.tangent_start[i] *= ratio

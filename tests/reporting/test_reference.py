@@ -50,10 +50,6 @@ GONE = {
 }
 """Id -> options of the stored run that name methods, starts or networks which are gone; their rows are left out."""
 
-OLDER = {"6.12"}
-"""Ids whose stored run is of the script before the perceptron on each contact went; they wait for a full run."""
-CURRENT = [id for id in STORED if id not in OLDER]
-
 
 def verdicts(entry):
     """Text of each claim -> whether it holds."""
@@ -63,7 +59,7 @@ def verdicts(entry):
 # ---- the stored files ----
 
 
-@pytest.mark.parametrize("id", CURRENT)
+@pytest.mark.parametrize("id", list(STORED))
 def test_the_stored_run_is_a_full_one_of_the_script_as_it_is(id):
     figure, entry = figure_of(id), STORED[id]
     kept = (entry["options"].keys() | figure.options.keys()) - set(GONE.get(id, ()))
@@ -73,7 +69,7 @@ def test_the_stored_run_is_a_full_one_of_the_script_as_it_is(id):
     assert entry["provenance"]["seed"] == figure.seed
 
 
-@pytest.mark.parametrize("id", CURRENT)
+@pytest.mark.parametrize("id", list(STORED))
 def test_the_stored_claims_are_what_the_script_says_of_the_stored_data(id):
     """So that no claim is changed, added or dropped without the results that README shows."""
     found = json.loads(json.dumps(results.plain(list(figure_of(id).claims(STORED[id]["data"])))))
@@ -110,7 +106,7 @@ def test_no_verdict_of_the_thesis_comes_from_fewer_than_ten_scenes(id):
             assert claim["verdict"].startswith("open")
 
 
-@pytest.mark.parametrize("id", CURRENT)
+@pytest.mark.parametrize("id", list(STORED))
 def test_every_stored_result_can_be_drawn_again(id, tmp_path, monkeypatch):
     monkeypatch.setattr(plotting, "DPI", 30)  # a fifth of the time
     figure = figure_of(id)

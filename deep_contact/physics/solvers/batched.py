@@ -327,13 +327,16 @@ def advance_by_crew(given, options, log, shared, crew):
     mine = some_bodies(bodies, first, last)
     mine_a, mine_b = np.empty(4 * (last - first) + 64, np.int64), np.empty(4 * (last - first) + 64, np.int64)
     part, parts, k, j, turn = given, 1, 0, 0, 0  # the j-th of the parts of the k-th step
+    if crew.rank == 0:
+        shared.found[0, PARTS] = parts
     while k < log.contacts.shape[0]:
         if crew.rank == 0:
             contacts = shared.contacts
             if j == 0:
-                wanted = parts_of(given, memory.cells)
-                rescale(contacts, parts / wanted)
-                part, parts, shared.found[0, PARTS] = part_of(given, wanted), wanted, wanted
+                wanted = parts_of(given, memory.cells) if given.motion.most > 1 else 1
+                if wanted != parts:
+                    rescale(contacts, parts / wanted)
+                    part, parts, shared.found[0, PARTS] = part_of(given, wanted), wanted, wanted
             if not is_plan_of(shared.plan, n, contacts, shared.solved):
                 shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
             shared.tiles = with_room(shared.plan, shared.tiles)
@@ -341,7 +344,7 @@ def advance_by_crew(given, options, log, shared, crew):
             if part.restitution > 0.0:
                 rebound(part, contacts)
         wait(crew)
-        if crew.rank > 0 and j == 0:
+        if crew.rank > 0 and shared.found[0, PARTS] != parts:
             parts = shared.found[0, PARTS]
             part = part_of(given, parts)
         plan, tiles, solved = shared.plan, shared.tiles, shared.solved
@@ -387,7 +390,7 @@ def advance_by_crew(given, options, log, shared, crew):
             j, k = 0, k + 1
             if told[0, 3]:
                 break
-    if crew.rank == 0:
+    if crew.rank == 0 and parts > 1:
         rescale(shared.contacts, parts)
 
 
