@@ -26,9 +26,10 @@ from deep_contact.physics.engine import (
     step_input,
     step_problem,
 )
-from deep_contact.physics.solvers import PGS
+from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, make_log
+from deep_contact.physics.substeps import shift_flights
 from deep_contact.state import (
     LIMITS,
     SINGLE_LIMITS,
@@ -50,6 +51,11 @@ _CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1)
 
 _WORK, _SECONDS = 20_000_000, 0.2
 """Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
+
+
+FIRST = NesterovPGS(sweeps=200, tolerance=None)
+"""Solves the first step of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest would fall
+into itself."""
 
 
 class Simulation(NamedTuple):
@@ -152,7 +158,8 @@ def simulate(
     warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
     were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run. Where the
-    scene's circles are too small or too fast for its Δt, the step is divided into substeps.
+    scene's circles are too small or too fast for its Δt, the step is divided into substeps. Contacts that carry no
+    impulses, as of positions from elsewhere, get those of `FIRST`.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
@@ -172,7 +179,10 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     if dt is not None:
         state = with_time_step(state, dt)
     state = ready(state)
+    by_preset = accuracy is not None or (solver is None and state.solver is None)
     solver, start = method_of(state, solver, warm_start, accuracy, sleep=sleep)
+    if by_preset and isinstance(start, Builtin) and not state.contacts.normal_start.any():
+        state = _with_a_past(state)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
     substeps = solver.substeps if isinstance(solver, PGS) else 1
@@ -298,13 +308,36 @@ def _advance_by_parts(state, steps, advance, start, record, on_step, stopped) ->
     solver, log, frames = state.solver, make_log(steps), [] if record is None else [state]
     for k in range(steps):
         parts = advance.parts(step_input(state, solver))
-        inside, of_parts, _ = _advance(_in_substeps(state, parts), parts, advance, start, None, on_step, stopped)
-        state = _in_steps(inside, solver, parts)
+        change = state.dt - state.dt / parts
+        divided = _shifted(_in_substeps(state, parts), change)
+        inside, of_parts, _ = _advance(divided, parts, advance, start, None, on_step, stopped)
+        state = _shifted(_in_steps(inside, solver, parts), -change)
         for column, value in zip(log[:5], _log_of_steps(of_parts, parts)):
             column[k] = value[0]
         if record is not None and ((k + 1) % record == 0 or k + 1 == steps):
             frames.append(state)
     return state, log, frames
+
+
+def _shifted(state: StateWithContacts, change: float) -> StateWithContacts:
+    """The state whose Δt has become shorter by `change`, s (`substeps.shift_flights`)."""
+    if change == 0.0 or state.world.restitution == 0.0:
+        return state
+    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
+    shift_flights(bodies, state.contacts, state.world.gravity, change)
+    return state.replace(bodies=bodies)
+
+
+def _with_a_past(state: StateWithContacts) -> StateWithContacts:
+    """The state with the impulses of `FIRST`, from what its positions say (`warm_start.Support`)."""
+    if state.contacts.count == 0:
+        return state
+    found = solve_contacts(state, solver=FIRST, start="support")
+    normal, tangent = found.normal_impulses, found.tangent_impulses
+    contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
+    if not state.solved:
+        contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
+    return state.replace(contacts=contacts)
 
 
 def _with_own_arrays(state: State) -> State:

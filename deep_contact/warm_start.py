@@ -16,6 +16,7 @@ import numpy as np
 from deep_contact.physics.contact_solver import NORMAL, TANGENT
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.line_search import best_share
+from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_SINGLE_START, LARGEST_START, State, StateWithContacts
 from deep_contact.validation import integer, one_of
 
@@ -57,6 +58,21 @@ class Scaled:
         """The start from rows that have been built."""
         share = best_share(problem.rows, problem.solver_bodies)
         return share * problem.rows.impulse[:, NORMAL], share * problem.rows.impulse[:, TANGENT]
+
+
+@dataclass(frozen=True)
+class Support:
+    """What carries each circle's load down, from positions alone (`physics.support`): for piles without a past.
+
+    Where contacts carry impulses of a step before, Builtin is better.
+    """
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        return self.from_problem(state, solver, step_problem(state))
+
+    def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
+        """The start from rows that have been built."""
+        return supported(state, problem)
 
 
 @dataclass(frozen=True)
@@ -184,6 +200,7 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
     "none": NoStart,
     "builtin": Builtin,
     "scaled": Scaled,
+    "support": Support,
     "copy": Copy,
     "random": Random,
     "bad": Bad,

@@ -41,7 +41,7 @@ from deep_contact.physics.sleeping import (
 from deep_contact.physics.solvers import PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import Motion, StepInput, StepLog, StepMemory, StepOptions, log_step, make_memory
-from deep_contact.physics.substeps import part_of, parts_of, rescale
+from deep_contact.physics.substeps import part_of, parts_of, rescale, shift_flights
 from deep_contact.scales import ContactScales, mean
 from deep_contact.state import LIMITS, Contacts, State, native
 from deep_contact.validation import flag
@@ -75,6 +75,8 @@ def advance(given, options, memory, log):
         if wanted != parts:
             rescale(contacts, parts / wanted)
             part, parts = part_of(given, wanted), wanted
+        if parts > 1 and given.restitution > 0.0:
+            shift_flights(bodies, contacts, given.gravity, given.dt - part.dt)
         for _ in range(parts):
             solved = contacts
             active = awake_contacts(solved, sleep)
@@ -99,6 +101,8 @@ def advance(given, options, memory, log):
             if sleep is not None:
                 wake_and_put_to_sleep(part, contacts, sleep)
             is_over = log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
+        if parts > 1 and given.restitution > 0.0:
+            shift_flights(bodies, contacts, given.gravity, part.dt - given.dt)
         if is_over:
             break
     if parts > 1:

@@ -75,7 +75,7 @@ from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.physics.step import log_step
-from deep_contact.physics.substeps import part_of, parts_of, rescale
+from deep_contact.physics.substeps import part_of, parts_of, rescale, shift_flights
 from deep_contact.state import Bodies
 
 
@@ -337,6 +337,8 @@ def advance_by_crew(given, options, log, shared, crew):
                 if wanted != parts:
                     rescale(contacts, parts / wanted)
                     part, parts, shared.found[0, PARTS] = part_of(given, wanted), wanted, wanted
+                if parts > 1 and given.restitution > 0.0:
+                    shift_flights(bodies, contacts, given.gravity, given.dt - part.dt)
             if not is_plan_of(shared.plan, n, contacts, shared.solved):
                 shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
             shared.tiles = with_room(shared.plan, shared.tiles)
@@ -388,6 +390,8 @@ def advance_by_crew(given, options, log, shared, crew):
         wait(crew)
         if j == parts:
             j, k = 0, k + 1
+            if crew.rank == 0 and parts > 1 and given.restitution > 0.0:
+                shift_flights(bodies, shared.contacts, given.gravity, part.dt - given.dt)
             if told[0, 3]:
                 break
     if crew.rank == 0 and parts > 1:

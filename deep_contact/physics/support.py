@@ -1,0 +1,126 @@
+"""Impulses of a pile from its positions alone: loads are handed down from the top, circle by circle.
+
+For states whose contacts carry no impulses. Circles are visited from the highest to the lowest against gravity. Each
+solves the contacts on which it lies as if what lies below did not give way, and its reaction is load on that. It is the
+force half of shock propagation (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with Stacking, SIGGRAPH 2003),
+taken in the direction of the load, and what a hydrostatic model of a granular packing does with the contacts that are
+there.
+
+Weakness: nothing goes up again. What an arch holds sideways, and what a circle's own supports cannot hold, is lost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.contact_solver import (
+    ARM_A,
+    ARM_B,
+    BODY_A,
+    BODY_B,
+    INVERSE_MASS,
+    N_X,
+    N_Y,
+    NORMAL,
+    TANGENT,
+    V_S,
+    V_X,
+    V_Y,
+)
+
+LOCAL_SWEEPS = 3
+"""Over the contacts of one circle: two at 60° keep a quarter of the error in each."""
+
+
+def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
+    """(λ_n, λ_t), (m,) each, N·s, that carry the load of each circle down. problem: `engine.StepProblem` with tangents.
+
+    Without gravity they are zero.
+    """
+    gravity, m = np.array(state.world.gravity), state.contacts.count
+    if not gravity.any():
+        return np.zeros(m), np.zeros(m)
+    height = np.append(state.bodies.position @ -gravity, np.full(4, -np.inf))
+    rows, velocities = problem.rows, problem.solver_bodies.copy()
+    still = velocities.copy()
+    still[: state.bodies.count, :V_S] = state.bodies.velocity  # before gravity
+    impulse = np.zeros((m, 2))
+    order = np.argsort(-height[:-4], kind="stable")
+    hand_down(rows.body, rows.data, problem.friction, velocities, still, height, order, impulse)
+    return impulse[:, NORMAL].copy(), impulse[:, TANGENT].copy()
+
+
+@njit(cache=True, error_model="numpy")
+def hand_down(body, data, friction, v, still, height, order, impulse):
+    """Fill the impulses, (m, 2), N·s, and change the velocities v, (n + 4, 4), of circles after gravity, in place.
+
+    body, data: of `Rows`. still: velocities of what does not give way, before gravity. height: of the solver bodies.
+    order: circles from the highest down.
+    """
+    n, m = order.shape[0], body.shape[0]
+    first = np.zeros(n + 2, np.int64)
+    for i in range(m):
+        first[upper_of(body, height, i) + 2] += 1
+    for a in range(n + 1):
+        first[a + 1] += first[a]
+    below = np.empty(m, np.int64)
+    for i in range(m):
+        a = upper_of(body, height, i)
+        below[first[a + 1]] = i
+        first[a + 1] += 1
+    for a in order:
+        mine = below[first[a] : first[a + 1]]
+        for _ in range(LOCAL_SWEEPS):
+            for i in mine:
+                carry(a, i, body, data, friction, v, still, impulse)
+        for i in mine:
+            # Its bound was that of the normal impulse before.
+            bound = friction * impulse[i, NORMAL]
+            impulse[i, TANGENT] = max(-bound, min(impulse[i, TANGENT], bound))
+            is_a = body[i, BODY_A] == a
+            b, sign = (body[i, BODY_B], 1.0) if is_a else (body[i, BODY_A], -1.0)
+            push(
+                v,
+                b,
+                sign,
+                data[i, N_X],
+                data[i, N_Y],
+                data[i, ARM_B if is_a else ARM_A],
+                impulse[i, NORMAL],
+                impulse[i, TANGENT],
+            )
+
+
+@njit(cache=True)
+def upper_of(body, height, i):
+    """The circle of a contact that lies on the other body."""
+    a, b = body[i, BODY_A], body[i, BODY_B]
+    return a if height[a] >= height[b] else b
+
+
+@njit(cache=True, error_model="numpy")
+def carry(a, i, body, data, friction, v, still, impulse):
+    """Relax contact i of the circle a alone, in place on its velocity and on the impulse: friction row, normal row."""
+    is_a = body[i, BODY_A] == a
+    b, sign = (body[i, BODY_B], -1.0) if is_a else (body[i, BODY_A], 1.0)
+    n_x, n_y = data[i, N_X], data[i, N_Y]
+    mine, other = (data[i, ARM_A], data[i, ARM_B]) if is_a else (data[i, ARM_B], data[i, ARM_A])
+    w = v[a, INVERSE_MASS]
+    d_x, d_y = sign * (v[a, V_X] - still[b, V_X]), sign * (v[a, V_Y] - still[b, V_Y])
+    slip = d_x * n_y - d_y * n_x + mine * v[a, V_S] + other * still[b, V_S]
+    bound = friction * impulse[i, NORMAL]
+    p_t = max(-bound, min(impulse[i, TANGENT] - slip / (w * (1.0 + 2.0 * mine * mine)), bound)) - impulse[i, TANGENT]
+    p_n = max(impulse[i, NORMAL] - (d_x * n_x + d_y * n_y) / w, 0.0) - impulse[i, NORMAL]
+    impulse[i, NORMAL] += p_n
+    impulse[i, TANGENT] += p_t
+    push(v, a, sign, n_x, n_y, mine, p_n, p_t)
+
+
+@njit(cache=True)
+def push(v, a, sign, n_x, n_y, arm, p_n, p_t):
+    """Give a body an impulse (λ_n, λ_t), N·s, in place. sign: −1 for body a of the contact, 1 for body b."""
+    w = v[a, INVERSE_MASS]
+    v[a, V_X] += sign * w * (p_n * n_x + p_t * n_y)
+    v[a, V_Y] += sign * w * (p_n * n_y - p_t * n_x)
+    v[a, V_S] += 2.0 * w * arm * p_t

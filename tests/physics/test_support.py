@@ -1,0 +1,75 @@
+"""Impulses of a pile from its positions: what lies on what, and how a run begins that has no past."""
+
+import numpy as np
+import pytest
+
+import deep_contact as dc
+from deep_contact.physics import metrics
+from deep_contact.state import Contacts, make_bodies
+from deep_contact.warm_start import Support
+
+WEIGHT = np.pi * 9.81 * 0.01  # of a step, N·s
+
+
+def without_past(state):
+    """The state with contacts that carry nothing."""
+    return state.replace(contacts=Contacts(*state.contacts[:5], *(np.zeros(state.contacts.count) for _ in range(4))),
+                         solved=False)  # fmt: skip
+
+
+def supported(scene):
+    """(State with contacts, λ_n, λ_t) of the support."""
+    state = dc.simulate(scene, steps=0).state
+    return state, *Support()(state, dc.PGS())
+
+
+def test_a_column_carries_what_lies_above():
+    state, normal, tangent = supported(dc.column(4))
+    above = 4 - state.contacts.body_a - (state.contacts.body_b < 4)
+    np.testing.assert_allclose(normal, above * WEIGHT, rtol=1e-6)
+    np.testing.assert_allclose(tangent, 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5 * np.pi, np.pi, 1.0])
+def test_a_circle_on_two_presses_on_each_by_half_its_weight_over_cos_30_degrees(turn):
+    # In any direction of gravity, on a segment far from the walls. The local sweeps leave a quarter of the error each.
+    turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    place = np.array([[-1.0, 1.0], [1.0, 1.0], [0.0, 1.0 + np.sqrt(3.0)]]) @ turned.T + 10.0
+    floor = tuple(map(tuple, np.array([[-5.0, 0.0], [5.0, 0.0]]) @ turned.T + 10.0))
+    gravity = tuple(turned @ (0.0, -9.81))
+    world = dc.World(box=(0.0, 0.0, 20.0, 20.0), gravity=gravity, friction=0.0, segments=(sum(floor, ()),))
+    state, normal, _ = supported(dc.State(name="three", world=world, bodies=make_bodies(place)))
+    on_floor = state.contacts.body_b >= 3
+    upper = (state.contacts.body_a == 2) | (state.contacts.body_b == 2)
+    np.testing.assert_allclose(normal[upper], 0.5 * WEIGHT / np.cos(np.pi / 6), rtol=0.05)
+    np.testing.assert_allclose(normal[on_floor], 1.5 * WEIGHT, rtol=0.05)
+
+
+def test_without_gravity_nothing_is_carried():
+    state = dc.simulate(dc.column(3, friction=0.3), steps=0).state
+    state = state.replace(world=dc.World(gravity=(0.0, 0.0), box=state.world.box))
+    assert not np.any(Support()(state, dc.PGS()))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_the_impulses_of_a_pile_are_admissible_and_a_better_start_than_none(friction):
+    scene = dc.lattice_in_box(150, friction=friction, radius=(0.6, 1.4), seed=4)
+    state = dc.simulate(scene, steps=900, solver=dc.PGS(sweeps=30, tolerance=None)).state
+    exact = dc.solve_contacts(state, solver=dc.NNCG(sweeps=4000, tolerance=1e-9))
+    state = without_past(state)
+    normal, tangent = Support()(state, dc.PGS())
+    assert (normal >= 0).all()
+    assert (np.abs(tangent) <= friction * normal + 1e-12).all()
+    solver = dc.NesterovPGS(sweeps=20, tolerance=None)
+    none, ours = (metrics.velocity_error(state, dc.solve_contacts(state, solver=solver, start=start), exact)
+                  for start in (None, (normal, tangent)))  # fmt: skip
+    assert ours < 0.6 * none
+
+
+def test_a_pile_without_a_past_does_not_fall_into_itself():
+    scene = dc.simulate(dc.lattice_in_box(150, seed=3), steps=900, solver=dc.PGS(sweeps=50, tolerance=None)).state
+    speeds = {}
+    for name, options in {"preset": {}, "none": {"solver": dc.PGS(sweeps=6, tolerance=None)}}.items():
+        run = dc.simulate(without_past(scene).replace(solver=None), steps=50, record=1, **options)
+        speeds[name] = max(np.sqrt((s.bodies.velocity**2).sum(axis=1).mean()) for s in run.trajectory)
+    assert speeds["preset"] < 0.06 < speeds["none"]
