@@ -54,8 +54,8 @@ _WORK, _SECONDS = 20_000_000, 0.2
 
 
 FIRST = NesterovPGS(sweeps=200, tolerance=None)
-"""Solves the first step of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest would fall
-into itself."""
+"""Solves step 0 of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest would fall into
+itself."""
 
 
 class Simulation(NamedTuple):
@@ -158,8 +158,8 @@ def simulate(
     warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
     were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run. Where the
-    scene's circles are too small or too fast for its Δt, the step is divided into substeps. Contacts that carry no
-    impulses, as of positions from elsewhere, get those of `FIRST`.
+    scene's circles are too small or too fast for its Δt, the step is divided into substeps. At step 0
+    contacts that carry no impulses, as of positions from elsewhere, get those of `FIRST`.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
@@ -181,7 +181,8 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     state = ready(state)
     by_preset = accuracy is not None or (solver is None and state.solver is None)
     solver, start = method_of(state, solver, warm_start, accuracy, sleep=sleep)
-    if by_preset and isinstance(start, Builtin) and not state.contacts.normal_start.any():
+    # At step 0 alone, so that a run comes to the same in one go and in parts.
+    if by_preset and state.step == 0 and isinstance(start, Builtin) and not state.contacts.normal_start.any():
         state = _with_a_past(state)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
