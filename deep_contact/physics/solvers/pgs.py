@@ -34,11 +34,11 @@ class PGS:
     substeps: divide every step of a run into so many, each with sweeps and position sweeps of its own (Macklin et al.,
     Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last one times their number, so that a
     start fits any division of Δt; where that is a power of two, a run that is read back goes on bit for bit.
-    most_substeps: where something is about to hit, so many, `substeps` times a power of two; by default never more than
-    `substeps`. approach: what hits may move in a substep, in mean radii; the number of substeps follows from it
+    most_substeps: most substeps of a step in which something is about to hit, `substeps` times a power of two; by
+    default `substeps`. approach: how far what hits may move in a substep, in mean radii, which decides their number
     (`physics.substeps`). A tolerance is that of the longest substep.
-    slop: penetration that position correction leaves alone, in units of the scene's (`scales`). A small one lets a pile
-    tremble at few substeps: at a quarter two are enough.
+    slop: penetration that position correction leaves alone, in units of the scene's (`scales`). With a small one and
+    one substep a pile may tremble; with a quarter, two substeps are enough.
 
     Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
     a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
