@@ -32,8 +32,8 @@ from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.solvers import NNCG, PGS, describe, solver_from
 from deep_contact.physics.solvers.registry import GONE, entry_of
-from deep_contact.scales import FOLLOWS_SCENE, mean
 from deep_contact.state import State
+from deep_contact.state.scales import FOLLOWS_SCENE, mean
 from deep_contact.validation import number, one_of
 from deep_contact.warm_start import STARTS
 

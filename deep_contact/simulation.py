@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact import notebook
 from deep_contact.compiled.crew import cores
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
@@ -40,6 +39,7 @@ from deep_contact.state import (
     check_limits,
     check_state,
     check_types,
+    notebook,
 )
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import integer, number

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from deep_contact import notebook
+from deep_contact.state import notebook
 from deep_contact.validation import number
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact import notebook
 from deep_contact.reporting import figures, plotting
+from deep_contact.state import notebook
 
 
 @pytest.fixture(scope="module")

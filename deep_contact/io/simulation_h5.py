@@ -33,8 +33,8 @@ import numpy as np
 from deep_contact.io import hdf5
 from deep_contact.io.files import write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts, State, World, check_state
+from deep_contact.state.scales import ContactScales
 from deep_contact.validation import integer, number, one_of
 
 FORMAT = "deep-contact simulation"

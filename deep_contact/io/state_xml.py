@@ -69,8 +69,8 @@ from deep_contact.io.xml_tree import (
     to_float,
 )
 from deep_contact.physics.solvers import METHODS, PGS, solver_from
-from deep_contact.scales import ContactScales, mean
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
+from deep_contact.state.scales import ContactScales, mean
 from deep_contact.validation import integer, one_of
 
 _INERTIA_TOLERANCE = 1e-3

@@ -42,8 +42,8 @@ from deep_contact.physics.solvers import PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import Motion, StepInput, StepLog, StepMemory, StepOptions, log_step, make_memory
 from deep_contact.physics.substeps import part_of, parts_of, rescale, shift_flights
-from deep_contact.scales import ContactScales, mean
 from deep_contact.state import LIMITS, Contacts, State, native
+from deep_contact.state.scales import ContactScales, mean
 from deep_contact.validation import flag
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (

@@ -11,8 +11,8 @@ from deep_contact.physics.collision import Cells, make_cells, make_contacts
 from deep_contact.physics.contact_solver import Rows, make_rows
 from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
 from deep_contact.physics.sleeping import SleepMemory
-from deep_contact.scales import ContactScales
 from deep_contact.state import Bodies, Contacts
+from deep_contact.state.scales import ContactScales
 
 
 class Motion(NamedTuple):

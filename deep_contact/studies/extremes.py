@@ -25,9 +25,9 @@ from deep_contact.physics import metrics
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
 from deep_contact.presets import stiffness
-from deep_contact.scales import mean
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
+from deep_contact.state.scales import mean
 from deep_contact.studies import peers
 from deep_contact.warm_start import STARTS
 

@@ -26,7 +26,6 @@ from deep_contact.io.state_xml import (
     write_state,
 )
 from deep_contact.physics.solvers import METHODS, PGS
-from deep_contact.scales import BOX2D, ContactScales
 from deep_contact.state import (
     BOTTOM,
     LEFT,
@@ -38,6 +37,7 @@ from deep_contact.state import (
     make_bodies,
     no_contacts,
 )
+from deep_contact.state.scales import BOX2D, ContactScales
 
 DATA = Path(__file__).parent / "data"
 TOOLS = Path(__file__).parents[1] / "tools"

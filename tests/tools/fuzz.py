@@ -49,8 +49,8 @@ from deep_contact.io.files import write_json
 from deep_contact.io.state_xml import StateFileError, format_state, parse_state, read_state
 from deep_contact.physics.solvers import METHODS, PGS
 from deep_contact.reporting import results
-from deep_contact.scales import BOX2D
 from deep_contact.state import State, World
+from deep_contact.state.scales import BOX2D
 
 OLD_FILES = Path(__file__).resolve().parents[1] / "io" / "data"
 AUDITED = {"open", "socket", "subprocess", "os", "urllib", "ctypes"}

@@ -13,8 +13,8 @@ from deep_contact.physics.contact_solver import Rows, sweep
 from deep_contact.physics.convergence import is_over
 from deep_contact.physics.islands import make_islands_workspace, sort_by_island
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
-from deep_contact.scales import FOLLOWS_SCENE, theta_tolerance
 from deep_contact.state import State
+from deep_contact.state.scales import FOLLOWS_SCENE, theta_tolerance
 
 PRECISIONS = {"double": np.float64, "single": np.float32}
 """Name -> type of the numbers that the sweeps work on. The state is float64 with either."""

@@ -16,8 +16,8 @@ from typing import NamedTuple
 from numba.extending import overload
 
 from deep_contact.physics.convergence import mark_divergence
-from deep_contact.scales import FOLLOWS_SCENE
 from deep_contact.state import State
+from deep_contact.state.scales import FOLLOWS_SCENE
 
 
 class Loop(NamedTuple):

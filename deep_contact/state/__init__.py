@@ -23,8 +23,9 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import numpy as np
 
-from deep_contact import constants, notebook
-from deep_contact.scales import ContactScales, contact_scales
+from deep_contact import constants
+from deep_contact.state import notebook
+from deep_contact.state.scales import ContactScales, contact_scales
 from deep_contact.validation import flag, integer, number
 
 S = TypeVar("S", bound="State")
