@@ -297,7 +297,8 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
 def is_gone(setting: Mapping) -> bool:
     """Whether a stored setting has a method or a start that is gone; batches by levels named no order."""
     by_levels = setting.get("method") == "BatchedPGS" and "order" not in setting
-    return by_levels or setting.get("method") in GONE or setting.get("start", "builtin") not in STARTS
+    method_is_gone = by_levels or setting.get("adaptive", False) or setting.get("method") in GONE
+    return method_is_gone or setting.get("start", "builtin") not in STARTS
 
 
 def _stiff_candidate(solver, candidates: list[dict]) -> dict:

@@ -10,8 +10,8 @@ LEARNED = f"guarded, {BASE}"
 CLASSICAL = [f"builtin, {solver}" for solver in (BASE, "PSOR 1.7", "PSOR 1.8 | 1.4", "NesterovPGS")]
 """Those that are run at every size; the others were behind them at 1,000 circles."""
 
-MORE = [f"builtin, {solver}" for solver in ("PSOR 1.5", "PSOR adaptive", "NNCG")] + [f"none, {BASE}", f"scaled, {BASE}"]
-SINGLE = [f"builtin, {solver}" for solver in ("PSOR 1.5", "PSOR 1.7", "PSOR adaptive")]
+MORE = [f"builtin, {solver}" for solver in ("PSOR 1.5", "NNCG")] + [f"none, {BASE}", f"scaled, {BASE}"]
+SINGLE = [f"builtin, {solver}" for solver in ("PSOR 1.5", "PSOR 1.7")]
 DOUBLE = [f"builtin, {solver}" for solver in (BASE, "PSOR 1.8 | 1.4")]
 
 

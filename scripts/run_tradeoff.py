@@ -52,7 +52,6 @@ OURS = [
     *ladder("NesterovPGS", {1: (10, 20)}),
     *ladder("PGS", {1: (10, 50)}, start="none"),
     *ladder("PGS", {1: (10,)}, precision="single"),
-    *ladder("PSOR", {1: (20,)}, omega=1.0, adaptive=True),
     *ladder("PGS", {1: (4, 10), 2: (3,), 4: (2,)}, position_sweeps=0),
     *ladder("PGS", {1: (4, 6, 10), 2: (3,), 4: (2,)}, position_sweeps=3),
     *ladder("PSOR", {1: (4, 6), 2: (2,)}, omega=1.3, position_sweeps=3),

@@ -1,6 +1,6 @@
 """Smoothed particle hydrodynamics as a transfer between particles and grid images (the thesis's chapter 3).
 
-Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KERNELS`, and `register_kernel` adds one.
+Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KERNELS`.
 Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' ways back, `read_by_spline` and
 `share_out`. `deep_contact.sph.neighbours` has the slow reference, by k-d tree.
 """
@@ -10,7 +10,7 @@ from deep_contact.compiled import prepare_numba
 prepare_numba()
 
 from deep_contact.sph.grid import Grid, density, gather, splat  # noqa: E402
-from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, register_kernel, value  # noqa: E402
+from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, value  # noqa: E402
 from deep_contact.sph.read_back import read_by_spline, share_out  # noqa: E402
 
 __all__ = [
@@ -22,7 +22,6 @@ __all__ = [
     "gradient",
     "laplacian",
     "read_by_spline",
-    "register_kernel",
     "share_out",
     "splat",
     "value",

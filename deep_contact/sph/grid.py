@@ -24,7 +24,7 @@ from functools import partial
 import numpy as np
 from numba import njit
 
-from deep_contact.sph.kernels import as_floats, check_support_radius, compiled_for, kernel_number, profile
+from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile
 from deep_contact.validation import integer, number, one_of
 
 ROUNDING = 1e-9
@@ -300,8 +300,7 @@ def splat(
     if columns.ndim != 2 or columns.shape[0] != position.shape[0]:
         raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {given.shape}")
     image = np.zeros((*grid.shape, columns.shape[1]))
-    core = compiled_for(_splat_core, kernel)
-    code, k = core(grid._geometry, position, columns, h, chosen, *codes, image)
+    code, k = _splat_core(grid._geometry, position, columns, h, chosen, *codes, image)
     if code != _DONE:
         raise _error(code, k, grid, position, h)
     return image if given.ndim == 2 else image.reshape(grid.shape)
@@ -366,8 +365,7 @@ def gather(
         if divisor.shape != grid.shape:
             raise ValueError(f"density: expected shape {grid.shape}, got {divisor.shape}")
     out = np.empty((position.shape[0], layers.shape[2]))
-    core = compiled_for(_gather_core, kernel)
-    code, k = core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
+    code, k = _gather_core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
     if code != _DONE:
         raise _error(code, k, grid, position, h)
     return out if np.ndim(image) == 3 else out.reshape(-1)

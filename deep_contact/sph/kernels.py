@@ -2,7 +2,6 @@
 
 A kernel is one function of q = r/h and the dimension that returns W, W' and W'' for support radius h = 1, normalised to
 a unit integral. Everything else (h, the gradient's direction, the Laplacian, r = 0, the edge) is done once for all.
-`register_kernel` adds one.
 
 For every kernel:
 
@@ -15,11 +14,7 @@ For every kernel:
 
 from __future__ import annotations
 
-import inspect
 import math
-from collections.abc import Callable
-from functools import cache
-from types import FunctionType
 
 import numpy as np
 from numba import njit
@@ -82,33 +77,8 @@ def gaussian(q, dim):
     return w, -a * q * w, a * (a * q**2 - 1.0) * w
 
 
-_PROFILES = (poly6, spiky, cubic_spline, wendland_c2, gaussian)
-
-KERNELS = [function.__name__ for function in _PROFILES]
-"""Names of the kernels, in the end also of registered ones; the place of a name is its number in Numba code."""
-
-_registered: dict[str, Callable] = {}
-
-
-def _choose(profiles, number=0):
-    """A Numba function of (kernel, q, dim) that calls the profile of that number; NaN for an unknown number.
-
-    A chain of comparisons, since a Numba function passed as an argument would be compiled anew in every process.
-    """
-    if not profiles:
-        return njit(lambda kernel, q, dim: (math.nan, math.nan, math.nan))
-    first, rest = profiles[0], _choose(profiles[1:], number + 1)
-
-    @njit(error_model="numpy")
-    def choose(kernel, q, dim):
-        if kernel == number:
-            return first(q, dim)
-        return rest(kernel, q, dim)
-
-    return choose
-
-
-_profile = _choose(_PROFILES)
+KERNELS = ["poly6", "spiky", "cubic_spline", "wendland_c2", "gaussian"]
+"""Names of the kernels; the place of a name is its number in `profile`."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -116,7 +86,16 @@ def profile(kernel, q, dim):
     """(W, W', W'') of the kernel with number `kernel` at q = r/h >= 0 for h = 1; zeros from q = 1 on."""
     if q >= 1.0:
         return 0.0, 0.0, 0.0
-    return _profile(kernel, q, dim)
+    # A Numba function passed as an argument would be compiled anew in every process.
+    if kernel == 0:
+        return poly6(q, dim)
+    if kernel == 1:
+        return spiky(q, dim)
+    if kernel == 2:
+        return cubic_spline(q, dim)
+    if kernel == 3:
+        return wendland_c2(q, dim)
+    return gaussian(q, dim)
 
 
 @njit(cache=True, error_model="numpy")
@@ -188,50 +167,11 @@ def _radial(order, kernel, r, h, dim):
     chosen, h, dim = kernel_number(kernel), check_support_radius(h), int(one_of("dim", dim, (2, 3)))
     r = as_floats("r", r)
     out = np.empty_like(r)
-    bad = compiled_for(_evaluate, kernel)(order, chosen, r.reshape(-1), h, dim, out.reshape(-1))
+    bad = _evaluate(order, chosen, r.reshape(-1), h, dim, out.reshape(-1))
     if bad >= 0:
         where = [int(i) for i in np.unravel_index(bad, r.shape)]
         raise ValueError(f"r{where or ''}: expected a finite distance >= 0, got {r.reshape(-1)[bad]}")
     return out if out.ndim else float(out)
-
-
-def register_kernel(function: Callable) -> Callable:
-    """Make a kernel known by its function's name to all that takes a `kernel`, in this process. Returns the function.
-
-    function: (q, dim) -> (W, W', W'') for h = 1, 0 <= q < 1 and dim 2 or 3, which Numba can compile. It is compiled
-    into a transfer when that first uses it. A function of the same name is replaced, unless it is one of this module.
-    Raises ValueError for a name that is taken, and unless W(0) > 0, and W' and W'' at q = 1/2 are finite.
-    """
-    name = function.__name__
-    if name in KERNELS and name not in _registered:
-        raise ValueError(f"kernel: expected a name other than {', '.join(KERNELS)}, got {name!r}")
-    compiled = function if hasattr(function, "py_func") else njit(error_model="numpy")(function)
-    for dim in (2, 3):
-        found = [*np.ravel(compiled(0.0, dim)), *np.ravel(compiled(0.5, dim))]
-        if len(found) != 6 or not np.isfinite([found[0], *found[3:]]).all() or not found[0] > 0:
-            raise ValueError(f"kernel: expected {name}(q, {dim}) to return W > 0, W' and W'', got {found}")
-    _registered[name] = compiled
-    if name not in KERNELS:
-        KERNELS.append(name)
-    _bound.cache_clear()
-    return function
-
-
-def compiled_for(core: Callable, kernel: str) -> Callable:
-    """A Numba function that calls `profile`, or one that calls it, for a kernel: itself for those of this module."""
-    return _bound(core, _registered[kernel]) if kernel in _registered else core
-
-
-@cache
-def _bound(core: Callable, kernel: Callable) -> Callable:
-    """A copy of a Numba function, and of all that it calls, in which `_profile` is a registered kernel."""
-    if core is _profile:
-        return njit(error_model="numpy")(lambda number, q, dim: kernel(q, dim))
-    plain = getattr(core, "py_func", core)
-    called = {name: plain.__globals__.get(name) for name in plain.__code__.co_names}
-    ours = {name: f for name, f in called.items() if hasattr(f, "py_func") or inspect.isfunction(f)}
-    copies = {name: _bound(f, kernel) for name, f in ours.items()}
-    return njit(error_model="numpy")(FunctionType(plain.__code__, plain.__globals__ | copies, plain.__name__))
 
 
 def kernel_number(kernel: str) -> int:

@@ -46,7 +46,6 @@ SOLVERS = {
     "PSOR 1.7": PSOR(omega=1.7),
     BASE: PSOR(omega=1.75, friction_omega=1.45),
     "PSOR 1.8 | 1.4": PSOR(omega=1.8, friction_omega=1.4),
-    "PSOR adaptive": PSOR(adaptive=True),
     "NesterovPGS": NesterovPGS(),
     "NNCG": NNCG(),
 }
@@ -481,7 +480,7 @@ def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: C
 def _timed_as(setting: str) -> str:
     """The setting whose time is taken for one: PSOR with any fixed ω does the same operations."""
     start, solver = parts_of(setting)
-    return f"{start}, {BASE}" if isinstance(SOLVERS[solver], PSOR) and not SOLVERS[solver].adaptive else setting
+    return f"{start}, {BASE}" if isinstance(SOLVERS[solver], PSOR) else setting
 
 
 def curves(entries: Sequence[Mapping]) -> dict[int, dict[str, tuple]]:

@@ -29,8 +29,6 @@ REFUSED = [
     (lambda: dc.PSOR(omega=2.0), "omega: expected a number above 0, below 2, got 2.0"),
     (lambda: dc.PSOR(omega=0), "omega: expected a number above 0, below 2, got 0"),
     (lambda: dc.PSOR(friction_omega=2), "friction_omega: expected a number above 0, below 2, got 2"),
-    (lambda: dc.PSOR(friction_omega=1, adaptive=True), "friction_omega: expected None with adaptive=True, got 1"),
-    (lambda: dc.PSOR(adaptive="yes"), "adaptive: expected True or False, got 'yes'"),
     (lambda: dc.NNCG(precision="half"), "precision: expected one of double, single, got 'half'"),
     (lambda: dc.NNCG(sweeps=-1), "sweeps: expected an integer >= 0, got -1"),
     (lambda: dc.BatchedPGS(threads=0), "threads: expected an integer >= 1, got 0"),

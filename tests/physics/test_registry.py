@@ -77,15 +77,20 @@ def test_another_solver_of_the_same_name_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("method", "options"), [("SoftSteps", {"substeps": 4}), ("APGD", {}), ("BatchedPGS", {"order": "levels"})]
+    ("method", "options"),
+    [
+        *(("SoftSteps", {"substeps": 4}), ("APGD", {})),
+        *(("BatchedPGS", {"order": "levels"}), ("PSOR", {"adaptive": True})),
+    ],
 )
 def test_a_solver_that_is_gone_is_read_as_none(method, options):
     with pytest.warns(UserWarning, match=rf"solver: {method}.* is no longer part of Deep Contact; the default is"):
         assert solver_from(method, options) is None
 
 
-def test_batches_by_colours_are_read_from_old_files():
+def test_options_that_are_gone_and_were_not_used_are_read_from_old_files():
     assert solver_from("BatchedPGS", {"order": "colours", "sweeps": 5}) == dc.BatchedPGS(sweeps=5)
+    assert solver_from("PSOR", {"omega": 1.5, "adaptive": False}) == dc.PSOR(omega=1.5)
     with pytest.raises(ValueError, match="order: expected colours, got 'rainbow'"):
         solver_from("BatchedPGS", {"order": "rainbow"})
 

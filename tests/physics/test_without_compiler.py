@@ -14,7 +14,6 @@ from deep_contact.physics.solvers import METHODS
 
 CASES = {
     **{name: {"solver": method(sweeps=12)} for name, method in METHODS.items()},
-    "PSOR, adaptive": {"solver": dc.PSOR(sweeps=24, adaptive=True)},
     "PSOR, two ω": {"solver": dc.PSOR(sweeps=12, omega=1.8, friction_omega=1.4)},
     "islands": {"solver": dc.PGS(sweeps=12, islands=True)},
     "single precision": {"solver": dc.PGS(sweeps=12, precision="single")},

@@ -3,7 +3,6 @@
 import ast
 import io
 import json
-import os
 import re
 import runpy
 import shlex
@@ -36,12 +35,7 @@ def blocks(language, text):
     return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
 
 
-def is_kernel(block):
-    """Whether a block registers a kernel, which would stay registered for other tests."""
-    return "register_kernel" in block
-
-
-PYTHON = {name: [b for b in blocks("python", text) if not is_kernel(b)] for name, text in TEXTS.items()}
+PYTHON = {name: blocks("python", text) for name, text in TEXTS.items()}
 LINES = "".join(block for text in TEXTS.values() for block in blocks("bash", text)).splitlines()
 COMMANDS = dict.fromkeys(filter(str.strip, LINES))
 
@@ -88,18 +82,6 @@ def test_a_state_file_of_ones_own_is_predicted(tmp_path):
     subprocess.run([sys.executable, ROOT / script, *arguments], cwd=tmp_path, check=True)
     written = sorted(path.name for path in (tmp_path / "predictions").iterdir())
     assert written == ["mine.csv", "mine.npy", "mine.png"]
-
-
-def test_a_kernel_of_ones_own_is_taken_up_by_the_tests(tmp_path):
-    """By the command of the page, uncompiled, which takes seconds where compiling takes a minute."""
-    (kernel,) = filter(is_kernel, blocks("python", TEXTS["docs/developing.md"]))
-    name = re.search(r"def (\w+)", kernel)[1]
-    (tmp_path / "mine.py").write_text(kernel, encoding="utf-8")
-    environment = os.environ | {"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}
-    command = [sys.executable, "-m", "pytest", "-o", "addopts=", "-p", "mine", "-k", name, "tests/sph/test_kernels.py"]
-    run = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
-    assert run.returncode == 0, run.stdout[-2000:]
-    assert int(re.search(r"(\d+) passed", run.stdout)[1]) >= 10
 
 
 @cache

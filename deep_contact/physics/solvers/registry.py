@@ -18,6 +18,7 @@ from numba.extending import overload
 from deep_contact.physics.convergence import mark_divergence
 from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE
+from deep_contact.validation import flag
 
 
 class Loop(NamedTuple):
@@ -114,10 +115,11 @@ def solver_from(method: str, options: Mapping):
     """
     options = dict(options)
     order = options.pop("order", "colours") if method == "BatchedPGS" else "colours"
+    adaptive = flag("adaptive", options.pop("adaptive", False)) if method == "PSOR" else False
     if order not in ("colours", "levels"):
         raise ValueError(f"order: expected colours, got {order!r}")
-    if order == "levels" or method in GONE:
-        name = "BatchedPGS(order='levels')" if order == "levels" else method
+    if order == "levels" or adaptive or method in GONE:
+        name = "BatchedPGS(order='levels')" if order == "levels" else "PSOR(adaptive=True)" if adaptive else method
         warnings.warn(f"solver: {name} is no longer part of Deep Contact; the default is taken instead", stacklevel=2)
         return None
     if method not in METHODS:

@@ -8,13 +8,11 @@ import deep_contact as dc
 from deep_contact.physics import engine, metrics
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.solvers import describe, nesterov
-from deep_contact.physics.solvers.psor import LARGEST_OMEGA, better_omega
 
 PAST_NEED = {"sweeps": 100_000, "tolerance": 1e-11}
 EXACT = [
     dc.PGS(**PAST_NEED),
     dc.PSOR(**PAST_NEED),
-    dc.PSOR(**PAST_NEED, omega=1.0, adaptive=True),
     dc.NNCG(**PAST_NEED),
     dc.NesterovPGS(**PAST_NEED),
     dc.BatchedPGS(**PAST_NEED),
@@ -93,44 +91,6 @@ def test_friction_omega_is_that_of_the_tangent_rows(falling_states):
     assert_impulses(solution, impulse)
     # By the smaller ω, so that θ is no less than what a plain sweep would have changed.
     assert solution.record.theta[-1] == pytest.approx(np.abs(impulse - before).max() / 1.3, rel=1e-9)
-
-
-def test_adaptive_omega_changes_every_twelve_sweeps(falling_states):
-    A, b, mu, impulse = problem_of(falling_states[5])
-    omega, theta = 1.0, np.empty(30)
-    for k in range(30):
-        after = swept(A, b, mu, impulse, omega=omega)
-        theta[k] = np.abs(after - impulse).max() / omega
-        impulse = after
-        if k in (11, 23):
-            omega = better_omega(theta, k, omega)
-            assert omega > 1.01
-    solver = dc.PSOR(sweeps=30, tolerance=None, omega=1.0, adaptive=True)
-    solution = dc.solve_contacts(falling_states[5], solver=solver)
-    assert_impulses(solution, impulse)
-    np.testing.assert_allclose(solution.record.theta, theta, atol=1e-11 * impulse.max())
-
-
-@pytest.mark.parametrize("mu", [0.2, 0.6, 0.9])
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.9])
-def test_better_omega_is_that_of_young(mu, share):
-    # With Jacobi's spectral radius μ, SOR's λ solves (λ + ω − 1)² = λ ω² μ² while ω is below the best,
-    # 2 / (1 + √(1 − μ²)) (Young 1954). Only the largest θ of each half of the window counts.
-    best = 2 / (1 + np.sqrt(1 - mu**2))
-    omega = 1 + share * (best - 1)
-    rate = np.roots([1, 2 * (omega - 1) - omega**2 * mu**2, (omega - 1) ** 2]).max()
-    theta = rate ** np.arange(24.0) * np.tile([1, 0.5, 0.3, 0.9, 0.2, 0.1], 4)
-    np.testing.assert_allclose(better_omega(theta, 23, omega), best, rtol=1e-7)
-    np.testing.assert_allclose(better_omega(theta, 17, omega), best, rtol=1e-7)
-
-
-@pytest.mark.parametrize(
-    ("rate", "omega", "expected"),
-    [(1.1, 1.6, 1.3), (1.0, 1.4, 1.2), (0.3, 1.4, 1.4), (0.999, 1.2, LARGEST_OMEGA), (0.999, 1.0, LARGEST_OMEGA)],
-)
-def test_omega_goes_back_where_theta_grew_and_no_further_than_is_safe(rate, omega, expected):
-    # Half of the way to 1 where θ did not fall; as it is where θ falls by ω − 1, which is as fast as SOR can.
-    np.testing.assert_allclose(better_omega(rate ** np.arange(12.0), 11, omega), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("sweeps", [2, 3, 6, 20])
