@@ -98,7 +98,7 @@ def _add_simulate(parser: argparse.ArgumentParser) -> None:
     add("--dt", type=float, help="time step, s (default: the state's)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, help="θ at which the sweeps of a step end, N·s")
-    add("--warm-start", metavar="NAME", help="none, builtin, cnn, guarded, … (default: builtin)")
+    add("--warm-start", metavar="NAME", help="none, builtin, cnn, … (default: builtin)")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
     add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
     add("--every", type=int, default=10, help="steps between two states of the run in an .h5 (default: %(default)s)")

@@ -171,7 +171,7 @@ def _between_steps(start, name: str, sleep: bool, left: Mapping, jobs: Mapping) 
     used = not isinstance(start, (Builtin, NoStart))
     why = "the start is asked at every step" if used else "the start needs none, unless on_step does"
     yield Choice("calls between steps", used, why, f"without them a step costs {left['no call between steps']}")
-    used = name in ("cnn", "guarded")
+    used = name == "cnn"
     why = "the start predicts" if used else "nothing is predicted by name, so TensorFlow is not loaded"
     one, other = jobs["simulate"], jobs["predict"]
     saving = f"a first step after {one['seconds']:.2g} s instead of a first prediction after {other['seconds']:.2g} s"

@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -404,7 +403,7 @@ def ready(state: State) -> StateWithContacts:
     check_types(state)
     if not (_has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
         state = check_limits(check_state(state))
-    elif not _has_settings_within_limits(state):
+    elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
     return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
 
@@ -416,17 +415,6 @@ def _has_engine_arrays(state: State) -> bool:
         for part, kinds in ((state.bodies, _BODIES_KIND), (state.contacts, _CONTACTS_KIND))
         for array, (dtype, ndim) in zip(part, kinds)
     )
-
-
-def _has_settings_within_limits(state: State) -> bool:
-    """Whether the world and Δt are; the arrays are looked at by `is_valid`."""
-    world = state.world
-    found = {"dt": (state.dt,), "world.box": world.box, "world.gravity": world.gravity}
-    found |= {"world.friction": (world.friction,), "world.surface_speeds": world.surface_speeds}
-    found["world.segments"] = tuple(chain.from_iterable(world.segments))
-    if world.scales is not None:
-        found |= {f"scales.{name}": (getattr(world.scales, name),) for name in ("slop", "wall_skin", "max_correction")}
-    return all(LIMITS[name][0] <= value <= LIMITS[name][1] for name, values in found.items() for value in values)
 
 
 def method_of(state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep: bool = False) -> tuple:

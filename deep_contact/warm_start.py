@@ -189,11 +189,11 @@ class Sph:
         return sph.Grid.over_box(state.world.box, self.spacing), state.contacts.position, options
 
 
-def _network(name: str) -> WarmStart:
-    """A start of `cnn.inference`, which loads TensorFlow."""
-    from deep_contact.cnn import inference
+def _network() -> WarmStart:
+    """The start of the package's network, which loads TensorFlow."""
+    from deep_contact.cnn.inference import Cnn, known_model
 
-    return getattr(inference, name)(inference.known_model())
+    return Cnn(known_model())
 
 
 STARTS: dict[str, Callable[[], WarmStart]] = {
@@ -205,8 +205,7 @@ STARTS: dict[str, Callable[[], WarmStart]] = {
     "random": Random,
     "bad": Bad,
     "sph": Sph,
-    "cnn": lambda: _network("Cnn"),
-    "guarded": lambda: _network("Guarded"),
+    "cnn": _network,
 }
 """Name -> what makes the start with its default options."""
 

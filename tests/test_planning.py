@@ -84,7 +84,7 @@ def test_islands_are_counted_where_the_scene_is():
 
 
 def test_only_starts_that_predict_load_the_network():
-    for name, used in (("guarded", True), ("builtin", False), (None, False)):
+    for name, used in (("cnn", True), ("builtin", False), (None, False)):
         assert plan(dc.column(2), warm_start=name)["network"].used == used
 
 

@@ -27,13 +27,12 @@ from deep_contact.io.xml_tree import by_index, expect, quote, read_integer, read
 
 BODY = dict(mass="value", position="x y", velocity="x y", orientation="theta", inertia="value", spin="omega")
 CONTACT = dict(position="x y", normal="x y", impulse="n t", start="n t")
-"""Children of bodies and contacts, and their attributes, in canonical form; below as pybox2d's exports have them."""
+"""Children of bodies and contacts, and their attributes, in canonical form."""
 
-OLD_BODY = dict(mass="value", position="x y", velocity="vx vy", angle="theta", inertia="value")
-OLD_BODY |= {"angular_velocity": "omega"}
-OLD_CONTACT = dict(position="x y", normal="nx ny", impulse="ni ti")
-_TAGS = dict(zip(OLD_BODY, BODY))
+_TAGS = {"angle": "orientation", "angular_velocity": "spin"}
 _ATTRIBUTES = {"vx": "x", "vy": "y", "nx": "x", "ny": "y", "ni": "n", "ti": "t"}
+"""Names of pybox2d's exports -> canonical ones."""
+
 _OF_SOLVER = ("vel_iter", "vel_thres", "pos_iter", "pos_thres")
 
 _NUMBER = r"([0-9.eE+\-]+)"

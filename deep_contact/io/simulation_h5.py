@@ -109,16 +109,6 @@ class StoredSimulation:
         return sum(array.nbytes for array in self.arrays.values())
 
     @property
-    def sweeps(self) -> np.ndarray:
-        """Velocity sweeps done in each state, (T,); -1 where unknown."""
-        return self.arrays["sweeps"]
-
-    @property
-    def theta(self) -> np.ndarray:
-        """θ after the last sweep of each state, (T,), N·s; NaN where unknown, infinite where there was no sweep."""
-        return self.arrays["theta"]
-
-    @property
     def contacts(self) -> np.ndarray:
         """Number of contacts of each state, (T,)."""
         return np.diff(self.arrays["contact_offset"])
@@ -130,13 +120,14 @@ class StoredSimulation:
         except ValueError as error:
             raise IndexError(str(error)) from None
         a, head = self.arrays, self.header
-        first, last = a["contact_offset"][index : index + 2]
-        bodies = Bodies(*(a[name][index].copy() for name in _BODIES), a["mass"].copy(), a["radius"].copy())
+        of_contacts = slice(*a["contact_offset"][index : index + 2])
+        motion = [a[name][index].copy() for name in _BODIES]
+        contacts = [a[name][of_contacts].copy() for name in _CONTACTS]
         return State(
             name=head["name"],
             world=head["world"],
-            bodies=bodies,
-            contacts=Contacts(*(a[name][first:last].copy() for name in _CONTACTS)),
+            bodies=Bodies(*motion, a["mass"].copy(), a["radius"].copy()),
+            contacts=Contacts(*contacts),
             time=float(a["time"][index]),
             step=int(a["step"][index]),
             dt=head["dt"],
@@ -189,13 +180,12 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
         raise ValueError(f"states[0].solver: expected None or one of {', '.join(METHODS)}, got {first.solver!r}")
     if "\0" in first.name:
         raise ValueError(f"states[0].name: expected text without NUL, got {first.name!r}")
-    count = len(states)
     arrays = {
         "step": np.array([s.step for s in states], np.int64),
         "time": np.array([s.time for s in states], np.float64),
         "solved": np.array([s.solved for s in states], np.uint8),
-        "sweeps": _per_state("sweeps", sweeps, count, np.int32, -1),
-        "theta": _per_state("theta", theta, count, np.float64, math.nan),
+        "sweeps": _per_state("sweeps", sweeps, len(states), np.int32, -1),
+        "theta": _per_state("theta", theta, len(states), np.float64, math.nan),
         "contact_offset": np.cumsum([0, *(s.contacts.count for s in states)], dtype=np.int64),
         "mass": first.bodies.mass,
         "radius": first.bodies.radius,
@@ -203,14 +193,9 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
     }
     for name, field in zip(_CONTACTS, Contacts._fields):
         arrays[name] = np.concatenate([getattr(s.contacts, field) for s in states])
-    header = {
-        "name": first.name,
-        "dt": float(first.dt),
-        "world": first.world,
-        "solver": first.solver,
-        "seed": _json_value("seed", seed),
-        "options": _json_value("options", {} if options is None else options),
-    }
+    header = {"name": first.name, "dt": float(first.dt), "world": first.world, "solver": first.solver}
+    header["seed"] = _json_value("seed", seed)
+    header["options"] = _json_value("options", {} if options is None else options)
     return StoredSimulation(header=header, arrays=arrays, digest=_digest(_attributes(header), arrays))
 
 
@@ -241,11 +226,10 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
     with h5py.File(buffer, "w") as file:
         for name, value in (_attributes(simulation.header) | {"digest": simulation.digest}).items():
             if isinstance(value, str):
-                text = value.encode()
                 # Of fixed length, which a reader sees before it reads; HDF5 has no text of length 0.
-                file.attrs.create(name, text, dtype=f"S{max(1, len(text))}")
+                file.attrs.create(name, value.encode(), dtype=f"S{max(1, len(value.encode()))}")
             else:
-                file.attrs.create(name, value, dtype="<i8" if name == "version" else "<f8")
+                file.attrs.create(name, value, dtype=_kind(name))
         for name, array in simulation.arrays.items():
             options = {}
             if compression and array.size:
@@ -266,15 +250,15 @@ def read_simulation(path) -> StoredSimulation:
     cannot be opened.
     """
     with hdf5.opened(path, DataFileError) as file:
-        attributes, found = _read_attributes(file), _found_arrays(file)
+        attributes, datasets = _read_attributes(file), _datasets(file)
         header = _header(attributes)
-        arrays = hdf5.read(found, MAX_BYTES)
+        arrays = hdf5.read(datasets, MAX_BYTES)
         arrays |= {name: arrays[name].astype(np.int64) for name in ("body_a", "body_b")}
         _check_arrays(arrays, len(header["world"].segments))
         digest = attributes.pop("digest")
         # Of the attributes as they are in the file: the header may hold options that are newer than the file.
-        found = _digest(attributes, arrays)
-        _expect(found == digest, f"digest: expected that of the contents, {found}, got {digest}: altered or damaged")
+        actual = _digest(attributes, arrays)
+        _expect(actual == digest, f"digest: expected that of the contents, {actual}, got {digest}: altered or damaged")
     return StoredSimulation(header=header, arrays=arrays, digest=digest)
 
 
@@ -290,9 +274,9 @@ class SimulationInfo(NamedTuple):
 def simulation_info(path) -> SimulationInfo:
     """The header of a file. Errors as for `read_simulation`."""
     with hdf5.opened(path, DataFileError) as file:
-        attributes, found = _read_attributes(file), _found_arrays(file)
-        size = sum(8 * array.size for array in found.values())
-        return SimulationInfo(_header(attributes), attributes["digest"], found["step"].size, size)
+        attributes, datasets = _read_attributes(file), _datasets(file)
+        size = sum(8 * array.size for array in datasets.values())
+        return SimulationInfo(_header(attributes), attributes["digest"], datasets["step"].size, size)
 
 
 # ---- details of a file ----
@@ -302,6 +286,10 @@ def _expect(condition, message: str) -> None:
     """Raise ValueError unless the condition holds; `hdf5.opened` names the file."""
     if not condition:
         raise ValueError(message)
+
+
+def _kind(attribute: str) -> str:
+    return "<i8" if attribute == "version" else "<f8"
 
 
 def _per_state(name: str, given, count: int, dtype, missing) -> np.ndarray:
@@ -316,7 +304,7 @@ def _per_state(name: str, given, count: int, dtype, missing) -> np.ndarray:
 def _json_value(name: str, value):
     """`value` as JSON gives it back, so that it is the same before and after the file."""
     try:
-        text = json.dumps(value, allow_nan=False, sort_keys=True)
+        text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected what JSON can hold, got {value!r}: {error}") from None
     if len(text) > _MAX_TEXT:
@@ -338,8 +326,7 @@ def _attributes(header: dict) -> dict:
         **{name: getattr(world, name) for name in ("box", "gravity", "friction", "restitution")},
         **{name: value for name, value in optional.items() if value},
         "solver": json.dumps(settings, sort_keys=True, default=lambda value: value.item()),
-        "seed": json.dumps(header["seed"], sort_keys=True),
-        "options": json.dumps(header["options"], sort_keys=True),
+        **{name: json.dumps(header[name], sort_keys=True) for name in ("seed", "options")},
     }
 
 
@@ -353,17 +340,17 @@ def _digest(attributes: dict, arrays: dict) -> str:
 
 
 def _read_attributes(file: h5py.File) -> dict:
-    found = {}
+    values = {}
     for name in (*_TEXTS, *_NUMBERS, *(name for name in _OPTIONAL if name in file.attrs)):
-        value, kind = hdf5.attribute(file, name), "<i8" if name == "version" else "<f8"
+        value = hdf5.attribute(file, name)
         if name in _TEXTS:
             _expect(isinstance(value, bytes), f"{name}: expected a text of fixed length, got {type(value).__name__}")
-            found[name] = value.decode()
+            values[name] = value.decode()
         else:
             array = np.asarray(value)
-            _expect(array.dtype.str == kind, f"{name}: expected {kind}, got {array.dtype.str}")
-            found[name] = tuple(array.tolist()) if array.shape else array.item()
-    return found
+            _expect(array.dtype.str == _kind(name), f"{name}: expected {_kind(name)}, got {array.dtype.str}")
+            values[name] = tuple(array.tolist()) if array.shape else array.item()
+    return values
 
 
 def _header(attributes: dict) -> dict:
@@ -392,51 +379,48 @@ def _header(attributes: dict) -> dict:
     return header
 
 
-def _found_arrays(file: h5py.File) -> dict[str, h5py.Dataset]:
+def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     """The arrays of a file, whose types and shapes fit each other, before any is read."""
     strange = sorted(set(file) ^ set(_ARRAYS))
     _expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
-    found = {name: hdf5.dataset(file, name) for name in _ARRAYS}
-    for name in ("step", "mass", "body_a"):
-        shape = found[name].shape
+    datasets = {name: hdf5.dataset(file, name) for name in _ARRAYS}
+    sizes = {"2": 2}
+    for name, letter in (("step", "T"), ("mass", "n"), ("body_a", "M")):
+        shape = datasets[name].shape
         _expect(shape is not None and len(shape) == 1, f"{name}: expected one dimension, got shape {shape}")
-    sizes = {"T": found["step"].size, "n": found["mass"].size, "M": found["body_a"].size, "2": 2}
+        sizes[letter] = shape[0]
+    _expect(sizes["T"], "step: expected at least one state, got none")
     sizes["E"] = sizes["T"] + 1
     for name, (dtype, dimensions) in _ARRAYS.items():
-        array, shape = found[name], tuple(sizes[letter] for letter in dimensions)
+        array, shape = datasets[name], tuple(sizes[letter] for letter in dimensions)
         _expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
         _expect(array.shape == shape, f"{name}: expected shape {shape}, got {array.shape}")
-    _expect(sizes["T"], "step: expected at least one state, got none")
-    return found
+    return datasets
 
 
 def _check_arrays(arrays: dict, segments: int) -> None:
     """What `check_state` asks of every state, for all at once. segments: how many the world has."""
 
-    def refuse(bad, name, expected):
-        if bad.any():
-            at = tuple(int(i) for i in np.argwhere(bad)[0])
+    def refuse(name, bad, expected):
+        for at in np.argwhere(bad)[:1].tolist():
             where = ", ".join(map(str, at))
-            raise ValueError(f"{name}[{where}]: expected {expected}, got {arrays[name][at]}")
+            raise ValueError(f"{name}[{where}]: expected {expected}, got {arrays[name][tuple(at)]}")
 
     for name, array in arrays.items():
         if array.dtype.kind == "f" and name != "theta":
-            refuse(~np.isfinite(array), name, "a finite number")
-    for name in ("mass", "radius"):
-        refuse(arrays[name] <= 0, name, "a number > 0")
-    refuse(arrays["step"] < 0, "step", "an integer >= 0")
-    refuse(arrays["solved"] > 1, "solved", "0 or 1")
-    refuse(arrays["normal_impulse"] < 0, "normal_impulse", "a number >= 0")
+            refuse(name, ~np.isfinite(array), "a finite number")
     offset, n, a, b = arrays["contact_offset"], arrays["mass"].size, arrays["body_a"], arrays["body_b"]
-    steps = np.diff(offset, prepend=0)
-    refuse((steps < 0) | (offset > a.size), "contact_offset", "rising numbers within the contacts")
+    end, steps, length = n + 4 + segments, np.diff(offset, prepend=0), np.hypot(*arrays["normal"].T)
+    refuse("mass", arrays["mass"] <= 0, "a number > 0")
+    refuse("radius", arrays["radius"] <= 0, "a number > 0")
+    refuse("step", arrays["step"] < 0, "an integer >= 0")
+    refuse("solved", arrays["solved"] > 1, "0 or 1")
+    refuse("normal_impulse", arrays["normal_impulse"] < 0, "a number >= 0")
+    refuse("contact_offset", (steps < 0) | (offset > a.size), "rising numbers within the contacts")
     first, last = offset[[0, -1]].tolist()
     _expect((first, last) == (0, a.size), f"contact_offset: expected 0 to {a.size}, got {first} to {last}")
-    refuse((a < 0) | (a >= n), "body_a", f"a circle, 0 to {n - 1}")
-    end = n + 4 + segments
-    refuse((b <= a) | (b >= end), "body_b", f"a body after body_a, up to {end - 1}")
-    length = np.hypot(*arrays["normal"].T)
-    refuse(np.stack([np.abs(length - 1) > 1e-4] * 2, axis=1), "normal", "a unit vector")
-    state = np.repeat(np.arange(offset.size - 1), np.diff(offset))
-    key = (state * n + a) * end + b
-    refuse(np.diff(key, prepend=-1) <= 0, "body_b", "contacts in the order of (body_a, body_b), each pair once")
+    refuse("body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}")
+    refuse("body_b", (b <= a) | (b >= end), f"a body after body_a, up to {end - 1}")
+    refuse("normal", np.stack([np.abs(length - 1) > 1e-4] * 2, axis=1), "a unit vector")
+    key = (np.repeat(np.arange(offset.size - 1), steps[1:]) * n + a) * end + b
+    refuse("body_b", np.diff(key, prepend=-1) <= 0, "contacts in the order of (body_a, body_b), each pair once")

@@ -29,9 +29,8 @@ Canonical form, written by `write_state` (one element a line, floats by `repr`: 
   `<segments>` where there are none, and `<contacts>` where no contacts have been searched for yet.
 * The inertia is written for other readers, and checked on reading: only solid discs, m r²/2, are modelled.
 
-The dialects of the thesis's authors are read as well (`old_dialects`), and one is written by
-`write_state(…, dialect="pybox2d")`. Every fault of a file is a `StateFileError` that names file, line, element and
-value. `xml_tree` says which files are refused before they are parsed.
+The dialects of the thesis's authors are read as well (`old_dialects`). Every fault of a file is a `StateFileError` that
+names file, line, element and value. `xml_tree` says which files are refused before they are parsed.
 """
 
 from __future__ import annotations
@@ -46,7 +45,7 @@ import numpy as np
 
 from deep_contact.constants import WALL_SKIN
 from deep_contact.io.files import read_bytes, write_bytes
-from deep_contact.io.old_dialects import BODY, CONTACT, OLD_BODY, OLD_CONTACT, modernise
+from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import (
     INTEGER,
     MAX_BYTES,
@@ -68,10 +67,10 @@ from deep_contact.io.xml_tree import (
     text_of,
     to_float,
 )
-from deep_contact.physics.solvers import METHODS, PGS, solver_from
+from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.state.scales import ContactScales, mean
-from deep_contact.validation import integer, one_of
+from deep_contact.validation import integer
 
 _INERTIA_TOLERANCE = 1e-3
 """Largest relative difference between a stored inertia and m r²/2. Old files hold float32."""
@@ -88,11 +87,6 @@ _BODY_TEXT = text_of('body index="%d" type="free"', BODY, '<shape value="circle"
 _BOX_TEXT = text_of('body index="%d" type="fixed"', BODY, _CORNERS)
 _SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"%s/>\n'
 _CONTACT_TEXT = text_of('contact index="%d" master="%d" slave="%d" separation="%r"', CONTACT)
-_OLD_BODY_TEXT = text_of('body index="%d" type="free"', OLD_BODY, '<shape value="dcCircleShape(radius=%r)"/>')
-_OLD_BOX_TEXT = text_of('body index="%d" type="fixed"', OLD_BODY, '<shape value="dcLoopShape(vertices=%s)"/>')
-_OLD_CONTACT_TEXT = text_of('contact index="%d" master="%d" slave="%d"', OLD_CONTACT)
-_POSITION_THRESHOLD = 2e-5
-"""`pos_thres` of the authors' generator, m; the engine has none, and so writes theirs."""
 
 
 def read_state(path) -> State:
@@ -103,18 +97,17 @@ def read_state(path) -> State:
     return parse_state(read_bytes(path, MAX_BYTES, StateFileError), path)
 
 
-def write_state(path, state: State, *, dialect: str = "canonical") -> None:
+def write_state(path, state: State) -> None:
     """Write a state to `….xml`, or compressed to `….xml.gz`; the same state gives the same bytes.
 
-    dialect: "canonical", or "pybox2d" (`format_pybox2d`). The folder is made if it is missing. The file appears
-    whole or not at all. Raises StateFileError where the name ends in something else, or the state is not valid or
-    cannot be stored; OSError where the file cannot be written.
+    The folder is made if it is missing. The file appears whole or not at all. Raises StateFileError where the name ends
+    in something else, or the state is not valid or cannot be stored; OSError where the file cannot be written.
     """
     path = Path(path)
     if not path.name.endswith((".xml", ".xml.gz")):
         raise StateFileError(f"{path}: not written: expected a name that ends in .xml or .xml.gz, got {path.name!r}")
     try:
-        data = DIALECTS[one_of("dialect", dialect, DIALECTS)](state)
+        data = format_state(state)
         refuse_too_large(data)
     except ValueError as error:
         raise StateFileError(f"{path}: not written: {error}") from None
@@ -145,42 +138,6 @@ def format_state(state: State) -> bytes:
             "</configuration>\n",
         )
     ).encode("utf-8")
-
-
-def format_pybox2d(state: State) -> bytes:
-    """A solved state as the thesis's authors exported it (`old_dialects`), UTF-8.
-
-    That dialect has no gravity, friction, restitution, separations or starts, and reads the step off the file's name:
-    they are lost. Raises ValueError naming the field that cannot be stored: `solved`, where contacts have no solution;
-    `segments`, where there are any.
-    """
-    state = check_state(state)
-    bodies, contacts, solver, segments = state.bodies, state.contacts, state.solver, state.world.segments
-    if segments:
-        raise ValueError(f"segments: expected none, since the dialect has no place for them, got {len(segments)}")
-    if contacts is not None and contacts.count and not state.solved:
-        raise ValueError("solved: expected True, since the dialect has no place for starts, got False")
-    settings = ""
-    if type(solver) is PGS and isinstance(solver.tolerance, float):
-        settings = f' vel_iter="{solver.sweeps}" vel_thres="{solver.tolerance!r}"'
-        settings += f' pos_iter="{solver.position_sweeps}" pos_thres="{_POSITION_THRESHOLD!r}"'
-    n = bodies.count
-    text = '<?xml version="1.0" encoding="UTF-8"?>\n'
-    text += f'<configuration dt="{float(state.dt)!r}" name={quoted_attribute("name", state.name)}{settings}'
-    text += f' time="{float(state.time)!r}">\n  <bodies>\n'
-    text += _OLD_BOX_TEXT % (0, *(0.0,) * 8, _corners(state.world.box))
-    text += fill(_OLD_BODY_TEXT, n, (range(1, n + 1), *_columns(bodies))) + "  </bodies>\n"
-    if contacts is not None:
-        wall = contacts.body_b >= n
-        master, slave = np.where(wall, 0, contacts.body_a + 1), np.where(wall, contacts.body_a, contacts.body_b) + 1
-        normal = np.where(wall[:, None], -contacts.normal, contacts.normal)
-        impulses = contacts.normal_impulse, contacts.tangent_impulse
-        rows = (range(contacts.count), master, slave, *contacts.position.T, *normal.T, *impulses)
-        text += f"  <contacts>\n{fill(_OLD_CONTACT_TEXT, contacts.count, rows)}  </contacts>\n"
-    return (text + "</configuration>\n").encode("utf-8")
-
-
-DIALECTS = {"canonical": format_state, "pybox2d": format_pybox2d}
 
 
 def parse_state(data: bytes, source) -> State:
@@ -257,14 +214,14 @@ def _option_value(text: str):
 
 def _read_segments(elements, rank: dict) -> dict:
     """Segments and speeds of a world, by index; the indices are added to `rank`, behind circles and box."""
-    segments = by_index(elements)
-    for index, segment in segments.items():
+    segments, speeds, start = [], [], len(rank)
+    for index, segment in sorted(by_index(elements).items()):
         refuse_attributes(segment, {"index", *_ENDS, "speed"})
         expect(index not in rank, segment, "index: expected each once, got that of a body,", str(index))
-    rank |= {index: len(rank) + k for k, index in enumerate(sorted(segments))}
-    ordered = [segments[index] for index in sorted(segments)]
-    speeds = [read_number(each, "speed") if "speed" in each.attrib else 0.0 for each in ordered]
-    return {"segments": [[read_number(each, name) for name in _ENDS] for each in ordered], "surface_speeds": speeds}
+        rank[index] = start + len(segments)
+        segments.append([read_number(segment, name) for name in _ENDS])
+        speeds.append(read_number(segment, "speed") if "speed" in segment.attrib else 0.0)
+    return {"segments": segments, "surface_speeds": speeds}
 
 
 # ---- reading: bodies ----
@@ -273,35 +230,33 @@ def _read_segments(elements, rank: dict) -> dict:
 def _number_bodies(bodies):
     """Circles in the order of their indices, the fixed body or None, {index in the file: index in memory}."""
     free, fixed = {}, {}
-    for index, body in by_index(bodies).items():
+    for index, body in sorted(by_index(bodies).items()):
         refuse_attributes(body, {"index", "type"})
         kind = read_text(body, "type")
         expect(kind in ("free", "fixed"), body, "type: expected free or fixed", kind)
         expect(kind == "free" or not fixed, body, "expected one fixed body, the box, got a second")
         (free if kind == "free" else fixed)[index] = body
-    order = sorted(free)
-    for index, following in itertools.pairwise(order):
+    for index, following in itertools.pairwise(free):
         near = following == index + 1 or (following == index + 2 and index + 1 in fixed)
         expect(near, free[following], f"index: expected no gap, there is no {index + 1}", str(following))
-    rank = {index: i for i, index in enumerate([*order, *fixed])}
-    return [free[index] for index in order], next(iter(fixed.values()), None), rank
+    rank = {index: i for i, index in enumerate([*free, *fixed])}
+    return list(free.values()), next(iter(fixed.values()), None), rank
 
 
 def _read_bodies(rows: Rows) -> Bodies:
-    mass = rows.numbers("mass", "value")
+    mass, radius = rows.numbers("mass", "value"), rows.numbers("shape", "radius")
     rows.refuse(mass <= 0, "mass", "value", "a mass > 0")
     rows.refuse(np.array([text != "circle" for text in rows.texts("shape", "value")]), "shape", "value", "circle")
-    radius = rows.numbers("shape", "radius")
     rows.refuse(radius <= 0, "shape", "radius", "a number > 0")
-    found = {tag: rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")}
-    bodies = Bodies(*found.values(), mass, radius)
+    motion = [rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")]
+    bodies = Bodies(*motion, mass, radius)
     # m r²/2 of a disc may overflow where m and r do not; "inf" is then what was written.
     inertia = np.array([math.inf if text == "inf" else to_float(text) for text in rows.texts("inertia", "value")])
     with np.errstate(all="ignore"):
         disc = bodies.inertia
         wrong = ~((inertia == disc) | (np.abs(inertia - disc) <= _INERTIA_TOLERANCE * disc))
-    expected = float(disc[np.argmax(wrong)]) if wrong.any() else 0.0
-    rows.refuse(wrong, "inertia", "value", f"m r²/2 = {expected!r} (only solid discs are modelled)")
+    for expected in disc[wrong][:1].tolist():
+        rows.refuse(wrong, "inertia", "value", f"m r²/2 = {expected!r} (only solid discs are modelled)")
     return bodies
 
 
@@ -429,26 +384,21 @@ def _format_scales(scales: ContactScales | None) -> str:
     return f"  <scales{text}/>\n" if text else ""
 
 
-def _columns(bodies: Bodies) -> tuple[np.ndarray, ...]:
-    """What `BODY` holds of each circle, and the radius."""
+def _format_bodies(bodies: Bodies, box) -> str:
     with np.errstate(over="ignore", under="ignore"):
         inertia = bodies.inertia
-    position, velocity = bodies.position.T, bodies.velocity.T
-    return bodies.mass, *position, *velocity, bodies.angle, inertia, bodies.spin, bodies.radius
-
-
-def _format_bodies(bodies: Bodies, box) -> str:
-    circles = fill(_BODY_TEXT, bodies.count, (range(bodies.count), *_columns(bodies)))
+    position, velocity, angle, spin, mass, radius = bodies
+    columns = range(bodies.count), mass, *position.T, *velocity.T, angle, inertia, spin, radius
     box_body = _BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*_corners(box)))
-    return f"  <bodies>\n{circles}{box_body}  </bodies>\n"
+    return f"  <bodies>\n{fill(_BODY_TEXT, bodies.count, columns)}{box_body}  </bodies>\n"
 
 
 def _format_segments(world: World, n: int) -> str:
     if not world.segments:
         return ""
     speeds = [f' speed="{v!r}"' if v else "" for v in world.surface_speeds] or [""] * len(world.segments)
-    both = enumerate(zip(world.segments, speeds))
-    lines = "".join(_SEGMENT_TEXT % (n + 1 + s, *segment, speed) for s, (segment, speed) in both)
+    both = enumerate(zip(world.segments, speeds), n + 1)
+    lines = "".join(_SEGMENT_TEXT % (index, *segment, speed) for index, (segment, speed) in both)
     return f"  <segments>\n{lines}  </segments>\n"
 
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from numbers import Real
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -88,10 +89,6 @@ def _is_equal(self, other) -> bool:
     return all(map(np.array_equal, self, other)) if isinstance(other, type(self)) else NotImplemented
 
 
-def _differs(self, other) -> bool:
-    return not self == other
-
-
 class Bodies(NamedTuple):
     """n circles (solid discs).
 
@@ -112,7 +109,7 @@ class Bodies(NamedTuple):
     mass: np.ndarray
     radius: np.ndarray
 
-    __eq__, __ne__, __hash__ = _is_equal, _differs, None  # type: ignore[assignment]
+    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
 
     @property
     def count(self) -> int:
@@ -152,7 +149,7 @@ class Contacts(NamedTuple):
     normal_start: np.ndarray
     tangent_start: np.ndarray
 
-    __eq__, __ne__, __hash__ = _is_equal, _differs, None  # type: ignore[assignment]
+    __eq__, __ne__, __hash__ = _is_equal, object.__ne__, None  # type: ignore[assignment]
 
     @property
     def count(self) -> int:
@@ -198,6 +195,13 @@ class World:
         checked["restitution"] = number("restitution", self.restitution, low=0, high=1)
         for name, value in checked.items():
             object.__setattr__(self, name, value)
+
+    @cached_property
+    def is_within_limits(self) -> bool:
+        """Whether the engine computes with all of it (`LIMITS`)."""
+        parts = {"world": self} | ({"scales": self.scales} if self.scales else {})
+        named = ((parts.get(name.partition(".")[0]), name) for name in LIMITS)
+        return not any(_beyond(part, name)[0].any() for part, name in named if part is not None)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -325,18 +329,9 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
 
     segments: how many the world has. Raises ValueError naming the field, the contact and the value.
     """
-    m = _length("contacts.body_a", contacts.body_a)
-    n, end, fields = bodies.count, bodies.count + 4 + segments, {}
-    for name, value in contacts._asdict().items():
-        if name in ("body_a", "body_b"):
-            index = np.asarray(value)
-            if index.shape != (m,) or not (np.issubdtype(index.dtype, np.integer) or index.size == 0):
-                expected = f"integers of shape ({m},)"
-                raise ValueError(f"contacts.{name}: expected {expected}, got {index.dtype}, {index.shape}")
-            fields[name] = index.astype(np.int64)
-        else:
-            fields[name] = _checked_array("contacts", name, value, m)
-    a, b = fields["body_a"], fields["body_b"]
+    m, n = _length("contacts.body_a", contacts.body_a), bodies.count
+    fields = {name: _checked_array("contacts", name, value, m) for name, value in contacts._asdict().items()}
+    a, b, end = fields["body_a"], fields["body_b"], n + 4 + segments
     fixed = "walls, segments" if segments else "walls"
     # A touching pair may carry no tensile impulse; starts are not judged here, they are hints.
     for name, bad, expected in (
@@ -382,16 +377,20 @@ def check_types(state) -> State:
 def check_limits(state: State, limits: dict = LIMITS) -> State:
     """The state itself, if all it holds is within limits. Raises ValueError naming the quantity, limits and value."""
     for name, (low, high, unit) in limits.items():
-        owner, _, field = name.rpartition(".")
-        if owner == "contacts" and state.contacts is None:
-            continue
-        values = np.asarray(getattr(getattr(state, owner) if owner else state, field))
-        bad = ~((values >= low) & (values <= high))
-        if bad.any():
-            where = tuple(int(i) for i in np.argwhere(bad)[0])
-            index = f"[{', '.join(map(str, where))}]" if where else ""
-            raise ValueError(f"{name}{index}: expected {low:g} to {high:g} {unit}".rstrip() + f", got {values[where]}")
+        owner = name.rpartition(".")[0]
+        part = getattr(state, owner) if owner else state
+        bad, values = _beyond(part, name, limits) if part is not None else ((), ())
+        for at in np.argwhere(bad)[:1].tolist():
+            index = f"[{', '.join(map(str, at))}]" if at else ""
+            expected = f"{low:g} to {high:g} {unit}".rstrip()
+            raise ValueError(f"{name}{index}: expected {expected}, got {values[tuple(at)]}")
     return state
+
+
+def _beyond(part, name: str, limits: dict = LIMITS) -> tuple[np.ndarray, np.ndarray]:
+    """Which values of a quantity of a part of a state are beyond its limits, and the values."""
+    (low, high, _), values = limits[name], np.asarray(getattr(part, name.rpartition(".")[2]))
+    return ~((values >= low) & (values <= high)), values
 
 
 def native(state: State) -> State:
@@ -408,26 +407,30 @@ def no_contacts() -> Contacts:
     return Contacts(*(np.zeros(0, np.int64),) * 2, *(np.zeros((0, 2)),) * 2, *(np.zeros(0),) * 5)
 
 
+def _is_list(value) -> bool:
+    return isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str)
+
+
 def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
-    if not isinstance(segments, (Sequence, np.ndarray)) or isinstance(segments, str):
+    if not _is_list(segments):
         raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {segments!r}")
-    found = tuple(map(_numbers, segments))
-    for index, ends in enumerate(found):
+    checked = tuple(map(_numbers, segments))
+    for index, ends in enumerate(checked):
         # The squared length is what the engine divides by.
         fits = len(ends) == 4 and np.isfinite(ends).all()
         if not fits or (ends[2] - ends[0]) ** 2 + (ends[3] - ends[1]) ** 2 == 0.0:
             expected = "two different points, ((x, y), (x, y)), of finite numbers"
             raise ValueError(f"segments[{index}]: expected {expected}, got {segments[index]!r}")
-    return found
+    return checked
 
 
 def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
-    if not isinstance(speeds, (Sequence, np.ndarray)) or isinstance(speeds, str):
+    if not _is_list(speeds):
         raise ValueError(f"surface_speeds: expected a number for each segment, m/s, got {speeds!r}")
-    found = _numbers(speeds) if all(isinstance(v, Real) for v in speeds) else None
-    if found is None or len(found) not in (0, count) or not np.isfinite(found).all():
+    checked = _numbers(speeds) if all(isinstance(v, Real) for v in speeds) else None
+    if checked is None or len(checked) not in (0, count) or not np.isfinite(checked).all():
         raise ValueError(f"surface_speeds: expected {count} finite numbers, one for each segment, got {speeds!r}")
-    return found if any(found) else ()
+    return checked if any(checked) else ()
 
 
 def _checked_scales(scales) -> ContactScales | None:
@@ -437,8 +440,8 @@ def _checked_scales(scales) -> ContactScales | None:
         raise ValueError(f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
     # Floats, whatever was given: compiled code is compiled for those.
     limits = {"max_translation": {"above": 0}}
-    found = {name: number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in scales._asdict().items()}
-    return ContactScales(**found)
+    named = scales._asdict().items()
+    return ContactScales(*(number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in named))
 
 
 def _length(name: str, values) -> int:
@@ -453,7 +456,13 @@ def _length(name: str, values) -> int:
 
 
 def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
+    """An own array: float64, or int64 of indices."""
     shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
+    if name in ("body_a", "body_b"):
+        index = np.asarray(value)
+        if index.shape != shape or not (np.issubdtype(index.dtype, np.integer) or index.size == 0):
+            raise ValueError(f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
+        return index.astype(np.int64)
     try:
         if np.iscomplexobj(value):
             raise TypeError("complex")  # which NumPy would cut

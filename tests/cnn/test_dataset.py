@@ -90,8 +90,8 @@ def test_states_come_back_to_the_last_bit(run, tmp_path, compression):
     stored = read_simulation(tmp_path / "a.h5")
     for i, state in enumerate(states):
         assert_equal(stored.state(i), state)
-    assert stored.sweeps.tolist() == sweeps.tolist()
-    assert stored.theta.tobytes() == theta.tobytes()
+    assert stored.arrays["sweeps"].tolist() == sweeps.tolist()
+    assert stored.arrays["theta"].tobytes() == theta.tobytes()
     assert stored.header["seed"] == {"entropy": 3}
     assert stored.header["options"] == {"bodies": [1, 2]}
     assert stored.digest == digest == write_simulation(tmp_path / "b.h5", states, compression="gzip", **options)
@@ -123,7 +123,7 @@ def test_what_only_a_state_may_hold_is_stored_too(tmp_path):
     state.bodies.velocity[:] = [-0.0, 5e-324]
     write_simulation(tmp_path / "a.h5", [state])
     assert_equal(read_simulation(tmp_path / "a.h5").state(0), state)
-    assert read_simulation(tmp_path / "a.h5").sweeps.tolist() == [-1]
+    assert read_simulation(tmp_path / "a.h5").arrays["sweeps"].tolist() == [-1]
 
 
 def test_the_file_is_the_same_where_its_parts_are_held_open(run, tmp_path, monkeypatch):
@@ -304,7 +304,7 @@ def test_the_data_hash_is_that_of_the_contents(folder, tmp_path):
     for sim in Store(folder).simulations:
         stored = read_simulation(simulation_path(folder, sim))
         states = [stored.state(i) for i in range(stored.count)]
-        options = {"sweeps": stored.sweeps, "theta": stored.theta, "seed": stored.header["seed"]}
+        options = {"sweeps": stored.arrays["sweeps"], "theta": stored.arrays["theta"], "seed": stored.header["seed"]}
         write_simulation(simulation_path(tmp_path, sim), states, compression="lzf", **options)
     assert Store(tmp_path).data_hash() == Store(folder).data_hash()
     simulation_path(tmp_path, 3).unlink()
@@ -397,7 +397,7 @@ def test_generated_states_have_contacts_and_the_generator_s_solver(made):
         assert stored.contacts.min() > 0
         assert 0 < stored.count < 170
         assert stored.header["solver"] == dc.PGS(sweeps=5000, tolerance=6e-5)
-        assert ((stored.theta <= 6e-5) | (stored.sweeps == 5000)).all()
+        assert ((stored.arrays["theta"] <= 6e-5) | (stored.arrays["sweeps"] == 5000)).all()
         assert 24 <= stored.arrays["mass"].size <= 30
         np.testing.assert_array_equal(np.diff(stored.arrays["step"]) > 0, True)
 

@@ -530,37 +530,3 @@ def test_two_thousand_damaged_files_only_raise_state_file_errors():
     assert result.returncode == 0, result.stdout + result.stderr
     assert "'read'" in result.stdout
     assert "'refused'" in result.stdout
-
-
-# ---- writing the dialect of the thesis's authors ----
-
-
-def test_the_authors_dialect_comes_back_with_iterations_and_thresholds(tmp_path):
-    """All that the dialect holds is exact, for a box as master too; its starts, gravity and gaps are the reader's."""
-    solver = PGS(sweeps=5000, tolerance=6e-5, position_sweeps=2500)
-    state = example(solver=solver)
-    path = tmp_path / "pile_3.xml"
-    write_state(path, state, dialect="pybox2d")
-    found = read_state(path)
-    assert (found.name, found.step, found.time, found.dt, found.solver) == ("pile", 3, 0.03, 0.01, solver)
-    assert found.solved
-    for written, back in zip(state.bodies, found.bodies):
-        np.testing.assert_array_equal(back, written)
-    for name in ("body_a", "body_b", "position", "normal", "normal_impulse", "tangent_impulse"):
-        np.testing.assert_array_equal(getattr(found.contacts, name), getattr(state.contacts, name))
-
-
-def test_the_authors_dialect_has_the_elements_of_one_of_their_files(tmp_path):
-    """Every element and attribute of an export of theirs is written, and no other."""
-    write_state(tmp_path / "a.xml", read_state(OLD_A), dialect="pybox2d")
-    roots = [ElementTree.fromstring(path.read_text()) for path in (OLD_A, tmp_path / "a.xml")]
-    theirs, ours = ({(element.tag, name) for element in root.iter() for name in element.attrib} for root in roots)
-    assert ours == theirs
-
-
-def test_unsolved_contacts_have_no_place_in_the_authors_dialect(tmp_path):
-    with pytest.raises(StateFileError, match=r"solved: expected True"):
-        write_state(tmp_path / "a.xml", example(solved=False), dialect="pybox2d")
-    with pytest.raises(StateFileError, match=r"dialect: expected one of .*, got 'ours'"):
-        write_state(tmp_path / "a.xml", example(), dialect="ours")
-    assert not list(tmp_path.iterdir())
