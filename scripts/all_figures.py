@@ -1,4 +1,4 @@
-"""python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--verbose] [--jobs J] …
+"""python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] …
 
 Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers. A failure does not stop the others.
 At the end it prints a summary and writes all results of the folder into one page, <out>/index.html. `--resume` keeps
@@ -74,7 +74,7 @@ def main(arguments=None, folder=HERE):
     if Path(given.out).is_dir() and not given.references:
         captions = {name.replace("T", "T "): caption(path) for name, path in scripts.items()}
         expected = [name.replace("T", "T ") for name in chosen]
-        index = page.write_report(given.out, expected=expected, others=captions, captions=captions)
+        index = page.write_report(given.out, expected=expected, captions=captions)
         print(f"\nall results as one page: {index}")
     summarise(done)
     return INTERRUPTED if status in INTERRUPTS else int(any(status for _, status, *_ in done))
@@ -83,7 +83,7 @@ def main(arguments=None, folder=HERE):
 def parse(arguments):
     """The arguments, and the list of those that are passed on to every script."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    add, flags = parser.add_argument, ("quick", "resume", "replot", "verbose")
+    add, flags = parser.add_argument, ("quick", "resume", "replot")
     add("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
     add("--out", default="figures", metavar="FOLDER")
     for name in (*flags, "references", "list"):

@@ -33,7 +33,7 @@ def draw(data, options):
     own.sharey(same)
     for name, errors in data["velocity"]["mean"].items():
         shown = [max(error, 1e-7) for error in errors]
-        velocity.plot(data["velocity"]["sweeps"], shown, **plotting.style_of(name, marker=True), markersize=4)
+        velocity.plot(data["velocity"]["sweeps"], shown, **plotting.style_of(name), marker="o", markersize=4)
     velocity.set(xscale="log", yscale="log")
     plotting.label_axes(velocity, "sweep", "mean relative velocity error", title=starts.MODES["paired"])
     velocity.legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), title="bands: quartiles of the scenes")

@@ -1,4 +1,4 @@
-"""The contract of the figure and table scripts: their command line, and simulation, results file and picture.
+"""The contract of the figure and table scripts: command line, simulation, results file, picture.
 
 A script describes itself by a `Figure` and hands it to `main`:
 
@@ -7,8 +7,8 @@ A script describes itself by a `Figure` and hands it to `main`:
     if __name__ == "__main__":
         raise SystemExit(figures.main(FIGURE))
 
-`compute` makes the numbers and the results file stores them. `claims`, `table` and `draw` see only what is stored, so
-that a picture drawn again from its file is the same picture.
+`compute` makes the numbers. `claims`, `table` and `draw` see only what is stored of them, so that a picture drawn again
+from its file is the same picture.
 """
 
 from __future__ import annotations
@@ -16,13 +16,11 @@ from __future__ import annotations
 import argparse
 import base64
 import json
-import math
 import os
 import re
 import signal
 import sys
 import tempfile
-import threading
 import time
 from collections import UserDict
 from collections.abc import Callable, Iterable, Sequence
@@ -41,6 +39,7 @@ from deep_contact.io import provenance
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
+from deep_contact.validation import one_of
 
 __all__ = ["Claim", "Figure", "assigned", "cell", "main", "parallel_map", "produce", "progress_bar", "seeds"]
 
@@ -85,7 +84,7 @@ class Figure:
         if self.draw is None and not self.is_table:
             raise ValueError(f"draw: expected a function for figure {self.id}, got None")
         results.plain(self.options, where="options")
-        _refuse_unknown(self.quick, self.options, "quick")
+        _known(self.quick, self.options, "quick")
 
     @property
     def is_table(self) -> bool:
@@ -109,7 +108,7 @@ class Figure:
 
     def settings(self, changes: dict, quick: bool) -> dict:
         """All options of a run, as its results file stores them. Raises ValueError for changes of unknown ones."""
-        _refuse_unknown(changes, self.options, "options")
+        _known(changes, self.options, "options")
         return results.plain(self.options | (self.quick if quick else {}) | changes, where="options")
 
     def rows(self, data: dict) -> list[list[str]]:
@@ -118,12 +117,12 @@ class Figure:
 
 
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
-    """Run a script's command line and return its exit status.
+    """Run a script's command line; its exit status.
 
-    0: files written, or up to date. 1: a file that has to exist first is missing, such as a trained network
-    (FileNotFoundError), or a cluster cannot be used (ClusterError); the message is printed. 2: bad arguments, or a
-    ValueError of the figure's own functions under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, both without a
-    traceback and without half-written files. Any other error of the figure's own functions is raised.
+    0: files written, or up to date. 1: a file that has to exist first is missing, such as a trained network, or a
+    cluster cannot be used; the message is printed. 2: bad arguments, or a ValueError of the figure's own functions
+    under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, both without a traceback and without half-written files.
+    Any other error of the figure's own functions is raised.
     """
     parser = _parser(figure)
     given = parser.parse_args(arguments)
@@ -141,14 +140,13 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     try:
         with _exit_on_sigterm():
             if given.replot:
-                _report(figure, _redrawn(figure, path), path, print, given.verbose)
+                _report(figure, _redrawn(figure, path), path, print)
             elif given.resume and _is_current(figure, path, figure.settings(changes, given.quick), seed):
                 print(f"{figure.stem}: up to date")
             else:
-                kept = {"seed": seed, "out": given.out, "verbose": given.verbose, "quick": given.quick}
                 say = partial(print, file=sys.stderr, flush=True)
                 with announced(say), parallel.opened(given.jobs, given.scheduler) as jobs:
-                    produce(figure, options=changes, jobs=jobs, **kept)
+                    produce(figure, options=changes, quick=given.quick, seed=seed, out=given.out, jobs=jobs)
         return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
@@ -172,23 +170,20 @@ def produce(
     seed: int | None = None,
     out: str | os.PathLike = "figures",
     jobs: int | Executor = 1,
-    progress: Callable | None = None,
     echo: Callable[[str], None] = print,
-    verbose: bool = False,
 ) -> Results:
     """Compute, store, draw and report a figure; the stored results, a dict that a notebook shows as the picture.
 
     options: changes to the figure's own, by name. quick: start from those of its quick run. out: folder of the files.
-    jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. progress: see
-    `progress_bar`, the default. echo: called with each line of the report. verbose: report the numbers of a quick run,
-    too. The results are stored before they are drawn, so that an error in `draw` does not cost a long computation.
-    Raises ValueError for an option that is unknown, or that `compute` did not read.
+    jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. echo: called with
+    each line of the report. The results are stored before they are drawn, so that an error in `draw` does not cost a
+    long computation. Raises ValueError for an option that is unknown, or that `compute` did not read.
     """
     changes = options or {}
     options = figure.settings(changes, quick)
     seed, watched, path = figure.seed if seed is None else seed, _Watched(options), Path(out, f"{figure.stem}.json")
     start = time.perf_counter()
-    data = figure.compute(watched, seed, jobs, progress or progress_bar)
+    data = figure.compute(watched, seed, jobs, progress_bar)
     made = provenance.provenance(seed=seed, wall_s=time.perf_counter() - start, options=options)
     if unread := [name for name in changes if name not in watched.read]:
         others = ", ".join(f"{name}={options[name]}" for name in options if name in watched.read)
@@ -200,7 +195,7 @@ def produce(
     found |= {"claims": list(figure.claims(data)), "data": data}
     found = results.read_results(results.write_results(path, found))
     _draw(figure, found, path)
-    _report(figure, found, path, echo, verbose)
+    _report(figure, found, path, echo)
     return Results(found, figure=figure, picture=path.with_suffix(".png"))
 
 
@@ -246,6 +241,8 @@ def _draw(figure: Figure, found: dict, path: Path) -> None:
             picture = plotting.draw_table(figure.rows(found["data"]), figure.heading)
         else:
             picture = figure.draw(found["data"], found["options"])
+        if figure.beside(found["options"]) is not None:
+            picture.text(1.0, 0.0, "quick", ha="right", va="bottom", color=plotting.GREY, in_layout=False)
         plotting.save(picture, path.with_suffix(".png"))
     if figure.is_table:
         with replacing(path.with_suffix(".md")) as temporary:
@@ -273,20 +270,16 @@ def _is_current(figure: Figure, path: Path, options: dict, seed: int) -> bool:
     return drawn and results.is_current(path, made, id=figure.id, options=options)
 
 
-def _report(figure: Figure, found: dict, path: Path, echo: Callable[[str], None], verbose: bool) -> None:
-    """Print the numbers as a table, one line a claim, and the picture's path.
-
-    A quick run's numbers are left out without `verbose`; its table too, unless it is a table.
-    """
+def _report(figure: Figure, found: dict, path: Path, echo: Callable[[str], None]) -> None:
+    """Print the numbers as a table, one line a claim, and the picture's path."""
     beside = figure.beside(found["options"])
-    verbose = verbose or beside is None
     echo(figure.heading)
-    rows = figure.rows(found["data"]) if figure.table and (verbose or figure.is_table) else []
+    rows = figure.rows(found["data"]) if figure.table else []
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
         echo(f"  {'  '.join(map(str.ljust, row, widths))}".rstrip())
     for claim in found["claims"]:
-        echo(claim_line(claim, beside, measured=verbose))
+        echo(claim_line(claim, beside))
     echo(f"picture: {path.with_suffix('.png')}")
 
 
@@ -297,27 +290,31 @@ def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True
     return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
 
 
+def markdown(rows: Iterable[Sequence[str]]) -> str:
+    """Rows of text, head first, as a Markdown table."""
+    head, *body = [[text.replace("|", "\\|") for text in row] for row in rows]
+    return "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *body))
+
+
 def _markdown(figure: Figure, found: dict) -> str:
-    head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(found["data"])]
-    lines = [f"**{figure.heading}**", ""]
-    lines += ["| " + " | ".join(row) + " |" for row in (head, ["---"] * len(head), *body)]
     beside = figure.beside(found["options"])
-    lines += [""] + [f"- {claim_line(claim, beside)}" for claim in found["claims"]]
-    return "\n".join(lines).rstrip() + "\n"
+    claims = "".join(f"- {claim_line(claim, beside)}\n" for claim in found["claims"])
+    return f"**{figure.heading}**\n\n{markdown(figure.rows(found['data']))}" + (f"\n{claims}" if claims else "")
 
 
 def cell(value) -> str:
     """A value as tables and claims show it: floats with four significant digits, None as a dash."""
-    if value is None:
-        return "–"
-    if isinstance(value, (bool, np.bool_)):
-        return "yes" if value else "no"
-    if isinstance(value, (float, np.floating)):
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, bool):
+        return {None: "–", True: "yes", False: "no"}[value]
+    if isinstance(value, float):
         return f"{value:.4g}"
     if isinstance(value, (list, tuple)):
         return "[" + ", ".join(cell(item) for item in value) + "]"
     if isinstance(value, dict):
-        return "{" + ", ".join(f"{name}: {cell(item)}" for name, item in value.items()) + "}"
+        shown = {name: f"({cell(item)})" if isinstance(item, dict) else cell(item) for name, item in value.items()}
+        return ", ".join(f"{name} {text}" for name, text in shown.items())
     return str(value)
 
 
@@ -336,7 +333,6 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--jobs", type=partial(_integer, least=1), default=cores, help="processes (default: one for each core)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     add("--replot", action="store_true", help="judge and draw again from the stored results alone")
-    add("--verbose", action="store_true", help="print the numbers of a quick run, too")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
     setting = partial(assigned, figure.options)
     add("--set", action="append", type=setting, default=[], metavar="NAME=VALUE", help="change a setting; repeatable")
@@ -350,7 +346,7 @@ def meaning(figure: str, name: str) -> str:
 
 def _described(id: str, name: str, value) -> str:
     """A line of the settings in `--help`; a long value is cut."""
-    text = f"{name}={value if isinstance(value, str) else json.dumps(results.plain(value))}"
+    text = f"{name}={value if isinstance(value, str) else json.dumps(value)}"
     return f"  {text if len(text) <= 60 else f'{text[:59]}…':<32}  {meaning(id, name)}"
 
 
@@ -376,7 +372,7 @@ def assigned(options: dict, text: str) -> tuple[str, object]:
 
 
 def _value(text: str, default):
-    """Text as a value like the default. Raises ValueError."""
+    """Text as a value of the default's type. Raises ValueError."""
     if isinstance(default, str):
         return text
     if isinstance(default, list) and not text.startswith("["):
@@ -395,17 +391,17 @@ def _like(value, default):
         return [_like(item, default[0]) for item in value] if default else value
     if type(default) is float and type(value) is int:
         value = float(value)
-    counts = type(default) is int and default >= 1
-    wrong = default is not None and (type(value) is not type(default) or (counts and value < 1))
-    if wrong or (isinstance(value, float) and not math.isfinite(value)):
+    results.plain(value)
+    wrong = default is not None and type(value) is not type(default)
+    if wrong or (type(default) is int and value < 1 <= default):
         raise ValueError
     return value
 
 
-def _refuse_unknown(names: Iterable[str], known: dict, what: str) -> None:
+def _known(names: Iterable[str], known: dict, what: str) -> None:
+    """Raise ValueError naming the first of the names that is not known."""
     for name in names:
-        if name not in known:
-            raise ValueError(f"{what}: expected one of {', '.join(known) or '(none)'}, got {name!r}")
+        one_of(what, name, known)
 
 
 def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
@@ -448,10 +444,8 @@ def _exit_on_sigterm():
     def leave(number, frame):
         raise SystemExit(128 + number)
 
-    is_main = threading.current_thread() is threading.main_thread()  # no other may set what a signal does
-    before = signal.signal(signal.SIGTERM, leave) if is_main else None
+    before = signal.signal(signal.SIGTERM, leave)
     try:
         yield
     finally:
-        if is_main:
-            signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGTERM, before)

@@ -1,6 +1,6 @@
 """All results of a folder as one page, `index.html`, that loads nothing else: no network, no file, no script.
 
-Pictures and animations are embedded. The page's content security policy forbids it to load anything.
+Pictures are embedded. The page's content security policy forbids it to load anything.
 """
 
 from __future__ import annotations
@@ -18,28 +18,21 @@ from deep_contact.io.files import replacing
 from deep_contact.reporting import results
 from deep_contact.reporting.figures import cell
 
-MEDIA = {".png": "image/png", ".gif": "image/gif", ".mp4": "video/mp4"}
-
 ERRATA: dict[str, list[dict]] = json.loads((Path(__file__).parent / "errata.json").read_text(encoding="utf-8"))
 """Kind of a fault of the thesis or of its authors' code -> one dict a fault: where it is, what the thesis says, what is
 right, what is done here."""
 
-POLICY = "default-src 'none'; img-src data:; media-src data:; style-src 'unsafe-inline'"
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
 
 def write_report(
-    folder: str | os.PathLike,
-    *,
-    expected: Iterable[str] = (),
-    others: Iterable[str] = (),
-    captions: Mapping[str, str] | None = None,
+    folder: str | os.PathLike, *, expected: Iterable[str] = (), captions: Mapping[str, str] | None = None
 ) -> Path:
     """Write `index.html` into a folder of results files; its path.
 
-    expected: ids ("3.7", "T 5.1") that should be there; the page names those without results as missing. others: ids
-    that could be there; those without results are named, too, but nothing is wrong with that. captions: id -> text
-    under the picture. The page names each results file that cannot be read, with the reason. Raises FileNotFoundError
-    if the folder does not exist.
+    captions: id ("3.7", "T 5.1") -> text under the picture; the page names those without results. expected: ids that
+    should be there, whose absence is a fault, as is a results file that cannot be read. Raises FileNotFoundError if the
+    folder does not exist.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -62,8 +55,7 @@ def write_report(
         found=[entry | {"caption": captions.get(entry["id"], "")} for entry in found],
         claims=[claim for entry in found for claim in entry["claims"] if claim["thesis"]],
         faults=faults,
-        not_drawn=_names(set(others) - expected - there),
-        animations=_animations(folder),
+        not_drawn=_names(captions.keys() - expected - there),
         errata=ERRATA,
     )
     with replacing(folder / "index.html") as temporary:
@@ -119,15 +111,5 @@ def _name(id: str) -> str:
     return f"Table {id[2:]}" if id.startswith("T ") else f"Figure {id}"
 
 
-def _animations(folder: Path) -> list[dict]:
-    """Each animation of the folder once: the film if there is one, since it is smaller than its GIF."""
-    shown = []
-    for gif in sorted(folder.glob("animation*.gif")):
-        film = gif.with_suffix(".mp4")
-        source = _embedded(film if film.exists() else gif)
-        shown.append({"id": gif.stem, "title": gif.stem.replace("_", " "), "film": film.exists(), "src": source})
-    return shown
-
-
-def _embedded(path: Path) -> str:
-    return f"data:{MEDIA[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"
+def _embedded(picture: Path) -> str:
+    return f"data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode('ascii')}"

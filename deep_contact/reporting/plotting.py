@@ -1,8 +1,8 @@
 """One style for every figure: colours, lines, axes with units, states, convergence curves, files, animation.
 
 The colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart. Every start has its
-own colour *and* line, so that pictures can be read in black and white. Matplotlib is imported inside the functions and
-used without pyplot: nothing here opens a window or keeps global state.
+own colour *and* line. Matplotlib is imported inside the functions and used without pyplot: nothing here opens a window
+or keeps global state.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import os
 import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
-from itertools import count
+from itertools import cycle
 from pathlib import Path
 
 import numpy as np
@@ -33,18 +33,18 @@ COLOUR_MAP = "viridis"
 """Sequential colour map: perceptually uniform, and monotonic in grey."""
 
 START_STYLE = {
-    name: {"color": colour, "linestyle": line, "marker": marker, "label": label}
-    for name, colour, line, marker, label in (
-        ("none", BLACK, ":", "x", "None"),
-        ("builtin", VERMILION, "-", "s", "Builtin"),
-        ("sph", SKY, "--", "^", "SPH, thesis transfer"),
-        ("sph consistent", BLUE, "-", "v", "SPH, consistent transfer"),
-        ("copy", GREEN, "-.", "D", "Copy"),
-        ("cnn", PURPLE, "-", "o", "CNN"),
-        ("cnn thesis", PURPLE, "--", "P", "CNN, thesis network"),
-        ("far field", PURPLE, "-.", "p", "CNN, far field"),
-        ("guarded", ORANGE, "-", "*", "Guarded"),
-        ("best classical", BLACK, "-", "o", "Best classical"),
+    name: {"color": colour, "linestyle": line, "label": label}
+    for name, colour, line, label in (
+        ("none", BLACK, ":", "None"),
+        ("builtin", VERMILION, "-", "Builtin"),
+        ("sph", SKY, "--", "SPH, thesis transfer"),
+        ("sph consistent", BLUE, "-", "SPH, consistent transfer"),
+        ("copy", GREEN, "-.", "Copy"),
+        ("cnn", PURPLE, "-", "CNN"),
+        ("cnn thesis", PURPLE, "--", "CNN, thesis network"),
+        ("far field", PURPLE, "-.", "CNN, far field"),
+        ("guarded", ORANGE, "-", "Guarded"),
+        ("best classical", BLACK, "-", "Best classical"),
     )
 }
 """Name of a start -> keywords for `ax.plot`, the same in every figure."""
@@ -83,21 +83,17 @@ def style():
     return styles.context(["default", {**_STYLE, "axes.prop_cycle": cycler(color=CYCLE)}])
 
 
-def style_of(start: str, *, marker: bool = False) -> dict:
-    """Keywords for `ax.plot` of this start: color, linestyle, label, and marker if asked for.
-
-    Raises ValueError naming the known starts.
-    """
-    look = START_STYLE[one_of("start", start, START_STYLE)]
-    return {name: value for name, value in look.items() if marker or name != "marker"}
+def style_of(start: str) -> dict:
+    """Keywords for `ax.plot` of this start: color, linestyle, label. Raises ValueError naming the known starts."""
+    return dict(START_STYLE[one_of("start", start, START_STYLE)])
 
 
 def styles_of(names: Iterable[str]) -> dict[str, dict]:
     """Name -> keywords for `ax.plot`: starts as `style_of` has them, others with the next free colour and line."""
-    found = {name: style_of(name) if name in START_STYLE else None for name in names}
+    found = {name: START_STYLE.get(name) for name in names}
     taken = {look["color"] for look in found.values() if look}
     # Seven colours and four lines have no common factor: 28 different pairs. Colours of starts come last.
-    pairs = ((CYCLE[i % 7], ("-", "--", "-.", ":")[i % 4]) for i in count())
+    pairs = zip(cycle(CYCLE), cycle(("-", "--", "-.", ":")))
     free = (pair for pair in pairs if pair[0] not in taken or taken >= set(CYCLE))
     return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in found.items()}
 
@@ -186,8 +182,7 @@ def _outline(ax, box: Sequence[float], **look) -> None:
 def draw_grid(ax, x: np.ndarray, y: np.ndarray, *, lines: bool = True, node_size: float = 0.0) -> None:
     """Draw a grid from the coordinates of its columns x (n_x,) and rows y (n_y,), m.
 
-    lines: draw the edges of the cells, under the circles. node_size: diameter of the nodes' dots, drawn over the
-    circles, points; 0 omits them.
+    lines: the edges of the cells, under the circles. node_size: of the nodes' dots over the circles, points; 0: none.
     """
     if lines:
         look = {"colors": "#BBBBBB", "linewidths": 0.4, "zorder": 0.5}
@@ -340,21 +335,18 @@ def convergence_plot(
 ) -> None:
     """Plot the convergence rate θ after some sweeps, both axes logarithmic.
 
-    curves: name -> θ, N·s; starts have their own style. bands: name -> the quartiles (low, high) of the scenes around
-    the curve of that name. threshold: drawn as a horizontal line, N·s. floor: at which smaller θ are drawn, zero
-    included, with a note.
+    curves: name -> θ, N·s; starts have their own style. bands: name -> the quartiles (low, high) of the scenes.
+    threshold: a horizontal line, N·s. floor: at which smaller θ are drawn, zero included, with a note.
     """
     for name, look in styles_of(curves).items():
-        ax.plot(sweeps, np.maximum(curves[name], floor), **look)
-        low, high = np.maximum(bands[name], floor)
-        ax.fill_between(sweeps, low, high, color=look["color"], alpha=0.18, linewidth=0)
+        band(ax, sweeps, *(np.maximum(theta, floor) for theta in (curves[name], *bands[name])), **look)
     # Labelled in the legend, where no curve can cross the label.
     ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
     ax.set(xscale="log", yscale="log")
     label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
     if min(map(min, curves.values())) < floor:
         note = f"θ below {floor:.0e}, zero included, is drawn there"
-        ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=7, color="#555555", va="bottom")
+        ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=8, color="#555555", va="bottom")
     outside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)} if len(curves) > 4 else {}  # or it would hide curves
     ax.legend(title="band: quartiles of the scenes", **outside)
 
@@ -362,37 +354,36 @@ def convergence_plot(
 PAGE = 8.3
 """Width of a page, inches."""
 
-_CHARACTER, _LINE = 0.078, 0.16
-"""Width of a character of a table and height of a line, inches."""
+_CHARACTER, _LINE = 0.084, 0.17
+"""Width of a character of a table and height of a line at 8 pt, inches."""
 
 
 def draw_table(rows: Sequence[Sequence[str]], title: str):
-    """A figure that shows a table of text: the first row is its head. Text is wrapped so that it fits a page.
+    """A figure that shows a table of text: the first row is its head.
 
-    Where the longest words do not fit beside each other, letters are smaller.
+    Text is wrapped so that it fits a page; where the longest words do not, letters are smaller.
     """
     columns = list(zip(*rows))
     widths = [max(map(len, column)) for column in columns]
-    least = [max(len(word) for text in column for word in (*text.split(), "")) for column in columns]
-    room = int(PAGE / _CHARACTER) - 2 * len(widths)
-    while sum(widths) > room and widths != least:
+    least = [max(map(len, " ".join(column).split()), default=0) for column in columns]
+    while _CHARACTER * (sum(widths) + 2 * len(widths)) > PAGE and widths != least:
         wide = max((i for i in range(len(widths)) if widths[i] > least[i]), key=widths.__getitem__)
         widths[wide] -= 1
-    wrapped = [[textwrap.fill(text, width) for text, width in zip(row, widths)] for row in rows]
-    lines = [max(text.count("\n") + 1 for text in row) for row in wrapped]
+    wrapped = [[textwrap.fill(text, width or 1) for text, width in zip(row, widths)] for row in rows]
+    heights = [_LINE * (1 + max(text.count("\n") for text in row)) + 0.09 for row in wrapped]
     total = sum(widths) + 2 * len(widths)
-    needed = _CHARACTER * total
-    wide, scale = min(max(4.0, needed), PAGE), min(1.0, PAGE / needed)
-    figure, ax = subplots(size=(wide, scale * (_LINE * sum(lines) + 0.09 * len(rows)) + 0.5))
+    scale = min(1.0, PAGE / (_CHARACTER * total))
+    wide = max(4.0, scale * _CHARACTER * total)
+    figure, ax = subplots(size=(wide, scale * sum(heights) + 0.5))
     with style():
         ax.axis("off")
         ax.set_title(textwrap.fill(title, int(wide / 0.1)))
         shares = [(width + 2) / total for width in widths]
-        table = ax.table(wrapped, colWidths=shares, loc="center", cellLoc="left", bbox=(0, 0, 1, 1))
+        table = ax.table(wrapped, colWidths=shares, cellLoc="left", bbox=(0, 0, 1, 1))
         table.auto_set_font_size(False)
-        table.set_fontsize(7.4 * scale)
+        table.set_fontsize(8.0 * scale)
         for (row, _), cell in table.get_celld().items():
-            cell.set(height=_LINE * lines[row] + 0.09, edgecolor="#CCCCCC" if row else BLACK)
+            cell.set(height=heights[row], edgecolor="#CCCCCC" if row else BLACK)
             cell.visible_edges = "B"
             cell.set_text_props(weight="normal" if row else "bold")
     return figure
@@ -419,23 +410,25 @@ def draw_network(
     gone = dropped or [[False] * len(layer) for layer in values]
     largest = max(np.abs(between).max() for between in weights) or 1.0
     for i, between in enumerate(weights):
-        for sign, colour, line in ((1, BLUE, "-"), (-1, VERMILION, "--")):
-            kept = [(a, b) for (a, b), weight in np.ndenumerate(between)
-                    if sign * weight > 0 and not (gone[i][a] or gone[i + 1][b])]  # fmt: skip
-            lines = [(places[i][a], places[i + 1][b]) for a, b in kept]
-            widths = [0.3 + 2.7 * abs(between[a][b]) / largest for a, b in kept]
-            ax.add_collection(LineCollection(lines, colors=colour, linestyles=line, linewidths=widths, zorder=1))
+        kept = [(a, b, w) for (a, b), w in np.ndenumerate(between) if w and not (gone[i][a] or gone[i + 1][b])]
+        lines = [(places[i][a], places[i + 1][b]) for a, b, _ in kept]
+        looks = {
+            "colors": [BLUE if w > 0 else VERMILION for *_, w in kept],
+            "linestyles": ["-" if w > 0 else "--" for *_, w in kept],
+            "linewidths": [0.3 + 2.7 * abs(w) / largest for *_, w in kept],
+        }
+        ax.add_collection(LineCollection(lines, **looks, zorder=1))
     low, high = (edge(y for layer in places for _, y in layer) for edge in (min, max))
-    for i, layer in enumerate(places):
-        for (x, y), value, out in zip(layer, values[i], gone[i]):
+    for layer, shown, out_of in zip(places, values, gone):
+        for (x, y), value, out in zip(layer, shown, out_of):
             face, edge = ("#EEEEEE", GREY) if out else ("#CFE6F5", BLACK)
             ax.plot(x, y, "o", markersize=30, markerfacecolor=face, markeredgecolor=edge, zorder=2)
             if out:
                 ax.plot(x, y, "x", markersize=22, color=GREY, markeredgewidth=1.5, zorder=3)
             elif numbers:
                 ax.text(x, y, numbers.format(value), ha="center", va="center", fontsize=8, zorder=3)
-        if i < len(titles):
-            ax.text(i, low - 0.45, titles[i], ha="center", va="top", fontsize=9)
+    for i, text in enumerate(titles):
+        ax.text(i, low - 0.45, text, ha="center", va="top", fontsize=9)
     ax.set(xlim=(-0.4, len(values) - 0.6), ylim=(low - (0.9 if titles else 0.5), high + 0.5))
     ax.axis("off")
 
@@ -463,8 +456,8 @@ def animate(
     """Write states as an animation, one frame each: a GIF, and an MP4 beside it if matplotlib finds ffmpeg.
 
     path: of the GIF; the MP4 has the same stem. draw: `draw(axes, state)`, with an axes for each panel, empty. panels:
-    their widths, side by side, in heights. fps: frames a second; a GIF rounds the time of a frame to hundredths of a
-    second. size: height of a frame, inches. Returns the paths written. Raises ValueError for no states or a wrong fps.
+    their widths, side by side, in heights. fps: frames a second. size: height of a frame, inches. Returns the paths
+    written. Raises ValueError for no states or a wrong fps.
     """
     from matplotlib import animation
     from matplotlib.figure import Figure

@@ -11,12 +11,8 @@ A results file is strict JSON with six fields, as `results_schema.json` defines 
 | claims     | list of {text, thesis, holds, measured, verdict}: see `Claim`                              |
 | data       | every plotted number                                                                       |
 
-How numbers are stored, by `plain`:
-
-* A Python float is stored by its shortest exact representation: reading gives the same bits.
-* A NumPy array of floats is stored as (nested) lists, rounded to `digits` significant digits if given, so that long
-  curves stay small; `digits=None` stores them exactly. Integers and booleans are always exact.
-* NaN and infinity are refused; the error names the place. A missing number is None (`null`).
+A float is stored by its shortest exact representation: reading gives the same bits. NaN and infinity are refused; a
+missing number is None (`null`).
 """
 
 from __future__ import annotations
@@ -44,7 +40,6 @@ OPEN = "too few states to tell"
 
 ID_PATTERN = SCHEMA["properties"]["id"]["pattern"]
 _VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
-_FINITE = "a finite number (None where one is missing)"
 
 
 class ResultsError(ValueError):
@@ -72,18 +67,22 @@ class Claim(NamedTuple):
 
 
 def plain(value, *, digits: int | None = None, where: str = "data"):
-    """`value` as JSON holds it: dict, list, str, int, float, bool and None only.
+    """`value` as JSON holds it: dict, list, str, int, float, bool and None only. A NamedTuple becomes a dict.
 
-    digits: significant digits kept of floats in NumPy arrays; None keeps all. where: name of the value for
-    error messages. A NamedTuple becomes a dict. Raises ResultsError naming the place and the value for NaN,
-    infinity, a key that is not a string, or anything that JSON does not know.
+    digits: significant digits kept of floats in NumPy arrays, so that long curves stay small; None keeps all. where:
+    name of the value for error messages. Raises ResultsError naming the place and the value for NaN, infinity, a key
+    that is not a string, or anything that JSON does not know.
     """
     if isinstance(value, np.ndarray) and value.ndim:
-        return _plain_array(value, digits, where)
+        if value.dtype.kind not in "biufU":
+            raise ResultsError(f"{where}: expected an array of numbers or text, got dtype {value.dtype}")
+        if digits and value.dtype.kind == "f":
+            value = np.array([float(f"{x:.{digits}g}") for x in value.ravel().tolist()]).reshape(value.shape)
+        value = value.tolist()
     if isinstance(value, (np.generic, np.ndarray)):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
-        raise ResultsError(f"{where}: expected {_FINITE}, got {value}")
+        raise ResultsError(f"{where}: expected a finite number (None where one is missing), got {value}")
     if value is None or isinstance(value, (str, bool, int, float)):
         return value
     if hasattr(value, "_asdict"):
@@ -100,25 +99,8 @@ def plain(value, *, digits: int | None = None, where: str = "data"):
     raise ResultsError(f"{where}: expected numbers, text, lists or dicts, got {type(value).__name__}")
 
 
-def _plain_array(array: np.ndarray, digits: int | None, where: str) -> list:
-    if array.dtype.kind not in "biufU":
-        raise ResultsError(f"{where}: expected an array of numbers or text, got dtype {array.dtype}")
-    if array.dtype.kind != "f":
-        return array.tolist()
-    for index in np.argwhere(~np.isfinite(array)).tolist():
-        place = where + "".join(f"[{i}]" for i in index)
-        raise ResultsError(f"{place}: expected {_FINITE}, got {array[tuple(index)]}")
-    if digits is None:
-        return array.tolist()
-    rounded = [float(f"{x:.{digits}g}") for x in array.ravel().tolist()]
-    return np.array(rounded).reshape(array.shape).tolist()
-
-
 def check_results(results: dict) -> dict:
-    """Return `results` if they follow the schema and every number is finite.
-
-    Raises ResultsError naming the field, what was expected and the value.
-    """
+    """`results`, if they follow the schema and every number is finite; ResultsError names field and value if not."""
     error = jsonschema.exceptions.best_match(_VALIDATOR.iter_errors(results))
     if error is not None:
         place = error.json_path.removeprefix("$").lstrip(".") or "results"
@@ -131,10 +113,9 @@ def check_results(results: dict) -> dict:
 
 
 def write_results(path: str | os.PathLike, results: Mapping, *, digits: int | None = None) -> Path:
-    """Check `results` and write them to `path` in one move; the folder is made if it is not there.
+    """Check `results` and write them in one move; the path. digits: see `plain`.
 
-    digits: see `plain`. Claims may be `Claim` tuples. Returns the path. Raises ResultsError naming field and
-    value, and then leaves whatever was there before untouched.
+    Raises ResultsError naming field and value, and then leaves whatever was there before untouched.
     """
     return write_json(path, check_results(plain(results, digits=digits, where="results")))
 

@@ -2,7 +2,6 @@
 
 import json
 import re
-import shutil
 from html.parser import HTMLParser
 
 import pytest
@@ -26,14 +25,13 @@ def entry(id, **changes):
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """Two figures, a table, an animation; and files that do not belong to it. There are no reference runs."""
+    """Two figures, a table; and files that do not belong to it. There are no reference runs."""
     monkeypatch.setattr(results, "REFERENCE", tmp_path / "reference")
     for id, stem in (("3.10", "figure_3_10"), ("3.9", "figure_3_9"), ("T 5.1", "table_5_1")):
         results.write_results(tmp_path / f"{stem}.json", entry(id))
         figure, ax = plotting.subplots(size=(11.0, 3.0))
         ax.plot([1, 2], [3, 4])
         plotting.save(figure, tmp_path / f"{stem}.png")
-    shutil.copy(tmp_path / "figure_3_9.png", tmp_path / "animation.gif")
     (tmp_path / "other.json").write_text("{")
     return tmp_path
 
@@ -62,19 +60,14 @@ class Page(HTMLParser):
 def test_the_page_has_every_result_in_order_and_is_well_formed(folder):
     page = Page(report_page.write_report(folder).read_text())
     assert page.open == []
-    assert page.headings[:4] == [
-        "Animation",
-        "Figure 3.9: Title 3.9",
-        "Figure 3.10: Title 3.10",
-        "Table 5.1: Title T 5.1",
-    ]
+    assert page.headings[:3] == ["Figure 3.9: Title 3.9", "Figure 3.10: Title 3.10", "Table 5.1: Title T 5.1"]
     shown = [
         attributes for tag, attributes in page.attributes if tag == "td" and attributes.get("data-name") == "Where"
     ]
     assert len(shown) == sum(map(len, report_page.ERRATA.values()))
     anchors = {attributes["id"] for _, attributes in page.attributes if "id" in attributes}
     links = {attributes["href"] for tag, attributes in page.attributes if tag == "a"}
-    assert links == {f"#{anchor}" for anchor in anchors - {"animation"}}
+    assert links == {f"#{anchor}" for anchor in anchors}
 
 
 def test_claims_stand_with_section_and_verdict(folder):
@@ -91,7 +84,7 @@ def test_the_page_asks_for_nothing_beyond_itself(folder):
     sources = [
         attributes[name] for _, attributes in page.attributes for name in ("src", "srcset") if name in attributes
     ]
-    assert len(sources) == 4
+    assert len(sources) == 3
     assert all(source.startswith("data:image/") for source in sources)
     assert not {"script", "link", "iframe"} & {tag for tag, _ in page.attributes}
     policies = [attributes["content"] for tag, attributes in page.attributes if "http-equiv" in attributes]
@@ -110,20 +103,17 @@ def test_a_claim_that_holds_in_part_is_no_yes_and_no_no(folder):
 
 
 def test_what_is_missing_or_damaged_is_said(folder):
-    """What was not asked for is no alarm; a film takes the place of its GIF."""
+    """What is not expected is no alarm."""
     (folder / "figure_4_1.json").write_text(json.dumps(entry("4.1") | {"title": ""}))
     (folder / "figure_3_9.png").unlink()
-    (folder / "animation.mp4").write_bytes(b"film")
-    asked = {"expected": ["3.9", "5.7", "T 5.2"], "others": ["3.9", "5.7", "6.1"], "captions": {"3.10": "a < b."}}
-    text = report_page.write_report(folder, **asked).read_text()
+    captions = {"3.10": "a < b.", "3.9": "", "5.7": "", "6.1": ""}
+    text = report_page.write_report(folder, expected=["3.9", "5.7", "T 5.2"], captions=captions).read_text()
     missing = re.findall(r'<p class="missing">(.*)</p>', text)
     assert "No results of Table 5.2, Figure 5.7." in missing
     assert "<p>Not drawn here: Figure 6.1.</p>" in text
     assert "figure_4_1.json: title: expected text" in text
     assert text.count("no picture") == 1
     assert re.findall("<figcaption>.*</figcaption>", text) == ["<figcaption>a &lt; b.</figcaption>"]
-    assert "data:video/mp4;base64,ZmlsbQ==" in text
-    assert "data:image/gif" not in text
     with pytest.raises(FileNotFoundError, match="folder of results"):
         report_page.write_report(folder / "no")
 
