@@ -22,9 +22,10 @@ def claims(data):
 
 FIGURE = starts.convergence_figure(
     id="3.7",
-    title="Convergence from None, Builtin and Copy",
+    title="Does Builtin converge like None, and Copy at once?",
     starts={"none": "none", "builtin": "builtin", "copy": "copy"},
     claims=claims,
+    over="none",
 )
 
 if __name__ == "__main__":

@@ -4,7 +4,7 @@ from deep_contact.reporting import figures
 from deep_contact.studies import starts
 
 FIGURE = starts.snapshots_figure(
-    id="5.1", title="Snapshots of the experiment's scene", times=[0.5, 1.2, 1.8, 3.0], colour_by="impulse"
+    id="5.1", title="Where the pile carries its impulses", times=[0.5, 1.2, 1.8, 3.0], colour_by="impulse"
 )
 
 if __name__ == "__main__":

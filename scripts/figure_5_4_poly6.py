@@ -3,42 +3,42 @@
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim
 from deep_contact.studies import starts, verdicts
+from deep_contact.studies.starts import grid_of
 
-EQUAL, BEST = "h = 0.25 m", "d = h = 0.5 m"
+D, SUPPORTS, SPACINGS = 0.25, (0.1, 0.2, 0.25, 0.5), (0.25, 0.5, 0.75, 1.0)
 PLACE = "section 5.1.3, Figure 5.4"
 
 
 def claims(data):
-    by_h, by_d = data["h"], data["d"]
-    slow, twice = "h = 0.1 m", "h = 0.5 m"
-    others = [name for name in by_d["independent"] if name != BEST]
-    good = "h = d is a good choice: its θ is within a tenth of the best other h's"
-    rest = [name for name in by_h["independent"] if name != EQUAL]
-    for name, times in ((slow, "0.4"), (twice, "2")):
-        text = f"h = {times} d converges more slowly than h = d"
-        yield verdicts.judged(by_h, name, EQUAL, text, PLACE, within=verdicts.SLOWER)
-    for name, times in ((slow, "0.4"), (twice, "2")):
-        text = f"h = {times} d is unstable: its θ rises more between sweeps than at h = d"
-        yield verdicts.judged_by(verdicts.rise, by_h, name, EQUAL, text, PLACE, within=verdicts.SLOWER)
-    yield verdicts.judged(by_h, EQUAL, rest, good, PLACE, within=(0.0, 1.1))
-    yield verdicts.judged(by_d, BEST, others, "d = 0.5 m converges most rapidly", PLACE)
-    if data["numbers"]:
-        yield best_by_number(data)
+    for start, way in starts.READ.items():
+        by_h = {h: grid_of(D, h, start) for h in SUPPORTS}
+        *rest, equal = by_h[0.1], by_h[0.2], by_h[0.5], by_h[D]
+        for h, times in ((0.1, "0.4"), (0.5, "2")):
+            slower = f"h = {times} d, {way}, converges more slowly than h = d"
+            rises = f"h = {times} d, {way}, is unstable: its θ rises more between sweeps than at h = d"
+            yield verdicts.judged(data, by_h[h], equal, slower, PLACE, within=verdicts.SLOWER)
+            yield verdicts.judged(data, by_h[h], equal, rises, PLACE, within=verdicts.SLOWER, of=verdicts.rise)
+        good = f"h = d, {way}, is a good choice: its θ is within a tenth of the best other h's"
+        yield verdicts.judged(data, equal, rest, good, PLACE, within=(0.0, 1.1))
+        best, *others = (grid_of(d, d, start) for d in sorted(SPACINGS, key=lambda d: d != 0.5))
+        yield verdicts.judged(data, best, others, f"d = 0.5 m, {way}, converges most rapidly", PLACE)
+        if data["numbers"]:
+            yield best_by_number(data["numbers"], best, others, way)
 
 
-def best_by_number(data):
+def best_by_number(numbers, best, others, way):
     """Whether d = 0.5 m is beaten for some number of circles, by the level of θ over the sweeps (`verdicts.level`)."""
-    text = "d = h = 0.5 m is not always the best: for other numbers of circles another d converges more rapidly"
-    beaten, scenes = {}, set()
-    for n, found in data["numbers"].items():
-        part = found["independent"]
-        others = [name for name in part if name != BEST]
-        beaten[f"{n} circles: level of θ over the best other's, and its interval"] = verdicts.intervals(
-            part, BEST, others, of=verdicts.level
+    text = f"d = h = 0.5 m, {way}, is not always the best: for another number of circles another d converges faster"
+    parts = {n: found["independent"] for n, found in numbers.items()}
+    fewest = min(map(verdicts.scenes_of, parts.values()))
+    beaten = {
+        f"{n} circles: level of θ over the best other's, and its interval": verdicts.intervals(
+            part, best, others, of=verdicts.level
         )[:, 0].tolist()
-        scenes.add(verdicts.scenes_of(part))
-    if min(scenes) < verdicts.FEWEST:
-        return Claim(text, PLACE, None, beaten, f"open: {min(scenes)} scenes")
+        for n, part in parts.items()
+    }
+    if fewest < verdicts.FEWEST:
+        return Claim(text, PLACE, None, beaten, f"open: {fewest} scenes")
     somewhere = any(low > 1 for _, low, _ in beaten.values())
     if somewhere or all(high < 1 for *_, high in beaten.values()):
         return Claim(text, PLACE, somewhere, beaten)

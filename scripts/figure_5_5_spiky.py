@@ -2,24 +2,23 @@
 
 from deep_contact.reporting import figures
 from deep_contact.studies import starts, verdicts
+from deep_contact.studies.starts import grid_of
 
-EQUAL, FINEST = "h = 0.25 m", "d = h = 0.25 m"
 PLACE = "section 5.1.3, Figure 5.5"
 
 
 def claims(data):
-    by_h, by_d = data["h"], data["d"]
-    every = list(by_d["independent"])
-    rest, others = [name for name in by_h["independent"] if name != EQUAL], [name for name in every if name != FINEST]
-    good = "h = d is a good choice: its θ is within a tenth of the best other h's"
-    alike = "all d perform similarly: the largest θ is at most 1.25 times the smallest"
-    stable = "d = 0.25 m is the most stable: its θ rises least between sweeps"
-    return [
-        verdicts.judged(by_h, EQUAL, rest, good, PLACE, within=(0.0, 1.1)),
-        verdicts.judged(by_d, every, every, alike, PLACE, within=(0.0, 1.25)),
-        verdicts.judged(by_d, FINEST, others, "d = 0.25 m is a bit faster than any other d", PLACE),
-        verdicts.judged_by(verdicts.rise, by_d, FINEST, others, stable, PLACE),
-    ]
+    for start, way in starts.READ.items():
+        equal, *rest = (grid_of(0.25, h, start) for h in (0.25, 0.1, 0.2, 0.5))
+        finest, *others = every = [grid_of(d, d, start) for d in (0.25, 0.5, 0.75, 1.0)]
+        good = f"h = d, {way}, is a good choice: its θ is within a tenth of the best other h's"
+        alike = f"all d, {way}, perform similarly: the largest θ is at most 1.25 times the smallest"
+        faster = f"d = 0.25 m, {way}, is a bit faster than any other d"
+        stable = f"d = 0.25 m, {way}, is the most stable: its θ rises least between sweeps"
+        yield verdicts.judged(data, equal, rest, good, PLACE, within=(0.0, 1.1))
+        yield verdicts.judged(data, every, every, alike, PLACE, within=(0.0, 1.25))
+        yield verdicts.judged(data, finest, others, faster, PLACE)
+        yield verdicts.judged(data, finest, others, stable, PLACE, of=verdicts.rise)
 
 
 FIGURE = starts.study_figure(id="5.5", kernel="spiky", claims=claims)

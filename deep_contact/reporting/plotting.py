@@ -37,12 +37,13 @@ START_STYLE = {
     for name, colour, line, label in (
         ("none", BLACK, ":", "None"),
         ("builtin", VERMILION, "-", "Builtin"),
-        ("sph", SKY, "--", "SPH, thesis transfer"),
-        ("sph consistent", BLUE, "-", "SPH, consistent transfer"),
+        ("sph", SKY, "--", "SPH, bilinear"),
+        ("sph spline", SKY, "-", "SPH, spline"),
+        ("sph consistent", BLUE, "-", "SPH, consistent"),
         ("copy", GREEN, "-.", "Copy"),
-        ("cnn", PURPLE, "-", "CNN"),
-        ("cnn thesis", PURPLE, "--", "CNN, thesis network"),
-        ("far field", PURPLE, "-.", "CNN, far field"),
+        ("cnn", PURPLE, "-", "CNN, model.h5"),
+        ("cnn thesis", PURPLE, "--", "CNN, thesis_factored.h5"),
+        ("far field", PURPLE, "-", "CNN, model.h5"),
         ("guarded", ORANGE, "-", "Guarded"),
         ("best classical", BLACK, "-", "Best classical"),
     )
@@ -294,7 +295,7 @@ def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
     )
     lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
     largest = float(contacts.normal_impulse.max()) if largest_impulse is None else largest_impulse
-    width = 0.3 + 4.0 * contacts.normal_impulse / (largest or 1.0)
+    width = 0.3 + 4.0 * np.minimum(contacts.normal_impulse / (largest or 1.0), 1.0)
     # A white line below sets each line off from circles of any colour.
     for colour, more in (("white", 0.8), (VERMILION, 0.0)):
         ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
@@ -317,9 +318,9 @@ def readable_on(colours: np.ndarray) -> np.ndarray:
     return np.where(colours[..., :3] @ np.array([0.299, 0.587, 0.114]) > 0.5, "#222222", "white")
 
 
-def colour_bar(ax, collection):
-    """Colour bar beside `ax` for what `draw_state` returned, with its label."""
-    bar = ax.figure.colorbar(collection, ax=ax, shrink=0.8, pad=0.02, label=collection.get_label())
+def colour_bar(ax, collection, *, extend: str = "neither"):
+    """Colour bar beside `ax` for what `draw_state` returned, with its label. extend: "max" where values lie beyond."""
+    bar = ax.figure.colorbar(collection, ax=ax, shrink=0.8, pad=0.02, label=collection.get_label(), extend=extend)
     bar.outline.set_visible(False)
     return bar
 

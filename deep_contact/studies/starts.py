@@ -42,6 +42,15 @@ THOROUGH = PGS()
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 """Reference solution of velocity errors: a solution swept on, so that it favours no start."""
 
+TRANSFERS = {"sph": "thesis", "sph spline": "spline"}
+"""Start -> how it reads its image (`Sph`): as Algorithm 4 prints it, and as the thesis's authors programmed it."""
+
+READ = {"sph": "read bilinearly, as printed", "sph spline": "read by spline, as in the authors' code"}
+"""The same in claims."""
+
+CHOSEN = {name: {"spacing": 0.5, "transfer": transfer} for name, transfer in TRANSFERS.items()}
+"""The SPH start at d = h = 0.5 m, which the thesis chooses, both ways."""
+
 
 def solved_states(
     scene: State, *, steps: int, solver=THOROUGH, every: int = 1, contacts_only: bool = True
@@ -141,7 +150,7 @@ def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
     return circles_in_box(n_bodies, size=size, seed=rng)
 
 
-def _run(task: tuple, *, n_bodies, size, steps, sweeps, velocity_sweeps) -> dict[str, dict]:
+def _run(task: tuple, *, n_bodies, size, steps, sweeps) -> dict[str, dict]:
     """One part of `compare_starts`, small enough to be sent to another process: (mode, seed, starts)."""
     mode, seed, descriptions = task
     scene = scene_of(n_bodies, size=size, seed=seed)
@@ -149,8 +158,7 @@ def _run(task: tuple, *, n_bodies, size, steps, sweeps, velocity_sweeps) -> dict
     if mode == "independent":
         return {name: independent(scene, start, steps=steps, sweeps=sweeps) for name, start in starts.items()}
     # Solved with as many sweeps as the starts get, as the thesis's copy of the world is.
-    states = solved_states(scene, steps=steps, solver=PGS(sweeps=sweeps, tolerance=None))
-    return paired(states, starts, sweeps=sweeps, velocity_sweeps=velocity_sweeps)
+    return paired(solved_states(scene, steps=steps, solver=PGS(sweeps=sweeps, tolerance=None)), starts, sweeps=sweeps)
 
 
 def compare_starts(
@@ -161,7 +169,6 @@ def compare_starts(
     steps: int = 600,
     sweeps: int = 3000,
     scenes: int = 1,
-    velocity_sweeps: Sequence[int] = (),
     modes: Sequence[str] = tuple(MODES),
     seed: int = 0,
     jobs: int = 1,
@@ -169,13 +176,10 @@ def compare_starts(
 ) -> dict:
     """The thesis's comparison of starts over `scenes` scenes, as data of a results file.
 
-    starts: name -> description (`start_of`). n_bodies: see `scene_of`. velocity_sweeps: see `paired`. modes: of
-    `MODES`.
-    Returns {"sweep": (k,), "paired": {name: …}, "independent": {name: …}} where … is
+    starts: name -> description (`start_of`). n_bodies: see `scene_of`. modes: of `MODES`.
+    Returns {"sweep": (k,), "threshold": N·s, "paired": {name: …}, "independent": {name: …}} where … is
     {"theta": mean θ after these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number,
-    "scenes": {"theta": mean θ of each scene (scenes, k), four digits, "sweeps": mean, "states": number, (scenes,)}}.
-    With velocity_sweeps also {"velocity": {"sweeps", "states", "mean": {name: …}, "median": {name: …}}}, paired, over
-    the states in which every start has a finite error.
+    "scenes": {"theta": mean θ of each scene (scenes, k), four digits, "states": number, (scenes,)}}.
     """
     tasks = []
     for scene_seed in seeds(seed, scenes):
@@ -183,11 +187,9 @@ def compare_starts(
             tasks.append(("paired", scene_seed, dict(starts)))
         if "independent" in modes:
             tasks += [("independent", scene_seed, {name: description}) for name, description in starts.items()]
-    run = partial(
-        _run, n_bodies=n_bodies, size=size, steps=steps, sweeps=sweeps, velocity_sweeps=tuple(velocity_sweeps)
-    )
+    run = partial(_run, n_bodies=n_bodies, size=size, steps=steps, sweeps=sweeps)
     found = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
-    sample = np.union1d(sampled_sweeps(sweeps), [k for k in velocity_sweeps if 1 <= k <= sweeps]).astype(np.int64)
+    sample = np.unique(np.round(np.geomspace(1, sweeps, CURVE_POINTS)).astype(np.int64))
     data = {"sweep": sample, "threshold": THRESHOLD} | {mode: {} for mode in modes}
     for mode in modes:
         for name in starts:
@@ -200,28 +202,9 @@ def compare_starts(
                 "theta": np.average(curves, axis=0, weights=weights),
                 "sweeps": {"mean": float(counts.mean()), "median": float(np.median(counts))},
                 "states": int(counts.size),
-                "scenes": {
-                    "theta": plain(curves, digits=4),
-                    "sweeps": [float(part["sweeps"].mean()) for part in parts],
-                    "states": weights,
-                },
+                "scenes": {"theta": plain(curves, digits=4), "states": weights},
             }
-    if velocity_sweeps:
-        together = [part for task, part in zip(tasks, found) if task[0] == "paired"]
-        errors = {name: np.concatenate([part[name]["velocity"] for part in together]) for name in starts}
-        kept = np.isfinite(list(errors.values())).all(axis=(0, 2))
-        data["velocity"] = {
-            "sweeps": list(velocity_sweeps),
-            "states": int(kept.sum()),
-            "mean": {name: of_start[kept].mean(axis=0) for name, of_start in errors.items()},
-            "median": {name: np.median(of_start[kept], axis=0) for name, of_start in errors.items()},
-        }
     return data
-
-
-def sampled_sweeps(sweeps: int) -> np.ndarray:
-    """Up to `CURVE_POINTS` sweep numbers from 1 to `sweeps`, evenly on a logarithmic axis, without repeats."""
-    return np.unique(np.round(np.geomspace(1, sweeps, CURVE_POINTS)).astype(np.int64))
 
 
 def table_of_starts(data: dict, after: Sequence[int] = (10, 100, 1000)) -> list[list]:
@@ -242,111 +225,119 @@ def theta_after(data: dict, mode: str, name: str, sweep: int) -> float:
     return float(data[mode][name]["theta"][nearest])
 
 
-def draw_comparison(data: dict, options: dict):
-    """Two panels of θ by sweep: paired and independent; below, each start's θ over the first one's."""
-    figure, panels = plotting.subplots(2, 2, size=(10.0, 6.4), sharex=True, sharey="row", height_ratios=(1.6, 1.0))
-    for (above, below), (mode, text) in zip(panels.T, MODES.items()):
-        draw_convergence(above, data, mode, floor=1e-9, title=text)
-        above.set_xlabel("")
-        draw_ratios(below, data, mode)
-    panels[0, 0].get_legend().remove()
-    panels[1, 1].set_ylabel("")
+def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Sequence[str] = ()):
+    """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start."""
+    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.6))
+    names = list(data["independent"])
+    draw_convergence(left, data, [name for name in names if name not in hidden])
+    near = data["sweep"].index(10)
+    ratios = {name: verdicts.intervals(data["independent"], name, over)[0, near] for name in names}
+    draw_ratios(right, data, [name for name in names if ratios[name] > 0.1], over)
+    legend_of_both(figure, left, right, title)
     return figure
 
 
-def draw_convergence(ax, data: dict, mode: str, *, floor: float, title: str) -> None:
-    """θ by sweep of every start in `compare_starts`' data, with the quartiles of the scenes."""
-    curves = {name: found["theta"] for name, found in data[mode].items()}
-    bands = {name: np.percentile(found["scenes"]["theta"], (25, 75), axis=0) for name, found in data[mode].items()}
-    plotting.convergence_plot(ax, data["sweep"], curves, bands, threshold=data["threshold"], floor=floor)
-    ax.set_title(title)
+def legend_of_both(figure, left, right, title: str) -> None:
+    """The title and one legend below for the curves of two panels."""
+    curves = {text: line for ax in (left, right) for line, text in zip(*ax.get_legend_handles_labels())}
+    figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4)
+    figure.suptitle(title)
 
 
-def draw_ratios(ax, data: dict, mode: str, over: str | None = None) -> None:
-    """θ of every start over that of one, by default Builtin or else the first, with the intervals of `verdicts`."""
-    names = list(data[mode])
-    over = over or ("builtin" if "builtin" in names else names[0])
-    styles = plotting.styles_of(names)
+def draw_convergence(ax, data: dict, names: Sequence[str], mode: str = "independent") -> None:
+    """θ by sweep of some starts in `compare_starts`' data, with the quartiles of the scenes."""
+    found = {name: data[mode][name] for name in names}
+    curves = {name: one["theta"] for name, one in found.items()}
+    bands = {name: np.percentile(one["scenes"]["theta"], (25, 75), axis=0) for name, one in found.items()}
+    plotting.convergence_plot(ax, data["sweep"], curves, bands, threshold=data["threshold"], floor=1e-9)
+    ax.get_legend().remove()
+    ax.set_title("mean θ by sweep; bands: quartiles of the scenes")
+
+
+def draw_ratios(ax, data: dict, names: Sequence[str], over: str, mode: str = "independent") -> None:
+    """θ of some starts over that of one of them, with the intervals of `verdicts`."""
+    styles = plotting.styles_of(list(data[mode]))
     for name in names:
-        ratios = verdicts.intervals(data[mode], name, over)
-        plotting.band(ax, data["sweep"], *ratios, **(styles[name] | {"label": None}))
+        plotting.band(ax, data["sweep"], *verdicts.intervals(data[mode], name, over), **styles[name])
     plotting.log_axes(ax)
-    plotting.label_axes(ax, "sweep", f"θ over that of\n{styles[over]['label']}")
+    plotting.label_axes(ax, "sweep", f"θ over that of {styles[over]['label']}", title="ratio; bands: 95 % intervals")
 
 
 def convergence_figure(
     *,
     id: str,
     title: str,
-    starts: Mapping | Callable[..., Mapping],
+    starts: Mapping,
     claims: Callable,
     sweeps: int = 3000,
     seed: int = 0,
-    **own,
+    over: str = "builtin",
+    hidden: Sequence[str] = (),
 ) -> Figure:
-    """A figure of `compare_starts`' data with the thesis's settings.
-
-    starts: name -> description, or a function that makes it from the options of the figure's own.
-    """
+    """A figure of `compare_starts`' data with the thesis's settings; starts: name -> description."""
 
     def compute(options, seed, jobs, progress):
-        given = {name: options.pop(name) for name in own}
-        described = starts(**given) if callable(starts) else starts
-        return compare_starts(described, seed=seed, jobs=jobs, progress=progress, **options)
+        return compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **options)
 
-    options = THESIS_SETTINGS | {"sweeps": sweeps} | own
-    quick = {"scenes": 1, "steps": 300}
-    return Figure(id, title, compute, table_of_starts, draw_comparison, claims, options=options, quick=quick, seed=seed)
+    def draw(data, options):
+        return draw_comparison(data, title, over, hidden)
+
+    options, quick = THESIS_SETTINGS | {"sweeps": sweeps}, {"scenes": 1, "steps": 300}
+    return Figure(id, title, compute, table_of_starts, draw, claims, options=options, quick=quick, seed=seed)
+
+
+def grid_of(d: float, h: float, start: str = "sph") -> str:
+    """Name of an SPH start by spacing, support, and way back (a start of `TRANSFERS`): "d = 0.25, h = 0.1, spline"."""
+    size = f"d = h = {d:g} m" if d == h else f"d = {d:g} m, h = {h:g} m"
+    return size + start.removeprefix("sph").replace(" ", ", ")
 
 
 def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[int] = ()) -> Figure:
     """Figure 5.4 or 5.5: the thesis's search for grid spacing and support radius of a kernel (section 5.1.3).
 
-    Its data, each as `compare_starts` returns them: {"h": starts with each support radius h at the spacing d, "d":
-    starts with each spacing, h = d, "numbers": the same in runs of their own, for other numbers of circles}.
+    Its data: `compare_starts`, in runs of their own, of all pairs (d, h) by their names (`grid_of`), both ways back;
+    "numbers": the same of the pairs d = h for other numbers of circles.
     """
+    title = f"Which support h and spacing d are best with {kernel}?"
 
     def compute(options, seed, jobs, progress):
-        d, h, spacings, transfer = (options.pop(name) for name in ("d", "h", "spacings", "transfer"))
-        others = options.pop("numbers", [])
+        d, supports, spacings, numbers = (options.pop(name) for name in ("d", "h", "spacings", "numbers"))
 
         def compare(pairs, **changed):
-            starts = {
-                name: {"spacing": spacing, "support": support, "kernel": kernel, "transfer": transfer}
-                for name, (spacing, support) in pairs.items()
+            described = {
+                grid_of(*pair, start): {"spacing": pair[0], "support": pair[1], "kernel": kernel, "transfer": transfer}
+                for start, transfer in TRANSFERS.items()
+                for pair in pairs
             }
-            return compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **(options | changed))
+            settings = options | changed | {"modes": ["independent"]}
+            return compare_starts(described, seed=seed, jobs=jobs, progress=progress, **settings)
 
-        by_support = compare({f"h = {support:g} m": (d, support) for support in h})
-        pairs = {f"d = h = {size:g} m": (size, size) for size in spacings}
-        by_number = {str(n): compare(pairs, n_bodies=n, modes=["independent"]) for n in others}
-        return {"h": by_support, "d": compare(pairs), "numbers": by_number}
+        equal = [(size, size) for size in spacings]
+        found = compare([*((d, h) for h in supports), *equal])
+        return found | {"numbers": {str(n): compare(equal, n_bodies=n) for n in numbers}}
 
     def draw(data, options):
-        chosen = {"h": f"h = {options['d']:g} m", "d": "d = h = 0.5 m"}
-        look = {"size": (10.0, 9.0), "sharex": True, "sharey": "row", "height_ratios": (1.5, 1, 1)}
-        figure, panels = plotting.subplots(3, 2, **look)
-        titles = {"h": f"a) d = {options['d']:g} m", "d": "b) h = d"}
-        for (above, own, same), (part, title) in zip(panels.T, titles.items()):
-            draw_convergence(above, data[part], "independent", floor=1e-7, title=f"{title}: runs of their own")
-            for ax, mode in ((own, "independent"), (same, "paired")):
-                draw_ratios(ax, data[part], mode, over=chosen[part])
-                ax.set_title(MODES[mode], fontsize=9)
-            above.set_xlabel("")
-            own.set_xlabel("")
+        d, spacings = options["d"], options["spacings"]
+        figure, panels = plotting.subplots(1, 2, size=(10.0, 4.6), sharey=True)
+        sides = [
+            (f"a) d = {d:g} m", [grid_of(d, h) for h in options["h"]], grid_of(d, d)),
+            ("b) h = d", [*map(grid_of, spacings, spacings), grid_of(0.5, 0.5, "sph spline")], grid_of(0.5, 0.5)),
+        ]
+        for ax, (text, names, over) in zip(panels, sides):
+            draw_ratios(ax, data, names, over)
+            ax.set(title=f"{text}; bands: 95 % intervals")
+            ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
+        figure.suptitle(title)
         return figure
 
     def table(data):
-        rows = table_of_starts(data["h"]) + table_of_starts(data["d"])[1:]
+        rows = table_of_starts(data)
         for n, found in data["numbers"].items():
             rows += [[f"{name}, {n} circles", *row] for name, *row in table_of_starts(found)[1:]]
         return rows
 
-    own = {"d": 0.25, "h": [0.1, 0.2, 0.25, 0.5], "spacings": [0.25, 0.5, 0.75, 1.0], "transfer": "thesis"}
-    quick = {"scenes": 1, "steps": 250, "sweeps": 1500}
-    if numbers:
-        own, quick = own | {"numbers": list(numbers)}, quick | {"numbers": []}
-    title = f"Convergence with the kernel {kernel} by support and spacing"
+    own = {"d": 0.25, "h": [0.1, 0.2, 0.25, 0.5], "spacings": [0.25, 0.5, 0.75, 1.0], "numbers": list(numbers)}
+    quick = {"scenes": 1, "steps": 250, "sweeps": 1500, "numbers": []}
     return Figure(id, title, compute, table, draw, claims, options=THESIS_SETTINGS | own, quick=quick)
 
 
@@ -402,6 +393,10 @@ def isolated_contacts(count: int, *, seed: int) -> list[State]:
     return states
 
 
+SHOWN = 95
+"""Percentile of the positive values at which the colours and widths of snapshots end."""
+
+
 def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: str) -> Figure:
     """Figure 3.6 or 5.1: snapshots of the thesis's scene at these times, s, coloured by speed or impulse."""
 
@@ -421,24 +416,28 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
 
     def draw(data, options):
         states = [plotting.state_of(found) for found in data["snapshots"]]
-        columns = 4
-        rows = -(-len(states) // columns)
-        size = (2.9 * columns, 3.0 * rows + 0.35)
-        figure, panels = plotting.subplots(rows, columns, size=size, squeeze=False, sharex=True, sharey=True)
-        high = max(plotting.body_values(state, colour_by)[0].max(initial=0.0) for state in states)
-        impulse = max(state.contacts.normal_impulse.max(initial=0.0) for state in states)
-        scale = {"colour_by": colour_by, "limits": (0.0, high), "largest_impulse": impulse or None}
-        for ax in panels.ravel()[len(states) :]:
-            ax.set_visible(False)
-        for ax, state in zip(panels.ravel(), states):
-            circles = plotting.draw_state(ax, state, **scale)
+        figure, panels = plotting.subplots(1, len(states), size=(2.9 * len(states), 3.35), squeeze=False, sharey=True)
+        high = _end([plotting.body_values(state, colour_by)[0] for state in states])
+        impulse = _end([state.contacts.normal_impulse for state in states])
+        for ax, state in zip(panels[0], states):
+            circles = plotting.draw_state(
+                ax, state, colour_by=colour_by, limits=(0.0, high), largest_impulse=impulse or None
+            )
             ax.set_title(f"t = {state.time:.2f} s, {state.contacts.count} contacts", loc="left")
-        plotting.colour_bar(panels[0, -1], circles)
+            ax.label_outer()
+        plotting.colour_bar(panels[0, -1], circles, extend="max")
         plotting.impulse_key(figure, impulse)
+        figure.suptitle(f"{title} (colours and widths end at the {SHOWN}th percentile)")
         return figure
 
     options = {"n_bodies": 100, "size": 30.0, "times": list(times)}
     return Figure(id, title, compute, table, draw, options=options)
+
+
+def _end(values: Sequence[np.ndarray]) -> float:
+    """The percentile `SHOWN` of the positive values, so that one impact does not make all else alike; 0 without any."""
+    together = np.concatenate(values)
+    return float(np.percentile(together[together > 0], SHOWN)) if (together > 0).any() else 0.0
 
 
 def contact_time(state: State, *, sweeps: int) -> float:

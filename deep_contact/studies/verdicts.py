@@ -2,7 +2,7 @@
 
 A claim says that one start's θ over another's lies within a range. Whether it does is decided at each stored number of
 sweeps, by the interval of the ratio over scenes (`interval`), whose resamplings draw the same scenes for both starts,
-so that what is common to both cancels. Beside it stands our own measure, the sweeps to a threshold.
+so that what is common to both cancels.
 """
 
 from __future__ import annotations
@@ -28,6 +28,9 @@ FASTER, MUCH_FASTER, SLOWER, ALIKE = (0.0, 1.0), (0.0, 0.5), (1.0, np.inf), (0.8
 
 NAMED = {FASTER: "below 1", MUCH_FASTER: "below 0.5", SLOWER: "above 1", ALIKE: "0.8 to 1.25"}
 
+RATIO, BY_SWEEP = "ratio and its interval", "θ ratio and its interval, by sweep"
+"""Names of what decides a claim, in `measured`: [ratio, low, high], or that by number of sweeps."""
+
 Names = str | Sequence[str]
 
 
@@ -52,22 +55,18 @@ def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resam
     return np.stack([value, *found.confidence_interval])
 
 
-def mean_over_states(part: Mapping, name: str, drawn: np.ndarray, quantity: str = "theta") -> np.ndarray:
-    """A start's mean over the states of the scenes drawn, (rows, scenes) -> (rows, k).
+def mean_over_states(part: Mapping, name: str, drawn: np.ndarray) -> np.ndarray:
+    """A start's mean θ by sweep over the states of the scenes drawn, (rows, scenes) -> (rows, k).
 
-    part: one mode of `starts.compare_starts`' data. quantity: "theta", for curves of θ by sweep, or "sweeps", for one
-    number a scene.
+    part: one mode of `starts.compare_starts`' data.
     """
     scenes = part[name]["scenes"]
     count = len(scenes["states"])
     weights = (drawn[:, :, None] == np.arange(count)).sum(axis=1) * np.asarray(scenes["states"])
-    values = np.asarray(scenes[quantity], dtype=float).reshape(count, -1)
-    return np.maximum(weights @ values / weights.sum(axis=1, keepdims=True), SMALLEST)
+    return np.maximum(weights @ np.asarray(scenes["theta"]) / weights.sum(axis=1, keepdims=True), SMALLEST)
 
 
-def intervals(
-    part: Mapping, first: Names, second: Names, *, quantity: str = "theta", of: Callable | None = None
-) -> np.ndarray:
+def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None = None) -> np.ndarray:
     """[ratio, low, high], (3, k): largest of the first starts over smallest of the second.
 
     of: taken of each curve before the ratio, (rows, k) -> (rows,), such as `rise`; by default the curve itself.
@@ -75,7 +74,7 @@ def intervals(
 
     def values(names, drawn):
         names = [names] if isinstance(names, str) else names
-        found = [mean_over_states(part, name, drawn, quantity) for name in names]
+        found = [mean_over_states(part, name, drawn) for name in names]
         return found if of is None else [of(curve)[:, None] for curve in found]
 
     return interval(
@@ -123,38 +122,24 @@ def judged(
     thesis: str | None = None,
     *,
     within: tuple[float, float] = FASTER,
+    of: Callable | None = None,
     mode: str = "independent",
 ) -> Claim:
     """The claim that θ of the first start over that of the second lies within a range, by sweep.
 
     data: of `starts.compare_starts`. Of several first starts the largest θ counts, of several second ones the
-    smallest. mode: whose curves decide, by default runs of their own, as in the thesis; `measured` has the verdict from
-    the same states too. Fewer than `FEWEST` scenes leave the claim open.
+    smallest. of: see `intervals`; the claim is then on one number. mode: whose curves decide, by default runs of their
+    own, as in the thesis; `measured` has the verdict from the same states too, where there is one.
     """
-    sweeps, count = data["sweep"], scenes_of(data[mode])
-    found = intervals(data[mode], first, second)
-    shown = [k for k in SHOWN if k <= sweeps[-1]]
-    at = {str(k): found[:, int(np.argmin(np.abs(np.asarray(sweeps) - k)))].tolist() for k in shown}
-    measured = {"scenes": count, f"θ ratio and its interval, by sweep, {mode}": at, "range": _range(within)}
+    found, count = intervals(data[mode], first, second, of=of), scenes_of(data[mode])
+    if of is not None:
+        return _claim(text, thesis, count, within, {RATIO: found[:, 0].tolist()}, verdict(found, within))
+    sweeps = data["sweep"]
+    at = {str(k): found[:, int(np.argmin(np.abs(np.asarray(sweeps) - k)))].tolist() for k in SHOWN if k <= sweeps[-1]}
+    measured = {BY_SWEEP: at}
     for other in data.keys() & {"paired", "independent"} - {mode}:
         measured[f"verdict, {other}"] = verdict(intervals(data[other], first, second), within, sweeps)[1]
-    ours = intervals(data[mode], first, second, quantity="sweeps")
-    measured[f"mean sweeps to θ < {data['threshold']:g}, ratio and its interval"] = ours[:, 0].tolist()
-    measured["by that measure"] = verdict(ours, within)[1]
-    return _claim(text, thesis, count, verdict(found, within, sweeps), measured)
-
-
-def judged_by(
-    of: Callable, data: Mapping, first: Names, second: Names, text: str, thesis: str | None = None, *, within=FASTER
-) -> Claim:
-    """The same for one number of each curve of θ by sweep, such as its rise, in runs of their own.
-
-    of: (rows, k) -> (rows,), > 0.
-    """
-    part = data["independent"]
-    found = intervals(part, first, second, of=of)
-    measured = {"scenes": scenes_of(part), "ratio and its interval": found[:, 0].tolist(), "range": _range(within)}
-    return _claim(text, thesis, scenes_of(part), verdict(found, within), measured)
+    return _claim(text, thesis, count, within, measured, verdict(found, within, sweeps))
 
 
 def judged_values(
@@ -176,19 +161,16 @@ def judged_values(
         return np.maximum(first[drawn].mean(axis=1), SMALLEST) / np.maximum(second[drawn].mean(axis=1), SMALLEST)
 
     found = interval(ratio, len(first))
-    measured = {"scenes": len(first), "ratio and its interval": found.tolist(), "range": _range(within)}
-    return _claim(text, thesis, len(first), verdict(found[:, None], within), measured | dict(also or {}))
+    measured = {RATIO: found.tolist()} | dict(also or {})
+    return _claim(text, thesis, len(first), within, measured, verdict(found[:, None], within))
 
 
-def _claim(text: str, thesis: str | None, count: int, judged: tuple, measured: dict) -> Claim:
-    """The claim with what `verdict` says; open from too few scenes."""
+def _claim(text: str, thesis: str | None, count: int, within: tuple, measured: dict, judged: tuple) -> Claim:
+    """The claim with what `verdict` says; open from fewer than `FEWEST` scenes."""
     holds, says = judged if count >= FEWEST else (None, f"open: {count} scene{'s' * (count > 1)}")
-    return Claim(text, thesis, holds, measured, says)
-
-
-def _range(within: tuple[float, float]) -> str:
     low, high = within
-    return NAMED.get(within) or f"{low:g} to {high:g}"
+    measured = {"scenes": count, **measured, "range": NAMED.get(within) or f"{low:g} to {high:g}"}
+    return Claim(text, thesis, holds, measured, says)
 
 
 def rise(theta: np.ndarray) -> np.ndarray:

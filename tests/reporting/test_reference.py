@@ -42,7 +42,6 @@ def folder(tmp_path_factory):
 
 GONE = {
     **{"6.6": ("solvers", "quantities"), "6.10": ("coarse",), "6.12": ("runs",), "T 6.3": ("models",)},
-    **{"5.9": ("networks",), "5.10": ("networks",)},
     "T 6.1": (
         *("data", "network", "training", "own_bodies", "own_steps", "simulations", "steps", "bodies"),
         *("held_out", "states", "stacks", "deeper", "settings"),
