@@ -11,7 +11,7 @@ def claims(data):
     long = "None takes a long time to reach convergence: longer than Builtin"
     alike = "Builtin performs like None: mean θ within a quarter of each other"
     far = "Builtin is far slower than Copy: Copy's θ is at most half of it"
-    of_three = "section 3.4.1"
+    of_three = "section 3.4.1, Figure 3.7"
     return [
         Claim(at_most_two, of_three, medians["copy"] <= 2, medians),
         verdicts.judged(data, "none", "builtin", long, of_three, within=verdicts.SLOWER),
@@ -26,6 +26,7 @@ FIGURE = starts.convergence_figure(
     starts={"none": "none", "builtin": "builtin", "copy": "copy"},
     claims=claims,
     over="none",
+    modes=starts.MODES,
 )
 
 if __name__ == "__main__":

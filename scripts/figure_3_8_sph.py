@@ -17,9 +17,9 @@ STARTS = {
 def claims(data):
     for name, way in starts.READ.items():
         text = f"SPH, {way}, converges faster than"
-        yield verdicts.judged(data, name, "builtin", f"{text} Builtin", "section 3.4.2")
-        yield verdicts.judged(data, name, "none", f"{text} None", "section 3.4.1")
-        yield verdicts.judged(data, "copy", name, f"SPH, {way}, is slower than Copy", "section 3.4.1")
+        yield verdicts.judged(data, name, "builtin", f"{text} Builtin", "section 3.4.2, Figure 3.8")
+        yield verdicts.judged(data, name, "none", f"{text} None", "section 3.4.1, Figure 3.8")
+        yield verdicts.judged(data, "copy", name, f"SPH, {way}, is slower than Copy", "section 3.4.1, Figure 3.8")
     theirs = "the authors' setting, d = 0.75 m with h = 0.5 m, converges faster than d = h = 0.5 m, both read by spline"
     ours = "with the consistent transfer SPH is faster than Builtin"
     copy = "with the consistent transfer SPH's θ is at most 1.1 times Copy's, from the same states"
@@ -29,8 +29,9 @@ def claims(data):
 
 
 FIGURE = starts.convergence_figure(
-    id="3.8", title="Does the SPH start converge faster than Builtin?", starts=STARTS, claims=claims, hidden=[AUTHORS]
-)
+    id="3.8", title="Does the SPH start converge faster than Builtin?", starts=STARTS, claims=claims, hidden=[AUTHORS],
+    modes=starts.MODES,
+)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

@@ -22,7 +22,7 @@ def claims(data):
         yield verdicts.judged(data, equal, rest, good, PLACE, within=(0.0, 1.1))
         best, *others = (grid_of(d, d, start) for d in sorted(SPACINGS, key=lambda d: d != 0.5))
         yield verdicts.judged(data, best, others, f"d = 0.5 m, {way}, converges most rapidly", PLACE)
-        if data["numbers"]:
+        if start == "sph" and data["numbers"]:
             yield best_by_number(data["numbers"], best, others, way)
 
 

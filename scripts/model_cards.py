@@ -77,7 +77,7 @@ def visits(found: dict) -> str | None:
     from deep_contact.studies.chapter_5 import THESIS_VISITS
 
     count = (found["config"]["states_per_epoch"] or 0) * len(found["history"])
-    share = f", 1/{THESIS_VISITS / count:.0f} of the thesis's training" if found["architecture"] == "thesis" else ""
+    share = f", 1/{THESIS_VISITS / count:.2g} of the thesis's training" if found["architecture"] == "thesis" else ""
     return f"{count:,}{share}" if count else None
 
 

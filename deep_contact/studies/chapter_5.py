@@ -158,6 +158,8 @@ def hyperparameters_of(path: str) -> dict[str, str]:
 CLOSE = (0.5, 2.0)
 """Range of θ over θ of two starts that count as similar."""
 
+PLACE = "section 5.4, Figure 5.9"
+
 THESIS_VISITS = 18_208 * 8 // 10 * 1000
 """States that the thesis's training showed: its samples without the fifth that is held out, in each of its epochs."""
 
@@ -179,10 +181,10 @@ def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
     label = label_of(data["networks"][name])
     for sph, way in READ.items():
         similar = f"{label} performs similarly to SPH, {way}: θ from half to twice of it"
-        yield verdicts.judged(data, name, sph, similar, "section 5.4", within=CLOSE)
-        yield verdicts.judged(data, sph, name, f"{label} is not as good as SPH, {way}", "section 5.4")
-    yield verdicts.judged(data, name, "builtin", f"{label} converges faster than Builtin", "section 5.4")
-    yield verdicts.judged(data, "copy", name, f"{label} does not converge as rapidly as Copy", "section 5.4")
+        yield verdicts.judged(data, name, sph, similar, PLACE, within=CLOSE)
+        yield verdicts.judged(data, sph, name, f"{label} is not as good as SPH, {way}", PLACE)
+    yield verdicts.judged(data, name, "builtin", f"{label} converges faster than Builtin", PLACE)
+    yield verdicts.judged(data, "copy", name, f"{label} does not converge as rapidly as Copy", PLACE)
 
 
 # ---- time to a threshold, by stage: Figure 5.10 ----

@@ -273,11 +273,12 @@ def convergence_figure(
     seed: int = 0,
     over: str = "builtin",
     hidden: Sequence[str] = (),
+    modes: Sequence[str] = ("independent",),
 ) -> Figure:
     """A figure of `compare_starts`' data with the thesis's settings; starts: name -> description."""
 
     def compute(options, seed, jobs, progress):
-        return compare_starts(starts, seed=seed, jobs=jobs, progress=progress, **options)
+        return compare_starts(starts, modes=modes, seed=seed, jobs=jobs, progress=progress, **options)
 
     def draw(data, options):
         return draw_comparison(data, title, over, hidden)
@@ -296,17 +297,17 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
     """Figure 5.4 or 5.5: the thesis's search for grid spacing and support radius of a kernel (section 5.1.3).
 
     Its data: `compare_starts`, in runs of their own, of all pairs (d, h) by their names (`grid_of`), both ways back;
-    "numbers": the same of the pairs d = h for other numbers of circles.
+    "numbers": the same of the pairs d = h, read bilinearly, for other numbers of circles.
     """
     title = f"Which support h and spacing d are best with {kernel}?"
 
     def compute(options, seed, jobs, progress):
         d, supports, spacings, numbers = (options.pop(name) for name in ("d", "h", "spacings", "numbers"))
 
-        def compare(pairs, **changed):
+        def compare(pairs, ways=TRANSFERS, **changed):
             described = {
-                grid_of(*pair, start): {"spacing": pair[0], "support": pair[1], "kernel": kernel, "transfer": transfer}
-                for start, transfer in TRANSFERS.items()
+                grid_of(*pair, start): {"spacing": pair[0], "support": pair[1], "kernel": kernel, "transfer": way}
+                for start, way in ways.items()
                 for pair in pairs
             }
             settings = options | changed | {"modes": ["independent"]}
@@ -314,7 +315,7 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
 
         equal = [(size, size) for size in spacings]
         found = compare([*((d, h) for h in supports), *equal])
-        return found | {"numbers": {str(n): compare(equal, n_bodies=n) for n in numbers}}
+        return found | {"numbers": {str(n): compare(equal, {"sph": TRANSFERS["sph"]}, n_bodies=n) for n in numbers}}
 
     def draw(data, options):
         d, spacings = options["d"], options["spacings"]
