@@ -13,8 +13,8 @@ def compute(options, seed, jobs, progress):
     about = chapter_5.networks_info(networks)
     described = {name: {"model": path} for name, path in networks.items()}
     chosen = {"builtin": "builtin", **starts.CHOSEN, **described, "copy": "copy"}
-    options["modes"] = ["independent"]
-    return starts.compare_starts(chosen, seed=seed, jobs=jobs, progress=progress, **options) | {"networks": about}
+    own = {"modes": ["independent"], "seed": seed, "jobs": jobs, "progress": progress}
+    return starts.compare_starts(chosen, **own, **options) | {"networks": about}
 
 
 def claims(data):
