@@ -62,9 +62,9 @@ def printed(stem: str, having: str | None = None) -> list[list]:
 
 def learned() -> list[list]:
     """What the start from a network gains, and what it costs."""
-    guarded = next(row for row in printed("figure_6_8") if row[:2] == ["guarded / best classical", "all"])
+    network = next(row for row in printed("figure_6_8") if row[:2] == ["far field / best classical", "all"])
     claim = next(c for c in stored("figure_6_10")["claims"] if "cases" in c["measured"])["measured"]
-    errors = [str(cell).split(" ")[0] for cell in guarded[3:6]]
+    errors = [str(cell).split(" ")[0] for cell in network[3:6]]
     prices = [claim["far field"][f"{n} circles"] for n in (100, 1000)]
     return [
         ["The network `model.h5` as a start", "Measured", "Figure"],
@@ -179,12 +179,12 @@ def presets() -> list[list]:
 
 
 def rivals() -> list[list]:
-    """How many times as long as ours the fastest other engine takes for a preset on plain piles."""
-    found = stored("figure_6_1")["data"]["presets"]
+    """How many times as long as ours the fastest other engine takes for a preset on plain piles; of how many piles."""
+    found, piles = stored("figure_6_1")["data"]["presets"], stored("run_tradeoff")["options"]["peer_seeds"]
     sizes = dict.fromkeys(row["n_bodies"] for row in found)
     times = {(row["n_bodies"], row["preset"]): cheaper_than_rivals(row) for row in found}
     cells = ([times[n, preset] and f"{times[n, preset]:.1f}" for preset in PRESETS] for n in sizes)
-    return [["circles", *PRESETS], *([f"{n:,}", *row] for n, row in zip(sizes, cells))]
+    return [["circles", *PRESETS, "piles"], *([f"{n:,}", *row, piles[str(n)]] for n, row in zip(sizes, cells))]
 
 
 def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:

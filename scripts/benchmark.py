@@ -23,6 +23,7 @@ import time
 from collections.abc import Iterator
 from functools import partial
 from importlib import metadata
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,6 @@ from deep_contact.compiled import crew
 from deep_contact.io.fclib import read_problem
 from deep_contact.io.files import write_json
 from deep_contact.physics.lcp import check_problem, contact_problem, natural_residual, siconos_error
-from deep_contact.physics.scenes import lattice_in_box
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
 from deep_contact.reporting import results
 from deep_contact.simulation import ready
@@ -41,8 +41,6 @@ from deep_contact.sph.neighbours import splat_by_tree
 from deep_contact.state import State
 from deep_contact.studies import peers, piles, rivals, timing
 
-SLOWEST = 0.05
-"""Root mean square speed of a settled pile, m/s."""
 TIME_STEP, POSITION_SWEEPS = 0.01, 3
 FEW, MANY = 10, 100
 BLOCKS = (FEW, MANY, MANY, FEW)
@@ -64,13 +62,8 @@ def made_pile(kind: str, n_bodies: int, seed: int) -> State:
     """A pile with contacts. kind: "settled", "falling" (a contact a circle) or "packed"."""
     if kind == "packed":
         return piles.packed_pile(n_bodies, seed=seed, steps=50)
-    state = lattice_in_box(n_bodies, seed=seed)
-    for _ in range(300):
-        state = dc.simulate(state, steps=10, dt=TIME_STEP, solver=solver_of(FEW)).state
-        slow = kind == "falling" or piles.rms_speed(state) < SLOWEST
-        if state.contacts.count >= n_bodies and slow:
-            break
-    return state
+    kind = {"settled": "resting"}.get(kind, kind)
+    return piles.pile(kind, n_bodies, seed, solver=solver_of(FEW), most=3000, make=dc.lattice_in_box)
 
 
 # ---- engines ----
@@ -183,18 +176,17 @@ def benchmark_engine(given) -> dict:
     """Ours and the peers on settled and falling piles."""
     sizes, repeats = given.sizes or ([100, 1000] if given.quick else [100, 1000, 10_000]), given.repeats or 5
     cases = []
-    for n_bodies in sizes:
-        for kind in ("settled", "falling"):
-            # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
-            steps = int(np.clip(300_000 // n_bodies, 10, 10 if given.quick else 200 if kind == "settled" else 30))
-            state = made_pile(kind, n_bodies, given.seed).replace(contacts=None, solver=None, solved=False)
-            measured = costs_of_engines(state, steps, repeats)
-            names = ("sweep_ns", "overhead_us", "step_us")
-            ratios = {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}
-            case = {"n_bodies": n_bodies, "kind": kind, "rms_speed": piles.rms_speed(state), "steps": 4 * steps}
-            cases.append(case | {"engines": measured, "ratios": ratios})
-            for name, cost in measured.items():
-                say(f"{n_bodies} {kind}, {name}", {key: f"{cost[key]:.4g}" for key in names})
+    for n_bodies, kind in product(sizes, ("settled", "falling")):
+        # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
+        steps = int(np.clip(300_000 // n_bodies, 10, 10 if given.quick else 200 if kind == "settled" else 30))
+        state = made_pile(kind, n_bodies, given.seed).replace(contacts=None, solver=None, solved=False)
+        measured = costs_of_engines(state, steps, repeats)
+        names = ("sweep_ns", "overhead_us", "step_us")
+        ratios = {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}
+        case = {"n_bodies": n_bodies, "kind": kind, "rms_speed": piles.rms_speed(state), "steps": 4 * steps}
+        cases.append(case | {"engines": measured, "ratios": ratios})
+        for name, cost in measured.items():
+            say(f"{n_bodies} {kind}, {name}", {key: f"{cost[key]:.4g}" for key in names})
     versions = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
     options = {"sweeps": [FEW, MANY], "peers": versions}
     title = "Cost of a sweep and of a step, against other engines"
@@ -213,14 +205,12 @@ def claims(cases: list[dict]) -> Iterator[results.Claim]:
     for text, cost, names, smallest, factor in GOALS:
         met = {
             f"{name}, {case['kind']}, {case['n_bodies']}": case["ratios"][name][cost]
-            for case in cases
-            for name in names
+            for case, name in product(cases, names)
             if case["n_bodies"] >= smallest
         }
         if met:
             worst = min(met, key=met.get)
-            holds = bool(met[worst] > factor or (met[worst] == factor and factor > 1))
-            yield results.Claim(text, None, holds, {"worst case": worst, "ratio": met[worst]})
+            yield results.Claim(text, None, bool(met[worst] >= factor), {"worst case": worst, "ratio": met[worst]})
 
 
 # ---- whole steps ----

@@ -7,7 +7,7 @@ import numpy as np
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure, parallel_map
 from deep_contact.studies import learned_starts
-from deep_contact.studies.learned_starts import CLASSICAL, FEWEST, LEARNED, best_timed, time_ratios
+from deep_contact.studies.learned_starts import CLASSICAL, FEWEST, LEARNED
 from deep_contact.studies.starts import start_of
 
 TOLERANCES = (0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
@@ -21,31 +21,32 @@ def compute(options, seed, jobs, progress):
         for count, kind in product(options["counts"], options["kinds"])
         for s in figures.seeds(seed + 20_000, options["piles"][str(count)])
     ]
-    piles = parallel_map(learned_starts.errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
+    found = parallel_map(learned_starts.errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
     made = {name: start_of(description) for name, description in starts.items()}
-    for pile, task in zip(piles, progress(tasks, text="times")):
-        pile.update(learned_starts.times_of_pile(task, made, options["repeats"]))
-    return {"sweeps": options["sweeps"], "piles": piles}
+    times = (learned_starts.times_on(states, made, options["repeats"]) for _, states in progress(found, text="times"))
+    return {"sweeps": options["sweeps"], "piles": [pile | took for (pile, _), took in zip(found, times)]}
 
 
-def sizes_and_kinds(data):
-    """Numbers of circles, rising, and kinds of piles, in their order."""
-    piles = data["piles"]
-    return sorted({pile["circles"] for pile in piles}), list(dict.fromkeys(pile["kind"] for pile in piles))
+def cases(data):
+    """(Kind, circles) -> its piles; by kind, and by rising numbers of circles."""
+    found = {}
+    for pile in sorted(data["piles"], key=lambda pile: pile["circles"]):
+        found.setdefault((pile["kind"], pile["circles"]), []).append(pile)
+    return {case: found[case] for case in sorted(found, key=lambda case: case[0], reverse=True)}
 
 
 def claims(data):
-    sizes, kinds = sizes_and_kinds(data)
-    cases = product(sizes, kinds, TOLERANCES)
-    found = {case: learned_starts.median_with_interval(time_ratios(data, *case)) for case in cases}
-    known = sorted((*reversed(interval), case) for case, interval in found.items() if interval)
-    shown = [
-        {"where": ", ".join(map(str, case)), "ratio": middle, "from": low, "to": high}
-        for high, low, middle, case in known[:3]
-    ]
+    known = []
+    for (kind, n), piles in cases(data).items():
+        for error in TOLERANCES:
+            ratios = learned_starts.time_ratios(piles, data["sweeps"], error)
+            if found := learned_starts.median_with_interval(ratios):
+                known.append((*reversed(found), f"{n}, {kind}, {error}"))
+    shown = [{"where": where, "ratio": middle, "from": low, "to": high} for high, low, middle, where in sorted(known)]
     wins, ties = sum(k[0] < 1 for k in known), sum(k[1] <= 1 <= k[0] for k in known)
-    prices = {f"{n} circles": learned_starts.price_of(data, n) for n in sizes}
-    measured = {"cases": len(known), "wins": wins, "ties": ties, "best": shown, LEARNED: prices}
+    sizes = {n: [pile for pile in data["piles"] if pile["circles"] == n] for _, n in cases(data)}
+    prices = {f"{n} circles": learned_starts.price_of(piles) for n, piles in sorted(sizes.items())}
+    measured = {"cases": len(known), "wins": wins, "ties": ties, "best": shown[:3], LEARNED: prices}
     text = "somewhere a learned start reaches an error sooner than the best classical setting (95 %)"
     yield Claim(text, None, wins > 0, measured)
     least = next(iter(prices.values()))["ms"]
@@ -55,13 +56,13 @@ def claims(data):
 
 def table(data):
     rows = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]]
-    for kind, count in product(*reversed(sizes_and_kinds(data))):
-        ratios = [time_ratios(data, count, kind, error) for error in TOLERANCES]
-        cost = learned_starts.price_of(data, count)["ms"]
-        rows.append([count, kind, LEARNED, cost, *(float(np.median(r)) if r.size else None for r in ratios)])
-        best = [best_timed(data, count, kind, CLASSICAL, error) for error in TOLERANCES]
+    for (kind, n), piles in cases(data).items():
+        ratios = [learned_starts.time_ratios(piles, data["sweeps"], error) for error in TOLERANCES]
+        price = learned_starts.price_of(piles)["ms"]
+        rows.append([n, kind, LEARNED, price, *(float(np.median(r)) if r.size else None for r in ratios)])
+        best = [learned_starts.best_timed(piles, data["sweeps"], CLASSICAL, error) for error in TOLERANCES]
         names = [name if seconds.size and np.isfinite(np.median(seconds)) else None for name, seconds in best]
-        rows.append([count, kind, "best classical", None, *names])
+        rows.append([n, kind, "best classical", None, *names])
     return rows
 
 
@@ -70,23 +71,26 @@ def draw(data, options):
 
     Grey where there are fewer than `FEWEST` states.
     """
-    counts, kinds = sizes_and_kinds(data)
-    figure, axes = plotting.subplots(1, len(kinds), size=(5.0 * len(kinds), 3.6), squeeze=False)
-    for axis, kind in zip(axes[0], kinds):
-        cells = [[time_ratios(data, count, kind, error) for error in TOLERANCES] for count in counts]
-        values = np.array([[np.median(r) if r.size else np.nan for r in row] for row in cells])
-        enough = np.array([[r.size >= FEWEST for r in row] for row in cells])
+    found = cases(data)
+    kinds = list(dict.fromkeys(kind for kind, _ in found))
+    figure, axes = plotting.subplots(1, len(kinds), size=(plotting.PAGE, 3.2), squeeze=False, sharey=True)
+    for ax, kind in zip(axes[0], kinds):
+        counts = [n for other, n in found if other == kind]
+        ratios = [[learned_starts.time_ratios(found[kind, n], data["sweeps"], e) for e in TOLERANCES] for n in counts]
+        values = np.array([[np.median(r) if r.size else np.nan for r in row] for row in ratios])
+        enough = np.array([[r.size >= FEWEST for r in row] for row in ratios])
         coloured = np.where(enough, np.log10(np.maximum(values, 0.1)), np.nan)
-        picture = axis.imshow(coloured, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
+        picture = ax.imshow(coloured, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(values):
             text = "–" if np.isnan(value) else f"{value:.0f}" if value >= 10 else f"{value:.2g}"
             color = plotting.GREY if not enough[row, column] else "black" if 0.2 < value < 5 else "white"
-            axis.text(column, row, text, ha="center", va="center", fontsize=8, color=color)
-        axis.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES])
-        axis.set_yticks(range(len(counts)), [f"{count:,}" for count in counts])
-        axis.grid(False)
-        plotting.label_axes(axis, "velocity error asked for", "circles", title=f"{kind} piles")
-    label = "time of the network's start over\nthat of the best classical setting"
+            ax.text(column, row, text, ha="center", va="center", fontsize=8, color=color)
+        ax.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES])
+        ax.set_yticks(range(len(counts)), [f"{n:,}" for n in counts])
+        ax.grid(False)
+        plotting.label_axes(ax, "velocity error asked for", "circles", title=f"{kind} piles")
+    figure.suptitle("Is the network's start sooner at an error? (below 1: yes)", fontsize=10)
+    label = "time over that of the\nbest classical setting"
     figure.colorbar(picture, ax=axes, ticks=[-1, 0, 1], label=label).set_ticklabels(["0.1", "1", "10"])
     return figure
 

@@ -1,4 +1,6 @@
-"""python scripts/figure_6_11_next_microsecond.py: which part of an error is the solver's, the step's, the model's."""
+"""python scripts/figure_6_11_next_microsecond.py: errors by time, with more sweeps and with a smaller step."""
+
+from itertools import product
 
 from deep_contact.constants import TIME_STEP
 from deep_contact.reporting import figures, plotting
@@ -8,12 +10,9 @@ from deep_contact.studies import runs
 DIVISORS = (1, 2, 4, 8)
 COLOURS = (plotting.VERMILION, plotting.ORANGE, plotting.GREEN, plotting.BLUE)
 SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "forces": "forces"}
+DRAWN = ("energy", "penetration_max")
 ABSOLUTE = "penetration_max"
 """The error that is not against the reference."""
-
-STEP, LEFT = "Δt = 10 ms", "left at the smallest Δt"
-PARTS = {STEP: plotting.BLUE, LEFT: plotting.SKY} | dict(zip(runs.MODEL, (plotting.GREEN, plotting.ORANGE)))
-"""Part of an error -> colour; few sweeps, whose name has their number, have another."""
 
 SOLVED = 20
 """Sweeps that count as solved: more of them change no error beyond its interval."""
@@ -41,20 +40,6 @@ def line(data, n, divisor):
     """Rows of a size and a step, by sweeps."""
     rows = [row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] == divisor]
     return sorted(rows, key=lambda row: row["sweeps"])
-
-
-def parts(data, n, name):
-    """Part -> what it adds to an error, in percent: few sweeps, the step, and what else the model may be.
-
-    Few sweeps: the fewest with Δt over those that count as solved. The step: solved with Δt, over the smallest step.
-    What the model changes is an error against the reference; of a depth it is the change of the depth.
-    """
-    few, solved = line(data, n, 1)[0], solved_with(data, n, 1)["errors"][name]
-    limit = solved_with(data, n, DIVISORS[-1])["errors"][name] if name == ABSOLUTE else 0.0
-    found = {f"{few['sweeps']} sweeps": max(0.0, few["errors"][name] - solved), STEP: max(0.0, solved - limit)}
-    if name == ABSOLUTE:
-        found[LEFT] = limit
-    return found | {row["what"]: abs(row["errors"][name] - limit) for row in data["model"] if row["n_bodies"] == n}
 
 
 def solved_with(data, n, divisor):
@@ -86,38 +71,30 @@ def table(data):
 
 
 def draw(data, options):
-    """A row of panels for each size: a line for each step, along which sweeps grow; error by time; and the parts."""
+    """A column for each size, a row for each error: error by time, a line for each step, along which sweeps grow."""
     sizes = runs.sizes_of(data["rows"])
-    figure, panels = plotting.subplots(len(sizes), len(SHOWN) + 1, size=(14.5, 3.2 * len(sizes)), squeeze=False)
-    for row_of_panels, n in zip(panels, sizes):
-        draw_parts(row_of_panels[-1], data, n)
-        for ax, (name, text) in zip(row_of_panels, SHOWN.items()):
-            for divisor, colour in zip(DIVISORS, COLOURS):
-                rows = [row for row in line(data, n, divisor) if row["errors"][name]]
-                if not rows:
-                    continue
-                points = [(row["us"], row["errors"][name]) for row in rows]
-                label = "Δt = 10 ms" if divisor == 1 else f"Δt / {divisor}"
-                ax.plot(*zip(*points), color=colour, marker="o", markersize=3.5, label=label)
-                look = {"fontsize": 6, "xytext": (2, 3), "textcoords": "offset points", "color": colour}
-                for end in (0, -1):
-                    ax.annotate(str(rows[end]["sweeps"]), points[end], **look)
-            plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
-            plotting.log_axes(ax)
-    panels[0, 0].legend(fontsize=7, title="numbers: sweeps", title_fontsize=6)
+    size = (plotting.PAGE, 2.4 * len(DRAWN) + 0.9)
+    figure, panels = plotting.subplots(len(DRAWN), len(sizes), size=size, squeeze=False, sharex="col", sharey="row")
+    for (ax_row, name), (j, n) in product(zip(panels, DRAWN), enumerate(sizes)):
+        for divisor, colour in zip(DIVISORS, COLOURS):
+            rows = line(data, n, divisor)
+            label = "Δt = 10 ms" if divisor == 1 else f"Δt / {divisor}"
+            points = [(row["us"], row["errors"][name]) for row in rows]
+            ax_row[j].plot(*zip(*points), color=colour, marker="o", markersize=3, label=label)
+            for end in {0, len(rows) - 1}:
+                look = {"fontsize": 8, "xytext": (2, 3), "textcoords": "offset points", "color": colour}
+                ax_row[j].annotate(str(rows[end]["sweeps"]), points[end], **look)
+        ax_row[j].margins(0.12)
+        plotting.log_axes(ax_row[j])
+    for ax, n in zip(panels[0], sizes):
+        ax.set_title(f"{n:,} circles")
+    for ax in panels[-1]:
+        ax.set_xlabel("time of 10 ms (µs)")
+    for ax, name in zip(panels[:, 0], DRAWN):
+        ax.set_ylabel(f"{SHOWN[name]} (%)")
+    figure.suptitle("Where should the next microsecond go: more sweeps (numbers), or a smaller step?", fontsize=10)
+    plotting.legend_below(figure, panels[0, 0])
     return figure
-
-
-def draw_parts(ax, data, n):
-    """Bars: what each part adds to each of the errors."""
-    for k, name in enumerate(SHOWN):
-        for i, (part, value) in enumerate(parts(data, n, name).items()):
-            colour = PARTS.get(part, plotting.VERMILION)
-            ax.barh(k + 0.15 * (i - 2), value, 0.14, color=colour, label=part if name == ABSOLUTE else None)
-    ax.set_yticks(range(len(SHOWN)), list(SHOWN.values()))
-    ax.invert_yaxis()
-    plotting.label_axes(ax, "part of the error", None, x_unit="%", title=f"{n:,} circles, by part")
-    ax.legend(fontsize=6)
 
 
 OPTIONS = {"results": "data/reference/run_tradeoff.json"}

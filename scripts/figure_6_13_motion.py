@@ -58,13 +58,14 @@ def table(data):
 
 def draw(data, options):
     """Three panels over time: kinetic energy, substeps, deepest penetration."""
-    figure, panels = plotting.subplots(1, 3, size=(12.0, 3.6))
+    figure, panels = plotting.subplots(1, 3, size=(plotting.PAGE, 3.2))
     shown = {"kinetic": ("kinetic energy", "M g r"), "substeps": ("substeps of 10 ms", ""),
              "deepest": ("deepest penetration", "% of r")}  # fmt: skip
     for ax, (key, (text, unit)) in zip(panels, shown.items()):
         for name, one in data["courses"].items():
             ax.plot(one["time"], one[key], color=SETTINGS[name][1], label=name)
         plotting.label_axes(ax, "time", text, x_unit="s", y_unit=unit)
+    figure.suptitle("What do substeps by motion cost, and what do they keep?", fontsize=10)
     plotting.legend_below(figure, panels[0])
     return figure
 

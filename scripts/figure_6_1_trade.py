@@ -1,13 +1,15 @@
 """python scripts/figure_6_1_trade.py: errors of a run against its wall time, ours and other engines'."""
 
+from itertools import product
+
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import peers, runs
 
-SHOWN = {"energy": "kinetic-energy curve", "penetration_max": "deepest penetration", "penetration": "mean penetration"}
-OURS = {"PGS": plotting.VERMILION, "PSOR": plotting.ORANGE, "BatchedPGS": plotting.BLUE}
-MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
+SHOWN = {"energy": "kinetic energy", "penetration_max": "deepest penetration"}
+OURS = {"color": plotting.BLUE, "marker": "o"}
+LOOKS = {name: {"color": plotting.GREY, "marker": marker} for name, marker in plotting.ENGINE_MARKER.items()}
 
 
 def compute(options, seed, jobs, progress):
@@ -41,37 +43,43 @@ def table(data):
 
 
 def draw(data, options):
-    """A row of panels for each size, a column for each error: every setting, the front of ours, the tolerances."""
+    """A column for each size, a row for each error: every setting, the best of ours, and what the presets tolerate."""
+    from matplotlib.ticker import LogLocator
+
     sizes = runs.sizes_of(data["rows"])
-    figure, panels = plotting.subplots(len(sizes), len(SHOWN), size=(11.0, 3.2 * len(sizes)), squeeze=False)
-    for line, n in zip(panels, sizes):
-        rows = [row for row in data["rows"] if row["n_bodies"] == n]
-        for ax, (name, text) in zip(line, SHOWN.items()):
-            for row in rows:
-                value, low, high = row["errors"][name]
-                reach = [[max(0.0, value - low)], [max(0.0, high - value)]]  # an interval may lie beside its value
-                ax.errorbar(row["us"], value, reach, linewidth=0.6, markersize=3.5, **look_of(row["group"]))
-            ours = sorted((row["us"], row["errors"][name][0]) for row in rows if row["group"] not in MARKERS)
-            front = [(us, error) for i, (us, error) in enumerate(ours) if all(error < before for _, before in ours[:i])]
-            ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.5)
-            for preset in ("fast", "balanced", "accurate"):
-                ax.axhline(PRESETS[preset][name], color=plotting.GREY, linewidth=0.6, linestyle=":")
-                ax.annotate(preset, (1, PRESETS[preset][name]), xycoords=("axes fraction", "data"), fontsize=6,
-                            ha="right", va="bottom", color=plotting.GREY)  # fmt: skip
-            plotting.label_axes(ax, "wall time of 10 ms", text, x_unit="µs", y_unit="%", title=f"{n:,} circles")
-            plotting.log_axes(ax)
-    for group in dict.fromkeys(row["group"] for row in data["rows"]):
-        panels[0, 0].plot([], [], linestyle="", markersize=4, label=group, **look_of(group))
-    panels[0, 0].plot([], [], color=plotting.BLACK, label="front of ours")
-    plotting.legend_below(figure, panels[0, 0])
+    size = (plotting.PAGE, 2.9 * len(SHOWN) + 0.6)
+    figure, panels = plotting.subplots(len(SHOWN), len(sizes), size=size, squeeze=False, sharey="row")
+    for (i, name), (j, n) in product(enumerate(SHOWN), enumerate(sizes)):
+        ax, rows = panels[i, j], [row for row in data["rows"] if row["n_bodies"] == n]
+        for row in rows:
+            value, reach = runs.with_reach(row["errors"][name])
+            ax.errorbar(row["us"], value, reach, linewidth=0.5, markersize=3, **LOOKS.get(row["group"], OURS))
+        ours = sorted((row["us"], row["errors"][name][0]) for row in rows if row["group"] not in LOOKS)
+        front = [(us, error) for k, (us, error) in enumerate(ours) if all(error < before for _, before in ours[:k])]
+        ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.2, zorder=3)
+        ax.margins(y=0.1)
+        plotting.log_axes(ax)
+        ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
+        for preset, tolerances in PRESETS.items():
+            ax.axhline(tolerances[name], color=plotting.GREEN, linewidth=0.7, linestyle=":")
+            if n == sizes[-1]:
+                ax.annotate(preset, (1.02, tolerances[name]), xycoords=("axes fraction", "data"), va="center",
+                            fontsize=8, color=plotting.GREEN, annotation_clip=False)  # fmt: skip
+        if i == 0:
+            ax.set_title(f"{n:,} circles")
+        if i == len(SHOWN) - 1:
+            ax.set_xlabel("time of 10 ms (µs)")
+    for ax, text in zip(panels[:, 0], SHOWN.values()):
+        ax.set_ylabel(f"{text} (%)")
+    key = panels[0, 0]
+    key.plot([], [], linestyle="", markersize=4, label="ours, every setting", **OURS)
+    key.plot([], [], color=plotting.BLACK, linewidth=1.2, label="best of ours")
+    for name, look in LOOKS.items():
+        key.plot([], [], linestyle="", markersize=4, label=name, **look)
+    key.plot([], [], color=plotting.GREEN, linewidth=0.7, linestyle=":", label="what a preset tolerates")
+    figure.suptitle("What does an error of a run cost, with ours and with other engines?", fontsize=10)
+    plotting.legend_below(figure, key)
     return figure
-
-
-def look_of(group):
-    """Colour and marker of a method, or of another engine."""
-    if group in MARKERS:
-        return {"color": plotting.GREY, "marker": MARKERS[group]}
-    return {"color": OURS.get(group, plotting.SKY), "marker": "o"}
 
 
 OPTIONS = {"results": "data/reference/run_tradeoff.json"}

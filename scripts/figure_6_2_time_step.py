@@ -45,7 +45,8 @@ def claims(data):
         # The last two steps differ from the limit by chance alone if their intervals meet.
         last, before = (row["errors"]["energy"] for row in rows[:2])
         text = f"the energy curve stops changing within its intervals, {n} circles"
-        yield Claim(text, None, before[1] <= last[2], {"Δt / 8": last, "Δt / 4": before})
+        names = (f"Δt / {TIME_STEP / row['dt']:g}".removesuffix(" / 1") for row in rows)
+        yield Claim(text, None, before[1] <= last[2], dict(zip(names, (last, before))))
 
 
 def table(data):
@@ -58,18 +59,21 @@ def table(data):
 
 
 def draw(data, options):
-    """An error in each panel against Δt, a line for each size."""
-    figure, panels = plotting.subplots(1, len(SHOWN), size=(13.0, 3.4))
-    for ax, (name, text) in zip(panels, SHOWN.items()):
+    """An error in each panel against Δt, a line for each size, with its interval."""
+    figure, panels = plotting.subplots(2, 2, size=(plotting.PAGE, 5.6), sharex=True)
+    for ax, (name, text) in zip(panels.ravel(), SHOWN.items()):
         for (n, rows), colour in zip(by_size(data).items(), COLOURS):
             steps, values = zip(*((row["dt"], row["errors"][name]) for row in rows if row["errors"][name]))
-            value, *ends = np.array(values).T
+            values, reach = zip(*map(runs.with_reach, values))
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
-            ax.errorbar(steps, value, np.abs(ends - value), **look)
+            ax.errorbar(steps, values, np.concatenate(reach, axis=1), **look)
         ax.axvline(TIME_STEP, color=plotting.GREY, linewidth=0.6, linestyle=":")
-        plotting.label_axes(ax, "time step Δt", text, x_unit="s")
+        plotting.label_axes(ax, "", text)
         plotting.log_axes(ax)
-    panels[0].legend(fontsize=7)
+    for ax in panels[1]:
+        ax.set_xlabel("time step Δt (s); dotted: 10 ms")
+    figure.suptitle("What is left of an error as the time step goes to 0?", fontsize=10)
+    plotting.legend_below(figure, panels[0, 0])
     return figure
 
 

@@ -27,6 +27,19 @@ WAYS = {
 """Name -> transfer, and how the thesis's reads back."""
 
 
+FLOOR = 1e-6
+"""Where smaller errors are drawn."""
+
+LOOKS = {
+    "thesis": {"color": plotting.SKY, "marker": "^", "linestyle": "--"},
+    "SPH gather": {"color": plotting.BLACK, "marker": "x", "linestyle": ":"},
+    "consistent": {"color": plotting.BLUE, "marker": "v", "linestyle": "-"},
+    "authors' spline": {"color": plotting.ORANGE, "marker": "s", "linestyle": "-"},
+    "authors' sharing": {"color": plotting.GREEN, "marker": "D", "linestyle": "-."},
+}
+"""Way -> how it is drawn; "thesis" and "consistent" as the starts."""
+
+
 def compute(options, seed, jobs, progress):
     """Relative loss of isolated contacts and of piles for every kernel, d, h and way; and by d for mixed radii.
 
@@ -112,37 +125,20 @@ def table(data):
 
 
 def draw(data, options):
-    """Left: relative error by h / d in a pile, for each way and spacing. Right: by d = h for equal and mixed radii."""
-    from matplotlib.lines import Line2D
-
-    figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.4))
-    colours = (plotting.SKY, plotting.ORANGE, plotting.BLUE, plotting.GREEN, plotting.VERMILION)
-    ways, lines = dict(zip(WAYS, colours)), dict(zip(options["spacings"], (":", "--", "-")))
-    kinds = {"equal": {"marker": "o", "ls": "-"}, "mixed": {"marker": "s", "ls": "--"}}
-    floor = 1e-6
-
-    def keys(looks):
-        return [Line2D([], [], label=label, **{"color": "#222222", **look}) for label, look in looks.items()]
-
-    for name, colour in ways.items():
-        for d, line in lines.items():
-            found = [row for row in data["rows"] if row["kernel"] == "poly6" and row["d"] == d]
-            error = np.maximum([row[f"pile, {name}"] for row in found], floor)
-            left.plot([row["h"] for row in found], error, line, color=colour, marker="o")
-    plotting.label_axes(left, "h", "relative error of λ", x_unit="m", title="a) pile of equal circles, poly6")
-    left.legend(handles=keys({f"d = {d:g} m": {"ls": line} for d, line in lines.items()}))
-    for radii, look in kinds.items():
-        for name, error in data["by spacing"][radii].items():
-            right.plot(data["charted"], np.maximum(error, floor), color=ways[name], **look)
-    plotting.label_axes(right, "d = h", "relative error of λ", x_unit="m", title="b) radii 1, and 0.5 to 2 mixed")
-    right.legend(handles=keys({f"{radii} radii": look for radii, look in kinds.items()}), loc="lower right")
-    for ax in (left, right):
+    """Relative error of the impulses by d = h for every way, in piles of equal circles and of mixed radii."""
+    figure, panels = plotting.subplots(1, 2, size=(plotting.PAGE, 3.8), sharey=True)
+    titles = {"equal": "circles of radius 1 m", "mixed": "radii from 0.5 to 2 m"}
+    for ax, (radii, title) in zip(panels, titles.items()):
+        for name, look in LOOKS.items():
+            error = np.maximum(data["by spacing"][radii][name], FLOOR)
+            ax.plot(data["charted"], error, label=name, markersize=5, markerfacecolor="none", **look)
         ax.set_xscale("log", base=2)
-        ax.set(yscale="log", ylim=(floor / 2, 2))
+        ax.set(yscale="log", ylim=(FLOOR / 2, 2))
         ax.xaxis.set_major_formatter("{x:g}")
-    left.text(0.01, 0.01, "errors below 1e-6 are drawn there", transform=left.transAxes, fontsize=7, va="bottom")
-    handles = keys({name: {"color": colour} for name, colour in ways.items()})
-    figure.legend(handles=handles, loc="outside lower center", ncols=len(ways))
+        plotting.label_axes(ax, "spacing d = support h", "", x_unit="m", title=title)
+    panels[0].set_ylabel(f"relative error of λ (at least {FLOOR:g})")
+    figure.suptitle("How much of the impulses does the way through the grid lose?", fontsize=10)
+    plotting.legend_below(figure, panels[0])
     return figure
 
 

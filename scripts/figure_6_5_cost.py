@@ -8,7 +8,6 @@ from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import runs
 
 COLOURS = dict(zip(PRESETS, (plotting.SKY, plotting.GREEN, plotting.BLUE, plotting.ORANGE, plotting.VERMILION)))
-MARKERS = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 
 
 def compute(options, seed, jobs, progress):
@@ -22,11 +21,6 @@ def rows_of(data, preset):
     return sorted(rows, key=lambda row: row["n_bodies"])
 
 
-def presets_of(data):
-    """Preset -> colour, of those in the data."""
-    return {name: COLOURS[name] for name in dict.fromkeys(row["preset"] for row in data["presets"])}
-
-
 def fastest_rival(row, phase="us"):
     """(Engine, time) of the other engine that keeps the preset soonest, or None."""
     found = [(peer["us"], name, peer[phase]) for name, peer in row["peers"].items() if peer]
@@ -35,7 +29,7 @@ def fastest_rival(row, phase="us"):
 
 def claims(data):
     powers = {}
-    for preset in presets_of(data):
+    for preset in PRESETS:
         large = [(row["n_bodies"], row["ours_plain"]["us"]) for row in rows_of(data, preset) if row["n_bodies"] >= 1000]
         if len(large) > 1:
             powers[preset] = float(np.polyfit(*np.log(large).T, 1)[0])
@@ -67,36 +61,24 @@ def table(data):
 
 
 def draw(data, options):
-    """Cost by size, with the fastest rival's; in impact and at rest, by that of a run; rival's by ours."""
-    figure, (left, middle, right) = plotting.subplots(1, 3, size=(13.5, 4.4))
-    drawn = set()
-    for preset, colour in presets_of(data).items():
-        rows, look = rows_of(data, preset), {"color": colour, "marker": "o", "markersize": 4}
-        sizes = [row["n_bodies"] for row in rows]
-        left.plot(sizes, [row["ours_plain"]["us"] for row in rows], label=preset, **look)
-        for phase, line in (("impact", "--"), ("rest", "-")):
-            ratios = [row["ours_plain"][phase] / row["ours_plain"]["us"] for row in rows]
-            middle.plot(sizes, ratios, linestyle=line, **look)
-        against = [(row["n_bodies"], *rival, row["ours_plain"]["us"]) for row in rows if (rival := fastest_rival(row))]
-        for n, engine, us, ours in against:
-            look = {"color": colour, "marker": MARKERS[engine], "linestyle": ""}
-            label = None if engine in drawn else f"fastest rival: {engine}"
-            drawn.add(engine)
-            left.plot([n], [us], markerfacecolor="none", label=label, **look)
-            right.plot([n], [us / ours], **look)
-        right.plot([row[0] for row in against], [row[2] / row[3] for row in against], color=colour)
-    middle.plot([], [], color=plotting.GREY, linestyle="--", label="impact")
-    middle.plot([], [], color=plotting.GREY, label="rest")
-    for ax in (middle, right):
-        ax.axhline(1, color=plotting.GREY, linewidth=0.6)
-        ax.set_ylim(0, 1.15 * ax.get_ylim()[1])
-        ax.set_xscale("log")
-    plotting.label_axes(left, "circles", "wall time of 10 ms", y_unit="µs", title="Runs of 6 s")
-    plotting.label_axes(middle, "circles", "cost by that of a run", title="Impact and rest")
-    plotting.label_axes(right, "circles", "fastest rival's cost by ours", title="For the same tolerances")
-    plotting.log_axes(left)
-    left.legend(fontsize=7)
-    middle.legend(fontsize=8)
+    """Left: the cost of each preset by size. Right: that of the fastest rival for the same tolerances, over ours."""
+    figure, (left, right) = plotting.subplots(1, 2, size=(plotting.PAGE, 3.8))
+    for preset, colour in COLOURS.items():
+        rows = rows_of(data, preset)
+        us = [row["ours_plain"]["us"] for row in rows]
+        left.plot([row["n_bodies"] for row in rows], us, color=colour, marker="o", markersize=4, label=preset)
+        rivals = [(row["n_bodies"], *rival, row["ours_plain"]["us"]) for row in rows if (rival := fastest_rival(row))]
+        right.plot([n for n, *_ in rivals], [us / ours for *_, us, ours in rivals], color=colour)
+        for n, engine, us, ours in rivals:
+            right.plot(n, us / ours, plotting.ENGINE_MARKER[engine], color=colour, markersize=5)
+    for engine, marker in plotting.ENGINE_MARKER.items():
+        left.plot([], [], marker, color=plotting.GREY, markersize=5, label=engine)
+    right.axhline(1, color=plotting.GREY, linewidth=0.8, linestyle=":")
+    for ax in (left, right):
+        plotting.log_axes(ax)
+    plotting.label_axes(left, "circles", "time of 10 ms", y_unit="µs", title="What does a preset cost?")
+    plotting.label_axes(right, "circles", "times as long as ours", title="And with the fastest rival?")
+    plotting.legend_below(figure, left)
     return figure
 
 

@@ -1,63 +1,47 @@
 """python scripts/figure_6_6_stability.py: how far each quantity can be pushed, in our engine and in two others."""
 
-from collections import defaultdict
 from functools import partial
+from itertools import product
 
-from deep_contact.constants import LINEAR_SLOP
-from deep_contact.physics.solvers import PGS
+import numpy as np
+
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import extremes
-from deep_contact.studies.extremes import ABSENT, ACCURATE, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
+from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, REFUSED, SAFE, SILOS
 
 ROUNDING = 1e-9
 """Rise of the energy that rounding may cause, as a share of its initial value."""
 MILD_START = 1e12
 """Largest misleading start, in weights, whose rounding errors stay below `ROUNDING`."""
 
-TEN = PGS(sweeps=10, tolerance=None)
-SILOS = {
-    "straight, 10 sweeps": (extremes.silo, {}, TEN),
-    "leaning, 10 sweeps": (extremes.leaning_silo, {}, TEN),
-    "straight, 1000:1 on top, 10 sweeps": (extremes.loaded_silo, {"ratio": 1000.0}, TEN),
-    "straight, 1000:1 on top, most accurate": (extremes.loaded_silo, {"ratio": 1000.0}, ACCURATE),
-}
+SLOW = "straight, 1000:1 on top, most accurate"
+"""Of `SILOS`, the one that other engines would take an hour for."""
 
 RESTING = {
     "straight, 10 sweeps": "one circle wide at 10 sweeps",
     "leaning, 10 sweeps": "in which it leans from wall to wall at 10 sweeps",
-    "straight, 1000:1 on top, most accurate": "with 1000 times its mass on top, most accurately solved,",
+    SLOW: "with 1000 times its mass on top, most accurately solved,",
 }
 """Those of `SILOS` that have to come to rest -> their words in a claim."""
 
 
 def compute(options, seed, jobs, progress):
     """Every value of every quantity in every engine; columns in a silo that have to rest; every method and start."""
-    parallel_map = partial(figures.parallel_map, jobs=jobs, progress=progress)
+    run = partial(figures.parallel_map, jobs=jobs, progress=progress)
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
     cells = [
         {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"], **outcome}
-        for case, outcome in zip(cases, parallel_map(extremes.run_case, cases, text="scenes"))
+        for case, outcome in zip(cases, run(extremes.run_case, cases, text="scenes"))
     ]
-    silos = {}
-    for name, (make, arguments, solver) in SILOS.items():
-        # Another engine would take an hour for the most accurate setting.
-        engines = ENGINES if solver is not ACCURATE else ENGINES[:1]
-        stand = partial(extremes.stand, make(options["silo"], **arguments), solver=solver, seconds=options["seconds"])
-        silos[name] = {engine: stand(engine) for engine in engines}
+    silos = {name: {} for name in SILOS}
+    columns = [pair for pair in product(SILOS, ENGINES) if pair[0] != SLOW or pair[1] == "ours"]
+    stand = partial(extremes.stand, options["silo"], 100 * options["seconds"])
+    for (name, engine), stood in zip(columns, run(stand, columns, text="columns")):
+        silos[name][engine] = stood
     units = {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}
-    solvers = parallel_map(extremes.run_solver, options["solvers"], text="methods and starts")
+    solvers = run(extremes.run_solver, options["solvers"], text="methods and starts")
     return {"units": units, "cells": cells, "silos": silos, "solvers": solvers}
-
-
-def cells_of(data):
-    """The cells of quantities that are still pushed."""
-    return [cell for cell in data["cells"] if cell["quantity"] in extremes.QUANTITIES]
-
-
-def solvers_of(data):
-    """The outcomes of methods and starts that are still there."""
-    return [outcome for outcome in data["solvers"] if outcome["name"] in extremes.SOLVERS]
 
 
 def unearned(cell):
@@ -73,7 +57,7 @@ def is_inelastic(cell):
 
 
 def claims(data):
-    mine = [cell for cell in cells_of(data) if cell["engine"] == "ours"]
+    mine = [cell for cell in data["cells"] if cell["engine"] == "ours"]
     accepted = [cell for cell in mine if cell["verdict"] != REFUSED]
     not_finite = sum(not cell["finite"] for cell in accepted)
     text = "no accepted scene ends in a number that is not finite"
@@ -92,25 +76,24 @@ def claims(data):
     if speeds:
         text = "circles that overlap, up to the whole diameter, are parted without giving them any speed"
         yield Claim(text, None, max(speeds) == 0.0, {"largest speed (m/s)": max(speeds)})
-    tried = {solver["name"]: solver["verdict"] for solver in solvers_of(data) if solver["verdict"] != ABSENT}
+    tried = {solver["name"]: solver["verdict"] for solver in data["solvers"] if solver["verdict"] != ABSENT}
     if tried:
         # θ is the last change and no error: after a start ten times too large it stops far from the solution.
         unsafe = [f"{name}: {found}" for name, found in tried.items() if found != SAFE and name != "start bad"]
         text = "a falling pile is safe with every method in both precisions, and from every start that is not"
         yield Claim(f"{text} misleading", None, not unsafe, {"tried": len(tried), "not safe": unsafe or "none"})
     for name, what in RESTING.items():
-        silo = data["silos"][name]["ours"]
-        depth, speed = silo["settled"] / LINEAR_SLOP, silo["speed"][-1]
+        depth, speed = (data["silos"][name]["ours"][key] for key in ("settled", "speed"))
         text = f"a column in a silo {what} rests, its penetration below 2 slops"
         yield Claim(text, None, depth < 2.0 and speed < 1e-3, {"slops": depth, "speed (m/s)": speed})
 
 
 def by_quantity(data):
-    """quantity -> engine -> its cells."""
-    found = defaultdict(lambda: defaultdict(list))
-    for cell in cells_of(data):
-        found[cell["quantity"]][cell["engine"]].append(cell)
-    return found
+    """quantity -> engine -> its cells, by rising value."""
+    found = {}
+    for cell in sorted(data["cells"], key=lambda cell: cell["value"]):
+        found.setdefault(cell["quantity"], {}).setdefault(cell["engine"], []).append(cell)
+    return {name: found[name] for name in data["units"] if name in found}
 
 
 def ranges(cells, verdict):
@@ -120,66 +103,70 @@ def ranges(cells, verdict):
     return "; ".join(texts) or None
 
 
+def spread(cells, key):
+    """[least, median, largest] of a number over the scenes that were run to the end; None where there are none."""
+    kept = [cell[key] for cell in cells if cell["verdict"] in (SAFE, DEGRADED) and cell[key] is not None]
+    return [float(value) for value in np.percentile(kept, (0, 50, 100))] if kept else None
+
+
 def table(data):
     verdicts = (SAFE, DEGRADED, FAILED, REFUSED)
-    rows = [["quantity", "unit", *(f"ours: {v}" for v in verdicts), "worst (slops)", "back after (steps)"]]
-    rows[0] += [f"{engine}: safe" for engine in ENGINES[1:]]
+    rows = [["quantity", "unit", *(f"ours: {v}" for v in verdicts), *(f"{engine}: safe" for engine in ENGINES[1:])]]
+    rows[0] += [f"{engine}: {what}" for what in ("slops at rest", "µs a step") for engine in ENGINES]
     for name, engines in by_quantity(data).items():
-        mine = engines["ours"]
-        good = [cell for cell in mine if cell["verdict"] == SAFE]
-        worst = max((cell["worst"] / cell["slop"] for cell in good), default=None)
-        recovered = max((cell["recovered"] for cell in good if cell["recovered"] is not None), default=None)
-        peers = [ranges(engines[engine], SAFE) for engine in ENGINES[1:]]
-        rows.append([name, data["units"][name], *(ranges(mine, v) for v in verdicts), worst, recovered, *peers])
+        safe = [ranges(engines.get(engine, []), SAFE) for engine in ENGINES[1:]]
+        medians = [
+            of and of[1] for key in ("settled", "us") for of in (spread(engines.get(e, []), key) for e in ENGINES)
+        ]
+        rows.append([name, data["units"][name], *(ranges(engines["ours"], v) for v in verdicts), *safe, *medians])
     for name, engines in data["silos"].items():
-        settled = {e: found["settled"] / LINEAR_SLOP for e, found in engines.items() if "settled" in found}
-        text = "; ".join(f"{engine} {depth:.3g}" for engine, depth in settled.items())
-        rows.append([f"silo: {name}", "slops at rest", text, *[None] * 7])
-    for solver in solvers_of(data):
+        numbers = [engines.get(engine, {}).get(key) for key in ("settled", "us") for engine in ENGINES]
+        rows.append([f"silo: {name}", *[None] * 7, *numbers])
+    for solver in data["solvers"]:
         names = [solver["name"] if solver["verdict"] == v else None for v in verdicts]
-        worst = solver["worst"] and solver["worst"] / LINEAR_SLOP
-        rows.append(["pile", "", *names, worst, solver["recovered"], None, None])
+        rows.append(["pile", "", *names, None, None, solver["settled"], None, None, solver["us"], None, None])
     return rows
 
 
-LOOKS = {
-    SAFE: (plotting.GREEN, ""),
-    DEGRADED: (plotting.YELLOW, "d"),
-    FAILED: (plotting.VERMILION, "F"),
-    REFUSED: (plotting.GREY, "R"),
-    ABSENT: ("white", "–"),
-}
+COLOURS = {SAFE: plotting.GREEN, DEGRADED: plotting.YELLOW, FAILED: plotting.VERMILION, REFUSED: "#BBBBBB"}
+LOOKS = {"ours": (plotting.BLUE, "o")} | {name: (plotting.GREY, plotting.ENGINE_MARKER[name]) for name in ENGINES[1:]}
 
 
 def draw(data, options):
-    """A row per quantity, a stripe per engine, a cell per value; colour and letter show the verdict."""
-    from matplotlib.patches import Patch, Rectangle
+    """Left: which of the pushed values are safe, from the least to the largest, ours above the others. Middle and
+    right: depth at rest and time of a step, median and range over the values that were run to the end.
+    """
+    from matplotlib.patches import Patch
 
     grouped = by_quantity(data)
-    most = max(len(engines["ours"]) for engines in grouped.values())
-    figure, ax = plotting.subplots(size=(3.6 + 0.52 * most, 1.2 + 0.62 * len(grouped)))
-    for row, engines in enumerate(grouped.values()):
-        for stripe, engine in enumerate(ENGINES):
-            for column, cell in enumerate(sorted(engines.get(engine, []), key=lambda cell: cell["value"])):
-                colour, letter = LOOKS[cell["verdict"]]
-                low = row + 0.30 + 0.21 * stripe
-                ax.add_patch(Rectangle((column, low), 0.94, 0.19, facecolor=colour, edgecolor="none"))
-                ax.text(column + 0.47, low + 0.1, letter, ha="center", va="center", fontsize=6)
-                if stripe == 0:
-                    ax.text(column + 0.47, row + 0.17, f"{cell['value']:g}", ha="center", va="center", fontsize=6.5)
-            if engine in engines:
-                ax.text(-0.1, row + 0.40 + 0.21 * stripe, engine, ha="right", va="center", fontsize=5.5)
-    labels = [f"{name} ({data['units'][name]})" if data["units"][name] else name for name in grouped]
-    ax.set_yticks([row + 0.5 for row in range(len(grouped))], labels)
-    ax.tick_params(axis="y", length=0, pad=44)
-    ax.set(xticks=[], xlim=(-0.2, most), ylim=(len(grouped), 0))
-    ax.grid(False)
-    ax.spines[["left", "bottom"]].set_visible(False)
-    handles = [
-        Patch(facecolor=colour, edgecolor=plotting.GREY, label=f"{verdict} ({letter})" if letter else verdict)
-        for verdict, (colour, letter) in list(LOOKS.items())[:4]  # those that an engine can get
-    ]
-    ax.legend(handles=handles, loc="lower right", ncols=4, bbox_to_anchor=(1.0, 1.0), fontsize=8)
+    size = (plotting.PAGE, 1.4 + 0.36 * len(grouped))
+    figure, (left, middle, right) = plotting.subplots(1, 3, size=size, sharey=True, width_ratios=(1.3, 1, 1))
+    for (row, engines), (stripe, engine) in product(enumerate(grouped.values()), enumerate(ENGINES)):
+        cells, y, (colour, marker) = engines.get(engine, []), row + 0.25 * (stripe - 1), LOOKS[engine]
+        for i, cell in enumerate(cells):
+            if cell["verdict"] != ABSENT:
+                left.barh(y, 1 / len(cells), 0.21, i / len(cells), color=COLOURS[cell["verdict"]])
+        for ax, key in ((middle, "settled"), (right, "us")):
+            if of := spread(cells, key):
+                low, value, high = np.maximum(of, 0.01)
+                ax.plot([low, high], [y, y], color=colour, linewidth=0.8)
+                ax.plot(value, y, marker, color=colour, markersize=3.5)
+    left.set_yticks(range(len(grouped)), [f"{name}, {data['units'][name]}".rstrip(", ") for name in grouped])
+    left.set(ylim=(len(grouped) - 0.5, -0.5), xlim=(0, 1), xticks=[0.02, 0.98])
+    left.set_xticklabels(["least value", "largest"])
+    middle.axvline(3, color=plotting.GREEN, linewidth=0.8)
+    for ax in (middle, right):
+        ax.set_xscale("log")
+    for ax in (left, middle, right):
+        ax.grid(False, axis="y")
+        ax.tick_params(axis="y", length=0)
+    left.set_title("Is it safe? (ours above)")
+    plotting.label_axes(middle, "slops (3 are safe)", "", title="How deep at rest?")
+    plotting.label_axes(right, "time of a step", "", x_unit="µs", title="At which cost?")
+    handles = [Patch(color=colour, label=verdict) for verdict, colour in COLOURS.items()]
+    for name, (colour, marker) in LOOKS.items():
+        handles += middle.plot([], [], color=colour, marker=marker, markersize=3.5, linewidth=0.8, label=name)
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     return figure
 
 
@@ -187,8 +174,12 @@ OPTIONS = {
     "quantities": list(extremes.QUANTITIES), "solvers": list(extremes.SOLVERS), "few": False, "steps": 1000,
     "silo": 50, "seconds": 60,
 }  # fmt: skip
+QUICK = {
+    "quantities": ["mass", "radius ratio", "speed", "overlap", "sweeps"], "few": True,
+    "solvers": ["method NNCG, single", "start sph"], "steps": 100, "silo": 20, "seconds": 10,
+}  # fmt: skip
 FIGURE = Figure("6.6", "Stability at the extremes: what is safe, degraded, failed and refused", compute, table, draw,
-                claims, options=OPTIONS, quick={"few": True, "steps": 300})  # fmt: skip
+                claims, options=OPTIONS, quick=QUICK)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

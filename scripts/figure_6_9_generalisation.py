@@ -4,7 +4,7 @@ import numpy as np
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.learned_starts import CLASSICAL, FEW, cells_of, errors_on_scenes, ratios_to_best
+from deep_contact.studies.learned_starts import CLASSICAL, FEW, LEARNED, cells_of, errors_on_scenes, ratios_to_best
 
 SHORT = {"circles": "circles", "radius": "radii, m", "friction": "μ", "dt": "Δt, s", "columns": "box, circles across"}
 
@@ -12,7 +12,7 @@ SHORT = {"circles": "circles", "radius": "radii, m", "friction": "μ", "dt": "Δ
 def compute(options, seed, jobs, progress):
     """Every start on the same states of a few scenes of each kind, whose seeds were not in the data."""
     kinds = [{}] + [{name: value} for name, values in options["beyond"].items() for value in values]
-    starts = {name: name for name in CLASSICAL} | {"guarded": {"guarded": options["model"]}}
+    starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
     settings = {"seed": seed + 30_000, "jobs": jobs, "progress": progress, "with_all": list(starts), "kinds": kinds}
     return {"after": options["after"], "kinds": kinds, "scenes": errors_on_scenes(starts, options, **settings)}
 
@@ -25,14 +25,14 @@ def label(kind):
 
 
 def ratios_of(data):
-    """Kind of scene -> error of the guarded network over the best classical setting's, (FEW, 3)."""
+    """Kind of scene -> error of the network over the best classical setting's, (FEW, 3)."""
     few = [data["after"].index(k) for k in FEW]
-    return {label(kind): ratios_to_best(scenes, "guarded")[few] for kind, scenes in zip(data["kinds"], data["scenes"])}
+    return {label(kind): ratios_to_best(scenes, LEARNED)[few] for kind, scenes in zip(data["kinds"], data["scenes"])}
 
 
 def claims(data):
     by_kind = {kind: ratios[:, 0].tolist() for kind, ratios in ratios_of(data).items()}
-    text = "guarded, on no kind of scene worse than 1.02 of the best classical setting after 3, 10 and 30 sweeps"
+    text = "on no kind of scene worse than 1.02 of the best classical setting after 3, 10 and 30 sweeps"
     return [Claim(text, None, max(map(max, by_kind.values())) <= 1.02, by_kind)]
 
 
@@ -42,18 +42,19 @@ def table(data):
 
 
 def draw(data, options):
-    """The ratios to the best classical setting, a line for each kind of scene."""
+    """Error over the best classical setting's for each kind of scene, with intervals."""
     found = ratios_of(data)
-    figure, axis = plotting.subplots(1, 1, size=(7.0, 0.28 * len(found) + 1.6))
+    figure, ax = plotting.subplots(size=(7.0, 0.28 * len(found) + 1.6))
     y = -np.arange(len(found))
     for i, k in enumerate(FEW):
         ratio, low, high = np.array([ratios[i] for ratios in found.values()]).T
         off = np.maximum([ratio - low, high - ratio], 0)
-        axis.errorbar(ratio, y + 0.22 * (1 - i), xerr=off, fmt="o", markersize=3, label=f"after {k} sweeps")
-    axis.axvline(1.0, color=plotting.GREY, linewidth=1.0)
-    axis.set_yticks(y, list(found))
-    plotting.label_axes(axis, "velocity error over the best classical setting's", None, title="guarded network")
-    axis.legend()
+        ax.errorbar(ratio, y + 0.22 * (1 - i), xerr=off, fmt="o", markersize=3, label=f"after {k} sweeps")
+    ax.axvline(1.0, color=plotting.GREY, linewidth=1.0)
+    ax.set_yticks(y, list(found))
+    title = "Does the network help on scenes that it was not trained on? (below 1: yes)"
+    plotting.label_axes(ax, "velocity error over the best classical setting's", "", title=title)
+    plotting.legend_below(figure, ax)
     return figure
 
 

@@ -37,6 +37,7 @@ START_STYLE = {
     for name, colour, line, label in (
         ("none", BLACK, ":", "None"),
         ("builtin", VERMILION, "-", "Builtin"),
+        ("scaled", GREY, "--", "Scaled"),
         ("sph", SKY, "--", "SPH, bilinear"),
         ("sph spline", SKY, "-", "SPH, spline"),
         ("sph consistent", BLUE, "-", "SPH, consistent"),
@@ -44,11 +45,16 @@ START_STYLE = {
         ("cnn", PURPLE, "-", "CNN, model.h5"),
         ("cnn thesis", PURPLE, "--", "CNN, thesis_factored.h5"),
         ("far field", PURPLE, "-", "CNN, model.h5"),
-        ("guarded", ORANGE, "-", "Guarded"),
         ("best classical", BLACK, "-", "Best classical"),
     )
 }
 """Name of a start -> keywords for `ax.plot`, the same in every figure."""
+
+SOLVER_COLOUR = {"PGS": VERMILION, "PSOR": ORANGE, "BatchedPGS": BLUE, "NNCG": SKY, "NesterovPGS": GREEN}
+"""Method -> colour, the same in every figure."""
+
+ENGINE_MARKER = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
+"""Other engine -> marker, in grey."""
 
 _STYLE = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: the same letters on every machine
@@ -151,10 +157,10 @@ def band(ax, x, middle, low, high, **look) -> None:
     ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
 
 
-def legend_below(figure, ax) -> None:
-    """One legend below all panels of a figure, of what `ax` shows."""
+def legend_below(figure, ax, *, rows: int = 1) -> None:
+    """One legend below all panels of a figure, of what `ax` shows, in so many rows."""
     handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    figure.legend(handles, labels, loc="outside lower center", ncols=-(-len(labels) // rows))
 
 
 def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:

@@ -13,9 +13,12 @@ judges the outcome. A scene is
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
-from itertools import groupby, islice, product
+from functools import partial
+from itertools import groupby, product
 
 import numpy as np
 
@@ -28,7 +31,8 @@ from deep_contact.presets import stiffness
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
 from deep_contact.state.scales import mean
-from deep_contact.studies import peers
+from deep_contact.studies import peers, timing
+from deep_contact.validation import one_of
 from deep_contact.warm_start import STARTS
 
 SAFE, DEGRADED, FAILED, REFUSED, ABSENT = VERDICTS = ("safe", "degraded", "failed", "refused", "absent")
@@ -90,45 +94,87 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
 
     Returns {"verdict": one of `VERDICTS`, "message": why it was refused, or how it failed, "finite": whether all
     numbers were, "energy": largest rise of the mechanical energy over its initial value, as a share of the scale,
-    "correction": work of position correction against gravity, likewise, ours only, "slop": of the scene, "worst":
-    deepest penetration, m, "settled": that of the last tenth of the steps, "recovered": steps until the penetration
-    stays within what position correction leaves, or None, "speed": largest at the end, m/s}.
+    "correction": work of position correction against gravity, likewise, ours only, "settled": deepest penetration of
+    the last tenth of the steps, slops, "speed": largest at the end, m/s, "us": processor time of a step after them}.
+    The numbers are None where there is no run, or no finite one.
 
     The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
     that is 0, the kinetic energy of all circles at 1 m/s. Raises ValueError on an unknown engine.
     """
-    if engine not in ENGINES:
-        raise ValueError(f"engine: expected one of {', '.join(ENGINES)}, got {engine!r}")
-    watch = _Watch(trial)
+    run, watch = {"ours": _Ours}.get(one_of("engine", engine, ENGINES), partial(_Peer, engine)), _Watch(trial)
+    more = max(20, trial.steps // 10)
     try:
-        run = _run_ours(trial, watch) if engine == "ours" else _run_peer(trial.scene, engine, trial.solver, trial.steps)
-        for bodies in run:
-            watch.see(bodies)
+        world = run(trial)
+        for _ in range(trial.steps):
+            world.advance(1)
+            watch.see(world.bodies(), ours=engine == "ours")
+        with suppress(ValueError, ArithmeticError):
+            seconds, _ = timing.timed(partial(world.advance, more), time.thread_time)
+            watch.us = 1e6 * seconds / more
     except (ImportError, FileNotFoundError) as error:
-        return watch.outcome(ABSENT, str(error))
+        return _without_run(ABSENT, error)
     except (ValueError, AssertionError, ArithmeticError) as error:
         # An error before the first step is a refusal; later, numbers have left the limits of a state.
-        return watch.outcome(REFUSED if not watch.depth else FAILED, str(error).strip().splitlines()[-1])
+        return watch.outcome(str(error)) if watch.depth else _without_run(REFUSED, error)
     return watch.outcome()
+
+
+def _without_run(verdict: str, error: Exception) -> dict:
+    nothing = dict.fromkeys(("energy", "correction", "settled", "speed", "us"))
+    return {"verdict": verdict, "message": str(error).strip().splitlines()[-1], "finite": True, **nothing}
+
+
+class _Ours:
+    """Our engine, with the methods of `_Peer`."""
+
+    def __init__(self, trial: Trial):
+        self.state = ready(trial.scene)
+        stiff = stiffness(self.state) if trial.recognised else None
+        self.options = {"solver": stiff.solver if stiff else trial.solver, "warm_start": trial.warm_start}
+
+    def advance(self, steps: int) -> None:
+        self.state = simulate(self.state, steps=steps, **self.options).state
+
+    def bodies(self) -> Bodies:
+        return self.state.bodies
+
+
+class _Peer:
+    """Another engine: steps of a trial, and the bodies after them."""
+
+    def __init__(self, engine: str, trial: Trial):
+        if engine == "pymunk" and trial.solver.sweeps == 0:
+            raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
+        self.world, self.trial = peers.ENGINES[engine](trial.scene), trial
+        self.bodies = self.world.bodies
+
+    def advance(self, steps: int) -> None:
+        for _ in range(steps):
+            self.world.step(self.trial.scene.dt, self.trial.solver.sweeps, self.trial.solver.position_sweeps)
 
 
 class _Watch:
     """Observes the bodies after every step."""
 
     def __init__(self, trial: Trial):
-        self.trial, self.scene = trial, trial.scene
+        self.trial, self.scene, self.before = trial, trial.scene, trial.scene.bodies
         self.depth: list[float] = []
         with np.errstate(over="ignore"):
             self.first = mechanical_energy(self.scene, self.scene.bodies)
             self.scale = self.first if self.first > 0 else 0.5 * self.scene.bodies.mass.sum()
         self.energy = self.correction = self.speed = 0.0
-        self.lost = ""
+        self.lost, self.us = "", None
 
-    def see(self, bodies: Bodies) -> None:
+    def see(self, bodies: Bodies, *, ours: bool) -> None:
         step, axis = len(self.depth), self.trial.ordered
         self.energy = max(self.energy, (mechanical_energy(self.scene, bodies) - self.first) / self.scale)
-        self.speed = largest_speed(bodies)
+        self.speed = float(np.hypot(*bodies.velocity.T).max())
         self.depth.append(metrics.penetration(self.scene.replace(bodies=bodies)))
+        if ours:  # the work of position correction against gravity
+            corrected = bodies.position - self.before.position - self.scene.dt * bodies.velocity
+            lift = -(bodies.mass[:, None] * np.asarray(self.scene.world.gravity) * corrected).sum()
+            self.correction += max(0.0, lift) / self.scale
+        self.before = bodies
         # Circles that began outside have until the last step to come back.
         due = _inside(self.scene, self.scene.bodies) if step < self.trial.steps - 1 else True
         left = np.flatnonzero(~_inside(self.scene, bodies) & due)
@@ -137,71 +183,28 @@ class _Watch:
         elif axis is not None and (np.diff(bodies.position[:, axis]) <= 0).any():
             self.lost = self.lost or f"step {step}: a circle has passed through another"
 
-    def add_correction(self, before: Bodies, after: Bodies) -> None:
-        """Add the work of one step's position correction against gravity."""
-        corrected = after.position - before.position - self.scene.dt * after.velocity
-        lift = -(before.mass[:, None] * np.asarray(self.scene.world.gravity) * corrected).sum()
-        self.correction += max(0.0, lift) / self.scale
-
-    def outcome(self, verdict: str | None = None, message: str = "") -> dict:
-        """What `measure` returns; verdict: None where all steps were done."""
-        depth, slop = np.array(self.depth), self.scene.scales.slop
+    def outcome(self, error: str | None = None) -> dict:
+        """What `measure` returns. error: that ended the run."""
+        slop = self.scene.scales.slop
         # Rounding at the circles' coordinates is not penetration.
         allowed = min(POSITION_TOLERANCE * slop, 0.1 * float(self.scene.bodies.radius.min())) * (1 + 1e-9)
-        settled = float(depth[-max(1, depth.size // 10) :].max(initial=0.0))
-        deep = np.flatnonzero(depth > allowed)
-        recovered = int(deep[-1]) + 1 if deep.size else 0
-        finite = verdict != FAILED and all(np.isfinite([self.energy, self.speed, settled]))
-        if verdict is None and (self.lost or self.energy > 1):
-            verdict, message = FAILED, self.lost or f"the energy rose by {self.energy:.3g} of its initial value"
-        elif verdict is None:
-            verdict = SAFE if settled <= allowed and self.energy <= ENERGY_TOLERANCE else DEGRADED
-        return {
-            "verdict": verdict,
-            "message": message,
-            "finite": finite,
-            "energy": _finite(self.energy),
-            "correction": _finite(self.correction),
-            "slop": slop,
-            "worst": float(depth.max()) if depth.size else None,
-            "settled": settled if depth.size else None,
-            "recovered": None if recovered == depth.size else recovered,
-            "speed": _finite(self.speed),
-        }
+        settled, verdict = max(self.depth[-max(1, len(self.depth) // 10) :], default=0.0), SAFE
+        message = (
+            error or self.lost or (self.energy > 1 and f"the energy rose by {self.energy:.3g} of its initial value")
+        )
+        if message:
+            verdict = FAILED
+        elif settled > allowed or self.energy > ENERGY_TOLERANCE:
+            verdict = DEGRADED
+        numbers = {"energy": self.energy, "correction": self.correction, "settled": settled / slop, "speed": self.speed}
+        finite = error is None and bool(np.isfinite(list(numbers.values())).all())
+        numbers = {name: float(value) if np.isfinite(value) else None for name, value in numbers.items()}
+        return {"verdict": verdict, "message": message or "", "finite": finite, **numbers, "us": self.us}
 
 
 def _inside(scene: State, bodies: Bodies) -> np.ndarray:
     x_min, y_min, x_max, y_max = scene.world.box
     return ((bodies.position >= (x_min, y_min)) & (bodies.position <= (x_max, y_max))).all(axis=1)
-
-
-def largest_speed(bodies: Bodies) -> float:
-    """m/s."""
-    return float(np.hypot(*bodies.velocity.T).max())
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def _run_ours(trial: Trial, watch: _Watch) -> Iterator[Bodies]:
-    state = ready(trial.scene)
-    stiff = stiffness(state) if trial.recognised else None
-    solver = stiff.solver if stiff else trial.solver
-    for _ in range(trial.steps):
-        before = state.bodies
-        state = simulate(state, steps=1, solver=solver, warm_start=trial.warm_start).state
-        watch.add_correction(before, state.bodies)
-        yield state.bodies
-
-
-def _run_peer(scene: State, engine: str, solver, steps: int) -> Iterator[Bodies]:
-    if engine == "pymunk" and solver.sweeps == 0:
-        raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
-    world = peers.ENGINES[engine](scene)
-    for _ in range(steps):
-        world.step(scene.dt, solver.sweeps, solver.position_sweeps)
-        yield world.bodies()
 
 
 def mechanical_energy(scene: State, bodies: Bodies) -> float:
@@ -400,9 +403,7 @@ def cases(names, *, quick: bool, steps: int) -> list[dict]:
     """
     found = []
     for name in names:
-        if name not in QUANTITIES:
-            raise ValueError(f"quantities: expected some of {', '.join(QUANTITIES)}, got {name!r}")
-        quantity = QUANTITIES[name]
+        quantity = QUANTITIES[one_of("quantities", name, QUANTITIES)]
         pairs = product(quantity.values[:: 1 + quick], ENGINES if quantity.peers else ENGINES[:1])
         found += [{"quantity": name, "value": value, "engine": engine, "steps": steps} for value, engine in pairs]
     return found
@@ -414,8 +415,7 @@ def run_case(case: dict) -> dict:
         with np.errstate(over="ignore", invalid="ignore"):
             trial = QUANTITIES[case["quantity"]].trial(case["value"], case["steps"])
     except ValueError as error:
-        nothing = dict.fromkeys(("energy", "correction", "worst", "settled", "recovered", "speed"))
-        return {"verdict": REFUSED, "message": str(error), "finite": True, **nothing}
+        return _without_run(REFUSED, error)
     return measure(trial, case["engine"])
 
 
@@ -437,33 +437,17 @@ def run_solver(name: str) -> dict:
 def spans(values, verdicts) -> list[tuple[str, float, float]]:
     """(verdict, first value, last value) of every run of neighbouring values with one verdict."""
     found = []
-    pairs = sorted(zip(values, verdicts), key=lambda pair: pair[0])
-    for verdict, group in groupby(pairs, key=lambda pair: pair[1]):
+    for verdict, group in groupby(sorted(zip(values, verdicts)), key=lambda pair: pair[1]):
         inside = [value for value, _ in group]
         found.append((verdict, inside[0], inside[-1]))
     return found
 
 
-def stand(scene: State, engine: str, *, solver, seconds: float) -> dict:
-    """Let a scene stand, and observe it once per second: deepest penetration, m, largest speed, m/s.
-
-    Returns {"penetration": (seconds,), "speed": (seconds,), "settled": of the second half, m}; where the engine is not
-    installed, only {"verdict": ABSENT}. ours runs in whole seconds, as a user runs it.
-    """
-    per_second, state, depth, speed = round(1 / scene.dt), scene, [], []
-    try:
-        peer = None if engine == "ours" else _run_peer(scene, engine, solver, round(seconds) * per_second)
-        for _ in range(round(seconds)):
-            if peer is None:
-                state = simulate(state, steps=per_second, solver=solver).state
-                bodies = state.bodies
-            else:
-                bodies = next(islice(peer, per_second - 1, None))
-            depth.append(metrics.penetration(scene.replace(bodies=bodies)))
-            speed.append(largest_speed(bodies))
-    except ImportError:
-        return {"verdict": ABSENT}
-    return {"penetration": depth, "speed": speed, "settled": max(depth[len(depth) // 2 :])}
+def stand(n: int, steps: int, column: tuple[str, str]) -> dict:
+    """`measure` of a column of n circles that stands for so many steps: a name of `SILOS` and an engine."""
+    name, engine = column
+    scene, solver = SILOS[name]
+    return measure(Trial(scene=scene(n), steps=steps, solver=solver, recognised=False), engine)
 
 
 PRESSED = 1e-4
@@ -478,3 +462,13 @@ def leaning_silo(n: int) -> State:
     order = np.arange(n)
     x, y = x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order
     return with_box(with_bodies(scene, position=np.column_stack([x, y])), right=x_max + lean)
+
+
+TEN = PGS(sweeps=10, tolerance=None)
+SILOS = {
+    "straight, 10 sweeps": (silo, TEN),
+    "leaning, 10 sweeps": (leaning_silo, TEN),
+    "straight, 1000:1 on top, 10 sweeps": (partial(loaded_silo, ratio=1000.0), TEN),
+    "straight, 1000:1 on top, most accurate": (partial(loaded_silo, ratio=1000.0), ACCURATE),
+}
+"""Name -> a column of so many circles in a silo, and how it is solved."""

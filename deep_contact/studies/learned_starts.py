@@ -1,9 +1,10 @@
 """Learned starts against classical ones: Figures 6.4, 6.8 to 6.10 and 6.12, Tables 6.2 and 6.3.
 
-A setting is a start and the solver that follows it. A learned start with its best solver is compared with the best
-classical setting, chosen after the fact. Errors are velocity errors (`metrics`): on states that are given, or along
-runs that each setting drives itself. Times are measured apart, with nothing else running. Seeds of scenes are none
-that a network was trained on.
+A setting is a start and the solver that follows it: "builtin, NNCG", or "builtin", which PGS follows. A learned start
+with its best solver is compared with the best classical setting, chosen after the fact. Errors are velocity errors
+(`metrics`): {setting: (states, numbers of sweeps)} on states that are given, or the mean along runs that each setting
+drives itself. Times are measured apart, with nothing else running. Seeds of scenes are none that a network was trained
+on.
 """
 
 from __future__ import annotations
@@ -23,7 +24,6 @@ from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
 from deep_contact.cnn.images import input_image, read_back
 from deep_contact.cnn.inference import Cnn, limit_threads, load_model, network_file, projected
 from deep_contact.cnn.model_file import weights_of
-from deep_contact.constants import THETA_TOLERANCE
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import solve, step_problem
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
@@ -42,23 +42,30 @@ BASE = "PSOR 1.75 | 1.45"
 SOLVERS = {
     "PGS": PGS(),
     "PSOR 1.3": PSOR(omega=1.3),
-    "PSOR 1.5": PSOR(omega=1.5),
     "PSOR 1.7": PSOR(omega=1.7),
     BASE: PSOR(omega=1.75, friction_omega=1.45),
-    "PSOR 1.8 | 1.4": PSOR(omega=1.8, friction_omega=1.4),
     "NesterovPGS": NesterovPGS(),
     "NNCG": NNCG(),
 }
-SOLVERS["PSOR"] = SOLVERS[BASE]
+
+FOLLOWING = ("PGS", "PSOR 1.3", BASE, "NesterovPGS", "NNCG")
+"""Solvers that follow a start where several are tried."""
 
 CLASSICAL = ("none", "builtin", "scaled")
 """Starts that nothing was trained for."""
 
+LEARNED = "far field"
+
 
 def parts_of(setting: str) -> tuple[str, str]:
-    """(Start, solver) of a setting's name: "builtin, NNCG", or "builtin", which PGS follows."""
+    """(Start, solver) of a setting's name."""
     start, _, solver = setting.partition(", ")
     return start, solver or "PGS"
+
+
+def settings_of(starts: Iterable[str], solvers: Iterable[str] = FOLLOWING) -> list[str]:
+    """The names of every start with every solver."""
+    return [start if solver == "PGS" else f"{start}, {solver}" for start, solver in product(starts, solvers)]
 
 
 def fixed(solver: str, sweeps: int):
@@ -72,19 +79,19 @@ def errors_after(state: State, start: tuple, solver: str, sweeps: Sequence[int],
     return [metrics.nearest_velocity_error(state, end, references) for end in ends]
 
 
-# ---- errors on states of held-out scenes: Figures 6.4, 6.8, 6.9, Table 6.2 ----
+def errors_of(state: State, given: Mapping, settings: Iterable[str], *rest) -> dict[str, list[float]]:
+    """`errors_after` of every setting. given: start -> its impulses. rest: sweeps and references."""
+    pairs = ((name, *parts_of(name)) for name in settings)
+    return {name: errors_after(state, given[start], solver, *rest) for name, start, solver in pairs}
+
+
+# ---- states of held-out scenes: Figures 6.4, 6.8, 6.9, Table 6.2 ----
 
 FEW = (3, 10, 30)
 """Numbers of sweeps that the claims are about."""
 
 OFF = 0.05
 """Velocity error of Builtin's start above which a better start can matter."""
-
-ENOUGH = {"sweeps": 5000, "tolerance": THETA_TOLERANCE}
-"""How far runs are solved, and sweeps are counted."""
-
-FOLLOWING = ("PGS", "PSOR 1.3", BASE, "NesterovPGS", "NNCG")
-"""Solvers that follow a start where several are tried."""
 
 TRAINED = {"circles": [70, 110], "radius": [1.0, 1.0], "friction": 0.3, "dt": 0.01, "columns": None}
 """The scenes of the training data."""
@@ -105,37 +112,32 @@ def errors_on_scenes(
     starts: name -> description (`starts.start_of`), among them "builtin". options: number of "scenes", "steps",
     "every" or the number of "states" of a scene, and the numbers of sweeps "after" which errors are measured. with_all:
     starts that all of `FOLLOWING` follow; PGS follows the others. kinds: what each changes of `TRAINED`.
-    Returns for each kind, scene by scene, {"step": (k,), "sweeps": {setting: (k,) sweeps until θ is below the
-    tolerance}, "errors": {setting: (k, len(after))}}.
+    Returns for each kind, scene by scene, {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
-    settings = [*starts, *(f"{name}, {solver}" for name in starts if name in with_all for solver in FOLLOWING[1:])]
+    settings = [*starts, *settings_of((name for name in starts if name in with_all), FOLLOWING[1:])]
     tasks = [
         {**options, "starts": starts, "settings": settings, "kind": {**TRAINED, **kind}, "number": i, "seed": s}
         for i, kind in enumerate(kinds)
         for s in seeds(seed + i, options["scenes"])
     ]
-    found = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    return [[f for f, task in zip(found, tasks) if task["number"] == i] for i in range(len(kinds))]
+    scenes = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
+    return [[scene for scene, task in zip(scenes, tasks) if task["number"] == i] for i in range(len(kinds))]
 
 
 def _errors_on_scene(task: Mapping) -> dict:
     starts = {name: start_of(description) for name, description in task["starts"].items()}
-    settings = task["settings"]
     steps = round(task["steps"] * TRAINED["dt"] / task["kind"]["dt"])  # as much time in every kind
     count = task.get("states") or task["steps"] // task["every"]
     scene = scene_of_kind(task["kind"], task["seed"])
-    found: dict = {"step": [], "sweeps": {n: [] for n in settings}, "errors": {n: [] for n in settings}}
-    for state in solved_states(scene, steps=steps, every=max(1, steps // count), solver=PGS(**ENOUGH)):
+    found: dict = {"step": [], "errors": {name: [] for name in task["settings"]}}
+    for state in solved_states(scene, steps=steps, every=max(1, steps // count), solver=PGS(sweeps=5000)):
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
-        given = {name: start(state, PGS(**ENOUGH)) for name, start in starts.items()}
-        pairs = {name: (given[parts_of(name)[0]], parts_of(name)[1]) for name in settings}
-        errors = {name: errors_after(state, *pair, task["after"], [solution]) for name, pair in pairs.items()}
-        if not np.isfinite(list(errors.values())).all():
-            continue  # contacts without anything to solve
-        found["step"].append(state.step)
-        for name, (start, solver) in pairs.items():
-            found["errors"][name].append(errors[name])
-            found["sweeps"][name].append(solve(state, replace(SOLVERS[solver], **ENOUGH), *start).record.sweeps)
+        given = {name: start(state, PGS()) for name, start in starts.items()}
+        errors = errors_of(state, given, task["settings"], task["after"], [solution])
+        if np.isfinite(list(errors.values())).all():  # not where contacts have nothing to solve
+            found["step"].append(state.step)
+            for name, values in errors.items():
+                found["errors"][name].append(values)
     return found
 
 
@@ -158,16 +160,19 @@ def mean_errors(scenes: Sequence[Mapping], setting: str, where: str = "all") -> 
     """
     means = []
     for scene in scenes:
-        found, builtin = (np.array(scene["errors"][name]) for name in (setting, "builtin"))
-        chosen = builtin[:, 0] > OFF if where == "off" else np.ones(len(found), bool)
+        errors, builtin = (np.array(scene["errors"][name]) for name in (setting, "builtin"))
+        chosen = builtin[:, 0] > OFF if where == "off" else np.ones(len(errors), bool)
         if chosen.any():
-            means.append(found[chosen].mean(axis=0))
+            means.append(errors[chosen].mean(axis=0))
     return np.array(means)
 
 
 def best_settings(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "all") -> list[str]:
-    """For each number of sweeps the setting of some starts with the least mean error."""
-    names = [name for name in scenes[0]["errors"] if parts_of(name)[0] in starts]
+    """For each number of sweeps the setting of some starts with the least mean error, of solvers that are still there.
+
+    Files from before may name others.
+    """
+    names = [name for name in settings_of(starts, SOLVERS) if name in scenes[0]["errors"]]
     means = np.array([mean_errors(scenes, name, where).mean(axis=0) for name in names])
     return [names[i] for i in means.argmin(axis=0)]
 
@@ -308,61 +313,51 @@ def runtimes(network, shape: tuple, threads: int) -> dict[str, Callable]:
 
 # ---- time to an error from given states: Figure 6.10 ----
 
-TIMED = {
-    "none": ("PSOR",),
-    "builtin": ("PGS", "PSOR", "NNCG", "NesterovPGS"),
-    "scaled": ("PSOR", "NNCG", "NesterovPGS"),
-    "far field": ("PSOR", "NNCG", "NesterovPGS"),
-}
-"""Start -> the solvers that follow it."""
-
-LEARNED = "far field"
+TIMED = [
+    *settings_of(["none"], [BASE]),
+    *settings_of(["builtin"], ["PGS", BASE, "NNCG", "NesterovPGS"]),
+    *settings_of(["scaled", LEARNED], [BASE, "NNCG", "NesterovPGS"]),
+]
+"""The settings whose time to an error is measured."""
 
 FEWEST = 10
 """Fewest states that decide a case."""
 
 
-def errors_of_pile(task: Mapping) -> dict:
-    """Errors of the settings of `TIMED` by sweeps on states of one pile.
+def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
+    """Errors of `TIMED` by sweeps on states of one pile, and those states that have a reference.
 
     task: "circles", "kind", "seed", "starts": name -> description, "states" and "every" of the pile, "sweeps",
     "past_need": sweeps to the references, "exact": numbers of circles whose references are exact.
     """
-    starts = {name: start_of(description) for name, description in task["starts"].items()}
-    states, used, errors = _states_of_pile(task), [], []
-    for i, state in enumerate(states):
+    starts, used, errors = {name: start_of(one) for name, one in task["starts"].items()}, [], []
+    far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
+    start = piles.pile(task["kind"], task["circles"], task["seed"])
+    for state in piles.states_of(start, count=task["states"], every=task["every"]):
         given = {name: start(state, PGS()) for name, start in starts.items()}
-        far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
         ends = [solve(state, solver, *impulses) for impulses in given.values() for solver in far]
-        references = piles.references_from(state, ends, exact=task["circles"] in task["exact"])
-        if references:
-            used.append(i)
-            rest = task["sweeps"], references
-            errors.append({n: {s: errors_after(state, given[n], s, *rest) for s in TIMED[n]} for n in starts})
-    contacts = float(np.mean([state.contacts.count for state in states]))
-    return {"circles": task["circles"], "kind": task["kind"], "contacts": contacts, "used": used, "errors": errors}
+        if references := piles.references_from(state, ends, exact=task["circles"] in task["exact"]):
+            used.append(state)
+            errors.append(errors_of(state, given, TIMED, task["sweeps"], references))
+    found = {"circles": task["circles"], "kind": task["kind"], "contacts": [s.contacts.count for s in used]}
+    return found | {"errors": {name: [one[name] for one in errors] for name in TIMED}}, used
 
 
-def times_of_pile(task: Mapping, starts: Mapping[str, WarmStart], repeats: int) -> dict:
-    """Seconds of every start on every state of a pile, and of a sweep of every solver on the last one."""
-    states, solvers = _states_of_pile(task), {solver for of_start in TIMED.values() for solver in of_start}
+def times_on(states: Sequence[State], starts: Mapping[str, WarmStart], repeats: int) -> dict:
+    """Seconds of every start on every state, and of a sweep of every solver of `TIMED` on the last one."""
+    solvers = sorted({parts_of(name)[1] for name in TIMED})
     return {
         "start_seconds": {name: [start_time(start, s, repeats) for s in states] for name, start in starts.items()},
-        "sweep_seconds": {name: sweep_time(states[-1], name, repeats) for name in sorted(solvers)},
+        "sweep_seconds": {name: sweep_time(states[-1], name, repeats) for name in solvers if states},
     }
 
 
-def _states_of_pile(task: Mapping) -> list[State]:
-    start = piles.pile(task["kind"], task["circles"], task["seed"])
-    return piles.states_of(start, count=task["states"], every=task["every"])
-
-
-def sweeps_to(found: Sequence[float], sweeps: Sequence[int], error: float) -> float:
+def sweeps_to(errors: Sequence[float], sweeps: Sequence[int], error: float) -> float:
     """Sweeps after which an error stays within `error`, interpolated in its logarithm; infinite if it does not.
 
-    found: errors after each of `sweeps`, increasing.
+    errors: after each of `sweeps`, increasing.
     """
-    off = np.asarray(found, dtype=np.float64)
+    off = np.asarray(errors, dtype=np.float64)
     above = np.flatnonzero(~(off <= error))
     if above.size == 0:
         return float(sweeps[0])
@@ -374,42 +369,38 @@ def sweeps_to(found: Sequence[float], sweeps: Sequence[int], error: float) -> fl
     return float(sweeps[last] + share * (sweeps[last + 1] - sweeps[last]))
 
 
-def piles_of(data: Mapping, **values) -> list[dict]:
-    """The piles with these values, such as circles=100, kind="settling"."""
-    return [pile for pile in data["piles"] if all(pile[name] == value for name, value in values.items())]
+def price_of(piles: Iterable[Mapping]) -> dict[str, float]:
+    """Median time of the learned start on piles of one size, "ms", and "in sweeps" of PGS."""
+    seconds = float(np.median(np.concatenate([pile["start_seconds"][LEARNED] for pile in piles])))
+    a_sweep = float(np.median([pile["sweep_seconds"]["PGS"] for pile in piles if pile["sweep_seconds"]]))
+    return {"ms": 1e3 * seconds, "in sweeps": seconds / a_sweep}
 
 
-def price_of(data: Mapping, circles: int) -> dict[str, float]:
-    """Median time of the learned start, "ms", and "in sweeps" of PGS."""
-    here = piles_of(data, circles=circles)
-    seconds = float(np.median(np.concatenate([pile["start_seconds"][LEARNED] for pile in here])))
-    return {"ms": 1e3 * seconds, "in sweeps": seconds / float(np.median([p["sweep_seconds"]["PGS"] for p in here]))}
-
-
-def best_timed(data: Mapping, circles: int, kind: str, starts: Iterable[str], error: float) -> tuple[str, np.ndarray]:
+def best_timed(
+    piles: Iterable[Mapping], sweeps: Sequence[int], starts: Sequence[str], error: float
+) -> tuple[str, np.ndarray]:
     """(Name, seconds to an error on each state) of the setting of some starts with the least median time.
 
     The time is infinite where the error is not reached, and there are no states where nothing was solved.
     """
-    found = {}
-    for start, solver in ((name, solver) for name in starts for solver in TIMED[name]):
-        found[f"{start}, {solver}"] = np.array(
-            [
-                pile["start_seconds"][start][i]
-                + sweeps_to(errors[start][solver], data["sweeps"], error) * pile["sweep_seconds"][solver]
-                for pile in piles_of(data, circles=circles, kind=kind)
-                for i, errors in zip(pile["used"], pile["errors"])
-            ]
-        )
-    return min(found.items(), key=lambda one: np.median(one[1]) if one[1].size else np.inf)
+
+    def seconds(start, solver, name):
+        return np.array([
+            start_seconds + sweeps_to(errors, sweeps, error) * pile["sweep_seconds"][solver]
+            for pile in piles
+            for start_seconds, errors in zip(pile["start_seconds"][start], pile["errors"][name])
+        ])  # fmt: skip
+
+    timed = {name: seconds(*parts_of(name), name) for name in TIMED if parts_of(name)[0] in starts}
+    return min(timed.items(), key=lambda one: np.median(one[1]) if one[1].size else np.inf)
 
 
-def time_ratios(data: Mapping, circles: int, kind: str, error: float) -> np.ndarray:
+def time_ratios(piles: Iterable[Mapping], sweeps: Sequence[int], error: float) -> np.ndarray:
     """Time of the learned start with its best solver over that of the best classical setting, state by state.
 
     0 where only the learned start reaches the error. Empty where neither does on half of the states.
     """
-    (_, one), (_, other) = (best_timed(data, circles, kind, s, error) for s in ([LEARNED], CLASSICAL))
+    (_, one), (_, other) = (best_timed(piles, sweeps, starts, error) for starts in ([LEARNED], CLASSICAL))
     done = np.isfinite(one) | np.isfinite(other)
     return one[done] / other[done] if 2 * done.sum() > done.size else np.empty(0)
 
@@ -422,6 +413,12 @@ def median_with_interval(ratios: np.ndarray) -> list[float] | None:
 
 
 # ---- runs of their own: Figure 6.12 ----
+
+DRIVING = [
+    *settings_of([LEARNED, "builtin", "scaled", "none"], [BASE]),
+    *settings_of(["builtin"], ["PSOR 1.7", "NesterovPGS", "NNCG"]),
+]
+"""The settings that drive runs."""
 
 
 def error_along_run(task: Mapping) -> float:
@@ -449,38 +446,31 @@ def _falling(circles: int, seed: int) -> State:
 
 
 def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable) -> list[dict]:
-    """For each size, setting and number of sweeps {"circles", "setting", "sweeps", "error": of each scene, "seconds":
-    of a step}.
+    """For each size, setting of `DRIVING` and number of sweeps {"circles", "setting", "sweeps", "error": of each scene,
+    "seconds": of a step}.
 
-    starts: name -> description. options: "runs": {circles as text: {"scenes", "sweeps": numbers, "settings": names}},
-    "steps", "every", "past_need", "repeats".
+    starts: name -> description. options: "runs": {circles as text: {"scenes", "sweeps": numbers}}, "steps", "every",
+    "past_need", "repeats".
     """
     entries, tasks = [], []
     for text, plan in options["runs"].items():
         chosen = [int(s % 100_000) + 300_000 for s in seeds(seed + int(text), plan["scenes"])]
-        for name, sweeps in product(plan["settings"], plan["sweeps"]):
+        for name, sweeps in product(DRIVING, plan["sweeps"]):
             entries.append({"circles": int(text), "setting": name, "sweeps": sweeps})
             common = entries[-1] | {key: options[key] for key in ("steps", "every", "past_need")}
             tasks += [common | {"start": starts[parts_of(name)[0]], "seed": s} for s in chosen]
     errors = iter(parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text="runs"))
     for entry in entries:
         entry["error"] = [next(errors) for _ in range(options["runs"][str(entry["circles"])]["scenes"])]
-    for circles in map(int, options["runs"]):
-        here = [entry for entry in entries if entry["circles"] == circles]
-        run, calls = partial(simulate, _falling(circles, 1), steps=options["steps"]), {}
-        for name, sweeps in {(_timed_as(entry["setting"]), entry["sweeps"]) for entry in here}:
+    for text, plan in options["runs"].items():
+        run, calls = partial(simulate, _falling(int(text), 1), steps=options["steps"]), {}
+        for name, sweeps in product(DRIVING, plan["sweeps"]):
             start, solver = parts_of(name)
             calls[name, sweeps] = partial(run, solver=fixed(solver, sweeps), warm_start=start_of(starts[start]))
         took = timing.interleaved(calls, repeats=options["repeats"], clock=time.thread_time)
-        for entry in here:
-            entry["seconds"] = took[_timed_as(entry["setting"]), entry["sweeps"]] / options["steps"]
+        for entry in (entry for entry in entries if entry["circles"] == int(text)):
+            entry["seconds"] = took[entry["setting"], entry["sweeps"]] / options["steps"]
     return entries
-
-
-def _timed_as(setting: str) -> str:
-    """The setting whose time is taken for one: PSOR with any fixed ω does the same operations."""
-    start, solver = parts_of(setting)
-    return f"{start}, {BASE}" if isinstance(SOLVERS[solver], PSOR) else setting
 
 
 def curves(entries: Sequence[Mapping]) -> dict[int, dict[str, tuple]]:
@@ -489,15 +479,16 @@ def curves(entries: Sequence[Mapping]) -> dict[int, dict[str, tuple]]:
     No time is longer than that of more sweeps: a run of very few sweeps can take longer, because it has more positions
     to correct.
     """
-    found: dict = {}
+    rows: dict = {}
     for entry in sorted(entries, key=lambda entry: entry["sweeps"]):
-        rows = found.setdefault(entry["circles"], {}).setdefault(entry["setting"], [])
-        rows.append((entry["sweeps"], entry["seconds"], entry["error"]))
-    for of_size in found.values():
-        for setting, rows in of_size.items():
-            sweeps, seconds, errors = zip(*rows)
-            of_size[setting] = sweeps, np.minimum.accumulate(seconds[::-1])[::-1], np.array(errors)
-    return found
+        of_setting = rows.setdefault(entry["circles"], {}).setdefault(entry["setting"], [])
+        of_setting.append((entry["sweeps"], entry["seconds"], entry["error"]))
+
+    def curve(rows):
+        sweeps, seconds, errors = zip(*rows)
+        return sweeps, np.minimum.accumulate(seconds[::-1])[::-1], np.array(errors)
+
+    return {n: {name: curve(found) for name, found in of_size.items()} for n, of_size in rows.items()}
 
 
 def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarray | None:
@@ -518,7 +509,7 @@ def at_equal_times(entries: Sequence[Mapping], columns: Sequence[int]) -> list[d
     """
     found = []
     for circles, of_size in curves(entries).items():
-        swept, times, _ = of_size.get(f"builtin, {BASE}", ((), (), ()))
+        swept, times, _ = of_size[f"builtin, {BASE}"]
         for sweeps, seconds in ((k, float(times[swept.index(k)])) for k in columns if k in swept):
             errors = {name: error_at(seconds, *rest) for name, (_, *rest) in of_size.items()}
             means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}

@@ -16,12 +16,19 @@ from deep_contact.physics.solvers import NNCG, BatchedPGS
 from deep_contact.simulation import simulate
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies.starts import solved_states
+from deep_contact.validation import one_of
 
-SLOWEST = {"falling": np.inf, "settling": 0.5, "resting": 0.05}
-"""Kind of pile -> root mean square speed of the circles below which a pile is one, m/s."""
+KINDS = {
+    "impact": (0.5, np.inf),
+    "falling": (1.0, np.inf),
+    "settling": (1.0, 0.5),
+    "resting": (1.0, 0.05),
+    "rest": (1.5, 0.05),
+}
+"""Kind of pile -> contacts a circle that it has at least, and root mean square speed that it is below, m/s."""
 
-MOST_STEPS = 2000
-"""Steps after which a pile is taken as it is."""
+THOROUGH = NNCG(sweeps=300)
+"""Solves the steps of a pile."""
 
 EXACT = 1e-8
 """Largest residual of an exact solution, m/s."""
@@ -33,19 +40,18 @@ SAME = 1e-6
 """Velocity error below which two references count as one."""
 
 
-def scene(n_bodies: int, seed: int) -> State:
-    """The thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls."""
-    return circles_in_box(n_bodies, seed=seed) if n_bodies <= 100 else lattice_in_box(n_bodies, seed=seed)
+def scene(n_bodies: int, seed: int, **options) -> State:
+    """The thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls. options: of both."""
+    return (circles_in_box if n_bodies <= 100 else lattice_in_box)(n_bodies, seed=seed, **options)
 
 
-def pile(kind: str, n_bodies: int, seed: int) -> State:
-    """`scene`, simulated until it has a contact per circle and is of a kind of `SLOWEST`."""
-    if kind not in SLOWEST:
-        raise ValueError(f"kind: expected one of {', '.join(SLOWEST)}, got {kind!r}")
-    state = scene(n_bodies, seed)
-    for _ in range(MOST_STEPS // 10):
-        state = simulate(state, steps=10, solver=NNCG(sweeps=300)).state
-        if state.contacts.count >= n_bodies and rms_speed(state) < SLOWEST[kind]:
+def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 2000, make=scene) -> State:
+    """A scene of `make`, simulated until it is of a kind of `KINDS`, or as it is after `most` steps."""
+    contacts, slowest = KINDS[one_of("kind", kind, KINDS)]
+    state = make(n_bodies, seed=seed)
+    for _ in range(most // 10):
+        state = simulate(state, steps=10, solver=solver).state
+        if state.contacts.count >= contacts * n_bodies and rms_speed(state) < slowest:
             break
     return state
 

@@ -22,15 +22,13 @@ import numpy as np
 from deep_contact.constants import TIME_STEP
 from deep_contact.io import shipped
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.presets import PRESETS, is_gone
 from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
-from deep_contact.studies import peers, timing
-from deep_contact.studies.piles import SLOWEST, rms_speed
+from deep_contact.studies import peers, piles, timing
 from deep_contact.studies.verdicts import interval
 
 INTERVAL = 5 * TIME_STEP
@@ -59,8 +57,8 @@ MOMENTS = (0.75, 2.25, 3.75, 5.25)
 PHASES = ("impact", "rest")
 """Phases in which piles are timed as well, to show how a cost changes in a run."""
 
-CONTACTS = {"impact": 0.5, "rest": 1.5}
-"""Contacts per circle from which on a pile is in a phase, whatever its size."""
+TWENTY = METHODS["PGS"](sweeps=20, tolerance=None)
+"""Drives the piles that are timed."""
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
@@ -78,9 +76,7 @@ MODEL = {
 def scene(kind: str, n_bodies: int, seed: int) -> State:
     """A falling pile: the thesis's scene for 100 circles and fewer, otherwise a loose lattice."""
     options = (KINDS | HELD_OUT_KINDS)[kind]
-    if n_bodies <= 100:
-        return circles_in_box(n_bodies, seed=seed, **{key: options[key] for key in options if key != "gap"})
-    return lattice_in_box(n_bodies, seed=seed, **options)
+    return piles.scene(n_bodies, seed, **{key: options[key] for key in options if key != "gap" or n_bodies > 100})
 
 
 def solver_of(setting: Mapping):
@@ -231,18 +227,22 @@ def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> di
     """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for an unknown one."""
     mean, true = _means(found), _means(reference)
     at_rest = slice(-REST, None)
-    interval = reference[0].interval
+
+    def creep(means):
+        """Slope of the straight line through the settled heights, √(g r)."""
+        return np.polyfit(reference[0].interval * np.arange(REST), means["height"][at_rest], 1)[0]
+
     values = {
         "energy": np.abs(mean["kinetic"] - true["kinetic"]).sum() / true["kinetic"].sum(),
         "height": abs(mean["height"][at_rest].mean() / true["height"][at_rest].mean() - 1),
-        "creep": abs(_slope(mean["height"][at_rest], interval) - _slope(true["height"][at_rest], interval)),
+        "creep": abs(creep(mean) - creep(true)),
         "penetration": mean["penetration"][at_rest, 0].mean(),
         "penetration_95": mean["penetration"][at_rest, 1].mean(),
         "penetration_max": np.mean([one.penetration[:, 2].max() for one in found]),
         "restlessness": max(0.0, mean["speed"][at_rest].mean() - true["speed"][at_rest].mean()),
         "contacts": abs(mean["contacts"][at_rest].mean() - true["contacts"][at_rest].mean()),
         "forces": None if mean["loads"] is None else np.abs(mean["loads"] - true["loads"]).max(),
-        "impact": abs(_peak(found) / _peak(reference) - 1),
+        "impact": abs(mean["peak"] / true["peak"] - 1),
     }
     return {
         name: None if value is None else float(value) * (1.0 if name == "contacts" else 100.0)
@@ -271,20 +271,12 @@ def intervals(
 
 
 def _means(runs: Sequence[Observation]) -> dict:
-    """Mean curves of an ensemble."""
+    """Mean curves of an ensemble, and its mean peak of the force."""
     names = ("kinetic", "height", "speed", "penetration", "contacts")
     means = {name: np.mean([getattr(run, name) for run in runs], axis=0) for name in names}
     known = all(run.loads is not None for run in runs)
+    means["peak"] = np.mean([run.force.max() for run in runs])
     return means | {"loads": np.mean([run.loads for run in runs], axis=0) if known else None}
-
-
-def _slope(height: np.ndarray, interval: float) -> float:
-    """Of the straight line through the settled heights, √(g r)."""
-    return float(np.polyfit(interval * np.arange(height.size), height, 1)[0])
-
-
-def _peak(runs: Sequence[Observation]) -> float:
-    return float(np.mean([run.force.max() for run in runs]))
 
 
 # ---- times ----
@@ -295,14 +287,15 @@ def times(
 ) -> dict[str, float]:
     """Wall time of TIME_STEP of a pile with each setting, μs, by name; they take turns, the least counts.
 
-    phase: one of `PHASES`, or seconds after the start.
-
-    steps: of TIME_STEP in each run. Other engines start from the same bodies; what their Python wrapper costs a step is
-    part of what their users pay. Of piles for which ours takes two threads, they are run on one and on two, where they
-    can, and the lesser time counts.
+    phase: one of `PHASES`, or seconds after the start. steps: of TIME_STEP in each run. Other engines start from the
+    same bodies; what their Python wrapper costs a step is part of what their users pay. Of piles for which ours takes
+    two threads, they are run on one and on two, where they can, and the lesser time counts.
     """
-    start, worlds = pile(n_bodies, seed, phase), {}
-    runs, setup = {}, {}
+    if phase in PHASES:
+        start = piles.pile(phase, n_bodies, seed, solver=TWENTY, most=6000)
+    else:
+        start = simulate(piles.scene(n_bodies, seed), steps=round(phase / TIME_STEP), solver=TWENTY).state
+    runs, setup, worlds = {}, {}, {}
     for setting in settings:
         name, count = name_of(setting), round(steps * TIME_STEP / setting["dt"])
         scene_of_run = start.replace(dt=setting["dt"])
@@ -319,22 +312,6 @@ def times(
     for (name, _), seconds in timing.interleaved(runs, repeats=repeats, setup=setup).items():
         found[name] = min(found.get(name, math.inf), 1e6 * seconds / steps)
     return found
-
-
-def pile(n_bodies: int, seed: int, phase: str | float) -> State:
-    """A plain pile after so many seconds, or at the first tenth of a second at which it is in the phase of `PHASES`.
-
-    It is at rest when it has so many contacts and its rms speed is below that of a resting pile; 60 s are the most.
-    """
-    state, solver = scene("plain", n_bodies, seed), METHODS["PGS"](sweeps=20, tolerance=None)
-    if phase not in PHASES:
-        return simulate(state, steps=round(phase / TIME_STEP), solver=solver).state
-    least = CONTACTS[phase]
-    for _ in range(600):
-        state = simulate(state, steps=10, solver=solver).state
-        if state.contacts.count >= least * n_bodies and (phase != "rest" or rms_speed(state) < SLOWEST["resting"]):
-            break
-    return state
 
 
 def _step_peer(world, setting: Mapping, count: int) -> None:
@@ -429,6 +406,15 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
         }
         for n, preset in product(settings, PRESETS)
     ]
+
+
+def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
+    """An error of `intervals`, and how far its interval reaches down and up, (2, 1).
+
+    A bootstrap interval by percentiles can lie beside the value, where the value is the largest of what is possible.
+    """
+    value, low, high = error
+    return value, np.maximum([[value - low], [high - value]], 0.0)
 
 
 def sizes_of(rows: Iterable[Mapping]) -> list[int]:

@@ -1,7 +1,8 @@
 """What modelling only what a scene requires saves: measured here, drawn as Figure 6.7, printed by `dc.plan`.
 
 A saving is a ratio: the cost of the general way over the cost of the special way, in the same process, interleaved.
-Timed savings have the quartiles of the repeats' own ratios as spread; counted work has none.
+It has the quartiles of the repeats' own ratios, or of the runs'. "apart" is what it costs in error: how far apart, m,
+any circle is after the same steps in both ways.
 """
 
 from __future__ import annotations
@@ -16,11 +17,9 @@ from dataclasses import replace
 import numpy as np
 
 from deep_contact import constants
-from deep_contact.physics.engine import Steps, step_input
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
-from deep_contact.physics.step import make_log
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies import piles, timing
@@ -31,6 +30,9 @@ FEW, ENOUGH = 10, 1_000_000
 
 STEP = PGS(sweeps=10, tolerance=None)
 """The step whose parts are compared."""
+
+FALLING_ASLEEP = 100
+"""Steps in which a pile at rest falls asleep."""
 
 SCATTERED = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""
@@ -60,104 +62,101 @@ def heaps_and_one_rolling(n_bodies: int, seed: int) -> State:
     return scene.replace(bodies=make_bodies(position, velocity=velocity, spin=np.append(heaps.spin, -speed)))
 
 
-def sweep_savings(n_bodies: int, seed: int, *, repeats: int) -> dict[str, dict]:
-    """What rows without tangents, and single precision, save a sweep of a resting pile, ns per contact and sweep."""
+def apart(one: State, other: State) -> float:
+    """Largest distance between a circle in one state and in the other, m."""
+    return float(np.hypot(*(one.bodies.position - other.bodies.position).T).max())
+
+
+def sweep_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
+    """What rows without tangents, and single precision, save a sweep of a resting pile, ns per contact and sweep.
+
+    "apart": what they change in so many steps. Friction of 1e-300 needs tangent rows, and moves nothing.
+    """
     pile = ready(at_rest(piles.scene(n_bodies, seed)))
     contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
-    frictionless = pile.replace(world=replace(pile.world, friction=0.0), contacts=contacts)
-    many = FEW + ENOUGH // pile.contacts.count
-    ways = {"general": (pile, "double"), "frictionless": (frictionless, "double"), "single": (pile, "single")}
+    frictionless, nearly = (
+        pile.replace(world=replace(pile.world, friction=friction), contacts=contacts) for friction in (0.0, 1e-300)
+    )
+    many, single = FEW + ENOUGH // pile.contacts.count, {"precision": "single"}
+    ways = {"general": (pile, {}), "frictionless": (frictionless, {}), "single": (pile, single)}
 
-    def sweep(state, precision, sweeps):
-        solve_contacts(state, solver=PGS(sweeps=sweeps, tolerance=None, precision=precision))
+    def sweep(state, options, sweeps):
+        solve_contacts(state, solver=PGS(sweeps=sweeps, tolerance=None, **options))
+
+    def end(state, **options):
+        return simulate(state, steps=steps, solver=replace(STEP, **options)).state
 
     runs = {(name, k): functools.partial(sweep, *way, k) for name, way in ways.items() for k in (FEW, many)}
     times = interleaved(runs, repeats=repeats)
     relaxations = (many - FEW) * pile.contacts.count
     cost = {name: 1e9 * (times[name, many] - times[name, FEW]) / relaxations for name in ways}
-    return {name: timing.ratio(cost["general"], cost[name]) for name in ("frictionless", "single")}
+    distance = {"frictionless": apart(end(nearly), end(frictionless)), "single": apart(end(pile), end(pile, **single))}
+    return {name: timing.ratio(cost["general"], cost[name]) | {"apart": found} for name, found in distance.items()}
 
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
-    """What parts of `STEP` cost a resting pile, s per step: being awake, position correction, calls between steps."""
-    pile = ready(at_rest(piles.scene(n_bodies, seed)))
-    rolling = ready(heaps_and_one_rolling(n_bodies, seed))
-    asleep = _Asleep(pile, np.full(n_bodies, np.inf), steps)
-    all_but_one = _Asleep(rolling, np.append(np.full(n_bodies, np.inf), 0.0), steps)
-    step = functools.partial(simulate, steps=steps, solver=STEP)
-    runs = {
-        "awake": functools.partial(step, pile),
-        "asleep": asleep.run,
-        "one rolling, awake": functools.partial(step, rolling),
-        "one rolling, asleep": all_but_one.run,
-        "uncorrected": functools.partial(step, pile, solver=replace(STEP, position_sweeps=0)),
-        "called": functools.partial(step, pile, on_step=lambda *_: None),
-    }
-    setup = {"asleep": asleep.reset, "one rolling, asleep": all_but_one.reset}
-    times = {name: found / steps for name, found in interleaved(runs, repeats=repeats, setup=setup).items()}
-    return {
-        "asleep": timing.ratio(times["awake"], times["asleep"]),
-        "asleep but for one": timing.ratio(times["one rolling, awake"], times["one rolling, asleep"]),
-        "no position correction": timing.ratio(times["awake"], times["uncorrected"]),
-        "no call between steps": timing.ratio(times["called"], times["awake"]),
-    }
+    """What parts of `STEP` cost a resting pile, s per step: being awake, position correction, calls between steps.
 
-
-class _Asleep:
-    """Steps of `STEP` by circles that have been still for `still`, (n,), s: `simulate` lets all start awake.
-
-    It calls the compiled step itself. `reset` prepares a run.
+    A pile falls asleep in the first `FALLING_ASLEEP` steps, which are not counted. "apart": what leaving a part out
+    changes in so many steps.
     """
+    pile, rolling = ready(at_rest(piles.scene(n_bodies, seed))), ready(heaps_and_one_rolling(n_bodies, seed))
+    ways = {
+        "awake": (pile, {}),
+        "asleep": (pile, {"sleep": True}),
+        "one rolling, awake": (rolling, {}),
+        "one rolling, asleep": (rolling, {"sleep": True}),
+        "uncorrected": (pile, {"solver": replace(STEP, position_sweeps=0)}),
+        "called": (pile, {"on_step": lambda *_: None}),
+    }
 
-    def __init__(self, state: State, still: np.ndarray, steps: int):
-        self._state, self._still, self._log = state, still, make_log(steps)
+    def run(name, more):
+        state, options = ways[name]
+        return simulate(state, steps=FALLING_ASLEEP + more, **({"solver": STEP} | options)).state
 
-    def reset(self) -> None:
-        bodies, contacts = (
-            part._make(field.copy() for field in part) for part in (self._state.bodies, self._state.contacts)
-        )
-        self._given = step_input(self._state.replace(bodies=bodies, contacts=contacts), STEP)
-        self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
-        self._advance.memory(self._given).sleep.still[:] = self._still
-
-    def run(self) -> None:
-        self._advance(self._given, self._log)
+    runs = {(name, more): functools.partial(run, name, more) for name in ways for more in (0, steps)}
+    times, ends = interleaved(runs, repeats=repeats), {name: run(name, steps) for name in ways}
+    cost = {name: np.maximum(times[name, steps] - times[name, 0], 1e-9) / steps for name in ways}
+    pairs = {
+        "asleep": ("awake", "asleep"),
+        "asleep but for one": ("one rolling, awake", "one rolling, asleep"),
+        "no position correction": ("awake", "uncorrected"),
+        "no call between steps": ("called", "awake"),
+    }
+    return {
+        name: timing.ratio(cost[general], cost[special]) | {"apart": apart(ends[general], ends[special])}
+        for name, (general, special) in pairs.items()
+    }
 
 
 def island_savings(scene: State, *, steps: int, every: int) -> dict:
     """What islands save a run, on the same states: one in `every` steps of the run without islands.
 
     Returns {"step", "contacts", "islands", "together", "apart": relaxations of each state, "seconds_together",
-    "seconds_apart": the least of three, "difference": largest between the velocities of both, m/s, "error_together",
-    "error_apart": largest velocity error of each, m/s}. The reference solution is swept on to 1e-10 N·s.
+    "seconds_apart": the least of three, "difference": largest between the velocities of both, m/s}.
     """
     found: dict[str, list] = {}
     ways = {"together": PGS(), "apart": PGS(islands=True)}
     for state in solved_states(scene, steps=steps, every=every, solver=ways["together"]):
         calls = {name: functools.partial(solve_contacts, state, solver=solver) for name, solver in ways.items()}
-        together, apart = (call() for call in calls.values())
-        start = together.normal_impulses, together.tangent_impulses
-        reference = solve_contacts(state, solver=PGS(sweeps=100_000, tolerance=1e-10), start=start)
-        now = {"step": state.step, "contacts": state.contacts.count, "difference": largest_difference(apart, together)}
+        one, other = (call().velocities for call in calls.values())
+        now = {"step": state.step, "contacts": state.contacts.count, "difference": float(np.abs(one - other).max())}
         now["islands"] = len(np.unique(islands_of(state)[state.contacts.body_a]))
-        for (name, seconds), end in zip(interleaved(calls, repeats=3, reduce=min).items(), (together, apart)):
+        for name, seconds in interleaved(calls, repeats=3, reduce=min).items():
             now[name] = int(simulate(state, steps=1, solver=ways[name]).relaxations[0])
-            now |= {f"seconds_{name}": seconds, f"error_{name}": largest_difference(end, reference)}
+            now[f"seconds_{name}"] = seconds
         for name, value in now.items():
             found.setdefault(name, []).append(value)
     return {name: np.array(values) for name, values in found.items()}
 
 
-def largest_difference(one, other) -> float:
-    """Between the velocities of two solutions, component by component, m/s."""
-    return float(np.abs(one.velocities - other.velocities).max())
-
-
-def saving_by_run(runs: list[dict], general: str, special: str) -> dict:
-    """The saving over all runs of `island_savings`, with the quartiles of the runs' own ratios."""
-    totals = np.array([[run[general].sum(), run[special].sum()] for run in runs], dtype=float).T
-    found, (all_general, all_special) = timing.ratio(*totals), totals.sum(axis=1)
-    return found | {"ratio": all_general / all_special, "general": all_general, "special": all_special}
+def saving_by_run(runs: list[dict], unit: str = "") -> dict:
+    """The saving in the runs of `island_savings`, of relaxations or of "seconds_". "apart" is that of one step."""
+    general, special = (
+        np.array([run[f"{unit}{name}"].sum() for run in runs], dtype=float) for name in ("together", "apart")
+    )
+    distance = constants.TIME_STEP * max(run["difference"].max() for run in runs)
+    return timing.ratio(general, special) | {"apart": distance}
 
 
 JOBS = {

@@ -136,9 +136,10 @@ def test_the_inertia_of_the_lightest_and_largest_circle_is_a_number():
 )  # fmt: skip
 def test_a_column_of_50_in_a_silo_rests_and_ten_sweeps_do_not_carry_a_thousandfold_mass(ratio, solver, seconds, slops):
     # The limit that the README states: information travels one contact a sweep, and the light ones give way.
-    rest = extremes.stand(extremes.loaded_silo(50, ratio), "ours", solver=solver, seconds=seconds)
-    assert slops[0] < rest["settled"] / LINEAR_SLOP < slops[1]
-    assert rest["speed"][-1] < 1e-6 or (ratio > 1 and solver is TEN)
+    scene = extremes.loaded_silo(50, ratio)
+    rest = measure(Trial(scene=scene, steps=100 * seconds, solver=solver, recognised=False))
+    assert slops[0] < rest["settled"] < slops[1]
+    assert rest["speed"] < 1e-6 or (ratio > 1 and solver is TEN)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 1.0])
@@ -299,6 +300,7 @@ def test_a_scene_is_safe_degraded_failed_or_refused(trial, verdict, message):
     assert (outcome["verdict"], outcome["finite"]) == (verdict, True)
     assert message in outcome["message"]
     assert outcome["speed"] == 0.0 or verdict != SAFE
+    assert verdict == REFUSED or outcome["us"] > 0
 
 
 @pytest.mark.parametrize(
@@ -334,7 +336,7 @@ def test_lifting_by_position_correction_is_counted_apart():
 def test_an_unknown_engine_or_quantity_is_refused():
     with pytest.raises(ValueError, match=r"engine: expected one of ours, Box2D 2\.3, pymunk, got 'magic'"):
         measure(Trial(scene=extremes.silo(1), steps=1), "magic")
-    with pytest.raises(ValueError, match=r"quantities: expected some of mass ratio.*got 'magic'"):
+    with pytest.raises(ValueError, match=r"quantities: expected one of mass ratio.*got 'magic'"):
         extremes.cases(["magic"], quick=True, steps=1)
 
 
@@ -372,9 +374,9 @@ def test_the_figure_holds_its_claims_on_a_few_quantities(script, tmp_path):
 def test_the_figure_reports_a_rise_of_the_energy_and_a_method_that_is_not_safe(script):
     cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
     cell |= {"energy": 0.1, "correction": 0.02, "speed": 0.0}
-    silo = {"ours": {"settled": 0.001, "speed": [0.0]}}
+    silo = {"ours": {"settled": 0.2, "speed": 0.0}}
     solvers = [{"name": name, "verdict": verdict} for name, verdict in zip(extremes.SOLVERS, (DEGRADED, SAFE))]
-    data = {"cells": [cell], "silos": dict.fromkeys(script.SILOS, silo), "solvers": solvers}
+    data = {"cells": [cell], "silos": dict.fromkeys(extremes.SILOS, silo), "solvers": solvers}
     rise, method = (claim.measured for claim in script.claims(data) if not claim.holds)
     assert rise["largest rise"] == pytest.approx(0.08)
     assert method["not safe"] == [f"{extremes.SOLVERS[0]}: degraded"]
