@@ -8,7 +8,7 @@ from deep_contact.studies import piles
 
 
 def test_an_unknown_kind_is_refused():
-    with pytest.raises(ValueError, match="kind: expected one of impact, falling, settling, resting, rest, got 'flying'"):
+    with pytest.raises(ValueError, match=r"kind: expected one of impact, falling.*rest, got 'flying'"):
         piles.pile("flying", 10, 0)
 
 
