@@ -76,12 +76,10 @@ def layers_of(model) -> list[dict]:
     Each {"name", "kind": as in Table 5.1, "shape": of the output without the batch, "parameters", "trainable",
     "kernel": sides of a convolution's kernel or None}.
     """
-    found = [{"name": "input", "kind": "Input", "shape": list(model.input_shape[1:]), "parameters": 0, "trainable": 0}]
-    found[0]["kernel"] = None
-    for layer in model.layers:
+    given = {"name": "input", "kind": "Input", "shape": list(model.input_shape[1:])}
+    found = [given | {"parameters": 0, "trainable": 0, "kernel": None}]
+    for layer in (layer for layer in model.layers if type(layer).__name__ != "InputLayer"):
         kind = type(layer).__name__
-        if kind == "InputLayer":
-            continue
         filters = f"({layer.filters})" if kind == "Conv2D" else ""
         found.append(
             {

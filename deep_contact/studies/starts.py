@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from time import thread_time
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from deep_contact.reporting.figures import Figure, parallel_map, seeds
 from deep_contact.reporting.results import plain
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World, make_bodies
-from deep_contact.studies import timing, verdicts
+from deep_contact.studies import verdicts
 from deep_contact.warm_start import Sph, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
@@ -30,14 +29,10 @@ THRESHOLD = constants.THETA_TOLERANCE
 THESIS_SETTINGS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "scenes": 12}
 """Options of the thesis's comparisons: circles, side of the box in m, steps, sweeps a step; its scenes are fewer."""
 
-MODES = {"paired": "the same states for every start", "independent": "a run of its own for every start"}
-"""Ways to compare starts -> how pictures name them."""
-
-CURVE_POINTS = 160
-"""Points kept of a curve of θ by sweep; they lie evenly on a logarithmic axis."""
-
 THOROUGH = PGS()
 """Solves the states of a run to the tolerance of the thesis's authors' code."""
+
+MODES = ("paired", "independent")
 
 REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 """Reference solution of velocity errors: a solution swept on, so that it favours no start."""
@@ -73,10 +68,7 @@ def sweeps_to(theta: np.ndarray, threshold: float = THRESHOLD) -> int:
 
 
 def convergence_of(thetas: Sequence[np.ndarray], sweeps: int) -> dict[str, np.ndarray]:
-    """How the solves of a run converged, from the θ of each, (≤ sweeps,), N·s.
-
-    Returns {"theta": mean θ after each sweep, Eq 2.30, (sweeps,), "sweeps": `sweeps_to` of each solve}.
-    """
+    """{"theta": mean θ after each sweep, Eq 2.30, (sweeps,), "sweeps": `sweeps_to` of each solve}, by their θ."""
     return {"theta": mean_theta(thetas, sweeps), "sweeps": np.array([sweeps_to(theta) for theta in thetas])}
 
 
@@ -169,7 +161,7 @@ def compare_starts(
     steps: int = 600,
     sweeps: int = 3000,
     scenes: int = 1,
-    modes: Sequence[str] = tuple(MODES),
+    modes: Sequence[str] = MODES,
     seed: int = 0,
     jobs: int = 1,
     progress: Callable | None = None,
@@ -189,7 +181,7 @@ def compare_starts(
             tasks += [("independent", scene_seed, {name: description}) for name, description in starts.items()]
     run = partial(_run, n_bodies=n_bodies, size=size, steps=steps, sweeps=sweeps)
     found = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
-    sample = np.unique(np.round(np.geomspace(1, sweeps, CURVE_POINTS)).astype(np.int64))
+    sample = np.unique(np.round(np.geomspace(1, sweeps, 160)).astype(np.int64))  # even on a logarithmic axis
     data = {"sweep": sample, "threshold": THRESHOLD} | {mode: {} for mode in modes}
     for mode in modes:
         for name in starts:
@@ -228,39 +220,29 @@ def theta_after(data: dict, mode: str, name: str, sweep: int) -> float:
 def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Sequence[str] = ()):
     """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start."""
     figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.6))
-    names = list(data["independent"])
-    draw_convergence(left, data, [name for name in names if name not in hidden])
-    near = data["sweep"].index(10)
-    ratios = {name: verdicts.intervals(data["independent"], name, over)[0, near] for name in names}
-    draw_ratios(right, data, [name for name in names if ratios[name] > 0.1], over)
-    legend_of_both(figure, left, right, title)
-    return figure
-
-
-def legend_of_both(figure, left, right, title: str) -> None:
-    """The title and one legend below for the curves of two panels."""
+    found = data["independent"]
+    drawn = [name for name in found if name not in hidden]
+    bands = {name: np.percentile(found[name]["scenes"]["theta"], (25, 75), axis=0) for name in drawn}
+    thetas = {name: found[name]["theta"] for name in drawn}
+    plotting.convergence_plot(left, data["sweep"], thetas, bands, threshold=data["threshold"], floor=1e-9)
+    left.get_legend().remove()
+    left.set_title("mean θ by sweep; bands: quartiles of the scenes")
+    tenth = data["sweep"].index(10)
+    draw_ratios(right, data, [name for name in found if verdicts.intervals(found, name, over)[0, tenth] > 0.1], over)
+    right.set_title("ratio; bands: 95 % intervals")
     curves = {text: line for ax in (left, right) for line, text in zip(*ax.get_legend_handles_labels())}
     figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4)
     figure.suptitle(title)
+    return figure
 
 
-def draw_convergence(ax, data: dict, names: Sequence[str], mode: str = "independent") -> None:
-    """θ by sweep of some starts in `compare_starts`' data, with the quartiles of the scenes."""
-    found = {name: data[mode][name] for name in names}
-    curves = {name: one["theta"] for name, one in found.items()}
-    bands = {name: np.percentile(one["scenes"]["theta"], (25, 75), axis=0) for name, one in found.items()}
-    plotting.convergence_plot(ax, data["sweep"], curves, bands, threshold=data["threshold"], floor=1e-9)
-    ax.get_legend().remove()
-    ax.set_title("mean θ by sweep; bands: quartiles of the scenes")
-
-
-def draw_ratios(ax, data: dict, names: Sequence[str], over: str, mode: str = "independent") -> None:
-    """θ of some starts over that of one of them, with the intervals of `verdicts`."""
-    styles = plotting.styles_of(list(data[mode]))
+def draw_ratios(ax, data: dict, names: Sequence[str], over: str) -> None:
+    """θ of some starts over that of one of them, in runs of their own, with the intervals of `verdicts`."""
+    styles = plotting.styles_of(list(data["independent"]))
     for name in names:
-        plotting.band(ax, data["sweep"], *verdicts.intervals(data[mode], name, over), **styles[name])
+        plotting.band(ax, data["sweep"], *verdicts.intervals(data["independent"], name, over), **styles[name])
     plotting.log_axes(ax)
-    plotting.label_axes(ax, "sweep", f"θ over that of {styles[over]['label']}", title="ratio; bands: 95 % intervals")
+    plotting.label_axes(ax, "sweep", f"θ over that of {styles[over]['label']}")
 
 
 def convergence_figure(
@@ -421,9 +403,8 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         high = _end([plotting.body_values(state, colour_by)[0] for state in states])
         impulse = _end([state.contacts.normal_impulse for state in states])
         for ax, state in zip(panels[0], states):
-            circles = plotting.draw_state(
-                ax, state, colour_by=colour_by, limits=(0.0, high), largest_impulse=impulse or None
-            )
+            look = {"limits": (0.0, high), "largest_impulse": impulse or None}
+            circles = plotting.draw_state(ax, state, colour_by=colour_by, **look)
             ax.set_title(f"t = {state.time:.2f} s, {state.contacts.count} contacts", loc="left")
             ax.label_outer()
         plotting.colour_bar(panels[0, -1], circles, extend="max")
@@ -439,9 +420,3 @@ def _end(values: Sequence[np.ndarray]) -> float:
     """The percentile `SHOWN` of the positive values, so that one impact does not make all else alike; 0 without any."""
     together = np.concatenate(values)
     return float(np.percentile(together[together > 0], SHOWN)) if (together > 0).any() else 0.0
-
-
-def contact_time(state: State, *, sweeps: int) -> float:
-    """Processor time of one contact solution with `sweeps` sweeps on one thread, s: what else runs is not counted."""
-    solve = partial(solve_contacts, state, solver=PGS(sweeps=sweeps, tolerance=None))
-    return timing.fastest(solve, 3, thread_time)
