@@ -171,7 +171,7 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "quantities": list(extremes.QUANTITIES), "solvers": list(extremes.SOLVERS), "few": False, "steps": 1000,
+    "quantities": list(extremes.QUANTITIES), "solvers": list(extremes.SOLVERS), "few": False, "steps": 400,
     "silo": 50, "seconds": 60,
 }  # fmt: skip
 QUICK = {

@@ -353,10 +353,10 @@ QUANTITIES: dict[str, Quantity] = {
     "radius ratio": Quantity("", (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4), bed_under),
     "column height": Quantity(
         "", (1, 2, 5, 10, 20, 50, 100, 200, 1000), silo, ordered=1,
-        steps=lambda v, s: 6 * s, options=lambda v: _sweeps(10),
+        steps=lambda v, s: 10 * s, options=lambda v: _sweeps(10),
     ),
     "pyramid rows": Quantity("", (2, 5, 10, 20, 50, 100), pyramid),
-    "pile": Quantity("circles", (10, 100, 1000, 10_000), lattice_in_box, steps=lambda v, s: 2 * s),
+    "pile": Quantity("circles", (10, 100, 1000, 10_000), lattice_in_box, steps=lambda v, s: 4 * s),
     "time step": Quantity(
         "s", (*_powers(-10, -3), 0.01, 0.02, 0.05, 0.1, 0.3, 1.0, 2.0), lambda v: struck_silo(5, dt=v), ordered=1
     ),
@@ -369,11 +369,11 @@ QUANTITIES: dict[str, Quantity] = {
     ),
     "friction": Quantity(
         "", (0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12),
-        lambda v: small_pile(friction=v), steps=lambda v, s: 3 * s,
+        lambda v: small_pile(friction=v), steps=lambda v, s: 2 * s,
     ),
     "restitution": Quantity(
         # At e = 1 friction alone brings it to rest, which takes 1,300 steps.
-        "", (0.0, 0.25, 0.5, 0.75, 1.0), lambda v: small_pile(restitution=v), steps=lambda v, s: 6 * s
+        "", (0.0, 0.25, 0.5, 0.75, 1.0), lambda v: small_pile(restitution=v), steps=lambda v, s: 4 * s
     ),
     "overlap": Quantity("of the diameter", (0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0), overlapping),
     "coinciding circles": Quantity("circles", (2, 5, 10, 20, 50, 100, 200), lambda v: overlapping(1.0, v)),

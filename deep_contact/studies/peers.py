@@ -11,7 +11,7 @@ installed, and ValueError for a bad state.
 
 from __future__ import annotations
 
-import importlib.util
+import importlib
 import math
 from collections.abc import Iterator
 from dataclasses import replace
@@ -74,9 +74,7 @@ class Box2D23(_Peer):
     def __init__(self, state: State):
         super().__init__(state)
         b2, world = self._library, _at_rest(self._state.world)
-        self.world = b2.b2World(gravity=world.gravity, doSleep=False)
-        self.world.continuousPhysics = False
-        self.world.warmStarting = True
+        self.world = b2.b2World(gravity=world.gravity, doSleep=False, continuousPhysics=False, warmStarting=True)
         material = {"friction": world.friction, "restitution": world.restitution}
         walls = b2.b2FixtureDef(shape=b2.b2LoopShape(vertices=_corners(world)), **material)
         # The child edge of a contact says which wall it is. They count as ours: bottom, right, top, left.
@@ -119,8 +117,7 @@ class Pymunk(_Peer):
         super().__init__(state)
         pymunk, world = self._library, self._state.world
         self.space = pymunk.Space(threaded=threads > 1)
-        if threads > 1:
-            self.space.threads = threads
+        self.space.threads = threads
         self.space.gravity = world.gravity
         self.space.collision_slop = self._state.scales.slop
         # Bias is the share of the penetration that is left after one second.
@@ -217,11 +214,6 @@ ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
 """Name -> adapter."""
 
 
-def installed() -> list[str]:
-    """Names of the engines whose packages are installed."""
-    return [name for name, adapter in ENGINES.items() if importlib.util.find_spec(adapter.package)]
-
-
 def _at_rest(world: World) -> World:
     if world.surface_speeds:
         raise ValueError(f"surface_speeds: expected none for Box2D, got {world.surface_speeds}")
@@ -236,5 +228,5 @@ def _corners(world: World) -> list[tuple[float, float]]:
 
 def _edges(world: World) -> list[tuple]:
     """The two ends of each wall, in the order of `_corners`, and of each segment."""
-    corners = _corners(world)
-    return list(zip(corners, corners[1:] + corners[:1])) + [(ends[:2], ends[2:]) for ends in world.segments]
+    a, b, c, d = _corners(world)
+    return [(a, b), (b, c), (c, d), (d, a), *((ends[:2], ends[2:]) for ends in world.segments)]

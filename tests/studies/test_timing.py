@@ -36,15 +36,10 @@ def test_runs_are_interleaved_after_a_warm_up_run_that_does_not_count():
     assert found == {"a": [3.0, 5.0], "b": [4.0, 2.0]}
 
 
-def test_the_minimum_is_kept_by_default():
+def test_the_minimum_is_kept_and_set_up_is_not_timed():
     clock = Clock()
-    assert timing.interleaved({0: clock.spend(0.0, 3.0, 2.0)}, repeats=2, clock=clock) == {0: 2.0}
-
-
-def test_set_up_is_not_timed():
-    clock = Clock()
-    found = timing.interleaved({0: clock.spend(0.0, 1.0)}, repeats=1, clock=clock, setup={0: clock.spend(9.0, 9.0)})
-    assert found == {0: 1.0}
+    runs, setup = {0: clock.spend(0.0, 3.0, 2.0)}, {0: clock.spend(9.0, 9.0, 9.0)}
+    assert timing.interleaved(runs, repeats=2, clock=clock, setup=setup) == {0: 2.0}
 
 
 def test_the_garbage_collector_waits_and_is_enabled_again_after_an_error():
