@@ -99,8 +99,7 @@ class Peer:
         self.world = adapter(state, **options)
 
     def run(self, steps: int, sweeps: int) -> None:
-        for _ in range(steps):
-            self.world.step(TIME_STEP, sweeps, POSITION_SWEEPS)
+        self.world.run(steps, TIME_STEP, sweeps, POSITION_SWEEPS)
 
     def count(self, steps: int, sweeps: int) -> int:
         contacts = 0

@@ -1,47 +1,29 @@
 """python scripts/figure_6_6_stability.py: how far each quantity can be pushed, in our engine and in two others."""
 
-from functools import partial
-from itertools import product
+from itertools import groupby, product
 
 import numpy as np
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import extremes
-from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, REFUSED, SAFE, SILOS
+from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
 
 ROUNDING = 1e-9
 """Rise of the energy that rounding may cause, as a share of its initial value."""
 MILD_START = 1e12
 """Largest misleading start, in weights, whose rounding errors stay below `ROUNDING`."""
 
-SLOW = "straight, 1000:1 on top, most accurate"
-"""Of `SILOS`, the one that other engines would take an hour for."""
-
-RESTING = {
-    "straight, 10 sweeps": "one circle wide at 10 sweeps",
-    "leaning, 10 sweeps": "in which it leans from wall to wall at 10 sweeps",
-    SLOW: "with 1000 times its mass on top, most accurately solved,",
-}
-"""Those of `SILOS` that have to come to rest -> their words in a claim."""
-
 
 def compute(options, seed, jobs, progress):
-    """Every value of every quantity in every engine; columns in a silo that have to rest; every method and start."""
-    run = partial(figures.parallel_map, jobs=jobs, progress=progress)
+    """Every value of every quantity in every engine."""
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
+    outcomes = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
     cells = [
         {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"], **outcome}
-        for case, outcome in zip(cases, run(extremes.run_case, cases, text="scenes"))
+        for case, outcome in zip(cases, outcomes)
     ]
-    silos = {name: {} for name in SILOS}
-    columns = [pair for pair in product(SILOS, ENGINES) if pair[0] != SLOW or pair[1] == "ours"]
-    stand = partial(extremes.stand, options["silo"], 100 * options["seconds"])
-    for (name, engine), stood in zip(columns, run(stand, columns, text="columns")):
-        silos[name][engine] = stood
-    units = {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}
-    solvers = run(extremes.run_solver, options["solvers"], text="methods and starts")
-    return {"units": units, "cells": cells, "silos": silos, "solvers": solvers}
+    return {"units": {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}, "cells": cells}
 
 
 def unearned(cell):
@@ -76,16 +58,6 @@ def claims(data):
     if speeds:
         text = "circles that overlap, up to the whole diameter, are parted without giving them any speed"
         yield Claim(text, None, max(speeds) == 0.0, {"largest speed (m/s)": max(speeds)})
-    tried = {solver["name"]: solver["verdict"] for solver in data["solvers"] if solver["verdict"] != ABSENT}
-    if tried:
-        # θ is the last change and no error: after a start ten times too large it stops far from the solution.
-        unsafe = [f"{name}: {found}" for name, found in tried.items() if found != SAFE and name != "start bad"]
-        text = "a falling pile is safe with every method in both precisions, and from every start that is not"
-        yield Claim(f"{text} misleading", None, not unsafe, {"tried": len(tried), "not safe": unsafe or "none"})
-    for name, what in RESTING.items():
-        depth, speed = (data["silos"][name]["ours"][key] for key in ("settled", "speed"))
-        text = f"a column in a silo {what} rests, its penetration below 2 slops"
-        yield Claim(text, None, depth < 2.0 and speed < 1e-3, {"slops": depth, "speed (m/s)": speed})
 
 
 def by_quantity(data):
@@ -98,9 +70,9 @@ def by_quantity(data):
 
 def ranges(cells, verdict):
     """The values that got the verdict, as text: "1 to 100; 1e+06"."""
-    spans = extremes.spans([cell["value"] for cell in cells], [cell["verdict"] for cell in cells])
-    texts = [f"{low:g}" if low == high else f"{low:g} to {high:g}" for found, low, high in spans if found == verdict]
-    return "; ".join(texts) or None
+    runs = [list(group) for found, group in groupby(cells, key=lambda cell: cell["verdict"]) if found == verdict]
+    ends = [[f"{cell['value']:g}" for cell in (run[0], run[-1])] for run in runs]
+    return "; ".join(low if low == high else f"{low} to {high}" for low, high in ends) or None
 
 
 def spread(cells, key):
@@ -119,12 +91,6 @@ def table(data):
             of and of[1] for key in ("settled", "us") for of in (spread(engines.get(e, []), key) for e in ENGINES)
         ]
         rows.append([name, data["units"][name], *(ranges(engines["ours"], v) for v in verdicts), *safe, *medians])
-    for name, engines in data["silos"].items():
-        numbers = [engines.get(engine, {}).get(key) for key in ("settled", "us") for engine in ENGINES]
-        rows.append([f"silo: {name}", *[None] * 7, *numbers])
-    for solver in data["solvers"]:
-        names = [solver["name"] if solver["verdict"] == v else None for v in verdicts]
-        rows.append(["pile", "", *names, None, None, solver["settled"], None, None, solver["us"], None, None])
     return rows
 
 
@@ -170,14 +136,8 @@ def draw(data, options):
     return figure
 
 
-OPTIONS = {
-    "quantities": list(extremes.QUANTITIES), "solvers": list(extremes.SOLVERS), "few": False, "steps": 400,
-    "silo": 50, "seconds": 60,
-}  # fmt: skip
-QUICK = {
-    "quantities": ["mass", "radius ratio", "speed", "overlap", "sweeps"], "few": True,
-    "solvers": ["method NNCG, single", "start sph"], "steps": 100, "silo": 20, "seconds": 10,
-}  # fmt: skip
+OPTIONS = {"quantities": list(extremes.QUANTITIES), "few": False, "steps": 400}
+QUICK = {"quantities": ["mass", "radius ratio", "speed", "overlap", "sweeps"], "few": True, "steps": 100}
 FIGURE = Figure("6.6", "Stability at the extremes: what is safe, degraded, failed and refused", compute, table, draw,
                 claims, options=OPTIONS, quick=QUICK)  # fmt: skip
 

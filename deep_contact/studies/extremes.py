@@ -18,7 +18,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import groupby, product
+from itertools import product
 
 import numpy as np
 
@@ -26,16 +26,15 @@ from deep_contact import constants
 from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
 from deep_contact.physics import metrics
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
-from deep_contact.physics.solvers import METHODS, PGS, PRECISIONS
+from deep_contact.physics.solvers import PGS
 from deep_contact.presets import stiffness
 from deep_contact.simulation import ready, simulate
 from deep_contact.state import Bodies, State, World, make_bodies
 from deep_contact.state.scales import mean
 from deep_contact.studies import peers, timing
 from deep_contact.validation import one_of
-from deep_contact.warm_start import STARTS
 
-SAFE, DEGRADED, FAILED, REFUSED, ABSENT = VERDICTS = ("safe", "degraded", "failed", "refused", "absent")
+SAFE, DEGRADED, FAILED, REFUSED, ABSENT = ("safe", "degraded", "failed", "refused", "absent")
 ENGINES = ("ours", "Box2D 2.3", "pymunk")
 
 ENERGY_TOLERANCE = 0.01
@@ -92,7 +91,7 @@ class Quantity:
 def measure(trial: Trial, engine: str = "ours") -> dict:
     """Run a trial in an engine of `ENGINES`.
 
-    Returns {"verdict": one of `VERDICTS`, "message": why it was refused, or how it failed, "finite": whether all
+    Returns {"verdict": `SAFE` or another, "message": why it was refused, or how it failed, "finite": whether all
     numbers were, "energy": largest rise of the mechanical energy over its initial value, as a share of the scale,
     "correction": work of position correction against gravity, likewise, ours only, "settled": deepest penetration of
     the last tenth of the steps, slops, "speed": largest at the end, m/s, "us": processor time of a step after them}.
@@ -149,8 +148,7 @@ class _Peer:
         self.bodies = self.world.bodies
 
     def advance(self, steps: int) -> None:
-        for _ in range(steps):
-            self.world.step(self.trial.scene.dt, self.trial.solver.sweeps, self.trial.solver.position_sweeps)
+        self.world.run(steps, self.trial.scene.dt, self.trial.solver.sweeps, self.trial.solver.position_sweeps)
 
 
 class _Watch:
@@ -253,6 +251,20 @@ def struck_silo(n: int, *, dt: float = constants.TIME_STEP, **options) -> State:
     velocity[-1, 1] = -5.0
     top = max(scene.world.box[3], position[-1, 1] + 2 * scene.bodies.radius[-1])
     return with_box(with_bodies(scene, position=position, velocity=velocity), top=top)
+
+
+PRESSED = 1e-4
+"""Overlap of contacts that have to exist in every engine, m. Without it, rounding to float32 decides."""
+
+
+def leaning_silo(n: int) -> State:
+    """A `silo` that is 5 cm wider: the circles stand in zigzag, each pressed into the next and into a wall."""
+    scene, lean = silo(n), 0.05
+    x_min, y_min, x_max, _ = scene.world.box
+    across, reach, wall = lean + 2 * PRESSED, 2.0 - PRESSED, WALL_SKIN + 1.0 - PRESSED
+    order = np.arange(n)
+    x, y = x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order
+    return with_box(with_bodies(scene, position=np.column_stack([x, y])), right=x_max + lean)
 
 
 def pyramid(rows: int) -> State:
@@ -417,58 +429,3 @@ def run_case(case: dict) -> dict:
     except ValueError as error:
         return _without_run(REFUSED, error)
     return measure(trial, case["engine"])
-
-
-SOLVERS = (
-    *(f"method {name}, {precision}" for name in METHODS for precision in PRECISIONS),
-    *(f"start {name}" for name in STARTS),
-)
-"""Every method in both precisions and every start, for `run_solver`."""
-
-
-def run_solver(name: str) -> dict:
-    """`measure` of `small_pile` by one of `SOLVERS`. A start without its network is absent."""
-    kind, _, what = name.partition(" ")
-    method, _, precision = what.partition(", ")
-    options = {"solver": METHODS[method](precision=precision)} if kind == "method" else {"warm_start": what}
-    return {"name": name, **measure(Trial(scene=small_pile(), steps=600, **({"solver": PGS()} | options)))}
-
-
-def spans(values, verdicts) -> list[tuple[str, float, float]]:
-    """(verdict, first value, last value) of every run of neighbouring values with one verdict."""
-    found = []
-    for verdict, group in groupby(sorted(zip(values, verdicts)), key=lambda pair: pair[1]):
-        inside = [value for value, _ in group]
-        found.append((verdict, inside[0], inside[-1]))
-    return found
-
-
-def stand(n: int, steps: int, column: tuple[str, str]) -> dict:
-    """`measure` of a column of n circles that stands for so many steps: a name of `SILOS` and an engine."""
-    name, engine = column
-    scene, solver = SILOS[name]
-    return measure(Trial(scene=scene(n), steps=steps, solver=solver, recognised=False), engine)
-
-
-PRESSED = 1e-4
-"""Overlap of contacts that have to exist in every engine, m. Without it, rounding to float32 decides."""
-
-
-def leaning_silo(n: int) -> State:
-    """A `silo` that is 5 cm wider: the circles stand in zigzag, each pressed into the next and into a wall."""
-    scene, lean = silo(n), 0.05
-    x_min, y_min, x_max, _ = scene.world.box
-    across, reach, wall = lean + 2 * PRESSED, 2.0 - PRESSED, WALL_SKIN + 1.0 - PRESSED
-    order = np.arange(n)
-    x, y = x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order
-    return with_box(with_bodies(scene, position=np.column_stack([x, y])), right=x_max + lean)
-
-
-TEN = PGS(sweeps=10, tolerance=None)
-SILOS = {
-    "straight, 10 sweeps": (silo, TEN),
-    "leaning, 10 sweeps": (leaning_silo, TEN),
-    "straight, 1000:1 on top, 10 sweeps": (partial(loaded_silo, ratio=1000.0), TEN),
-    "straight, 1000:1 on top, most accurate": (partial(loaded_silo, ratio=1000.0), ACCURATE),
-}
-"""Name -> a column of so many circles in a silo, and how it is solved."""

@@ -1,7 +1,7 @@
 """The same scene in other engines: Box2D 2.3 (`Box2D`), Chipmunk (`pymunk`) and Box2D v3 (`pyb2d3`).
 
 Tests use them as oracles, benchmarks and studies for comparison. All three adapters have `step(dt, sweeps,
-position_sweeps)`, `bodies()` and `contact_count()`, and are built from a `deep_contact.state.State`: its circles with
+position_sweeps)`, `run` of many such, `bodies()` and `contact_count()`, and are built from a `State`: its circles with
 equal masses, its box, gravity, friction and restitution. Slop, thresholds and largest speeds are the engines' own,
 which are absolute lengths and speeds; what an adapter sets, Chipmunk's slop and the walls' radius, follows the scene
 (`State.scales`). Sleeping and continuous collision are off, warm starting is on. The contacts of the state are not
@@ -53,6 +53,11 @@ class _Peer:
         bodies = self._state.bodies
         vectors = (map(tuple, values.tolist()) for values in (bodies.position, bodies.velocity))
         return zip(*vectors, *(values.tolist() for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius)))
+
+    def run(self, steps: int, dt: float, sweeps: int, position_sweeps: int) -> None:
+        """So many steps."""
+        for _ in range(steps):
+            self.step(dt, sweeps, position_sweeps)
 
     def bodies(self) -> Bodies:
         """The bodies now. The masses are the engine's (float32 in Box2D), the radii ours."""

@@ -54,6 +54,9 @@ HELD_OUT_KINDS = {
 MOMENTS = (0.75, 2.25, 3.75, 5.25)
 """When piles are timed, s after the start. The cost of a setting is the mean over these: that of a run of 6 s."""
 
+POSITION_SWEEPS = 10
+"""Of Box2D 2.3, at most."""
+
 PHASES = ("impact", "rest")
 """Phases in which piles are timed as well, to show how a cost changes in a run."""
 
@@ -128,8 +131,7 @@ def _states_of_peer(start: State, setting: Mapping, frames: int) -> Iterator[Sta
     world = peers.ENGINES[setting["engine"]](start.replace(dt=setting["dt"]))
     each = round(INTERVAL / setting["dt"])
     for k in range(frames):
-        for _ in range(each):
-            world.step(setting["dt"], setting["sweeps"], 10)
+        world.run(each, setting["dt"], setting["sweeps"], POSITION_SWEEPS)
         state = start.replace(bodies=world.bodies(), time=(k + 1) * INTERVAL)
         yield state.replace(contacts=contacts_of(state))
 
@@ -307,16 +309,12 @@ def times(
         two = adapter.takes_threads and n_bodies >= 2 * CIRCLES_A_THREAD
         for key, make in ((name, 1), adapter), *([((name, 2), partial(adapter, threads=2))] if two else []):
             setup[key] = lambda key=key, make=make, scene=scene_of_run: worlds.update({key: make(scene)})
-            runs[key] = lambda key=key, setting=setting, count=count: _step_peer(worlds.pop(key), setting, count)
+            given = count, setting["dt"], setting["sweeps"], POSITION_SWEEPS
+            runs[key] = lambda key=key, given=given: worlds.pop(key).run(*given)
     found: dict[str, float] = {}
     for (name, _), seconds in timing.interleaved(runs, repeats=repeats, setup=setup).items():
         found[name] = min(found.get(name, math.inf), 1e6 * seconds / steps)
     return found
-
-
-def _step_peer(world, setting: Mapping, count: int) -> None:
-    for _ in range(count):
-        world.step(setting["dt"], setting["sweeps"], 10)
 
 
 # ---- what the study says ----
