@@ -96,13 +96,13 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "counts": [100, 300, 1000, 3000, 10000], "kinds": ["settling", "falling"],
-    "piles": {"100": 10, "300": 12, "1000": 4, "3000": 2, "10000": 1}, "states": 5, "every": 4,
+    "counts": [100, 300, 1000, 3000], "kinds": ["settling", "falling"],
+    "piles": {"100": 3, "300": 3, "1000": 3, "3000": 2}, "states": 5, "every": 4,
     "sweeps": [0, 1, 2, 3, 5, 7, 10, 14, 20, 30, 45, 70, 100, 150, 220, 330, 500, 750, 1100, 1700, 2500, 4000],
     "past_need": 20_000, "exact": [100, 300, 1000], "repeats": 7, "model": "models/model.h5",
 }  # fmt: skip
 QUICK = {
-    "counts": [100, 1000], "kinds": ["settling"], "piles": {"100": 2, "1000": 1}, "states": 2,
+    "counts": [100, 300], "kinds": ["settling"], "piles": {"100": 1, "300": 1}, "states": 2, "exact": [100],
     "sweeps": [0, 1, 3, 10, 30, 100, 300], "past_need": 2000, "repeats": 3,
 }  # fmt: skip
 FIGURE = Figure("6.10", "When a learned start pays for itself", compute, table, draw, claims, options=OPTIONS,

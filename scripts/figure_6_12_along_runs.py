@@ -24,12 +24,13 @@ def ratio(one, other):
 
 def claims(data):
     timed, swept = {}, {}
-    error = {(entry["circles"], entry["setting"], entry["sweeps"]): entry["error"] for entry in data["runs"]}
     for cell in at_equal_times(data["runs"], data["columns"]):
         circles, sweeps, errors = cell["circles"], cell["sweeps"], cell["errors"]
         found = dict(zip(("ratio", "from", "to"), ratio(errors[NETWORK], errors[cell["best"]])))
         timed[f"{circles} circles, time of {sweeps} sweeps"] = {"best classical": cell["best"]} | found
-        swept[f"{circles} circles, {sweeps} sweeps"] = ratio(*(error[circles, s, sweeps] for s in (NETWORK, BUILTIN)))
+        curves = (data["runs"][circles][name] for name in (NETWORK, BUILTIN))
+        same = ratio(*(curve["errors"][curve["sweeps"].index(sweeps)] for curve in curves))
+        swept[f"{circles} circles, {sweeps} sweeps"] = same
     wins = sum(r["ratio"] is not None and r["ratio"] <= 0.85 and r["to"] < 0.95 for r in timed.values())
     text = "along runs the network leaves at most 0.85 of the best classical error at equal time, in 4 of 9 cells"
     yield Claim(text, None, wins >= 4, {"wins": wins, **timed})
@@ -44,24 +45,25 @@ def table(data):
             found = ratio(errors, cell["errors"][cell["best"]])
             text = None if errors is None else "{:.2f} ({:.2f}–{:.2f})".format(*found)
             error, best = None if errors is None else float(np.mean(errors)), "yes" if name == cell["best"] else ""
-            rows.append([str(cell["circles"]), name, cell["sweeps"], 1e3 * cell["seconds"], error, text, best])
+            rows.append([cell["circles"], name, cell["sweeps"], 1e3 * cell["seconds"], error, text, best])
     return rows
 
 
 def draw(data, options):
     """Mean error along runs against the time of a step, one panel a size."""
-    sizes = study.curves(data["runs"])
+    sizes = data["runs"]
     figure, axes = plotting.subplots(1, len(sizes), size=(plotting.PAGE, 3.6), squeeze=False)
     for ax, (circles, of_size) in zip(axes[0], sizes.items()):
         for name in DRAWN:
-            (start, solver), (_, seconds, errors) = study.parts_of(name), of_size[name]
+            (start, solver), curve = study.parts_of(name), of_size[name]
             look = plotting.style_of(start)
             look["label"] += f", {'PSOR' if solver == BASE else solver}"
             if solver != BASE:
                 look["color"] = plotting.SOLVER_COLOUR[solver]
-            ax.plot(1e3 * seconds, errors.mean(axis=1), marker="o", markersize=3, **look)
+            milliseconds = 1e3 * np.array(curve["seconds"])
+            ax.plot(milliseconds, np.mean(curve["errors"], axis=1), marker="o", markersize=3, **look)
         plotting.log_axes(ax)
-        plotting.label_axes(ax, "time of a step", "", x_unit="ms", title=f"{circles:,} circles")
+        plotting.label_axes(ax, "time of a step", "", x_unit="ms", title=f"{int(circles):,} circles")
     axes[0, 0].set_ylabel("mean velocity error along the run")
     figure.suptitle("Which start and solver leave the least error at equal time?", fontsize=10)
     plotting.legend_below(figure, axes[0, 0])

@@ -328,14 +328,14 @@ def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
     """Errors of `TIMED` by sweeps on states of one pile, and those states that have a reference.
 
     task: "circles", "kind", "seed", "starts": name -> description, "states" and "every" of the pile, "sweeps",
-    "past_need": sweeps to the references, "exact": numbers of circles whose references are exact.
+    "past_need": sweeps of NNCG from each start to the references, "exact": numbers of circles whose references are exact.
     """
     starts, used, errors = {name: start_of(one) for name, one in task["starts"].items()}, [], []
-    far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
+    far = NNCG(sweeps=task["past_need"], tolerance=1e-9)
     start = piles.pile(task["kind"], task["circles"], task["seed"])
     for state in piles.states_of(start, count=task["states"], every=task["every"]):
         given = {name: start(state, PGS()) for name, start in starts.items()}
-        ends = [solve(state, solver, *impulses) for impulses in given.values() for solver in far]
+        ends = [solve(state, far, *impulses) for impulses in given.values()]
         if references := piles.references_from(state, ends, exact=task["circles"] in task["exact"]):
             used.append(state)
             errors.append(errors_of(state, given, TIMED, task["sweeps"], references))
@@ -445,73 +445,56 @@ def _falling(circles: int, seed: int) -> State:
     return lattice_in_box(circles, gap=0.1 if seed % 2 else 0.2, seed=seed)
 
 
-def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable) -> list[dict]:
-    """For each size, setting of `DRIVING` and number of sweeps {"circles", "setting", "sweeps", "error": of each scene,
-    "seconds": of a step}.
+def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable) -> dict[str, dict]:
+    """{circles as text: {setting of `DRIVING`: {"sweeps", "seconds": of a step, (c,), "errors": (c, scenes)}}}.
 
-    starts: name -> description. options: "runs": {circles as text: {"scenes", "sweeps": numbers}}, "steps", "every",
-    "past_need", "repeats".
+    starts: name -> description. options: "runs": {circles as text: {"scenes", "sweeps": rising numbers}}, "steps",
+    "every", "past_need", "repeats". No time is longer than that of more sweeps: a run of very few sweeps can take
+    longer, because it has more positions to correct.
     """
-    entries, tasks = [], []
+    tasks = []
     for text, plan in options["runs"].items():
+        common = {"circles": int(text)} | {key: options[key] for key in ("steps", "every", "past_need")}
         chosen = [int(s % 100_000) + 300_000 for s in seeds(seed + int(text), plan["scenes"])]
-        for name, sweeps in product(DRIVING, plan["sweeps"]):
-            entries.append({"circles": int(text), "setting": name, "sweeps": sweeps})
-            common = entries[-1] | {key: options[key] for key in ("steps", "every", "past_need")}
-            tasks += [common | {"start": starts[parts_of(name)[0]], "seed": s} for s in chosen]
-    errors = iter(parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text="runs"))
-    for entry in entries:
-        entry["error"] = [next(errors) for _ in range(options["runs"][str(entry["circles"])]["scenes"])]
+        for name, sweeps, s in product(DRIVING, plan["sweeps"], chosen):
+            tasks.append(common | {"setting": name, "start": starts[parts_of(name)[0]], "sweeps": sweeps, "seed": s})
+    errors, found = iter(parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text="runs")), {}
     for text, plan in options["runs"].items():
         run, calls = partial(simulate, _falling(int(text), 1), steps=options["steps"]), {}
         for name, sweeps in product(DRIVING, plan["sweeps"]):
             start, solver = parts_of(name)
             calls[name, sweeps] = partial(run, solver=fixed(solver, sweeps), warm_start=start_of(starts[start]))
-        took = timing.interleaved(calls, repeats=options["repeats"], clock=time.thread_time)
-        for entry in (entry for entry in entries if entry["circles"] == int(text)):
-            entry["seconds"] = took[entry["setting"], entry["sweeps"]] / options["steps"]
-    return entries
+        took, found[text] = timing.interleaved(calls, repeats=options["repeats"], clock=time.thread_time), {}
+        for name in DRIVING:
+            seconds = np.array([took[name, sweeps] / options["steps"] for sweeps in plan["sweeps"]])
+            of_scenes = [[next(errors) for _ in range(plan["scenes"])] for _ in plan["sweeps"]]
+            curve = {"sweeps": plan["sweeps"], "seconds": np.minimum.accumulate(seconds[::-1])[::-1]}
+            found[text][name] = curve | {"errors": np.array(of_scenes)}
+    return found
 
 
-def curves(entries: Sequence[Mapping]) -> dict[int, dict[str, tuple]]:
-    """{circles: {setting: (sweeps (c,), seconds (c,), errors (c, scenes))}} of `measure_runs`' entries, by sweeps.
-
-    No time is longer than that of more sweeps: a run of very few sweeps can take longer, because it has more positions
-    to correct.
-    """
-    rows: dict = {}
-    for entry in sorted(entries, key=lambda entry: entry["sweeps"]):
-        of_setting = rows.setdefault(entry["circles"], {}).setdefault(entry["setting"], [])
-        of_setting.append((entry["sweeps"], entry["seconds"], entry["error"]))
-
-    def curve(rows):
-        sweeps, seconds, errors = zip(*rows)
-        return sweeps, np.minimum.accumulate(seconds[::-1])[::-1], np.array(errors)
-
-    return {n: {name: curve(found) for name, found in of_size.items()} for n, of_size in rows.items()}
-
-
-def error_at(seconds: float, times: np.ndarray, errors: np.ndarray) -> np.ndarray | None:
-    """Errors (scenes,) at a time, interpolated in logarithms; beyond the last time the last ones.
+def error_at(seconds: float, curve: Mapping) -> np.ndarray | None:
+    """Errors (scenes,) of a curve of `measure_runs` at a time, interpolated in logarithms; the last ones beyond it.
 
     None if the fewest sweeps take longer.
     """
-    if seconds < times[0]:
+    if seconds < curve["seconds"][0]:
         return None
-    return np.exp([np.interp(np.log(seconds), np.log(times), scene) for scene in np.log(errors).T])
+    times, errors = np.log(curve["seconds"]), np.log(curve["errors"])
+    return np.exp([np.interp(np.log(seconds), times, scene) for scene in errors.T])
 
 
-def at_equal_times(entries: Sequence[Mapping], columns: Sequence[int]) -> list[dict]:
+def at_equal_times(runs: Mapping, columns: Sequence[int]) -> list[dict]:
     """Errors of all settings at the time of so many sweeps of `BASE` from Builtin, for every size.
 
-    Returns [{"circles", "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best": the
-    classical setting of the least mean error}].
+    Returns [{"circles": as text, "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best":
+    the classical setting of the least mean error}].
     """
     found = []
-    for circles, of_size in curves(entries).items():
-        swept, times, _ = of_size[f"builtin, {BASE}"]
-        for sweeps, seconds in ((k, float(times[swept.index(k)])) for k in columns if k in swept):
-            errors = {name: error_at(seconds, *rest) for name, (_, *rest) in of_size.items()}
+    for circles, curves in runs.items():
+        base = curves[f"builtin, {BASE}"]
+        for sweeps, seconds in ((k, s) for k, s in zip(base["sweeps"], base["seconds"]) if k in columns):
+            errors = {name: error_at(seconds, curve) for name, curve in curves.items()}
             means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}
             best = min(means, key=means.get)
             found.append({"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors, "best": best})

@@ -88,29 +88,27 @@ def test_a_learned_start_is_timed_against_the_best_classical_setting():
 
 def test_an_error_between_two_times_lies_on_the_line_of_logarithms():
     # e = 1 / t²: 0.25 at t = 2, 0.0625 at t = 4.
-    times, errors = np.array([1.0, 4.0]), np.array([[1.0, 2.0], [0.0625, 0.125]])
-    np.testing.assert_allclose(learned_starts.error_at(2.0, times, errors), [0.25, 0.5])
-    np.testing.assert_allclose(learned_starts.error_at(9.0, times, errors), errors[1])
-    assert learned_starts.error_at(0.1, times, errors) is None  # less time than the fewest sweeps take
+    curve = {"seconds": [1.0, 4.0], "errors": [[1.0, 2.0], [0.0625, 0.125]]}
+    np.testing.assert_allclose(learned_starts.error_at(2.0, curve), [0.25, 0.5])
+    np.testing.assert_allclose(learned_starts.error_at(9.0, curve), curve["errors"][1])
+    assert learned_starts.error_at(0.1, curve) is None  # less time than the fewest sweeps take
 
 
 def test_settings_are_compared_at_the_time_of_the_base():
-    def entry(setting, sweeps, seconds, errors):
-        return {"circles": 30, "setting": setting, "sweeps": sweeps, "seconds": seconds, "error": errors}
+    def curve(*rows):
+        sweeps, seconds, errors = zip(*rows)
+        return {"sweeps": list(sweeps), "seconds": list(seconds), "errors": [[e, e] for e in errors]}
 
     base, single, learned = f"builtin, {BASE}", "builtin, PSOR 1.7", f"{LEARNED}, {BASE}"
-    entries = [entry(base, 10, 2.0, [0.4, 0.4]), entry(base, 20, 3.0, [0.2, 0.2])]
-    entries += [entry(single, 10, 2.0, [0.5, 0.5]), entry(single, 20, 3.0, [0.1, 0.1])]
+    curves = {base: curve((10, 2.0, 0.4), (20, 3.0, 0.2)), single: curve((10, 2.0, 0.5), (20, 3.0, 0.1))}
     # Half a unit dearer: the time of 10 sweeps is too short for it.
-    entries += [entry(learned, 10, 2.5, [0.3, 0.3]), entry(learned, 20, 3.5, [0.15, 0.15])]
-    first, second = learned_starts.at_equal_times(entries, [10, 20])
+    curves[learned] = curve((10, 2.5, 0.3), (20, 3.5, 0.15))
+    first, second = learned_starts.at_equal_times({"30": curves}, [10, 20])
     assert (first["best"], second["best"]) == (base, single)
     assert first["errors"][learned] is None
     right = np.exp(np.interp(np.log(3.0), np.log([2.5, 3.5]), np.log([0.3, 0.15])))
     assert second["errors"][learned][0] == pytest.approx(right)
-    script = load_script("figure_6_12")
-    entries += [entry(base, 50, 9.0, [0.05, 0.05]), entry(learned, 50, 9.9, [0.05, 0.05])]
-    won, swept = script.claims({"columns": [10, 20], "runs": entries})
+    won, swept = load_script("figure_6_12").claims({"columns": [10, 20], "runs": {"30": curves}})
     assert (won.holds, won.measured["wins"]) == (False, 0)
     np.testing.assert_allclose(swept.measured["30 circles, 20 sweeps"], 0.75)
 
