@@ -81,8 +81,7 @@ def table(data):
         name = name if n is None else f"{name}, {n} circles, ns"
         rows.append([name, one["ratio"], [one["low"], one["high"]], one["apart"], one["general"], one["special"]])
     for name, one in data["jobs"].items():
-        cells = [one["seconds"], f"{one['modules']} modules", None, one["memory_mb"], one["compiled"]]
-        rows.append([f"job: {name}, s", *cells])
+        rows.append([f"job: {name}, s; MB", None, None, None, one["seconds"], one["memory_mb"]])
     return rows
 
 

@@ -328,7 +328,7 @@ def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
     """Errors of `TIMED` by sweeps on states of one pile, and those states that have a reference.
 
     task: "circles", "kind", "seed", "starts": name -> description, "states" and "every" of the pile, "sweeps",
-    "past_need": sweeps of NNCG from each start to the references, "exact": numbers of circles whose references are exact.
+    "past_need": sweeps of NNCG from each start to a reference, "exact": numbers of circles whose references are exact.
     """
     starts, used, errors = {name: start_of(one) for name, one in task["starts"].items()}, [], []
     far = NNCG(sweeps=task["past_need"], tolerance=1e-9)

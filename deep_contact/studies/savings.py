@@ -168,20 +168,17 @@ JOBS = {
 """Job -> the code of it."""
 
 _PROBE = """
-import gc, json, sys, time
+import json, sys, time
 begin = time.perf_counter()
 exec(sys.argv[1])
 took = time.perf_counter() - begin
 heavy = [name for name in ("numpy", "numba", "scipy", "lxml", "h5py", "keras", "tensorflow") if name in sys.modules]
-found = {"seconds": took, "modules": len(sys.modules), "heavy": heavy, "memory_mb": None, "compiled": 0}
+found = {"seconds": took, "heavy": heavy, "memory_mb": None}
 try:
     lines = open("/proc/self/status").read().splitlines()
     found["memory_mb"] = next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
 except OSError:
     pass
-if "numba" in sys.modules:
-    from numba.core.dispatcher import Dispatcher
-    found["compiled"] = sum(len(one.stats.cache_misses) for one in gc.get_objects() if isinstance(one, Dispatcher))
 print(json.dumps(found))
 """
 
@@ -189,8 +186,8 @@ print(json.dumps(found))
 def job(name: str) -> dict:
     """What a job takes in a fresh process, after a first one has filled the caches.
 
-    Returns {"seconds", "modules": number loaded, "heavy": packages among them, "memory_mb": peak resident memory, or
-    None where it is unknown, "compiled": number of functions compiled}. The seconds exclude the interpreter's start.
+    Returns {"seconds", "heavy": packages that it loads, "memory_mb": peak resident memory, or None where it is
+    unknown}. The seconds exclude the interpreter's start.
     """
     command = [sys.executable, "-c", _PROBE, JOBS[name]]
     for _ in range(2):
