@@ -79,7 +79,7 @@ def table(data):
     rows = [["what", "times cheaper", "quartiles", "apart, m", "general", "special"]]
     for name, n, one in named_savings(data):
         name = name if n is None else f"{name}, {n} circles, ns"
-        rows.append([name, one["ratio"], [one["low"], one["high"]], one["apart"], one["general"], one["special"]])
+        rows.append([name, one["ratio"], [one["low"], one["high"]], one.get("apart"), one["general"], one["special"]])
     for name, one in data["jobs"].items():
         rows.append([f"job: {name}, s; MB", None, None, None, one["seconds"], one["memory_mb"]])
     return rows
