@@ -91,28 +91,6 @@ def test_a_field_of_the_wrong_length_or_that_is_not_finite_is_refused_by_name(ow
             ready(state.replace(**{owner: part._replace(**{name: values})}))
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"body_a": -1}, r"body_a\[1\]: expected a circle, 0 to 2"),
-        ({"body_a": 3, "body_b": 4}, r"body_a\[1\]: expected a circle, 0 to 2"),
-        ({"body_b": 0}, r"body_b\[1\]: expected a body after body_a"),
-        ({"body_b": 7}, r"body_b\[1\]: expected a body after body_a, up to 6"),
-        ({"body_a": 0, "body_b": 1}, r"the pair \(body_a 0, body_b 1\) appears twice"),
-        ({"normal": (0.7, 0.7)}, r"normal\[1\]: expected a unit vector"),
-        ({"normal_impulse": -1e-9}, r"normal_impulse\[1\]: expected a number >= 0"),
-    ],
-)
-def test_contacts_that_do_not_hold_together_are_refused(change, message):
-    state = ready(extremes.silo(3))
-    contacts = Contacts(*(field.copy() for field in state.contacts))
-    assert (contacts.body_a[0], contacts.body_b[0]) == (0, 1)
-    for name, value in change.items():
-        getattr(contacts, name)[1] = value
-    with pytest.raises(ValueError, match=rf"contacts.*{message}"):
-        ready(state.replace(contacts=contacts))
-
-
 @pytest.mark.parametrize("kind", ["normal", "tangent"])
 def test_a_start_beyond_the_limit_is_refused(kind):
     state = ready(extremes.silo(2))
