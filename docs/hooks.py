@@ -1,11 +1,10 @@
-"""What the site has beyond its Markdown: executed examples, a page for every module, the pictures of the results.
+"""What the site has beyond its Markdown: executed examples, pages of the public names, the pictures of the results.
 
 MkDocs calls the `on_` functions (mkdocs.yml). Any failure stops the build.
 """
 
 import inspect
 import os
-import pkgutil
 import re
 import subprocess
 import sys
@@ -15,6 +14,7 @@ from pathlib import Path
 
 from mkdocs.exceptions import PluginError
 from mkdocs.structure.files import File
+from PIL import Image
 
 import deep_contact
 
@@ -23,18 +23,24 @@ GALLERY = ROOT / "docs" / "gallery"
 PICTURES = (".png", ".gif")
 TIMEOUT_S = 600
 PATHS = {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
-MODULES = [module.name for module in pkgutil.iter_modules(deep_contact.__path__) if not module.name.startswith("_")]
+NAMES = {}
+"""Page of the API -> public names that it describes, and where they are: those of a module, or a module."""
+for _public, (_module, _name) in deep_contact._HOME.items():
+    _found = getattr(deep_contact, _public)
+    _place = _found.__name__ if inspect.ismodule(_found) else f"{_module}.{_name}"
+    _page = _public if inspect.ismodule(_found) else _module.split(".")[-1]
+    NAMES.setdefault(_page, {})[_public] = _place
+THUMBNAIL = 160
+"""Width of the pictures in the index of results, pixels."""
 _pictures = {}
 _work = tempfile.TemporaryDirectory()
 
 
 def on_config(config):
-    """Add the examples, in the order of the gallery's index, and the modules to the navigation."""
-    config.nav += [
-        {"Gallery": ["gallery/index.md", *(f"gallery/{name}.md" for name in _order())]},
-        {"API": ["api/index.md", *(f"api/{name}.md" for name in MODULES)]},
-        {"Appendix": "appendix.md"},
-    ]
+    """Add the examples, in the order of the gallery's index, and the public names to the navigation."""
+    tabs = {name: pages for tab in config.nav for name, pages in tab.items()}
+    tabs["Use"].append({"Gallery": ["gallery/index.md", *(f"gallery/{name}.md" for name in _order())]})
+    tabs["Reference"].insert(0, {"Public names": ["api/index.md", *(f"api/{name}.md" for name in NAMES)]})
     return config
 
 
@@ -49,15 +55,20 @@ def on_files(files, config):
         files.append(File.generated(config, f"gallery/{name}.md", content=page))
         for path in pictures:
             files.append(File.generated(config, f"gallery/{name}/{path.name}", abs_src_path=str(path)))
-    for name in MODULES:
-        text = f"# {name}\n\n::: deep_contact.{name}\n"
-        files.append(File.generated(config, f"api/{name}.md", content=text))
+    for page, names in NAMES.items():
+        blocks = "".join(f"\n::: {place}\n" for place in names.values())
+        files.append(File.generated(config, f"api/{page}.md", content=f"# {page}\n{blocks}"))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
     made = [sys.executable, ROOT / "docs" / "tables.py", "--appendix"]
     appendix = subprocess.run(made, capture_output=True, text=True, check=True, env=os.environ | PATHS).stdout
     files.append(File.generated(config, "appendix.md", content=appendix))
     for path in (ROOT / "data" / "reference").glob("*.png"):
         files.append(File.generated(config, f"reference/{path.name}", abs_src_path=str(path)))
+        small = Path(_work.name) / path.name
+        with Image.open(path) as picture:
+            picture.thumbnail((2 * THUMBNAIL, 2 * THUMBNAIL))
+            picture.save(small)
+        files.append(File.generated(config, f"thumbnails/{path.name}", abs_src_path=str(small)))
     return files
 
 
@@ -66,6 +77,9 @@ def on_page_markdown(markdown, page, config, files):
     if page.file.src_uri == "gallery/index.md":
         shown = [(name, found[0].name) for name, found in _pictures.items() if found]
         markdown += "\n".join(f"[![{name}]({name}/{file}){{ width=300 }}]({name}.md)" for name, file in shown)
+    if page.file.src_uri == "results.md":
+        small = rf"[![\1](thumbnails/\2){{ width={THUMBNAIL} }}<br>\1](reference/\2)"
+        markdown = re.sub(r"\[(T?[ .\d]+)\]\(\.\./data/reference/(\w+\.png)\)", small, markdown)
     markdown = re.sub(r"\(((?:gallery/)?\w+)\.py\)", r"(\1.md)", markdown)
     return markdown.replace("](../data/reference/", "](reference/")
 
@@ -82,13 +96,12 @@ def _order() -> list[str]:
 def _public_names() -> str:
     """The page that lists what `import deep_contact` offers, with links to where it is described."""
     rows = []
-    for name in deep_contact._HOME:
-        found = getattr(deep_contact, name)
-        if inspect.ismodule(found):
-            continue
-        described = found if hasattr(found, "__qualname__") else type(found)  # `BOX2D` is a value
-        first = inspect.getdoc(described).partition("\n")[0]
-        rows.append(f"| [`dc.{name}`][{described.__module__}.{described.__qualname__}] | {first} |\n")
+    for page, names in NAMES.items():
+        for public, place in names.items():
+            found = getattr(deep_contact, public)
+            described = found if inspect.ismodule(found) or hasattr(found, "__qualname__") else type(found)
+            first = inspect.getdoc(described).partition("\n")[0].replace("*", r"\*")
+            rows.append(f"| [`dc.{public}`]({page}.md#{place}) | {first} |\n")
     return f"# Public names\n\nAfter `import deep_contact as dc`:\n\n| Name | |\n| --- | --- |\n{''.join(rows)}"
 
 

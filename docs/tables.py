@@ -9,11 +9,11 @@ and long tables is printed, which the site has (docs/hooks.py) and the repositor
 from __future__ import annotations
 
 import argparse
-import importlib.util
-import json
 import re
 import sys
-from pathlib import Path
+
+import measured
+from measured import REFERENCE, ROOT, stored
 
 from deep_contact.io.files import replacing
 from deep_contact.presets import PRESETS
@@ -22,15 +22,8 @@ from deep_contact.reporting.figures import cell
 from deep_contact.studies import verdicts
 from deep_contact.studies.runs import ERRORS, cheaper_than_rivals
 
-ROOT = Path(__file__).resolve().parent.parent
-REFERENCE = ROOT / "data" / "reference"
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 _BLOCK = re.compile(r"(<!-- table: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)
-
-
-def stored(stem: str) -> dict:
-    """A file of data/reference."""
-    return json.loads((REFERENCE / f"{stem}.json").read_text(encoding="utf-8"))
 
 
 def markdown(rows: list[list]) -> str:
@@ -48,31 +41,41 @@ def _text(value, digits: int = 3) -> str:
     return "–" if value is None else str(value).replace(", order=colours", "").replace("|", "\\|")
 
 
-def printed(stem: str, having: str | None = None) -> list[list]:
-    """The table that a figure's script prints, of figure_6_9, say; or its rows that have a word between commas."""
-    path = next((ROOT / "scripts").glob(f"{stem}_[a-z]*.py"), None)
-    if path is None:
-        raise ValueError(f"table: expected a script's figure_C_N or one of {', '.join(TABLES)}, got {stem!r}")
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    head, *rows = module.FIGURE.table(stored(stem)["data"])
+def rows_of(stem: str, having: str | None = None) -> list[list]:
+    """The table that a figure's script prints; or its rows that have a word between commas."""
+    head, *rows = measured.printed(stem)
     return [head, *(row for row in rows if having is None or any(having in str(cell).split(", ") for cell in row))]
 
 
 def learned() -> list[list]:
-    """What the start from a network gains, and what it costs."""
-    network = next(row for row in printed("figure_6_8") if row[:2] == ["far field / best classical", "all"])
-    claim = next(c for c in stored("figure_6_10")["claims"] if "cases" in c["measured"])["measured"]
-    errors = [str(cell).split(" ")[0] for cell in network[3:6]]
-    prices = [claim["far field"][f"{n} circles"] for n in (100, 1000)]
-    return [
-        ["The network `model.h5` as a start", "Measured", "Figure"],
-        ["velocity error after 3 / 10 / 30 sweeps, over the best classical start's", " / ".join(errors), "6.8"],
-        ["time to compute it, 100 / 1,000 circles", " / ".join(f"{p['ms']:.1f} ms" for p in prices), "6.10"],
-        ["sweeps of PGS in that time", " / ".join(f"{p['in sweeps']:.0f}" for p in prices), "6.10"],
-        ["cases in which it reaches an error sooner", f"{claim['wins']} of {claim['cases']}", "6.10"],
+    """What was tried as a learned start, what it leaves and what it costs."""
+    model = next(row for row in measured.printed("figure_6_8") if row[:2] == ["far field / best classical", "all"])
+    other = [row for row in measured.printed("figure_6_9")[2:]]
+    worst = [max((str(row[i]) for row in other), key=lambda text: float(text.split(" ")[0])) for i in (1, 2, 3)]
+    found, prices = measured.break_even(), [measured.price(n)["in sweeps"] for n in (100, 1000)]
+    networks = [row for row in measured.printed("figure_6_4")[1:] if row[1]]
+    runs = measured.claim("figure_6_12", "in 4 of 9 cells")
+
+    def error(row, first):
+        return " / ".join(str(text).split(" ")[0] for text in row[first : first + 3])
+
+    head = ["tried", "error over the best classical setting's after 3 / 10 / 30 sweeps, price left out"]
+    rows = [
+        [*head, "price, in sweeps", "sooner at an error", "figure"],
+        [
+            "`model.h5` on given states",
+            error(model, 3),
+            f"{min(prices):.0f} to {max(prices):.0f}",
+            f"{found['wins']} of {found['cases']} cases",
+            "6.8, 6.10",
+        ],
+        [f"`model.h5` on {len(other)} other kinds of scenes, the worst", error(worst, 0), "as above", "–", "6.9"],
+        ["`model.h5` along its own runs, at equal time", "–", "in the time", f"{runs['wins']} of 9 cells", "6.12"],
     ]
+    for row in (networks[0], networks[-1]):
+        text = f"a network of {row[1]:,} weights, over Builtin's error"
+        rows.append([text, error(row, 4), f"{row[3]:.0f}", "–", "6.4"])
+    return rows
 
 
 def engine(kind: str = "settled") -> list[list]:
@@ -222,16 +225,26 @@ def ratio(measured: dict) -> str | None:
 
 
 def figures() -> list[list]:
-    """Figures and tables with their pictures and scripts."""
+    """Figures and tables with their pictures, and what their claims came to."""
     rows = []
     for path in (ROOT / "scripts").glob("[ft]*_[3-6]_*.py"):
         stem = re.match(r"[a-z]+_\d+_\d+", path.stem)[0]
-        if not (REFERENCE / f"{stem}.json").exists():
-            continue
-        found = stored(stem)
-        rows.append([f"[{found['id']}](../data/reference/{stem}.png)", found["title"]])
+        if (REFERENCE / f"{stem}.json").exists():
+            found = stored(stem)
+            rows.append([f"[{found['id']}](../data/reference/{stem}.png)", found["title"], outcome(found["claims"])])
     rows.sort(key=lambda row: ["T" in row[0], *map(int, re.findall(r"\d+", row[0])[:2])])
-    return [["figure", "shows"], *rows]
+    return [["figure", "shows", "verdict"], *rows]
+
+
+def outcome(claims: list[dict]) -> str:
+    """What was claimed and came out otherwise, as sentences."""
+    if not claims:
+        return "It makes no claim."
+    held = sum(claim["holds"] is True for claim in claims)
+    counted = f"{held} of {len(claims)} claims hold" if held else "No claim holds"
+    counted = "All claims hold" if held == len(claims) else counted
+    others = [(results.verdict(claim), claim["text"]) for claim in claims if claim["holds"] is not True]
+    return " ".join([f"{counted}.", *(f"**{verdict.capitalize()}**: {text}." for verdict, text in others)])
 
 
 def elements() -> list[list]:
@@ -254,7 +267,7 @@ def appendix() -> str:
         ("Goals", claims(of_thesis=False)),
         ("Elements of the thesis", elements()),
         *((kind, errata(kind)) for kind in page.ERRATA),
-        *((stored(stem)["title"], printed(stem)) for stem in LONG if (REFERENCE / f"{stem}.json").exists()),
+        *((stored(stem)["title"], measured.printed(stem)) for stem in LONG if (REFERENCE / f"{stem}.json").exists()),
         ("Engines, falling piles", engine("falling")),
         ("Siconos's bench-disks", disks()),
     ]
@@ -284,14 +297,14 @@ TABLES = {table.__name__: table for table in _MADE} | {
 }
 
 
-def filled(text: str) -> str:
-    """The text with every table made anew. Raises ValueError on an unknown table."""
+def filled(page: str, text: str) -> str:
+    """The text of a page with every table and number made anew. Raises ValueError on an unknown table or sentence."""
 
     def table(match: re.Match) -> str:
         name = match["name"]
-        return f"{match[1]}{markdown(TABLES[name]() if name in TABLES else printed(*name.split()))}{match[3]}"
+        return f"{match[1]}{markdown(TABLES[name]() if name in TABLES else rows_of(*name.split()))}{match[3]}"
 
-    return _BLOCK.sub(table, text)
+    return measured.filled(page, _BLOCK.sub(table, text))
 
 
 def main() -> int:
@@ -305,14 +318,14 @@ def main() -> int:
         return 0
     for path in PAGES:
         before = path.read_text(encoding="utf-8")
-        after = filled(before)
+        after = filled(path.name, before)
         if before != after and asked.check:
             stale.append(path.name)
         elif before != after:
             with replacing(path) as temporary:
                 temporary.write_text(after, encoding="utf-8")
     if stale:
-        print(f"expected the tables of the results files in {stale}: run python docs/tables.py", file=sys.stderr)
+        print(f"expected the numbers of the results files in {stale}: run python docs/tables.py", file=sys.stderr)
     return int(bool(stale))
 
 

@@ -17,6 +17,9 @@ import pytest
 
 import deep_contact
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
+import measured
+
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
 DOCS = ROOT / "docs"
@@ -45,8 +48,21 @@ def test_readme_is_one_page_and_the_documentation_at_most_100_kilobytes():
     assert sum(path.stat().st_size for path in DOCS.glob("*.md")) <= 100_000
 
 
-def test_tables_are_those_of_the_results_files():
+def test_tables_and_sentences_have_the_numbers_of_the_results_files():
     subprocess.run([sys.executable, ROOT / "docs" / "tables.py", "--check"], check=True)
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/tried.md"])  # whose files are gone
+def test_a_number_of_the_prose_has_its_file_or_was_chosen(page):
+    assert measured.unexplained(PAGES[page].name, TEXTS[page]) == []
+
+
+def test_a_sentence_gets_its_numbers_wherever_its_lines_end(monkeypatch):
+    monkeypatch.setitem(measured.SENTENCES, "a.md", [("it takes {:.1f} ms, or {:g}", lambda: [2.25, 1e-8])])
+    assert measured.filled("a.md", "So it\ntakes 0 ms,\nor 1e3.") == "So it\ntakes 2.2 ms,\nor 1e-8."
+    with pytest.raises(ValueError, match=r"a\.md: expected one sentence with 'it takes .*, got 0"):
+        measured.filled("a.md", "It takes 2.25 ms.")
+    assert measured.unexplained("a.md", "it takes 2.2 ms, or 1e-8; Figure 6.1: 3.5 N, 7 %") == ["3.5", "7"]
 
 
 def test_the_appendix_has_every_claim_element_and_erratum():

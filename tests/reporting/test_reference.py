@@ -105,8 +105,9 @@ def test_no_verdict_of_the_thesis_comes_from_fewer_than_ten_scenes(id):
             assert claim["verdict"].startswith("open")
 
 
-@pytest.mark.parametrize("id", list(STORED))
-def test_every_stored_result_can_be_drawn_again(id, tmp_path, monkeypatch):
+@pytest.mark.parametrize("id", [id for id in STORED if id.startswith("T")])
+def test_every_stored_table_can_be_drawn_again(id, tmp_path, monkeypatch):
+    """test_pictures.py draws the figures."""
     monkeypatch.setattr(plotting, "DPI", 30)  # a fifth of the time
     figure = figure_of(id)
     shutil.copy(results.REFERENCE / f"{figure.stem}.json", tmp_path)
@@ -168,13 +169,8 @@ def test_what_is_simulated_agrees_within_a_factor(id, folder):
     numbers, quick, factor = AGREEMENT[id]
     found, stored = numbers(run_of(id, quick, folder)["data"]), numbers(STORED[id]["data"])
     assert found.keys() == stored.keys()
-    apart = {name: (found[name], stored[name]) for name in stored if not agree(found[name], stored[name], factor)}
-    assert not apart
-
-
-def agree(one, other, factor):
-    """Whether two numbers >= 0 are within a factor of each other, or both 0."""
-    return max(one, other) <= factor * min(one, other)
+    pairs = {name: sorted((found[name], stored[name])) for name in stored}  # numbers >= 0
+    assert not {name: pair for name, pair in pairs.items() if pair[1] > factor * pair[0]}
 
 
 FEW_SCENES = "the starts compared differ by less than one scene from another"
@@ -195,6 +191,6 @@ def test_a_quick_run_finds_the_same_claims_to_hold(id, folder):
     found, stored = verdicts(run_of(id, True, folder)), verdicts(STORED[id])
     # Fewer where a quick run has fewer networks, of fewer circles where it has smaller piles.
     assert {of_any_size(text) for text in found} <= {of_any_size(text) for text in stored}
-    told = {text: holds for text, holds in found.items() if holds is not None}  # one scene leaves verdicts open
+    decided = {text: holds for text, holds in found.items() if holds is not None}  # one scene leaves verdicts open
     if id not in UNDECIDED:
-        assert told == {text: stored[text] for text in told}
+        assert decided == {text: stored[text] for text in decided}

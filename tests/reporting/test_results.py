@@ -137,15 +137,6 @@ def test_a_verdict_is_the_claims_own_and_that_of_a_quick_run_never_contradicts_t
     assert results.verdict({"text": text, "holds": holds, "verdict": own}, beside) == expected
 
 
-def test_a_failed_write_leaves_what_was_there(tmp_path):
-    path = results.write_results(tmp_path / "a.json", GOOD)
-    before = path.read_bytes()
-    with pytest.raises(ResultsError):
-        results.write_results(path, GOOD | {"data": {"x": float("nan")}})
-    assert path.read_bytes() == before
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a.json"]
-
-
 LARGE = json.dumps(GOOD).replace("0.1]", "1e999]")  # too large for a float
 
 

@@ -1,0 +1,312 @@
+"""Where the measured numbers in the sentences of README.md and docs/*.md come from. `docs/tables.py` fills them.
+
+SENTENCES has, by page, pieces of its text with a `{}` for each number, and a function that makes the numbers from files
+of data/reference. GIVEN has, by page, the pieces whose numbers were chosen, not measured. A number with a decimal
+point, a unit of time, % or × that is in neither fails a test.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import re
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from string import Formatter
+
+import numpy as np
+
+from deep_contact.presets import PRESETS
+from deep_contact.studies.learned_starts import CLASSICAL, best_errors
+from deep_contact.studies.runs import cheaper_than_rivals
+
+ROOT = Path(__file__).resolve().parent.parent
+REFERENCE = ROOT / "data" / "reference"
+NUMBER = r"[-−]?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?"
+
+
+@cache
+def stored(stem: str) -> dict:
+    """A file of data/reference."""
+    return json.loads((REFERENCE / f"{stem}.json").read_text(encoding="utf-8"))
+
+
+@cache
+def printed(stem: str) -> list[list]:
+    """The table that a figure's script prints, of figure_6_9, say, head first."""
+    path = next((ROOT / "scripts").glob(f"{stem}_[a-z]*.py"), None)
+    if path is None:
+        raise ValueError(f"table: expected a script's figure_C_N, got {stem!r}")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.FIGURE.table(stored(stem)["data"])
+
+
+def cell(stem: str, row: str, column: str):
+    """A cell of a printed table, by the first cell of its row and the head of its column."""
+    head, *rows = printed(stem)
+    (found,) = (cells[head.index(column)] for cells in rows if cells[0] == row)
+    return found
+
+
+def claim(stem: str, text: str) -> dict:
+    """What decided the one claim of a file whose text contains this: name -> value."""
+    (found,) = (one["measured"] for one in stored(stem)["claims"] if text in one["text"])
+    return found
+
+
+def spread(values) -> tuple[float, float]:
+    """The least and the largest of some numbers."""
+    values = list(values)
+    return min(values), max(values)
+
+
+# ---- runs ----
+
+
+def rivals() -> tuple[float, float]:
+    """The least and the most times that the fastest rival takes as long as ours for a preset."""
+    found = (cheaper_than_rivals(row) for row in stored("figure_6_1")["data"]["presets"])
+    return spread(ratio for ratio in found if ratio)
+
+
+def verified() -> tuple:
+    """Presets outside the study: cases; misses in % of the tolerance, by preset; least and largest error of a cost."""
+    data = stored("run_tradeoff_verify")["data"]
+    missed = {}
+    for row in data["rows"]:
+        for name, within in row["within"].items():
+            if not within:
+                over = row["errors"][name][0] / PRESETS[row["preset"]][name] - 1
+                missed.setdefault((row["preset"], name), []).append(100 * over)
+    wanted = [("balanced", "penetration_max"), ("reference", "penetration_max"), ("accurate", "energy")]
+    if missed.keys() != set(wanted) or any(len(found) != 1 for found in missed.values()):
+        raise ValueError(f"accuracy.md: expected the misses {wanted}, got {missed}")
+    cases = {(row["n_bodies"], row["kind"]) for row in data["rows"]}
+    costs = spread(row["us"] / row["predicted_us"] for row in data["times"])
+    return len(cases), *(missed[key][0] for key in wanted), *costs
+
+
+def penetration(**setting) -> float:
+    """Mean penetration at rest of plain piles of 1,000 with 4 sweeps of PGS and a setting, % of r."""
+    wanted = {"method": "PGS", "sweeps": 4} | setting
+    rows = stored("run_tradeoff")["data"]["rows"]
+    (row,) = (r for r in rows if (r["n_bodies"], r["kind"], r["setting"]) == (1000, "plain", wanted))
+    return row["errors"]["penetration"][0]
+
+
+def smaller_step() -> tuple:
+    """For the price of 20 sweeps: sweeps of the best smaller step, and what it leaves of the deepest penetration."""
+    found = [one["measured"] for one in stored("figure_6_11")["claims"]]
+    return *spread(m["sweeps"] for m in found), *spread(m["%"] / m["Δt, 20 sweeps, %"] for m in found)
+
+
+def safe(engine: str, *quantities: str) -> list[float]:
+    """The largest values of Figure 6.6 up to which quantities are safe."""
+    return [float(str(cell("figure_6_6", name, f"{engine}: safe")).split(" ")[-1]) for name in quantities]
+
+
+def saved(row: str) -> float:
+    """How many times cheaper a step or sweep is without what its scene does not require (Figure 6.7)."""
+    return cell("figure_6_7", row, "times cheaper")
+
+
+def call() -> list[float]:
+    """What a call of `dc.step` takes beside the step, 100 settled circles, µs."""
+    (case,) = (
+        case
+        for case in stored("benchmark_engine")["data"]["cases"]
+        if (case["n_bodies"], case["kind"]) == (100, "settled")
+    )
+    return [case["engines"]["dc.step"]["overhead_us"] - case["engines"]["ours"]["overhead_us"]]
+
+
+def of_siconos() -> tuple[float, float]:
+    """The least and the most that 40 sweeps of ours take of the time of Siconos's solver on its bench-disks."""
+    states = [state["seconds"] for states in stored("benchmark_disks")["sides"].values() for state in states]
+    return spread(seconds["ours, 40 sweeps"] / seconds["Siconos"] for seconds in states)
+
+
+def lost(way: str) -> float:
+    """Relative change of impulses on a way through the grid, by poly6 at d = h = 0.5 m (Figure 6.3)."""
+    (row,) = (r for r in stored("figure_6_3")["data"]["rows"] if (r["kernel"], r["d"], r["h"]) == ("poly6", 0.5, 0.5))
+    return row[way]
+
+
+# ---- learned starts ----
+
+
+def worth() -> np.ndarray:
+    """Sweeps of the best classical setting that leave the network's error after 3, 10 and 30 (Figure 6.8, all steps).
+
+    Between the numbers of sweeps that were measured, the logarithm of the error is taken as linear.
+    """
+    data = stored("figure_6_8")["data"]
+    classical = np.log(best_errors(data["scenes"], CLASSICAL).mean(axis=0))
+    network = np.log(best_errors(data["scenes"], ["far field"]).mean(axis=0))
+    columns = [data["after"].index(k) for k in AFTER]
+    return np.interp(-network[columns], -classical, data["after"])
+
+
+def break_even() -> dict:
+    """What Figure 6.10 measured: cases, wins, prices."""
+    return claim("figure_6_10", "reaches an error sooner")
+
+
+def price(n_bodies: int) -> dict:
+    """Of the network `model.h5`: ms, and sweeps of PGS in that time."""
+    return break_even()["far field"][f"{n_bodies} circles"]
+
+
+def sizes() -> tuple:
+    """Weights and price in sweeps of Figure 6.4's smallest and largest networks, and the ratio of their errors."""
+    rows = [row for row in printed("figure_6_4")[1:] if row[1]]
+    errors = [float(str(row[5]).split(" ")[0]) for row in rows]
+    return rows[0][1], rows[0][3], rows[-1][1], rows[-1][3], errors[-1] / errors[0]
+
+
+AFTER = (3, 10, 30)
+"""Sweeps after which the errors of Figure 6.8 are compared."""
+
+Numbers = Callable[[], object]
+
+SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
+    "accuracy.md": [
+        ("pymunk takes {:.1f} to {:.1f} times as long for the same error", rivals),
+        (
+            "Mass ratios of {:g}, columns of {:,.0f} circles and coordinates of {:g} m are safe",
+            lambda: safe("ours", "mass ratio, heavy on light", "column height", "coordinate"),
+        ),
+        (
+            "sleeps costs 1/{:.0f} of one that is awake, and a sweep without friction 1/{:.1f} of one with it",
+            lambda: [saved("asleep: a step"), saved("no tangent rows, no spin: a sweep, 100 circles, ns")],
+        ),
+        ("checked on {} kinds and sizes of piles outside the study", lambda: verified()[:1]),
+        (
+            'further, by {:.0f} and {:.0f} %, "accurate" the energy of 300 plain ones, by {:.0f} %',
+            lambda: verified()[1:4],
+        ),
+        ("Costs were {:.2f} to {:.2f} times the predicted ones", lambda: verified()[4:]),
+        (
+            "Safe are mass ratios to {:g}, radius ratios to {:,.0f}, columns of {:,.0f} circles, pyramids of {:.0f} "
+            "rows",
+            lambda: safe("ours", "mass ratio, heavy on light", "radius ratio", "column height", "pyramid rows"),
+        ),
+        (
+            "to {:g} s, speeds to {:g} m/s and coordinates to {:g} m",
+            lambda: safe("ours", "time step", "speed", "coordinate"),
+        ),
+        (
+            "safe to a mass ratio of {:.0f}, columns of {:.0f} circles and pyramids of {:.0f} rows",
+            lambda: safe("Box2D 2.3", "mass ratio, heavy on light", "column height", "pyramid rows"),
+        ),
+        ("has {} to {} sweeps and {:.2f} to {:.2f} of the deepest penetration", smaller_step),
+        (
+            "mean penetration of {:.2f} % of r at rest, one step with the whole slop {:.2f} %",
+            lambda: [penetration(dt=0.005, most_substeps=8, slop=0.25), penetration(dt=0.01)],
+        ),
+        (
+            "Radii that differ {:,.0f} times degrade",
+            lambda: [float(cell("figure_6_6", "radius ratio", "ours: degraded"))],
+        ),
+        ("eight substeps, and takes {:.1f} in the mean", lambda: [claim("figure_6_13", "by motion")["substeps"]]),
+    ],
+    "README.md": [("pymunk takes {:.1f} to {:.1f} times as long", rivals)],
+    "benchmarks.md": [
+        ("in a whole step of ours, take {:.1f} to {:.1f} of the time of Siconos's NSGS alone", of_siconos)
+    ],
+    "guide.md": [("each call costs some {:.0f} µs beside the step", call)],
+    "other_starts.md": [
+        (
+            "loses {:.2f} of the impulse of an isolated contact and {:.2f} of those of a falling pile",
+            lambda: [lost("isolated, thesis"), lost("pile, thesis")],
+        ),
+        ("field of ones, {:.0e} on the pile", lambda: [lost("pile, consistent")]),
+        ("weights that sum to one, {:.0e}. This", lambda: [lost("pile, authors' sharing")]),
+        ("for the SPH image: {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
+    ],
+    "starts.md": [
+        (
+            "3 sweeps from the network are worth {:.1f} of the best classical setting, 10 are worth {:.1f} and 30 are "
+            "worth {:.1f}",
+            worth,
+        ),
+        ("takes the time of {:.0f} sweeps, for 1,000 circles", lambda: [price(1000)["in sweeps"]]),
+        ("Of {} cases it was sooner at an error in {}", lambda: [break_even()["cases"], break_even()["wins"]]),
+        ("This one saves {:.1f}, {:.1f} and {:.1f}, so", lambda: worth() - AFTER),
+        ("was best in {} of 9 cells", lambda: [claim("figure_6_12", "in 4 of 9 cells")["wins"]]),
+        (
+            "tried has {:,} weights. For 100 circles it takes the time of {:.0f} sweeps. One of {:,} weights takes "
+            "{:.0f} and leaves {:.2f} of its error",
+            sizes,
+        ),
+    ],
+}
+"""Page -> pieces of its text, and the function that makes their numbers."""
+
+GIVEN: dict[str, list[str]] = {
+    "README.md": ["a run of 6 s", "μ = 0.5"],
+    "accuracy.md": [
+        *(
+            "at most 85 % of the tolerances",
+            "restitutions of 0.3 and 0.8",
+            "Wall time of 10 ms, the mean over a run of 6 s",
+        ),
+        *("Δt is 10 ms", "below 3 % of a mean radius", "steps of 0.625 ms"),
+    ],
+    "benchmarks.md": ["ω = 1.5", "61 × 61 nodes"],
+    "guide.md": ["0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"],
+    "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
+    "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
+    "thesis.md": ["95 %"],
+}
+"""Page -> pieces of its text whose numbers are settings, or sizes of what others made."""
+
+
+def pattern(template: str) -> re.Pattern:
+    """A template as it stands in a page, whatever its numbers and its line ends; a group for each piece and number."""
+    pieces = []
+    for literal, field, *_ in Formatter().parse(template):
+        words = re.sub(r"(?:\\ )+", r"\\s+", re.escape(literal))
+        pieces.append(f"({words})({NUMBER})" if field is not None else f"({words})()")
+    return re.compile("".join(pieces))
+
+
+def filled(page: str, text: str) -> str:
+    """The text of a page with the numbers of its sentences. Raises ValueError for a sentence that is not there once."""
+    for template, numbers in SENTENCES.get(page, ()):
+        specs = [spec for _, field, spec, _ in Formatter().parse(template) if field is not None]
+        values = [_written(value, spec) for value, spec in zip(numbers(), specs, strict=True)]
+
+        def sentence(match: re.Match, values=values) -> str:
+            pieces = list(match.groups())
+            pieces[1 : 2 * len(values) : 2] = values
+            return "".join(pieces)
+
+        text, times = pattern(template).subn(sentence, text)
+        if times != 1:
+            raise ValueError(f"{page}: expected one sentence with {template!r}, got {times}")
+    return text
+
+
+def _written(value, spec: str) -> str:
+    """A number as the pages write it: 1e8, not 1e+08."""
+    return re.sub(r"e([+-]?)0*(\d)", lambda match: f"e{match[1].strip('+')}{match[2]}", format(value, spec))
+
+
+MEASURED = re.compile(rf"(?<![\w.])(?:\d[\d,]*\.\d+(?:e-?\d+)?|{NUMBER}(?=\s*(?:%|×|times\b|[mµn]?s\b)))(?![\w.]*\d)")
+
+
+NAMES = r"\b(?:Figures?|Tables?|Eq|sections?|chapters?|Python|Siconos|Box2D|Keras|Python 3.10 and)\s\d+(?:\.\d+)+"
+"""Numbers that are names."""
+
+
+def unexplained(page: str, text: str) -> list[str]:
+    """The numbers of a page's prose that look measured and are in no sentence of SENTENCES or GIVEN."""
+    for names in (r"^```.*?^```", r"^\|.*?$", r"<!--.*?-->", r"^#.*?$", r"`[^`]*`", r"\]\([^)]*\)", NAMES):
+        text = re.sub(names, "", text, flags=re.MULTILINE | (re.DOTALL if "`" in names else 0))
+    for template in [*(template for template, _ in SENTENCES.get(page, ())), *GIVEN.get(page, ())]:
+        text = pattern(template).sub("", text)
+    return [match[0] for match in MEASURED.finditer(text)]
