@@ -11,6 +11,7 @@ from pathlib import Path
 
 from deep_contact.constants import VERSION
 from deep_contact.io import shipped
+from deep_contact.io.files import FileError
 from deep_contact.reporting import scripts
 
 # Whatever takes time to import is imported by the command that needs it: --help and --version are immediate.
@@ -27,14 +28,15 @@ COMMANDS = {
     "predict": "predict the impulses of state files",
 }
 
-INTERRUPTED = 130
+DIVERGED, BAD_FILE, NO_PACKAGE, INTERRUPTED = 1, 3, 4, 130
+
+STATUS = """all values are in SI units, impulses in N·s; the settings of a figure are in `figure 3.7 --help`.
+exit status: 0 done, 1 the solver diverged, 2 bad arguments, 3 a file that cannot be read or written, 4 a package that
+is not installed (Keras and TensorFlow in a small environment), 130 Ctrl-C; else that of the script of a figure."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; its exit status.
-
-    0: done. 1: the solver diverged. 2: bad arguments. 130: Ctrl-C. Or that of the script which a command runs.
-    """
+    """Run the command line; its exit status, see `STATUS`."""
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
@@ -48,25 +50,31 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             given = parser.parse_args(arguments)
             return given.run(given)
-    except FloatingPointError as error:
-        print(f"{parser.prog} {name}: {error}", file=sys.stderr)
-        return 1
     except BrokenPipeError:  # of `deep-contact figure | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
         return 0
-    except (ValueError, OSError) as error:
+    except (FloatingPointError, OSError, FileError) as error:
+        print(f"{parser.prog} {name}: {error}", file=sys.stderr)
+        return DIVERGED if isinstance(error, FloatingPointError) else BAD_FILE
+    except ValueError as error:
         commands[name].error(str(error))
     except KeyboardInterrupt:
         return INTERRUPTED
     # Outside of the try block: the error of a script is none of an argument.
-    words = arguments[: len(arguments) - len(following)]
-    return _run(script, [" ".join([parser.prog, *words]), *following])
+    words = " ".join([parser.prog, *arguments[: len(arguments) - len(following)]])
+    try:
+        return _run(script, [words, *following])
+    except ModuleNotFoundError as error:
+        print(f"{words}: {error}", file=sys.stderr)
+        return NO_PACKAGE
 
 
 def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentParser]]:
     is_module = Path(sys.argv[0]).parts[-2:] == ("deep_contact", "__main__.py")
     prog = "python -m deep_contact" if is_module else "deep-contact"
-    parser = argparse.ArgumentParser(prog=prog, description="Rigid contact of circles.")
+    layout = argparse.RawDescriptionHelpFormatter
+    text = "Rigid contact of circles."
+    parser = argparse.ArgumentParser(prog=prog, description=text, epilog=STATUS, formatter_class=layout)
     parser.add_argument("--version", action="version", version=f"deep-contact {VERSION}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
     commands = {name: add(name, help=text, description=f"{text.capitalize()}.") for name, text in COMMANDS.items()}
@@ -84,31 +92,37 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
 def _add_scene(parser: argparse.ArgumentParser, *, steps: int) -> None:
     add = parser.add_argument
     add("state", nargs="?", metavar="STATE.xml", help="continue from this state (default: a scene of falling circles)")
-    add("--bodies", type=int, help="circles of the scene (default: 100)")
-    add("--size", type=float, help="side of its box, m (default: 30)")
-    add("--seed", type=int, help="of the scene (default: 0)")
-    add("--no-gravity", action="store_true", help="circles that drift and collide")
-    add("--steps", type=int, default=steps, help="default: %(default)s")
-    add("--sweeps", type=int, help="most sweeps a step (default: the state's own solver)")
+    add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
+    add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
+    add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
+    add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
+    add("--steps", type=int, default=steps, metavar="N", help="time steps to run (default: %(default)s)")
+    add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
 
 
 def _add_simulate(parser: argparse.ArgumentParser) -> None:
     _add_scene(parser, steps=600)
     add = parser.add_argument
-    add("--dt", type=float, help="time step, s (default: the state's)")
+    add("--dt", type=float, metavar="S", help="time step, s (default: the state's, 0.01 s in a scene)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
-    add("--tolerance", type=float, help="θ at which the sweeps of a step end, N·s")
-    add("--warm-start", metavar="NAME", help="none, builtin, cnn, … (default: builtin)")
+    add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
+    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
     add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
-    add("--every", type=int, default=10, help="steps between two states of the run in an .h5 (default: %(default)s)")
+    add(
+        "--every",
+        type=int,
+        default=10,
+        metavar="N",
+        help="steps between two states of the run in an .h5 (default: %(default)s)",
+    )
     parser.set_defaults(run=_simulate)
 
 
 def _add_view(parser: argparse.ArgumentParser) -> None:
     _add_scene(parser, steps=400)
     add = parser.add_argument
-    add("--every", type=int, default=4, help="steps a frame (default: %(default)s)")
+    add("--every", type=int, default=4, metavar="N", help="steps a frame (default: %(default)s)")
     add("--warm-start", default="builtin", help="where the solver starts, or 'cnn' (default: %(default)s)")
     add("--out", metavar="FILE.gif", help="write a film instead of opening a window")
     parser.set_defaults(run=_view)
@@ -150,14 +164,15 @@ def _method(given, scene) -> dict:
 
     import deep_contact as dc
     from deep_contact.physics.solvers import METHODS
+    from deep_contact.validation import one_of
 
     options = {name: getattr(given, name) for name in ("sweeps", "tolerance") if getattr(given, name) is not None}
     if given.accuracy is not None:
         if options or given.solver is not None or given.warm_start is not None:
             raise ValueError("--accuracy: expected no --solver, --sweeps, --tolerance or --warm-start beside it")
         return {"accuracy": given.accuracy}
-    if given.solver is not None and given.solver not in METHODS:
-        raise ValueError(f"--solver: expected one of {', '.join(METHODS)}, got {given.solver!r}")
+    if given.solver is not None:
+        one_of("--solver", given.solver, METHODS)
     start = {"warm_start": given.warm_start or "builtin"}
     if given.solver is None and not options:
         return start

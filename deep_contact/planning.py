@@ -22,8 +22,8 @@ from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.presets import SUBSTEPS, SWEEPS, stiffness
 from deep_contact.reporting import results
 from deep_contact.simulation import method_of, ready
-from deep_contact.state import State
-from deep_contact.warm_start import Builtin, NoStart
+from deep_contact.state import State, notebook
+from deep_contact.warm_start import Builtin, NoStart, Start
 
 TABLE = Path(__file__).parent / "reference" / "figure_6_7.json"
 """Results of Figure 6.7, shipped with the package."""
@@ -55,22 +55,29 @@ class Plan:
 
     def __getitem__(self, part: str) -> Choice:
         """The choice of a part, by name. Raises KeyError naming the parts."""
-        found = {choice.part: choice for choice in self.choices}
-        if part not in found:
-            raise KeyError(f"expected one of {', '.join(found)}, got {part!r}")
-        return found[part]
+        by_name = {choice.part: choice for choice in self.choices}
+        if part not in by_name:
+            raise KeyError(f"expected one of {', '.join(by_name)}, got {part!r}")
+        return by_name[part]
+
+    def _title(self) -> str:
+        return f"{self.scene}: {self.n_bodies:,} circles, {describe(self.solver)} from {self.warm_start}"
 
     def __str__(self) -> str:
-        width = max(len(choice.part) for choice in self.choices)
-        lines = [f"{self.scene}: {self.n_bodies:,} circles, {describe(self.solver)} from {self.warm_start}"]
-        for choice in self.choices:
-            lines.append(f"  {choice.part:{width}s}  {'used' if choice.used else 'left out':8s}  {choice.why}")
-            lines.append(f"  {'':{width}s}            {choice.saving}")
-        lines.append(f"  Savings: Figure 6.7, {self.cpu}")
-        return "\n".join(lines)
+        width, lines = max(len(choice.part) for choice in self.choices), [self._title()]
+        for part, used, why, saving in self.choices:
+            lines.append(f"  {part:{width}s}  {'used' if used else 'left out':8s}  {why}")
+            lines.append(f"  {'':{width}s}            {saving}")
+        return "\n".join([*lines, f"  Savings: Figure 6.7, {self.cpu}"])
+
+    def _repr_html_(self) -> str:
+        rows = [(part, "used" if used else "left out", why, saving) for part, used, why, saving in self.choices]
+        return notebook.shown(self._title(), rows, header=("part", "", "why", f"saving (Figure 6.7, {self.cpu})"))
 
 
-def plan(scene: State, *, solver=None, warm_start="builtin", sleep: bool = False, table: Mapping | None = None) -> Plan:
+def plan(
+    scene: State, *, solver=None, warm_start: Start = "builtin", sleep: bool = False, table: Mapping | None = None
+) -> Plan:
     """What `simulate` would use for a scene with these options, and what it would leave out, with the savings.
 
     Nothing is simulated; contacts are looked for where the scene has none. Arguments as in `simulate`. table: results

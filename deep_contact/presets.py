@@ -21,10 +21,10 @@ import functools
 import json
 import math
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -32,7 +32,7 @@ from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.solvers import NNCG, PGS, describe, solver_from
 from deep_contact.physics.solvers.registry import GONE, entry_of
-from deep_contact.state import State
+from deep_contact.state import State, notebook
 from deep_contact.state.scales import FOLLOWS_SCENE, mean
 from deep_contact.validation import number, one_of
 from deep_contact.warm_start import STARTS
@@ -40,7 +40,10 @@ from deep_contact.warm_start import STARTS
 TABLE = Path(__file__).parent / "reference" / "runs.json"
 """What the study installed, shipped with the package."""
 
-PRESETS = {
+Accuracy = Literal["preview", "fast", "balanced", "accurate", "reference"]
+"""The names of `PRESETS`, from the loosest to the tightest."""
+
+PRESETS: dict[str, dict[str, float]] = {
     "preview": {"energy": 25, "height": 5, "creep": 5, "penetration": 1, "penetration_95": 2.5, "penetration_max": 40,
                 "restlessness": 12, "contacts": 0.7, "forces": 40, "impact": 35},
     "fast": {"energy": 12, "height": 3, "creep": 3, "penetration": 0.6, "penetration_95": 1, "penetration_max": 12,
@@ -120,25 +123,28 @@ class Recommendation:
     cheaper: str = ""
     better: str = ""
 
-    def __str__(self) -> str:
-        lines = [f"{self.accuracy}: {describe(self.solver)} from {self.warm_start}"]
-        lines.append(f"  cost: {self.us:,.0f} μs a step of {self.dt:g} s, {self.n_bodies:,} circles; {self.cpu}")
+    def _rows(self) -> Iterator[tuple[str, str]]:
+        """A title, and what there is to say, by name."""
+        yield self.accuracy, f"{describe(self.solver)} from {self.warm_start}"
+        yield "cost", f"{self.us:,.0f} μs a step of {self.dt:g} s, {self.n_bodies:,} circles; {self.cpu}"
         if not self.reached:
-            lines.append("  no setting of the study keeps all tolerances; this one comes nearest")
-        shown = [f"{name} {self.errors[name]:.2g} ({most:g})" for name, most in self.tolerances.items()
-                 if name in self.errors]  # fmt: skip
-        lines.append("  errors of a run (tolerances): " + ", ".join(shown))
-        lines += [f"  outside of the study: {sentence}" for sentence in self.outside]
-        lines += [f"  {word}: {text}" for word, text in (("cheaper", self.cheaper), ("better", self.better)) if text]
-        return "\n".join(lines)
+            yield "nearest", "no setting of the study keeps all tolerances; this one comes nearest"
+        known = ((name, most) for name, most in self.tolerances.items() if name in self.errors)
+        errors = ", ".join(f"{name} {self.errors[name]:.2g} ({most:g})" for name, most in known)
+        yield "errors of a run (tolerances)", errors
+        yield from (("outside of the study", sentence) for sentence in self.outside)
+        yield from ((name, text) for name, text in (("cheaper", self.cheaper), ("better", self.better)) if text)
+
+    def __str__(self) -> str:
+        return "\n  ".join(f"{name}: {text}" for name, text in self._rows())
+
+    def _repr_html_(self) -> str:
+        (name, setting), *rows = self._rows()
+        return notebook.shown(f"{name}: {setting}", rows)
 
 
 def recommend(
-    scene: State,
-    *,
-    accuracy: str | None = None,
-    budget_ms: float | None = None,
-    table: Mapping | None = None,
+    scene: State, *, accuracy: Accuracy | None = None, budget_ms: float | None = None, table: Mapping | None = None
 ) -> Recommendation:
     """The cheapest setting that keeps the tolerances of a preset, or the most accurate within a time.
 
@@ -158,8 +164,8 @@ def recommend(
     limit = 1e3 * number("budget_ms", budget_ms, above=0)
     affordable = [found for found in candidates if found["us"] <= limit]
     if not affordable:
-        least = min(candidates, key=lambda found: found["us"])
-        raise ValueError(f"budget_ms: expected at least {least['us'] / 1e3:.3g}, the cheapest setting, got {budget_ms}")
+        least = min(found["us"] for found in candidates)
+        raise ValueError(f"budget_ms: expected at least {least / 1e3:.3g}, the cheapest setting, got {budget_ms}")
     best = min(affordable, key=lambda found: (_excess(found, "reference"), found["us"]))
     kept = [name for name in PRESETS if _excess(best, name) <= 1]
     return _recommendation(scene, kept[-1] if kept else "preview", best, candidates, study)
@@ -171,31 +177,28 @@ def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False)
     sleep: only solvers that can put circles to sleep. Raises ValueError on another name, and warns where no setting of
     the study keeps the preset that was asked for.
     """
-    name = one_of("accuracy", accuracy or "fast", PRESETS)
+    name, n = one_of("accuracy", accuracy or "fast", PRESETS), scene.bodies.count
     substeps = _substeps(scene, installed())
     stiff = stiffness(scene, substeps[TIME_STEP])
-    solver, start, is_kept, dt = _chosen(
-        name, sleep, scene.bodies.count, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver
-    )
-    told = limits(scene, dt) if accuracy is not None else _too_long(scene, dt)
-    if accuracy is not None and not is_kept:
-        told.append(
-            f"no setting of the study keeps its tolerances for {scene.bodies.count:,} circles; the nearest is taken "
-            f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
-        )
-    for sentence in told:
+    best = _chosen(name, sleep, n, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver)
+    sentences = _too_long(scene, best["dt"])
+    if accuracy is not None:
+        sentences += _without_gravity(scene)
+        if _excess(best, name) > 1:
+            sentences.append(
+                f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
+                f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
+            )
+    for sentence in sentences:
         warnings.warn(f"accuracy={name!r}: {sentence}", PresetWarning, stacklevel=5)
-    return solver, start
+    return best["solver"], best["start"]
 
 
 @functools.lru_cache(256)
-def _chosen(
-    accuracy: str, sleep: bool, n: int, kinds: tuple, substeps: tuple, stiff
-) -> tuple[object, str, bool, float]:
-    """Solver, start, whether the preset is kept, and time step of the setting, s, from the installed study."""
+def _chosen(accuracy: str, sleep: bool, n: int, kinds: tuple, substeps: tuple, stiff) -> dict:
+    """The setting of the installed study (`_candidates`) for a preset."""
     candidates = _candidates(n, kinds, dict(substeps), stiff, installed())
-    best = _cheapest([found for found in candidates if not sleep or entry_of(found["solver"]).can_sleep], accuracy)
-    return best["solver"], best["start"], _excess(best, accuracy) <= 1, best["dt"]
+    return _cheapest([found for found in candidates if not sleep or entry_of(found["solver"]).can_sleep], accuracy)
 
 
 @functools.cache
@@ -335,10 +338,8 @@ def _us_at(n: int, times: Mapping[int, float]) -> float:
 def outside(scene: State, study: Mapping) -> list[str]:
     """Sentences on what of a scene lies outside the study; none where nothing does."""
     bodies, world, sizes = scene.bodies, scene.world, study["sizes"]
-    radius, mass = bodies.radius, bodies.mass / bodies.radius**2
-    gravity = float(np.hypot(*world.gravity))
-    speed = _fastest(scene)
-    found = []
+    radius, mass, speed = bodies.radius, bodies.mass / bodies.radius**2, _fastest(scene)
+    fastest, found = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean()), []
     if not min(sizes) / 3 <= bodies.count <= 3 * max(sizes):
         found.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")
     if radius.max() > 3.001 * radius.min():
@@ -354,25 +355,24 @@ def outside(scene: State, study: Mapping) -> list[str]:
             f"{stiff.why}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
             "at rest needs few, and the errors are those of the study's best setting"
         )
-    found += limits(scene, max(setting["dt"] for setting in study["settings"]))
-    if gravity > 0 and speed > FASTEST * math.sqrt(gravity * radius.mean()):
-        found.append(f"a speed of {speed:.3g} m/s; it has up to {FASTEST * math.sqrt(gravity * radius.mean()):.3g}")
+    found += _too_long(scene, max(setting["dt"] for setting in study["settings"])) + _without_gravity(scene)
+    if fastest > 0 and speed > fastest:
+        found.append(f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}")
     return found
 
 
-def limits(scene: State, dt: float) -> list[str]:
-    """Sentences on what a preset does not keep in a scene, and what to do. dt: of its setting in the study, s."""
-    found = _too_long(scene, dt)
-    if not any(scene.world.gravity):
-        found.append(
-            "no gravity, which the study's piles have: the energy that collisions leave is not within its tolerances; "
-            "compare with a run of a smaller dt"
-        )
-    return found
+def _without_gravity(scene: State) -> list[str]:
+    """What to say of a preset in a scene without gravity."""
+    if any(scene.world.gravity):
+        return []
+    return [
+        "no gravity, which the study's piles have: the energy that collisions leave is not within its tolerances; "
+        "compare with a run of a smaller dt"
+    ]
 
 
 def _too_long(scene: State, dt: float) -> list[str]:
-    """What to say where a preset's step needs more than `MOST_SUBSTEPS`."""
+    """What to say where a preset's step needs more than `MOST_SUBSTEPS`. dt: of its setting in the study, s."""
     needed = scene.dt / longest_step(scene, dt)
     if needed <= MOST_SUBSTEPS * _NEARLY:
         return []

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable, Iterable
+import warnings
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
@@ -42,7 +43,10 @@ from deep_contact.state import (
 )
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import integer, number
-from deep_contact.warm_start import Builtin, NoStart, starting_impulses, warm_start_of
+from deep_contact.warm_start import Builtin, NoStart, Start, starting_impulses, warm_start_of
+
+if TYPE_CHECKING:
+    from deep_contact.presets import Accuracy
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
 _BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
@@ -51,6 +55,9 @@ _CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1)
 _WORK, _SECONDS = 20_000_000, 0.2
 """Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
 
+
+COINCIDENT = 0.1
+"""Distance of two centres, in the smaller radius, below which `simulate` warns."""
 
 FIRST = NesterovPGS(sweeps=200, tolerance=None)
 """Solves step 0 of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest would fall into
@@ -103,7 +110,7 @@ class Simulation(NamedTuple):
 
     def _repr_html_(self) -> str:
         """What a notebook shows: how the run went, and its last state."""
-        return notebook.shown("Simulation", self._summary()) + self.state._repr_html_()
+        return notebook.shown("Simulation", self._summary().items()) + self.state._repr_html_()
 
     def _summary(self) -> dict[str, str]:
         found = {"steps": notebook.counted(self.sweeps.size, "step")}
@@ -117,7 +124,7 @@ class Simulation(NamedTuple):
         return found | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
 
 
-def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolution:
+def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:
     """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
 
     solver: options such as `PGS(sweeps=…)`; by default the state's own. start: None, the name of a start, a callable
@@ -129,7 +136,7 @@ def solve_contacts(state: State, *, solver=None, start="builtin") -> ContactSolu
     return solve(state, solver, *starting_impulses(start, state, solver))
 
 
-def step(state: State, *, solver=None, warm_start="builtin") -> StateWithContacts:
+def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWithContacts:
     """One step: the state Δt later, with its contacts found and the solved impulses carried over to them.
 
     For the impulses that the step solved, see `simulate`'s `on_step`. Arguments and errors as in `simulate`, which does
@@ -144,8 +151,8 @@ def simulate(
     steps: int = 600,
     dt: float | None = None,
     solver=None,
-    warm_start="builtin",
-    accuracy: str | None = None,
+    warm_start: Start = "builtin",
+    accuracy: Accuracy | None = None,
     sleep: bool = False,
     record: int | None = None,
     on_step: Callable[[StateWithContacts, ConvergenceRecord], None] | None = None,
@@ -203,8 +210,8 @@ def simulate_many(
     steps: int = 600,
     dt: float | None = None,
     solver=None,
-    warm_start="builtin",
-    accuracy: str | None = None,
+    warm_start: Literal["builtin", "none"] | Builtin | NoStart | None = "builtin",
+    accuracy: Accuracy | None = None,
     sleep: bool = False,
     record: int | None = None,
     threads: int | None = None,
@@ -405,7 +412,23 @@ def ready(state: State) -> StateWithContacts:
         state = check_limits(check_state(state))
     elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
-    return state if state.contacts is not None else state.replace(contacts=contacts_of(state))
+    if state.contacts is not None:
+        return state
+    state = state.replace(contacts=contacts_of(state))
+    _warn_of_coincidence(state)
+    return state
+
+
+def _warn_of_coincidence(state: StateWithContacts) -> None:
+    """Warn where two circles of a scene nearly coincide, so that chance decides in which direction they part."""
+    bodies, (a, b) = state.bodies, state.contacts[:2]
+    a, b = a[b < bodies.count], b[b < bodies.count]
+    apart = np.hypot(*(bodies.position[b] - bodies.position[a]).T)
+    near = apart < COINCIDENT * np.minimum(bodies.radius[a], bodies.radius[b])
+    for i in np.flatnonzero(near)[:1]:
+        which = f"circles {a[i]} and {b[i]} nearly coincide, their centres are {apart[i]:.3g} m apart"
+        more = f" ({near.sum():,} pairs do)" if near.sum() > 1 else ""
+        warnings.warn(f"bodies.position: {which}{more}; the solver pushes them apart at once", stacklevel=5)
 
 
 def _has_engine_arrays(state: State) -> bool:

@@ -3,7 +3,7 @@
     run = Trajectory.from_states(states)
     run.save("fall.h5")
     run.energies[:, 0].max()                     # largest kinetic energy, J
-    HTML(run.animate().to_jshtml())              # in a notebook
+    run                                          # in a notebook: a film of it
 
 The file is that of a data set (`deep_contact.io.simulation_h5`).
 """
@@ -77,8 +77,12 @@ class Trajectory:
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the first and the last state."""
-        return notebook.shown(repr(self), {}) + self[0]._repr_html_() + self[-1]._repr_html_()
+        """What a notebook shows: the run as a film, at its own speed, with a button and a slider."""
+        seconds = max(float(self.times[-1] - self.times[0]), 1e-3)
+        radius, segments = self.stored.arrays["radius"], self.world.segments
+        return notebook.shown(
+            repr(self), [], notebook.film_of(self.world.box, self.positions, radius, seconds, segments)
+        )
 
     @property
     def world(self) -> World:

@@ -5,6 +5,7 @@ All raise ValueError in the form "name: expected …, got …".
 
 from __future__ import annotations
 
+import difflib
 import math
 from collections.abc import Collection
 from numbers import Integral, Real
@@ -54,16 +55,14 @@ def flag(name: str, value) -> bool:
     raise ValueError(f"{name}: expected True or False, got {value!r}")
 
 
-def is_text(value, text: str) -> bool:
-    """Whether `value` is this very text; arrays are not."""
-    return isinstance(value, str) and value == text
-
-
 def one_of(name: str, value, known: Collection):
-    """`value`, which has to be among `known`: a table by its names, or a sequence."""
+    """`value`, which has to be among `known`: a table by its names, or a sequence. Errors suggest the nearest name."""
     try:
         if value in known:
             return value
     except (TypeError, ValueError):  # what cannot be hashed, and arrays, which compare element by element
         pass
-    raise ValueError(f"{name}: expected one of {', '.join(map(str, known))}, got {value!r}")
+    names = {str(one).lower(): one for one in known}
+    near = difflib.get_close_matches(value.lower(), names, 1) if isinstance(value, str) else ()
+    hint = "".join(f"; did you mean {names[one]!r}?" for one in near)
+    raise ValueError(f"{name}: expected one of {', '.join(map(str, known))}, got {value!r}{hint}")

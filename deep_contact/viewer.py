@@ -17,6 +17,7 @@ from deep_contact.reporting import plotting
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.validation import integer
+from deep_contact.warm_start import Start
 
 PANELS = (1.0, 0.8)
 """Widths of the scene and of θ, in heights of a frame."""
@@ -32,7 +33,7 @@ class Frame(NamedTuple):
     record: ConvergenceRecord
 
 
-def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start="builtin") -> Iterator[Frame]:
+def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start: Start = "builtin") -> Iterator[Frame]:
     """Run a scene, or continue from a state, and yield the last frame of each `every` steps as soon as it is solved.
 
     Raises ValueError at once on counts below one, and with the first step on arguments that `simulate` refuses.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 
@@ -21,6 +21,9 @@ from deep_contact.state import LARGEST_SINGLE_START, LARGEST_START, State, State
 from deep_contact.validation import integer, one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
+Name = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad", "sph", "cnn"]
+Start = Name | WarmStart | None
+"""What `warm_start=` takes; None is "none"."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +120,8 @@ class Bad:
         return wrong, -np.sign(tangent) * state.world.friction * wrong
 
 
-TRANSFERS = ("thesis", "consistent", "spline", "shared")
+Transfer = Literal["thesis", "consistent", "spline", "shared"]
+TRANSFERS: tuple[Transfer, ...] = get_args(Transfer)
 """Ways to the image and back, see `Sph`."""
 
 
@@ -135,7 +139,7 @@ class Sph:
     spacing: float = 0.5
     support: float | None = None
     kernel: str = "poly6"
-    transfer: str = "consistent"
+    transfer: Transfer = "consistent"
 
     def __post_init__(self):
         one_of("transfer", self.transfer, TRANSFERS)
@@ -196,7 +200,7 @@ def _network() -> WarmStart:
     return Cnn(known_model())
 
 
-STARTS: dict[str, Callable[[], WarmStart]] = {
+STARTS: dict[Name, Callable[[], WarmStart]] = {
     "none": NoStart,
     "builtin": Builtin,
     "scaled": Scaled,
@@ -223,7 +227,7 @@ def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
     return solution.normal_impulses, solution.tangent_impulses
 
 
-def warm_start_of(start) -> WarmStart:
+def warm_start_of(start: Start) -> WarmStart:
     """The start meant by None, a name, or a callable, which is returned as it is. Raises ValueError on others."""
     if callable(start):
         return start

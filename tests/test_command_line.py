@@ -1,6 +1,7 @@
 """`deep-contact` and `python -m deep_contact`; `view` is in `test_viewer.py`."""
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,8 @@ import pytest
 import deep_contact as dc
 from deep_contact import __main__ as command_line
 from deep_contact.__main__ import main
+from deep_contact.io.simulation_h5 import DataFileError
+from deep_contact.io.xml_tree import StateFileError
 from deep_contact.physics.solvers import describe
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -180,7 +183,6 @@ def test_an_accuracy_picks_the_solver(capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["none.xml"], "none.xml"),
         (["--out", "run.txt"], "--out: expected a file that ends in .xml, .xml.gz, .h5, got 'run.txt'"),
         (["--out", "no/run.h5"], "--out: expected a folder that exists, got 'no'"),
         (["--solver", "pgs"], "--solver: expected one of PGS, "),
@@ -201,14 +203,43 @@ def test_bad_arguments_exit_with_2_and_name_the_fault(arguments, message, tmp_pa
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(("error", "status"), [(FloatingPointError("up to step 3"), 1), (KeyboardInterrupt(), 130)])
-def test_what_ends_a_run_is_its_exit_status(error, status, monkeypatch, capsys):
+ENDS = [
+    (FloatingPointError("up to step 3"), 1, "simulate: up to step 3"),
+    (FileNotFoundError(2, "No such file", "none.xml"), 3, "none.xml"),
+    (StateFileError("bad.xml, line 3: <mass>"), 3, "simulate: bad.xml, line 3: <mass>"),
+    (DataFileError("run.h5: digest"), 3, "run.h5: digest"),
+    (KeyboardInterrupt(), 130, ""),
+]
+
+
+@pytest.mark.parametrize(("error", "status", "message"), ENDS)
+def test_what_ends_a_run_is_its_exit_status(error, status, message, monkeypatch, capsys):
     def fail(state, **options):
         raise error
 
     monkeypatch.setattr("deep_contact.simulate", fail)
     assert main(["simulate"]) == status
-    assert ("simulate: up to step 3" in capsys.readouterr().err) == (status == 1)
+    assert message in capsys.readouterr().err
+    assert main(["simulate", "none.xml"]) == 3
+    assert f"{status} " in command_line.STATUS
+
+
+def test_a_script_that_lacks_a_package_says_so(probe, capsys):
+    Path("scripts/figure_9_1_probe.py").write_text("import keras_of_old", encoding="utf-8")
+    assert main(["figure", "9.1"]) == 4
+    assert "figure 9.1: No module named 'keras_of_old'" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("command", "settings"), [("simulate", 12), ("view", 8)])
+def test_help_says_the_unit_of_every_setting(command, settings, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main([command, "--help"])
+    said = capsys.readouterr().out
+    unit = r"circles|m|an integer|m/s²|steps|sweeps|s|N·s|NAME|FILE(\.gif)?|states"
+    numbered = re.findall(r"^  --([a-z-]+)(.*(?:\n    .*)*)", said, re.M)
+    assert len(numbered) == settings
+    for name, text in numbered:
+        assert re.search(rf"(?<![\w/])({unit})(?![\w/])", text), name
 
 
 def test_the_samples_are_named_by_their_paths(capsys):

@@ -59,8 +59,42 @@ def test_a_run_shows_how_its_solves_ended(run):
     shown = run._repr_html_()
     assert "60 steps" in shown
     assert "converged" in shown
-    assert run.trajectory._repr_html_().count("<svg") == 2
     assert dc.simulate(dc.column(1), steps=0)._repr_html_()
+
+
+def test_a_trajectory_is_a_film_of_every_circle(run):
+    shown = run.trajectory._repr_html_()
+    circles = picture_in(shown).findall("g/circle")
+    assert len(circles) == 3
+    for i, circle in enumerate(circles):
+        across, up = circle.findall("animate")
+        heights = [float(value) for value in up.get("values").split(";")]
+        assert (across.get("attributeName"), up.get("attributeName"), up.get("dur")) == ("cx", "cy", "0.6s")
+        assert len(heights) == len(run.trajectory)
+        np.testing.assert_allclose(np.diff(heights) <= 0.2, np.diff(run.trajectory.positions[:, i, 1]) >= -0.03)
+    assert "setCurrentTime" in shown
+    assert 'max="0.6"' in shown
+
+
+def test_a_long_film_has_fewer_pictures(monkeypatch):
+    positions = np.zeros((50, 4, 2))
+    monkeypatch.setattr(notebook, "MOST_PLACES", 80)
+    svg = picture_in(notebook.film_of((0, 0, 1, 1), positions, np.ones(4), 1.0))
+    assert len(svg.find("g/circle/animate").get("values").split(";")) == 17  # every third
+
+
+def test_arrays_plans_and_recommendations_are_tables(run):
+    def cells(shown):
+        return [[cell.text for cell in row] for row in ElementTree.fromstring(shown).iter("tr")]
+
+    bodies = dc.make_bodies(np.outer(np.arange(12.0), [3.0, 0.0]) + 1.0)
+    rows = cells(bodies._repr_html_())
+    assert rows[0] == ["0", "1, 1", "0, 0", "0", "0", "3.142", "1"]
+    assert rows[-1] == ["…", "2 more"]
+    assert cells(run.state.contacts._repr_html_())[2][:3] == ["2", "1", "2"]
+    for found in (dc.recommend(run.state), dc.plan(run.state)):
+        for row in cells(found._repr_html_()):
+            assert all(cell in str(found) for cell in row if cell)
 
 
 def test_figures_show_themselves():

@@ -1,6 +1,7 @@
 """The interface of the engine: a changed time step, and what callers may hand over."""
 
 import re
+import warnings
 
 import numpy as np
 import pytest
@@ -62,6 +63,19 @@ def test_the_suggested_size_has_room(n, options):
         dc.circles_in_box(n, size=20, **options)
     size = float(re.search("size=([0-9.]+)", str(refusal.value))[1])
     assert dc.circles_in_box(n, size=size, **options).bodies.count == n
+
+
+def test_circles_that_nearly_coincide_are_said_once():
+    positions = [[5.0, 5.0], [5.05, 5.0], [8.0, 5.0], [8.0, 5.09], [9.5, 5.0]]
+    scene = dc.State(name="twins", world=dc.World(), bodies=dc.make_bodies(positions))
+    with pytest.warns(UserWarning, match=r"circles 0 and 1 nearly coincide, .* 0.05 m apart \(2 pairs do\)") as said:
+        run = dc.simulate(scene, steps=3)
+    assert len(said) == 1
+    assert said[0].filename == __file__
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        dc.step(run.state)
+        dc.step(dc.circles_in_box(20, seed=1))
 
 
 def test_a_recorded_run_keeps_one_state_in_so_many_steps_and_the_last():

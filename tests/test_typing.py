@@ -6,9 +6,12 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from conftest import ROOT
+
+from deep_contact import presets, warm_start
 
 pytest.importorskip("mypy")
 
@@ -23,6 +26,13 @@ dc.simulate(state).state.contacts.count
 dc.simulate(state, step=3)
 state.time = 1.0
 dc.PGS(sweeps="many")
+dc.step(state, warm_start="buildin")
+dc.solve_contacts(state, start="SPH")
+dc.simulate(state, accuracy="quick")
+dc.recommend(state, accuracy="best")
+dc.simulate_many([state], warm_start="sph")
+dc.plan(state, warm_start="cn")
+dc.warm_start.Sph(transfer="splines")
 """
 
 
@@ -47,4 +57,9 @@ def test_the_examples_pass_a_type_checker_and_mistakes_do_not(tmp_path):
     found = done.stdout.splitlines()
     wrong = [line for line in found if line.startswith("wrong.py")]
     assert [line for line in found if line not in wrong] == [], done.stderr
-    assert [int(line.split(":")[1]) for line in wrong if " error: " in line] == [5, 7, 8, 9]
+    assert [int(line.split(":")[1]) for line in wrong if " error: " in line] == [5, *range(7, 17)]
+
+
+def test_names_that_a_checker_knows_are_those_that_there_are():
+    assert get_args(presets.Accuracy) == tuple(presets.PRESETS)
+    assert get_args(warm_start.Name) == tuple(warm_start.STARTS)

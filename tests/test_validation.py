@@ -61,6 +61,13 @@ def test_a_flag_is_a_bool_and_not_a_number():
             flag("f", value)
 
 
+@pytest.mark.parametrize(("value", "meant"), [("buildin", "builtin"), ("SHP", "sph"), ("pgs", None), ("magic", None)])
+def test_a_choice_suggests_the_nearest_name(value, meant):
+    with pytest.raises(ValueError, match="k: expected one of none, builtin, sph, got ") as refusal:
+        one_of("k", value, ("none", "builtin", "sph"))
+    assert str(refusal.value).endswith(f"; did you mean {meant!r}?" if meant else f"got {value!r}")
+
+
 @pytest.mark.parametrize("value", ["c", 1, None, [], np.array(["a", "b"])])
 def test_a_choice_names_what_is_known(value):
     assert one_of("k", "a", {"a": 1, "b": 2}) == "a"

@@ -21,8 +21,12 @@ def __getattr__(name: str):
     if name not in sys.modules:
         # TensorFlow's later messages are below this level. The first ones do not know any level yet.
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
-        with _standard_error_held_back():
-            importlib.import_module(name)
+        try:
+            with _standard_error_held_back():
+                importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            needs = "expected the package, which training and networks on images need"
+            raise ModuleNotFoundError(f"{error.name}: {needs}, got none: pip install keras tensorflow") from error
         _apply_limit()
     return sys.modules[name]
 

@@ -32,7 +32,7 @@ from deep_contact.cnn.convolution import dimensions
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.io import hdf5
-from deep_contact.io.files import replacing
+from deep_contact.io.files import FileError, replacing
 
 FORMAT = 1
 METADATA = "deep_contact"
@@ -64,7 +64,7 @@ _PARTS = {"keras.initializers": None, "keras.regularizers": ("L1", "L2", "L1L2")
 _ACTIVATIONS = (None, "linear", "relu", "leaky_relu", "elu", "gelu", "silu", "swish", "tanh", "sigmoid", "softplus")
 
 
-class ModelFileError(ValueError):
+class ModelFileError(FileError):
     """A model file is not what it should be, or does not fit the scene; the message names the field."""
 
 

@@ -19,10 +19,9 @@ def sample_file(name: str = "impact_154") -> Path:
     name: "impact_154", "settling_349", "rest_362", …: the phase of the fall, and the step. Raises ValueError naming
     the samples, and FileNotFoundError where none came with the package.
     """
-    names = sample_names()
-    if name not in names:
-        raise ValueError(f"sample: expected one of {', '.join(names)}, got {name!r}")
-    return ROOT / "data" / "sample" / f"{name}{_STATE}"
+    from deep_contact.validation import one_of
+
+    return ROOT / "data" / "sample" / f"{one_of('sample', name, sample_names())}{_STATE}"
 
 
 def sample_names() -> list[str]:

@@ -31,7 +31,7 @@ import h5py
 import numpy as np
 
 from deep_contact.io import hdf5
-from deep_contact.io.files import write_bytes
+from deep_contact.io.files import FileError, write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.state.scales import ContactScales
@@ -82,7 +82,7 @@ _MOST_SEGMENTS = 2000
 """An attribute of an HDF5 file has room for 64 KiB."""
 
 
-class DataFileError(ValueError):
+class DataFileError(FileError):
     """A file of states that cannot be read; names file, field and value."""
 
 

@@ -16,6 +16,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from lxml import etree
 
+from deep_contact.io.files import FileError
+
 MAX_BYTES = 64 * 2**20
 """Largest file that is read or written, unpacked; also the most that is read of a compressed one."""
 
@@ -32,7 +34,7 @@ _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 _ENCODING = re.compile(rb"\s*<\?xml[^>]*?\sencoding\s*=\s*[\"'](?!(?i:utf-?8|(?:us-)?ascii)[\"'])([^\"'>]*)")
 
 
-class StateFileError(ValueError):
+class StateFileError(FileError):
     """A file that cannot be read, or a state that cannot be stored; names file, line, element and value."""
 
 

@@ -37,10 +37,9 @@ def normalized(name: str) -> str:
 
 def choose(scripts: dict[str, Path], wanted: list[str]) -> dict[str, Path]:
     """Those of `find` that are wanted, in its order. Raises ValueError naming all for one that there is not."""
-    for name in wanted:
-        if normalized(name) not in scripts:
-            raise ValueError(f"expected one of {', '.join(scripts)}, got {name!r}")
-    numbers = set(map(normalized, wanted))
+    from deep_contact.validation import one_of
+
+    numbers = {one_of("number", normalized(name), scripts) for name in wanted}
     return {name: path for name, path in scripts.items() if name in numbers}
 
 

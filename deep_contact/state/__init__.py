@@ -122,6 +122,9 @@ class Bodies(NamedTuple):
         # m r² first: half of the smallest mass is 0, and 0 times an infinite r² would be no number.
         return 0.5 * (self.mass * self.radius**2)
 
+    def _repr_html_(self) -> str:
+        return notebook.arrays_shown(notebook.counted(self.count, "circle"), self._asdict())
+
 
 class Contacts(NamedTuple):
     """m contacts, sorted by (body_a, body_b).
@@ -155,6 +158,9 @@ class Contacts(NamedTuple):
     def count(self) -> int:
         """Number of contacts."""
         return self.body_a.shape[0]
+
+    def _repr_html_(self) -> str:
+        return notebook.arrays_shown(notebook.counted(self.count, "contact"), self._asdict())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -244,7 +250,7 @@ class State:
 
     def _repr_html_(self) -> str:
         """What a notebook shows: numbers, and a picture of circles and impulses."""
-        return notebook.shown(f"State {self.name!r}", self._summary(), self._picture())
+        return notebook.shown(f"State {self.name!r}", self._summary().items(), self._picture())
 
     def _summary(self) -> dict[str, str]:
         contacts = "contacts unknown" if self.contacts is None else notebook.counted(self.contacts.count, "contact")

@@ -22,7 +22,7 @@ def line_search(state, solver):
 
 
 scene = dc.circles_in_box(n_bodies=50, size=22.0, seed=6)
-starts = {"none": None, "builtin": "builtin", "line search": line_search}
+starts: dict[str, dc.warm_start.Start] = {"none": None, "builtin": "builtin", "line search": line_search}
 states = dc.experiments.solved_states(scene, steps=200, every=10)
 given = {name: dc.warm_start.warm_start_of(start) for name, start in starts.items()}
 paired = dc.experiments.paired(states, given, sweeps=300, velocity_sweeps=(3, 10, 30))

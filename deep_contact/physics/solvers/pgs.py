@@ -72,7 +72,7 @@ class PGS:
         validation.one_of("precision", self.precision, PRECISIONS)
         if validation.flag("islands", self.islands) and type(self) is not PGS:
             raise ValueError(f"islands: expected False, since {type(self).__name__} sweeps them together, got True")
-        if self.tolerance is not None and not validation.is_text(self.tolerance, FOLLOWS_SCENE):
+        if self.tolerance is not None and not (isinstance(self.tolerance, str) and self.tolerance == FOLLOWS_SCENE):
             validation.number("tolerance", self.tolerance, low=0)
 
     def for_state(self, state: State) -> PGS:

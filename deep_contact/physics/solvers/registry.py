@@ -18,7 +18,7 @@ from numba.extending import overload
 from deep_contact.physics.convergence import mark_divergence
 from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE
-from deep_contact.validation import flag
+from deep_contact.validation import flag, one_of
 
 
 class Loop(NamedTuple):
@@ -122,9 +122,7 @@ def solver_from(method: str, options: Mapping):
         name = "BatchedPGS(order='levels')" if order == "levels" else "PSOR(adaptive=True)" if adaptive else method
         warnings.warn(f"solver: {name} is no longer part of Deep Contact; the default is taken instead", stacklevel=2)
         return None
-    if method not in METHODS:
-        raise ValueError(f"method: expected one of {', '.join(sorted(METHODS))}, got {method!r}")
-    return METHODS[method](**options)
+    return METHODS[one_of("method", method, METHODS)](**options)
 
 
 def describe(solver) -> str:

@@ -1,0 +1,62 @@
+"""Everything but training and the networks on images works where Keras and TensorFlow cannot be imported."""
+
+import re
+import shlex
+import subprocess
+import sys
+from configparser import ConfigParser
+
+from conftest import ROOT
+
+PROGRAM = """
+import sys
+
+class Hide:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in ("keras", "tensorflow"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Hide())
+import deep_contact as dc
+from deep_contact.__main__ import main
+
+run = dc.simulate(dc.column(3), steps=4, record=2)
+state = run.state
+dc.write_state("s.xml", state)
+assert dc.read_state("s.xml") == state
+run.trajectory.save("run.h5")
+assert dc.load_trajectory("run.h5")[-1] == state
+dc.solve_contacts(state, solver=dc.PGS(sweeps=5))
+dc.recommend(state), dc.plan(state, warm_start="cnn")
+figure, ax = dc.plotting.subplots()
+dc.plotting.draw_state(ax, state)
+dc.plotting.save(figure, "s.png")
+normal, tangent = dc.load_model().predict(state)
+assert normal.shape == (state.contacts.count,)
+dc.simulate(state, steps=1, solver=dc.PGS(sweeps=5), warm_start="cnn")
+assert main(["predict", "s.xml"]) == 0
+assert main(["figure", "5.3", "--quick"]) == 0
+print("all of it")
+try:
+    from deep_contact.cnn.training import train
+except ModuleNotFoundError as error:
+    print(error)
+print(main(["figure", "4.2", "--quick"]))
+"""
+
+
+def test_what_needs_no_keras_works_without_it_and_what_needs_it_says_so(tmp_path):
+    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True)
+    assert "all of it" in done.stdout, done.stderr
+    *_, refused, status = done.stdout.splitlines()
+    assert refused.startswith("keras: expected the package, which training and networks on images need, got none")
+    assert status == "4"
+    assert "figure 4.2: keras: expected the package" in done.stderr
+
+
+def test_the_small_installation_of_the_guide_is_all_but_keras_and_tensorflow():
+    config = ConfigParser()
+    config.read(ROOT / "setup.cfg", encoding="utf-8")
+    needed = {line.replace(" ", "") for line in config["options"]["install_requires"].split("\n") if line}
+    (command,) = re.findall(r"pip install (.*numba.*)", (ROOT / "docs" / "guide.md").read_text(encoding="utf-8"))
+    assert set(shlex.split(command)) == {one for one in needed if not one.startswith(("keras", "tensorflow"))}
