@@ -38,7 +38,8 @@ def _text(value, digits: int = 3) -> str:
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.{digits}g}"
     # Files from before batches had one order name it.
-    return "–" if value is None else str(value).replace(", order=colours", "").replace("|", "\\|")
+    text = "–" if value is None else str(value).replace(", order=colours", "").replace("|", "\\|")
+    return re.sub(r"(?<!\*)\*(?!\*)", r"\\*", text)  # v*, but not **bold**
 
 
 def rows_of(stem: str, having: str | None = None) -> list[list]:
