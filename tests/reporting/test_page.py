@@ -61,10 +61,7 @@ def test_the_page_has_every_result_in_order_and_is_well_formed(folder):
     page = Page(report_page.write_report(folder).read_text())
     assert page.open == []
     assert page.headings[:3] == ["Figure 3.9: Title 3.9", "Figure 3.10: Title 3.10", "Table 5.1: Title T 5.1"]
-    shown = [
-        attributes for tag, attributes in page.attributes if tag == "td" and attributes.get("data-name") == "Where"
-    ]
-    assert len(shown) == sum(map(len, report_page.ERRATA.values()))
+    assert sum(a.get("data-name") == "Where" for _, a in page.attributes) == sum(map(len, report_page.ERRATA.values()))
     anchors = {attributes["id"] for _, attributes in page.attributes if "id" in attributes}
     links = {attributes["href"] for tag, attributes in page.attributes if tag == "a"}
     assert links == {f"#{anchor}" for anchor in anchors}
@@ -81,11 +78,8 @@ def test_claims_stand_with_section_and_verdict(folder):
 
 def test_the_page_asks_for_nothing_beyond_itself(folder):
     page = Page(report_page.write_report(folder).read_text())
-    sources = [
-        attributes[name] for _, attributes in page.attributes for name in ("src", "srcset") if name in attributes
-    ]
-    assert len(sources) == 3
-    assert all(source.startswith("data:image/") for source in sources)
+    sources = [attributes["src"] for _, attributes in page.attributes if "src" in attributes]
+    assert [source[:11] for source in sources] == ["data:image/"] * 3
     assert not {"script", "link", "iframe"} & {tag for tag, _ in page.attributes}
     policies = [attributes["content"] for tag, attributes in page.attributes if "http-equiv" in attributes]
     assert policies == [report_page.POLICY]

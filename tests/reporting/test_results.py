@@ -46,6 +46,7 @@ BAD = {
 
 
 NO_PLACES = ("L669", "page 3", "section", "section 3.4.1,", "Eq")
+PLACES = ("abstract", "section 3.4.1", "Eq 2.7a", "Eq 4.11 to 4.18", "Table 5.1, Appendix B", "Algorithm 4")
 
 
 def changed(place, value):
@@ -109,9 +110,7 @@ def test_what_json_does_not_know_is_refused(bad):
         results.plain({"thing": bad})
 
 
-@pytest.mark.parametrize(
-    "place", ["abstract", "section 3.4.1", "Eq 2.7a", "Eq 4.11 to 4.18", "Table 5.1, Appendix B", "Algorithm 4"]
-)
+@pytest.mark.parametrize("place", PLACES)
 def test_a_place_of_the_thesis_is_a_section_or_something_numbered(place):
     assert results.check_results(changed("claims.0.thesis", place))
 
