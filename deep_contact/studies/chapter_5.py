@@ -36,18 +36,16 @@ NETWORKS = {"cnn": "models/model.h5", "cnn thesis": "models/thesis_factored.h5"}
 
 
 def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
-    """The cards of some model files, read without TensorFlow.
+    """What the cards of some model files say, read without TensorFlow.
 
-    Returns name -> {"file", "architecture", "parameters", "trainable_parameters", "seed", "training_states", "visits":
-    states shown in training, each as often as it was}; None if a card leaves a field out. Raises FileNotFoundError for
-    a missing file, before anything long begins.
+    Returns name -> {"file", "architecture", "parameters": None if the card has none, "visits": states shown in
+    training, each as often as it was}. Raises FileNotFoundError for a missing file, before anything long begins.
     """
-    names = ("architecture", "parameters", "trainable_parameters", "seed", "training_states")
     found = {}
     for name, path in networks.items():
         card = card_of(path)
-        visits = len(card["history"]) * card["config"]["states_per_epoch"]
-        found[name] = {"file": str(path)} | {key: card.get(key) for key in names} | {"visits": visits}
+        about = {"file": str(path), "architecture": card["architecture"], "parameters": card.get("parameters")}
+        found[name] = about | {"visits": len(card["history"]) * card["config"]["states_per_epoch"]}
     return found
 
 

@@ -87,11 +87,6 @@ def test_table_5_2_differs_from_the_thesis_by_its_kernels_alone():
 # ---- held-out scenes, and the comparison of Figure 5.9 ----
 
 
-def test_a_scene_of_a_random_number_of_circles_has_one_in_the_range():
-    counts = [starts.scene_of((8, 12), size=30.0, seed=seed).bodies.count for seed in range(30)]
-    assert set(counts) == set(range(8, 13))
-
-
 def test_figure_5_9s_scenes_are_none_of_the_data_set():
     """Its scenes (scripts/generate_data.py) come from SeedSequence(0, spawn_key=(i,)): no two streams are the same."""
     script = load_script("figure_5_9")
