@@ -18,8 +18,10 @@ from string import Formatter
 import numpy as np
 
 from deep_contact.presets import PRESETS
+from deep_contact.studies.chapter_5 import NETWORKS, THESIS_VISITS, networks_info
 from deep_contact.studies.learned_starts import CLASSICAL, best_errors
 from deep_contact.studies.runs import cheaper_than_rivals
+from deep_contact.studies.verdicts import BY_SWEEP
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"
@@ -167,6 +169,25 @@ def sizes() -> tuple:
     return rows[0][1], rows[0][3], rows[-1][1], rows[-1][3], errors[-1] / errors[0]
 
 
+# ---- the thesis ----
+
+
+def sweeps(stem: str, text: str) -> list[int]:
+    """The numbers of sweeps in the verdict on the one claim of a file whose text contains this."""
+    (found,) = (one["verdict"] for one in stored(stem)["claims"] if text in one["text"])
+    return [int(number) for number in re.findall(r"\d+", found)]
+
+
+def ratio_after(stem: str, text: str, after: int) -> list[float]:
+    """What decided the one claim of a file whose text contains this after so many sweeps: ratio, low, high."""
+    return claim(stem, text)[BY_SWEEP][str(after)]
+
+
+def training_share() -> float:
+    """States that the thesis's training showed, over those that the training of its network here did."""
+    return THESIS_VISITS / networks_info(NETWORKS)["cnn thesis"]["visits"]
+
+
 AFTER = (3, 10, 30)
 """Sweeps after which the errors of Figure 6.8 are compared."""
 
@@ -243,6 +264,35 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             sizes,
         ),
     ],
+    "thesis.md": [
+        (
+            "Bilinear, it converges faster than Builtin at sweeps {} to {} and more slowly from sweep {} on",
+            lambda: sweeps("figure_3_8", "bilinearly, as printed, converges faster than Builtin")[:3],
+        ),
+        (
+            "by spline, faster at sweeps {} to {} and at none more slowly (Figure 3.8)",
+            lambda: sweeps("figure_3_8", "by spline, as in the authors' code, converges faster than Builtin"),
+        ),
+        (
+            "θ at most half of Builtin's, it has at sweeps {} to {}, or {} to {} by spline (Figure 5.7)",
+            lambda: [
+                *sweeps("figure_5_7", "bilinearly, as printed, gets convergence much faster than Builtin")[:2],
+                *sweeps("figure_5_7", "by spline, as in the authors' code, gets convergence much faster than Builtin")[
+                    :2
+                ],
+            ],
+        ),
+        (
+            "with one that loses nothing it is faster up to sweep {:,}",
+            lambda: sweeps("figure_3_8", "with the consistent transfer SPH is faster than Builtin")[1:],
+        ),
+        (
+            "leaves {:.2f} of the θ of d = h = 0.5 m after 100 sweeps, with an interval of {:.2f} to {:.2f}",
+            lambda: ratio_after("figure_3_8", "the authors' setting", 100),
+        ),
+        ("converges like None at sweeps {} to {} only", lambda: sweeps("figure_3_7", "Builtin performs like None")[:2]),
+        ("showed 1/{:.1f} as many states as the thesis's", lambda: [training_share()]),
+    ],
 }
 """Page -> pieces of its text, and the function that makes their numbers."""
 
@@ -260,7 +310,7 @@ GIVEN: dict[str, list[str]] = {
     "guide.md": ["0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"],
     "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
     "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
-    "thesis.md": ["95 %"],
+    "thesis.md": ["95 %", "d = 0.75 m with h = 0.5 m", "of d = h = 0.5 m"],
 }
 """Page -> pieces of its text whose numbers are settings, or sizes of what others made."""
 

@@ -122,11 +122,11 @@ def draw(data, options):
         ax.set_yticks(range(len(names)), [plotting.style_of(name)["label"] for name in names])
         ax.invert_yaxis()
         ax.grid(axis="y", visible=False)
-        ax.set_xlim(0, 1.25 * left.max())
+        ax.set(xlim=(0, 1.25 * left.max()), xlabel="mean time of a step's contacts (ms)")
         ax.set_title(f"{int(size):,} circles, {min(pile['contacts']):,} to {max(pile['contacts']):,} contacts")
-    figure.supxlabel("mean time of a step's contacts (ms) with its 95 % interval; numbers: mean sweeps", fontsize=9)
     plotting.legend_below(figure, panels[0, 0])
-    figure.suptitle(f"{TITLE} SPH and Copy are given the solution.")
+    note = "SPH and Copy are given the solution. Lines: 95 % intervals; numbers: mean sweeps."
+    figure.suptitle(f"{TITLE}\n{note}")
     return figure
 
 
