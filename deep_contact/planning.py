@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.compiled.crew import cores
+from deep_contact.compiled.team import cores
 from deep_contact.physics.engine import Steps, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import BatchedPGS, describe

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
-from deep_contact.compiled.crew import cores
+from deep_contact.compiled.team import cores
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.engine import (
     ContactSolution,
@@ -230,7 +230,7 @@ def simulate_many(
     states = list(states)
     for one in (solver, *(getattr(state, "solver", None) for state in states)):
         if (getattr(one, "threads", None) or 1) > 1:
-            # Crews beside one thread a core would wait for each other.
+            # Teams beside one thread a core would wait for each other.
             raise ValueError(f"solver: expected one with threads=1 for many scenes, got {one!r}")
 
     stopped = threading.Event()

@@ -30,7 +30,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import sph
-from deep_contact.compiled import crew
+from deep_contact.compiled import team
 from deep_contact.io.fclib import read_problem
 from deep_contact.io.files import write_json
 from deep_contact.physics.lcp import check_problem, contact_problem, natural_residual, siconos_error
@@ -261,7 +261,7 @@ def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     done = {"bare": 20 * steps, "one core": count * steps, "all cores": count * steps}
     us = {name: 1e6 * seconds / done[name] for name, seconds in timing.interleaved(calls, repeats=repeats).items()}
     say("many piles of 100", us)
-    return {"cores": crew.cores(), "us": us}
+    return {"cores": team.cores(), "us": us}
 
 
 def peak_memory(n_bodies: int) -> float:

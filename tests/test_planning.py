@@ -5,7 +5,7 @@ from numba import config
 
 import deep_contact as dc
 from deep_contact import planning
-from deep_contact.compiled import crew
+from deep_contact.compiled import team
 
 
 def one(ratio, spread=0.0):
@@ -143,7 +143,7 @@ def test_an_unknown_part_names_the_known_ones():
     ],
 )
 def test_threads_are_planned_as_they_are_taken(n_bodies, solver, used, why, monkeypatch):
-    for module in (crew, planning):
+    for module in (team, planning):
         monkeypatch.setattr(module, "cores", lambda: 4)
     monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 4)
     found = plan(dc.lattice_in_box(n_bodies), solver=solver)["threads"]

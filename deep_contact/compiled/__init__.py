@@ -1,7 +1,7 @@
 """What Numba needs and no physicist has to read: its cache of compiled code, and vector instructions."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import multiprocessing
+import sys
 from functools import cache
 
 # compiled in: deep_contact.compiled.boxing
@@ -9,10 +9,11 @@ from functools import cache
 
 @cache
 def prepare_numba() -> None:
-    """Make Numba's cache and Ctrl-C safe, and keep SciPy out of processes that do not use it.
+    """Make Numba's cache and Ctrl-C safe, keep SciPy out of processes that do not use it, and say what is compiled.
 
     Call it before `njit` is used.
     """
+    from numba.core import event
     from numba.np import linalg
 
     from deep_contact.compiled import boxing, code_cache
@@ -26,23 +27,24 @@ def prepare_numba() -> None:
         import numba.np.arraymath  # noqa: F401
     finally:
         linalg.ensure_blas = check
+    if multiprocessing.parent_process() is None:
+        event.register("numba:compile", announcement())
 
 
-@contextmanager
-def announced(echo: Callable[[str], None]) -> Iterator[None]:
-    """Within the block, hand one line to `echo` if Numba compiles something, which it does where no cache has it."""
+def announcement():
+    """A listener that prints one line to stderr when Numba first compiles physics, which no cache had."""
     from numba.core import event
 
     class Announcement(event.Listener):
-        told = False
+        is_made = False
 
         def on_start(self, event) -> None:
-            if not self.told:
-                self.told = True
-                echo("compiling, once")
+            if not self.is_made and event.data["dispatcher"].py_func.__module__.startswith("deep_contact.physics."):
+                self.is_made = True
+                line = "deep_contact: compiling for this kind of scene and solver, once; it takes about 20 s"
+                print(line, file=sys.stderr, flush=True)
 
         def on_end(self, event) -> None:
             pass
 
-    with event.install_listener("numba:compile", Announcement()):
-        yield
+    return Announcement()

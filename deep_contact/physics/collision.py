@@ -88,7 +88,6 @@ class Cells(NamedTuple):
     gap: np.ndarray
 
 
-@njit(cache=True)
 def make_cells(n):
     """Buffers of the broad phase over n circles."""
     return Cells(
@@ -98,7 +97,6 @@ def make_cells(n):
     )  # fmt: skip
 
 
-@njit(cache=True)
 def make_contacts(capacity):
     """A buffer of contacts. Nothing is written into it: memory that is not touched costs nothing."""
     m = capacity
@@ -108,10 +106,8 @@ def make_contacts(capacity):
     )  # fmt: skip
 
 
-@njit(cache=True)
-def first_contacts(buffer, m):
-    """The first m contacts of a buffer, as views."""
-    return some_contacts(buffer, 0, m)
+more_contacts = njit(cache=True)(make_contacts)
+"""`make_contacts` for compiled callers; Python needs no compiler for it."""
 
 
 @njit(cache=True)
@@ -123,21 +119,16 @@ def some_contacts(buffer, i, j):
     )  # fmt: skip
 
 
-@njit(cache=True)
 def own_contacts(contacts):
     """The contacts in memory of their own, no larger than they are."""
-    return Contacts(
-        contacts.body_a.copy(), contacts.body_b.copy(), contacts.position.copy(), contacts.normal.copy(),
-        contacts.separation.copy(), contacts.normal_impulse.copy(), contacts.tangent_impulse.copy(),
-        contacts.normal_start.copy(), contacts.tangent_start.copy(),
-    )  # fmt: skip
+    return Contacts(*(field.copy() for field in contacts))
 
 
 @njit(cache=True, error_model="numpy")
-def has_list(position, radius, cells, ahead=0.0):
+def has_list(position, radius, cells, ahead):
     """Whether the pairs that touch are among those that `cells` remembers; they are found anew where that pays.
 
-    ahead: m; with it, the pairs that are no farther apart.
+    ahead: m; pairs that are no farther apart.
     """
     n, memory, half, x, y, apart = position.shape[0], cells.memory, 0.49 * (cells.gap[0] - ahead), 0.0, 0.0, math.inf
     if n == 0:
@@ -162,9 +153,17 @@ def has_list(position, radius, cells, ahead=0.0):
         if memory[PAIRS] >= 0:
             return True
         memory[WAIT] = TRY_AGAIN
-    memory[SEARCHES], memory[PAIRS] = 0, -1
-    cells.anchor[:], cells.gap[0] = position, gap
+    remember(position, gap, cells)
     return False
+
+
+@njit(cache=True)
+def remember(position, gap, cells):
+    """Note where the circles are, and that there is no list of pairs closer than the gap, m."""
+    for i in range(position.shape[0]):
+        cells.anchor[i, 0], cells.anchor[i, 1] = position[i, 0], position[i, 1]
+    cells.gap[0] = gap
+    cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
 
 
 @njit(cache=True)
@@ -205,12 +204,14 @@ def sort_into_cells(position, radius, gap, cells):
     the largest.
     """
     cells.level[:] = 0
-    count, _ = sort_level(0, position, radius, gap, 0, 0, cells)
-    levels = choose_levels(radius, cells.level) if is_crowded(cells, radius.shape[0], count) else 1
-    if levels > 1:
-        cell = circle = 0
+    levels, last = 0, 1
+    while levels < last:
+        # Zeros with a type: a literal one would be a type of its own, and compiled as well.
+        levels, cell, circle = last, np.int64(0), np.int64(0)
         for number in range(levels):
             cell, circle = sort_level(number, position, radius, gap, cell, circle, cells)
+        if levels == 1 and is_crowded(cells, radius.shape[0], cell):
+            last = choose_levels(radius, cells.level)
     return levels
 
 
@@ -299,7 +300,14 @@ def circles_around(a, position, reach, levels, cells, found, m):
 
     Returns m after them, or -1 if they may not fit.
     """
-    x, y, grid, circle, order, first = position[a, 0], position[a, 1], cells.grid, cells.circle, cells.order, m
+    x, y, grid, circle, order, first = (
+        position[a, 0],
+        position[a, 1],
+        cells.grid,
+        cells.circle,
+        cells.order,
+        np.int64(m),
+    )
     for level in range(levels):
         columns, per_metre = int(grid[level, COLUMNS]), grid[level, PER_METRE]
         column, row = (x - grid[level, X]) * per_metre, (y - grid[level, Y]) * per_metre
@@ -328,10 +336,9 @@ def circles_around(a, position, reach, levels, cells, found, m):
 @njit(cache=True, error_model="numpy")
 def find_near(position, radius, gap, cells):
     """Fill the list of pairs no farther apart than the gap, m. Without a list if the pairs do not fit."""
-    n, m = position.shape[0], 0
+    n, m = position.shape[0], np.int64(0)
     levels = sort_into_cells(position, radius, gap, cells)
-    cells.anchor[:], cells.gap[0] = position, gap
-    cells.memory[SEARCHES], cells.memory[PAIRS] = 0, -1
+    remember(position, gap, cells)
     for a in range(n):
         cells.first[a] = m
         m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, m)
@@ -348,7 +355,7 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     circle, or n + wall. cells: `Cells`, about which `has_list` was asked at these positions; if they have a list, it
     saves work and changes no pair. Returns the number of pairs, or -1 if they do not fit.
     """
-    n, m = position.shape[0], 0
+    n, m = position.shape[0], np.int64(0)
     if cells.memory[PAIRS] >= 0:
         return write_near_pairs(position, radius, box, skin, cells, 0, n, body_a, body_b)
     # What is not a number has no cell: it would be written outside of the arrays. The caller of the run says so.
@@ -373,8 +380,7 @@ def write_near_pairs(position, radius, box, skin, cells, begin, end, body_a, bod
     indices without a sign see `batches.choose_batches`.
     """
     n = position.shape[0]
-    first, near = cells.first, cells.near
-    m = 0
+    first, near, m = cells.first, cells.near, np.int64(0)
     for a in range(begin, end):
         i, last = np.uint32(first[a]), np.uint32(first[a + 1])
         if m + (last - i) + 4 > body_a.shape[0]:
@@ -429,7 +435,7 @@ def find_contacts(position, radius, box, segments, skin, cells, buffer):
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: (S, 5), m and m/s.
     skin: of walls and segments, m. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
     """
-    has_list(position, radius, cells)
+    has_list(position, radius, cells, 0.0)
     return contacts_at(position, radius, box, segments, skin, cells, buffer)
 
 
@@ -438,13 +444,14 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer):
     """`find_contacts` after `has_list` has been asked at these positions."""
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
-        if m >= 0 and segments.shape[0] > 0:
-            m = insert_pairs(position, radius, segments, skin, buffer.body_a, buffer.body_b, m)
+        if segments is not None:
+            if m >= 0:
+                m = insert_pairs(position, radius, segments, skin, buffer.body_a, buffer.body_b, m)
         if m >= 0:
             break
         # Only a heap of overlapping circles has so many pairs.
-        buffer = make_contacts(2 * buffer.body_a.shape[0] + 64)
-    contacts = first_contacts(buffer, m)
+        buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
+    contacts = some_contacts(buffer, 0, m)
     write_geometry(position, radius, box, segments, skin, contacts)
     return contacts
 
@@ -467,11 +474,12 @@ def write_geometry(position, radius, box, segments, skin, contacts):
                 n_x, n_y = parting(a, b)
             else:
                 n_x, n_y = n_x / distance, n_y / distance
-        elif b < n + 4:
-            separation = wall_gap(x, y, box, b - n) - radius[a] - skin
-            n_x, n_y = WALL_NORMALS[b - n, 0], WALL_NORMALS[b - n, 1]
         else:
-            separation, n_x, n_y = segment_gap(segments[b - n - 4], x, y)
+            w = min(b - n, 3)
+            separation, n_x, n_y = wall_gap(x, y, box, w), WALL_NORMALS[w, 0], WALL_NORMALS[w, 1]
+            if segments is not None:
+                if b >= n + 4:
+                    separation, n_x, n_y = segment_gap(segments[b - n - 4], x, y)
             separation = separation - radius[a] - skin
         arm = radius[a] + 0.5 * separation
         contacts.normal[i, 0] = n_x
@@ -515,7 +523,13 @@ def carry_impulses(old, contacts, warm):
     so one walk along both finds all matches.
     """
     last = old.body_a.shape[0]
-    j = np.searchsorted(old.body_a, contacts.body_a[0]) if contacts.body_a.shape[0] > 0 else 0
+    j, end = 0, last if contacts.body_a.shape[0] > 0 else 0
+    while j < end:  # a search by halves for the first body a
+        middle = (j + end) // 2
+        if old.body_a[middle] < contacts.body_a[0]:
+            j = middle + 1
+        else:
+            end = middle
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
         # Most contacts follow in the new list on what they followed in the old: a branch that is predicted.
@@ -569,8 +583,9 @@ def hold(bodies, before, box, segments, skin, solved):
     """`hold_inside` and `hold_beside`, where they are needed."""
     if any_outside(bodies.position, box):
         hold_inside(bodies, box, skin, solved)
-    if segments.shape[0] > 0:
-        hold_beside(bodies, before, segments)
+    if segments is not None:
+        if segments.shape[0] > 0:
+            hold_beside(bodies, before, segments)
 
 
 @njit(cache=True)

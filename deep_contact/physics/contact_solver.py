@@ -67,12 +67,15 @@ SUMS = {"contract", "reassoc"}
 """Fast-math flags of sums over all rows: several partial sums at once, in an order fixed at compile time."""
 
 
-@njit(cache=True)
 def make_rows(capacity, dtype, friction):
     """Uninitialised rows for `capacity` contacts, in the precision of the solver bodies."""
     if friction is None:
         return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 3), dtype), np.empty((capacity, 1), dtype))
     return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 6), dtype), np.empty((capacity, 2), dtype))
+
+
+more_rows = njit(cache=True)(make_rows)
+"""`make_rows` for compiled callers."""
 
 
 @njit(cache=True, error_model="numpy")
@@ -95,7 +98,7 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction):
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], solver_bodies.shape[0] - 1
     if m > buffer.body.shape[0]:
-        buffer = make_rows(m, buffer.data.dtype, friction)
+        buffer = more_rows(m, buffer.data.dtype, friction)
     rows = Rows(buffer.body[:m], buffer.data[:m], buffer.impulse[:m])
     for i in range(m):
         a, b = contacts.body_a[i], min(contacts.body_b[i], last)
@@ -110,8 +113,9 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction):
             rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
             rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
             rows.impulse[i, TANGENT] = contacts.tangent_start[i]
-    if friction is not None and segments.shape[0] > 0:
-        move_surfaces(contacts, segments, solver_bodies, rows)
+    if friction is not None:
+        if segments is not None:
+            move_surfaces(contacts, segments, solver_bodies, rows)
     return rows
 
 
@@ -133,6 +137,8 @@ def effective_masses(w_a, w_b, arms):
 def move_surfaces(contacts, segments, solver_bodies, rows):
     """Let the surfaces of segments, (S, 5), move, in place on rows with tangents and on the solver bodies."""
     last = solver_bodies.shape[0] - 1
+    if segments.shape[0] == 0:
+        return
     solver_bodies[last, V_S] = 1.0
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
@@ -247,6 +253,16 @@ def integrate_positions(bodies, solver_bodies, given):
 
 
 @njit(cache=True, error_model="numpy")
+def any_fast(solver_bodies, radius, dt):
+    """Whether a circle is fast (`continuous`) with these velocities."""
+    fast = False
+    for i in range(radius.shape[0]):
+        v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
+        fast |= dt * math.sqrt(v_x * v_x + v_y * v_y) > FAST * radius[i]
+    return fast
+
+
+@njit(cache=True, error_model="numpy")
 def stop_fast_circles(bodies, given):
     """Take back, in place, the way of circles that went fast by what they touched on it (`continuous`)."""
     start = bodies.position - given.dt * bodies.velocity
@@ -280,13 +296,5 @@ def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.nda
 
     friction: one number, or one a contact.
     """
-    return _projected(normal, tangent, np.broadcast_to(friction, normal.shape))
-
-
-@njit(cache=True)
-def _projected(normal, tangent, friction):
-    p_n, p_t = np.empty_like(normal), np.empty_like(tangent)
-    for i in range(normal.shape[0]):
-        p_n[i] = max(normal[i], 0.0)
-        p_t[i] = max(-friction[i] * p_n[i], min(tangent[i], friction[i] * p_n[i]))
-    return p_n, p_t
+    p_n = np.maximum(normal, 0.0)
+    return p_n, np.clip(tangent, -friction * p_n, friction * p_n).astype(tangent.dtype, copy=False)

@@ -91,14 +91,17 @@ class Swept(NamedTuple):
     found: np.ndarray  # (n,): a buffer
 
 
+_make_cells = njit(cache=True)(make_cells)
+
+
 @njit(cache=True, error_model="numpy")
 def _sort_swept(start, move, radius):
     """`Swept` of circles that start at (n, 2) and move by (n, 2), m."""
     n = radius.shape[0]
-    cells = make_cells(n)
+    cells = _make_cells(n)
     middle = start + 0.5 * move
     cells.level[:] = 0
-    sort_level(0, middle, radius, 0.0, 0, 0, cells)
+    sort_level(np.int64(0), middle, radius, 0.0, np.int64(0), np.int64(0), cells)
     columns, rows = int(cells.grid[0, COLUMNS]), int(cells.grid[0, ROWS])
     box, longest = np.empty((n, 4)), np.zeros(2)
     for k in range(n):

@@ -49,18 +49,13 @@ def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
     of the mean, as the thesis's own code did, would average over the slow steps only.
     Returns (sweeps,), N·s. Raises ValueError if there is no step, or one without sweeps.
     """
-    total = np.zeros(sweeps)
-    count = 0
-    for theta in thetas:
-        if len(theta) == 0:
-            raise ValueError(f"thetas[{count}]: expected at least one sweep, got none")
-        done = min(len(theta), sweeps)
-        total[:done] += theta[:done]
-        total[done:] += theta[done - 1]
-        count += 1
-    if count == 0:
+    rows = [theta[:sweeps] for theta in thetas]
+    if not rows:
         raise ValueError("thetas: expected at least one step, got none")
-    return total / count
+    for k, row in enumerate(rows):
+        if len(row) == 0:
+            raise ValueError(f"thetas[{k}]: expected at least one sweep, got none")
+    return np.mean([np.pad(row, (0, sweeps - len(row)), mode="edge") for row in rows], axis=0)
 
 
 @njit(cache=True)

@@ -1,7 +1,7 @@
 """The engine: what a step does.
 
 `advance` is the algorithm, which behaves as Box2D 2.3 does for circles at e = 0, but for its own continuous collision.
-`solvers.batched.advance_by_crew` has the same stages for several threads. `deep_contact.simulation` is the validated
+`solvers.batched.advance_by_team` has the same stages for several threads. `deep_contact.simulation` is the validated
 interface.
 """
 
@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deep_contact.physics import sleeping
 from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (
     NORMAL,
@@ -19,28 +20,31 @@ from deep_contact.physics.contact_solver import (
     V_S,
     V_Y,
     Rows,
+    any_fast,
     apply_impulses,
     contact_rows,
     integrate_positions,
     integrate_velocities,
-    make_rows,
+    more_rows,
+    move,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import positions_before, segments_of
-from deep_contact.physics.sleeping import (
-    all_asleep,
-    awake_contacts,
-    hold_sleeping,
-    make_sleep_memory,
-    store_awake_impulses,
-    wake_and_put_to_sleep,
-)
 from deep_contact.physics.solvers import PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
-from deep_contact.physics.step import Motion, StepInput, StepLog, StepMemory, StepOptions, log_step, make_memory
+from deep_contact.physics.step import (
+    Motion,
+    StepInput,
+    StepLog,
+    StepMemory,
+    StepOptions,
+    log_step,
+    make_memory,
+    with_rare,
+)
 from deep_contact.physics.substeps import part_of, parts_of, rescale, shift_flights
 from deep_contact.state import LIMITS, Contacts, State, native
 from deep_contact.state.scales import ContactScales, mean
@@ -54,59 +58,71 @@ _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.norm
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(given, options, memory, log):
+def advance(given, rare, options, memory, log):
     """Do as many steps as the log has rows, or until the work in `log.progress` is done: the bodies move in place.
 
     Returns (contacts solved last, contacts found), which lie in memory that the next call writes into.
-    given: `StepInput`. options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
+    given: `StepInput`. rare: True; or None, and nothing of the following is compiled: segments, restitution, parts of a
+    step, sleep and what stops fast circles, before which the call ends, then. options: `StepOptions`. memory:
+    `StepMemory`. log: `StepLog`, filled.
     """
     bodies, box, segments, scales, friction = given.bodies, given.box, given.segments, given.scales, given.friction
     solver_bodies, theta, sleep = memory.solver_bodies, memory.theta, memory.sleep
     workspace = make_workspace(options.settings, memory.rows, solver_bodies)
     solved = contacts = given.contacts
     # Asked here whether a stage is needed: a call counts references to all arrays that it is handed.
-    part, parts, turn = given, 1, 0
+    part, parts, turn, is_over = given, 1, 0, False
     for k in range(log.contacts.shape[0]):
         solved = contacts
-        if all_asleep(sleep):
-            log_step(log, k, 0, 0, theta, 0)
-            continue
-        wanted = parts_of(given, memory.cells) if given.motion.most > 1 else 1
-        if wanted != parts:
-            rescale(contacts, parts / wanted)
-            part, parts = part_of(given, wanted), wanted
-        if parts > 1 and given.restitution > 0.0:
-            shift_flights(bodies, contacts, given.gravity, given.dt - part.dt)
+        if rare is not None:
+            if sleeping.all_asleep(sleep):
+                log_step(log, k, 0, 0, theta, 0)
+                continue
+            wanted = parts_of(given, memory.cells) if given.motion.most > 1 else 1
+            if wanted != parts:
+                rescale(contacts, parts / wanted)
+                part, parts = part_of(given, wanted), wanted
+            if parts > 1 and given.restitution > 0.0:
+                shift_flights(bodies, contacts, given.gravity, given.dt - part.dt)
         for _ in range(parts):
-            solved = contacts
-            active = awake_contacts(solved, sleep)
+            solved = active = contacts
             # Velocities.
-            if part.restitution > 0.0:
-                rebound(part, active)
+            if rare is not None:
+                active = sleeping.awake_contacts(solved, sleep)
+                if part.restitution > 0.0:
+                    rebound(part, active)
             integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
-            hold_sleeping(solver_bodies, sleep)
+            if rare is not None:
+                sleeping.hold_sleeping(solver_bodies, sleep)
             rows = contact_rows(active, bodies.radius, segments, solver_bodies, memory.rows, friction)
             apply_impulses(rows, solver_bodies, friction)
             sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
             store_impulses(rows, active)
-            if sleep is not None:
-                store_awake_impulses(active, solved, sleep)
+            if rare is not None:
+                sleeping.store_awake_impulses(active, solved, sleep)
             # Positions.
             before = positions_before(bodies, segments)
-            integrate_positions(bodies, solver_bodies, part)
+            if rare is None:
+                if any_fast(solver_bodies, bodies.radius, part.dt):
+                    return solved, solved  # nothing has moved in this step
+                move(bodies, solver_bodies, part)
+            else:
+                integrate_positions(bodies, solver_bodies, part)
             correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
             # The contacts that the next part or step solves.
             turn, buffer, skin = 1 - turn, memory.contacts[turn], scales.wall_skin
             contacts = next_contacts(bodies, before, box, segments, skin, memory.cells, solved, options.carry, buffer)
-            if sleep is not None:
-                wake_and_put_to_sleep(part, contacts, sleep)
+            if rare is not None:
+                sleeping.wake_and_put_to_sleep(part, contacts, sleep)
             is_over = log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
-        if parts > 1 and given.restitution > 0.0:
-            shift_flights(bodies, contacts, given.gravity, part.dt - given.dt)
+        if rare is not None:
+            if parts > 1 and given.restitution > 0.0:
+                shift_flights(bodies, contacts, given.gravity, part.dt - given.dt)
         if is_over:
             break
-    if parts > 1:
-        rescale(contacts, parts)
+    if rare is not None:
+        if parts > 1:
+            rescale(contacts, parts)
     return solved, contacts
 
 
@@ -122,9 +138,10 @@ class Steps:
         if flag("sleep", sleep) and not entry.can_sleep:
             raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
         self._advance = entry.advance(solver) if entry.advance else advance
+        self._rare = True if sleep or entry.advance else None  # once it is True, it stays
         self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
         self._solver, self._memory = solver, {}
-        self._sleep = make_sleep_memory(n, 4 * n + 64) if sleep else None
+        self._sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
     def memory(self, given: StepInput) -> StepMemory:
         """The memory that these steps work in: one for rows with tangents, one for rows without."""
@@ -144,7 +161,16 @@ class Steps:
 
         Returns (contacts solved last, contacts found); the next call may write into the former.
         """
-        solved, found = self._advance(given, self._options, self.memory(given), log)
+        self._rare = self._rare or (None if given.motion is None else True)
+        given, memory = with_rare(given) if self._rare else given, self.memory(given)
+        solved, found = self._advance(given, self._rare, self._options, memory, log)
+        done, work = log.progress
+        if self._rare is None and done < len(log.contacts) and work > 0:
+            # A circle is fast.
+            self._rare, rest = True, StepLog(*(column[done:] for column in log[:5]), np.array([0, work]))
+            solved, found = self(given._replace(contacts=own_contacts(found)), rest)
+            log.progress[:] = done + rest.progress[0], rest.progress[1]
+            return solved, found
         return solved, own_contacts(found)
 
 
@@ -160,7 +186,7 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 def build_rows(given, solver_bodies):
     """Fill the solver bodies of a step, after its impacts, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
-    buffer = make_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
+    buffer = more_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
     return contact_rows(given.contacts, given.bodies.radius, given.segments, solver_bodies, buffer, given.friction)
 
 
@@ -247,27 +273,27 @@ class StepProblem(NamedTuple):
     friction: float | None
 
 
-def world_arguments(state: State) -> tuple:
-    """(box, segments, gravity, friction, restitution) of the state's world."""
-    world = state.world
-    return world.box, segments_of(world), world.gravity, world.friction, world.restitution
-
-
 def leaves_tangents_out(state: State, solver) -> bool:
     """Whether a step needs no tangent rows: μ = 0, no tangent impulse to start from, and a loop that can do without."""
     return state.world.friction == 0 and entry_of(solver).advance is None and not state.contacts.tangent_start.any()
 
 
 def step_input(state: State, solver, scales: ContactScales | None = None) -> StepInput:
-    """What the next steps of a state read; it shares the state's arrays. scales: of `scales_of`."""
-    box, segments, gravity, friction, restitution = world_arguments(state)
-    friction = None if leaves_tangents_out(state, solver) else friction
+    """What the next steps of a state read; it shares the state's arrays. scales: of `scales_of`.
+
+    solver: None for rows with tangents and the state's own scales.
+    """
+    world = state.world
+    friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
     scales = scales_of(state, solver) if scales is None else scales
-    most = motion_parts(solver)
-    motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
-    return StepInput(
-        state.bodies, state.contacts, box, segments, gravity, friction, restitution, state.dt, scales, motion
+    given = StepInput(
+        state.bodies, state.contacts, world.box, None, world.gravity, friction, None, state.dt, scales
     )  # fmt: skip
+    most = motion_parts(solver)
+    if most == 1 and not world.segments and world.restitution == 0.0:
+        return given
+    motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
+    return given._replace(segments=segments_of(world), restitution=world.restitution, motion=motion)
 
 
 def scales_of(state: State, solver) -> ContactScales:
@@ -287,8 +313,9 @@ def after_impacts(state: State) -> State:
     if state.world.restitution == 0.0:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
-    rebound(StepInput(bodies, state.contacts, *world_arguments(state), state.dt, state.scales), state.contacts)
-    return state.replace(bodies=bodies)
+    state = state.replace(bodies=bodies)
+    rebound(step_input(state, None), state.contacts)
+    return state
 
 
 def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
@@ -298,18 +325,15 @@ def step_problem(state: State, solver=None, scales: ContactScales | None = None)
     """
     state = after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision if solver else "double"])
-    if solver is None:
-        scales = state.scales if scales is None else scales
-        given = StepInput(state.bodies, state.contacts, *world_arguments(state), state.dt, scales)
-    else:
-        given = step_input(state, solver, scales)
+    given = step_input(state, solver, scales)
     return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
 
 
 def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
     bodies, world = native(state).bodies, state.world
-    where = bodies.position, bodies.radius, world.box, segments_of(world), state.scales.wall_skin
+    segments = segments_of(world) if world.segments else None
+    where = bodies.position, bodies.radius, world.box, segments, state.scales.wall_skin
     contacts = own_contacts(find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64)))
     for values in contacts[5:]:
         values[:] = 0.0

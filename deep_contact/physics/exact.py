@@ -26,7 +26,7 @@ the path, so on the start and these constants.
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -40,15 +40,7 @@ from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
 from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
-from deep_contact.physics.proximal_path import (
-    MOST_TURNS,
-    OPEN,
-    SLIP_DOWN,
-    SLIP_UP,
-    STICK,
-    leads,
-    slack,
-)
+from deep_contact.physics.proximal_path import MOST_TURNS, OPEN, SLIP_DOWN, SLIP_UP, STICK, first_change, slack
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.state import LARGEST_START, State, check_limits, check_state
 from deep_contact.validation import integer, number
@@ -154,17 +146,16 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
     best, least = impulse, natural_residual(problem, impulse.ravel())
     wrong = least
     epsilon, factorizations, pivots, idle, restarts = FIRST_EPSILON, 0, 0, 0, 0
-    step, least_epsilon = None, LEAST_EPSILON
+    bodies = None if least <= residual else proximal_path.bodies_of(problem)
+    step, least_epsilon = _step_of_matrices(problem), LEAST_OF_MATRICES
+    if bodies is not None:
+        step, least_epsilon = _step_of_bodies(problem, bodies), LEAST_EPSILON
     while least > residual and pivots + factorizations < most_pivots:
-        if restarts > MOST_RESTARTS and isinstance(step, _StepOfMatrices):
+        if restarts > MOST_RESTARTS and bodies is None:
             break
-        if step is None:
-            bodies = proximal_path.bodies_of(problem)
-            step = _StepOfMatrices(problem) if bodies is None else _StepOfBodies(problem, bodies)
-            least_epsilon = LEAST_OF_MATRICES if bodies is None else LEAST_EPSILON
-        elif restarts > MOST_RESTARTS:
+        if restarts > MOST_RESTARTS:
             # Rounding does not let it: with μ of 1e6 the matrix of the velocities has no digits left.
-            step, least_epsilon, restarts = _StepOfMatrices(problem), LEAST_OF_MATRICES, 0
+            step, least_epsilon, restarts, bodies = _step_of_matrices(problem), LEAST_OF_MATRICES, 0, None
         limit = min(MOST_PIVOTS, most_pivots - pivots - factorizations)
         start = impulse
         found, done, factorized = step(blocks, start, epsilon, limit)
@@ -303,38 +294,32 @@ def _shown(blocks: Blocks, impulse):
     return states, x, u, q
 
 
-class _StepOfBodies:
-    """A proximal step of a problem by bodies: see `proximal_path`."""
+def _step_of_bodies(problem: ContactProblem, bodies: proximal_path.Bodies) -> Callable:
+    """A proximal step of a problem by bodies (`proximal_path`): a function of impulses c, (m, 2), in the cone.
 
-    def __init__(self, problem: ContactProblem, bodies: proximal_path.Bodies):
-        self.bodies, self.inverse = bodies, proximal_path.make_inverse(bodies)
-        self.diagonal = problem.A.diagonal().reshape(-1, 2).copy()
+    It solves the contact problem with ε diag(A) (λ − c) added to its velocities, from c on the bounds of the states
+    that it shows: (blocks, c, ε, most pivots) -> (λ, or None where it is given up, pivots, factorisations).
+    """
+    inverse, diagonal = proximal_path.make_inverse(bodies), problem.A.diagonal().reshape(-1, 2).copy()
 
-    def __call__(self, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
-        """Solve the contact problem with ε diag(A) (λ − c) added to its velocities.
-
-        c: `impulse`, (m, 2), in the cone, put on the bounds of the states it shows. Returns (λ, or None where it is
-        given up, pivots, factorisations).
-        """
+    def step(blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
         states, x, u, q = _shown(blocks, impulse)
         reached, pivots, factorizations = proximal_path.follow(
-            self.bodies, self.diagonal, blocks.mu, epsilon, states, x, u, q, limit, self.inverse
+            bodies, diagonal, blocks.mu, epsilon, states, x, u, q, limit, inverse
         )
         return x if reached else None, pivots, factorizations
 
+    return step
 
-class _StepOfMatrices:
+
+def _step_of_matrices(problem: ContactProblem) -> Callable:
     """The same of a problem without bodies, by the equations of its impulses, which every pivot factorises anew."""
 
-    def __init__(self, problem: ContactProblem):
-        self.A, self.diagonal = problem.A, problem.A.diagonal()
-
-    def __call__(self, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
-        """As `_StepOfBodies`."""
+    def step(blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
         friction = blocks.mu
         states, *start = _shown(blocks, impulse)
         x, u, q = (array.ravel() for array in start)
-        A = self.A + sparse.diags_array(epsilon * self.diagonal, format="csr")
+        A = problem.A + sparse.diags_array(epsilon * problem.A.diagonal(), format="csr")
         t, sign, last, previous, pivots, turns = 1.0, -1.0, -1, OPEN, 0, 0
         while True:
             # How λ and u change as t grows. The path is that of `proximal_path.follow`.
@@ -345,7 +330,8 @@ class _StepOfMatrices:
                 rate = slack(states[last], previous, friction[last], dx[k], dx[k + 1], du[k], du[k + 1])
                 sign = 1.0 if rate > 0 else -1.0
                 turns += sign > 0
-            length, contact, new = _first_change(states, friction, x, u, dx, du, sign)
+            pairs = (array.reshape(-1, 2) for array in (x, u, dx, du))
+            length, contact, new = first_change(states, friction, *pairs, sign)
             if sign < 0 and length >= t and np.isfinite(du).all():
                 return (x - t * dx).reshape(-1, 2), pivots, 1
             if contact < 0 or pivots == limit or turns > MOST_TURNS:
@@ -353,6 +339,8 @@ class _StepOfMatrices:
             x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
             last, previous = contact, states[contact]
             states[contact] = new if previous != OPEN else SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
+
+    return step
 
 
 def _rates(A, q: np.ndarray, friction: np.ndarray, states: np.ndarray) -> np.ndarray:
@@ -373,19 +361,3 @@ def _rates(A, q: np.ndarray, friction: np.ndarray, states: np.ndarray) -> np.nda
     except RuntimeError:
         return np.full(q.size, np.nan)
     return factors.solve(np.where(still, -q, 0.0), trans="T")
-
-
-@njit(cache=True)
-def _first_change(states, friction, x, u, dx, du, sign):
-    """The first contact to leave its state along sign (dx, du). Returns (length, contact or −1, its new state)."""
-    least, contact, new = math.inf, -1, OPEN
-    for i in range(states.shape[0]):
-        state, mu, n, t = states[i], friction[i], 2 * i, 2 * i + 1
-        for to in range(4):
-            if leads(state, to, mu):
-                rate = sign * slack(state, to, mu, dx[n], dx[t], du[n], du[t])
-                if rate < 0.0:
-                    length = max(slack(state, to, mu, x[n], x[t], u[n], u[t]), 0.0) / -rate
-                    if length < least:
-                        least, contact, new = length, i, to
-    return least, contact, new

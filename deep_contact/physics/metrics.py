@@ -68,38 +68,32 @@ def nearest_velocity_error(state: State, solution: ContactSolution, references: 
     return min(velocity_error(state, solution, reference) for reference in references)
 
 
+def _ends(state: State) -> tuple[np.ndarray, ...]:
+    """a, b and their arms, m, of every contact; walls and segments are the four bodies behind the circles."""
+    n, half = state.bodies.count, 0.5 * state.contacts.separation
+    a, b = state.contacts.body_a, np.minimum(state.contacts.body_b, n + 3)
+    radius = np.append(state.bodies.radius, np.zeros(4))
+    return a, b, radius[a] + half, np.where(b < n, radius[b] + half, 0.0)
+
+
 def row_velocities(state: State, velocity: np.ndarray, spin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Relative velocities of the contacts along the normals and along the tangents, (m,) each, m/s.
 
     J v, and in the tangent rows of segments the velocity of the surface (`World.surface_speeds`).
     """
-    bodies, contacts = state.bodies, state.contacts
-    n = bodies.count
-    v = np.vstack([velocity, np.zeros((4, 2))])
-    w = np.concatenate([spin, np.zeros(4)])
-    radius = np.concatenate([bodies.radius, np.zeros(4)])
-    a, b = contacts.body_a, np.minimum(contacts.body_b, n + 3)
-    apart = v[b] - v[a]
-    normal = contacts.normal
-    tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
-    arm_a = radius[a] + 0.5 * contacts.separation
-    arm_b = np.where(b < n, radius[b] + 0.5 * contacts.separation, 0.0)
+    (a, b, arm_a, arm_b), normal = _ends(state), state.contacts.normal
+    v, w = np.vstack([velocity, np.zeros((4, 2))]), np.append(spin, np.zeros(4))
+    apart, tangent = v[b] - v[a], np.column_stack([normal[:, 1], -normal[:, 0]])
     along_tangent = np.einsum("ij,ij->i", apart, tangent) + arm_a * w[a] + arm_b * w[b]
     if state.world.surface_speeds:
-        along_tangent += surface_velocities(contacts, segments_of(state.world), n)
+        along_tangent += surface_velocities(state.contacts, segments_of(state.world), state.bodies.count)
     return np.einsum("ij,ij->i", apart, normal), along_tangent
 
 
 def effective_masses(state: State) -> tuple[np.ndarray, np.ndarray]:
     """1 / (J M⁻¹ Jᵀ) of the normal and of the tangent rows, (m,) each, kg."""
-    bodies, contacts = state.bodies, state.contacts
-    n = bodies.count
-    zeros = np.zeros(4)
-    w, i = np.concatenate([1 / bodies.mass, zeros]), np.concatenate([1 / bodies.inertia, zeros])
-    radius = np.concatenate([bodies.radius, zeros])
-    a, b = contacts.body_a, np.minimum(contacts.body_b, n + 3)
-    arm_a = radius[a] + 0.5 * contacts.separation
-    arm_b = np.where(b < n, radius[b] + 0.5 * contacts.separation, 0.0)
+    a, b, arm_a, arm_b = _ends(state)
+    w, i = np.append(1 / state.bodies.mass, np.zeros(4)), np.append(1 / state.bodies.inertia, np.zeros(4))
     return 1 / (w[a] + w[b]), 1 / (w[a] + w[b] + arm_a**2 * i[a] + arm_b**2 * i[b])
 
 

@@ -18,20 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.compiled.simd import (
-    WIDTH,
-    lane,
-    least,
-    load,
-    load_rows,
-    most,
-    root,
-    spread,
-    store_rows,
-    times,
-    where_less,
-    widened,
-)
+from deep_contact.compiled import simd
+from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store_rows, times, where_less
 from deep_contact.constants import BAUMGARTE, POSITION_TOLERANCE
 from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
 from deep_contact.physics.segments import segment_gap
@@ -80,7 +68,6 @@ class CorrectionRoom(NamedTuple):
     memory: np.ndarray
 
 
-@njit(cache=True)
 def make_correction_room(n, capacity):
     """Buffers for so many circles and contacts."""
     tiles = capacity // WIDTH + capacity // _FILLED + 1
@@ -89,6 +76,9 @@ def make_correction_room(n, capacity):
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 2, WIDTH)), np.empty((n + 5, 4)),
         np.zeros(2, np.int64),
     )  # fmt: skip
+
+
+_larger_room = njit(cache=True)(make_correction_room)
 
 
 @njit(cache=True, error_model="numpy")
@@ -100,10 +90,11 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
     """
     n, m, memory = bodies.mass.shape[0], contacts.body_a.shape[0], room.memory
     if m > room.batch.shape[0]:
-        room = make_correction_room(n, m)
+        room = _larger_room(n, m)
     tiles, done = 0, 0
     begin = 0 if memory[SWEEPS] > _FEW else _FEW
-    if segments.shape[0] > 0:
+    in_turn = segments is not None and segments.shape[0] > 0
+    if in_turn:
         begin = sweeps
     elif memory[WAIT] > 0 or sweeps - begin <= _FEW:
         memory[WAIT], begin = max(memory[WAIT] - 1, 0), sweeps
@@ -155,13 +146,13 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
             position[a, 0] = x - push * mass[b] * d_x
             position[a, 1] = y - push * mass[b] * d_y
         else:
-            if b < n + 4:
-                separation = wall_gap(x, y, box, b - n) - radius[a] - skin
-                d_x, d_y = WALL_NORMALS[b - n, 0], WALL_NORMALS[b - n, 1]
-            else:
-                normal = contacts.normal[i]
-                separation, d_x, d_y = segment_gap(segments[b - n - 4], x, y, normal[0], normal[1])
-                separation = separation - radius[a] - skin
+            w = min(b - n, 3)
+            separation, d_x, d_y = wall_gap(x, y, box, w), WALL_NORMALS[w, 0], WALL_NORMALS[w, 1]
+            if segments is not None:
+                if b >= n + 4:
+                    normal = contacts.normal[i]
+                    separation, d_x, d_y = segment_gap(segments[b - n - 4], x, y, normal[0], normal[1])
+            separation = separation - radius[a] - skin
             push = max(0.0, min(-BAUMGARTE * (separation + slop), longest))
             position[a, 0] = x - push * d_x
             position[a, 1] = y - push * d_y
@@ -185,10 +176,10 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
         d_x, d_y, reach = b_x - a_x, b_y - a_y, r_a + r_b
         wanted = most(reach - slop, none)
         square = times(d_x, d_x) + times(d_y, d_y)
-        distance = root(square)
+        distance = simd.root(square)
         push = least(times(share, wanted - distance), longest) / (m_a + m_b)
         # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
-        found_x, found_y = widened(load(normal, stride * t)), widened(load(normal, stride * t + 1))
+        found_x, found_y = simd.widened(load(normal, stride * t)), simd.widened(load(normal, stride * t + 1))
         push = where_less(distance, times(tiny, reach), push, push / distance)
         push = where_less(square, times(wanted, wanted), push, none)
         n_x = where_less(distance, times(tiny, reach), found_x, d_x)

@@ -137,16 +137,24 @@ def slack(state, to, friction, x_n, x_t, u_n, u_t):
 
 
 @njit(cache=True)
-def leads(state, to, friction):
-    """Whether a contact goes from one state to the other directly.
+def first_change(states, friction, x, u, dx, du, sign):
+    """The first contact to leave its state along sign (dx, du), (m, 2) each: (length, contact or −1, its new state).
 
-    One that closes is said to slip up: which way it slips is told by u_t there.
+    The one that changed last does not go straight back, though it stands on that bound: the sign is such that it
+    leaves it. One that closes is said to slip up: which way it slips is told by u_t there.
     """
-    if state == OPEN:
-        return to == SLIP_UP
-    if state == STICK:
-        return to >= SLIP_UP
-    return to == OPEN or (to == STICK and friction > 0)
+    least, contact, new = math.inf, -1, OPEN
+    for i in range(states.shape[0]):
+        state, mu = states[i], friction[i]
+        # A contact goes from open to slipping only, and from one slip to the other by sticking.
+        first = OPEN if state >= SLIP_UP else SLIP_UP
+        for to in (first, SLIP_DOWN if state == STICK else STICK if state != OPEN and mu > 0.0 else first):
+            rate = sign * slack(state, to, mu, dx[i, 0], dx[i, 1], du[i, 0], du[i, 1])
+            if rate < 0.0:
+                length = max(slack(state, to, mu, x[i, 0], x[i, 1], u[i, 0], u[i, 1]), 0.0) / -rate
+                if length < least:
+                    least, contact, new = length, i, to
+    return least, contact, new
 
 
 @njit(cache=True)
@@ -345,22 +353,12 @@ def follow(bodies, diagonal, friction, epsilon, states, x, u, q, limit, inverse)
             sign = 1.0 if slack(states[last], previous, friction[last], x_n, x_t, u_n, u_t) > 0.0 else -1.0
             if sign > 0.0:
                 turns += 1
-        # The first contact to leave its state. The one that changed last does not go straight back, though it
-        # stands on that bound: the sign is such that it leaves it.
-        length, contact, new, total = np.inf, -1, OPEN, 0.0
+        total = 0.0
         for i in range(m):
-            state, mu = states[i], friction[i]
-            x_n, x_t, u_n, u_t = _rates(bodies, weight, friction, state, q, dv, i)
+            x_n, x_t, u_n, u_t = _rates(bodies, weight, friction, states[i], q, dv, i)
             dx[i, 0], dx[i, 1], du[i, 0], du[i, 1] = x_n, x_t, u_n, u_t
             total += 0.0 * (u_n + u_t + x_n)
-            first = OPEN if state >= SLIP_UP else SLIP_UP
-            for to in (first, SLIP_DOWN if state == STICK else STICK):
-                if leads(state, to, mu):
-                    rate = sign * slack(state, to, mu, x_n, x_t, u_n, u_t)
-                    if rate < 0.0:
-                        room = max(slack(state, to, mu, x[i, 0], x[i, 1], u[i, 0], u[i, 1]), 0.0) / -rate
-                        if room < length:
-                            length, contact, new = room, i, to
+        length, contact, new = first_change(states, friction, x, u, dx, du, sign)
         if sign < 0.0 and length >= t and total == 0.0:
             x -= t * dx
             return True, pivots, factorizations

@@ -28,17 +28,16 @@ def circles_in_box(
     radius: tuple[float, float] = (1.0, 1.0),
     sigma_coef: float = 1.2,
     density: float = 1.0,
-    friction: float = constants.FRICTION,
-    restitution: float = constants.RESTITUTION,
-    gravity: tuple[float, float] = constants.GRAVITY,
     seed: int | np.random.Generator = 0,
+    **world,
 ) -> State:
     """The thesis's scene (section 3.4.1): circles at rest, drawn normally around the middle of a box, none overlapping.
 
     size: side of the box, or (width, height), m. radius: smallest and largest, uniform between, m.
     sigma_coef: the standard deviation of the centres is sigma_coef · √(r size / 2) along each axis, m; r is the middle
     of the radii, the thesis's 1 m.
-    density: kg/m². Raises ValueError if the circles do not fit, saying how many did.
+    density: kg/m². world: friction, restitution and gravity of the `World`.
+    Raises ValueError if the circles do not fit, saying how many did.
     """
     rng = _generator(seed)
     n = integer("n_bodies", n_bodies, least=1)
@@ -65,8 +64,8 @@ def circles_in_box(
                 f"{extent[0]:g} x {extent[1]:g} m with sigma_coef {sigma_coef:g}; size="
                 f"{_roomy_size(radii, sigma_coef):g} has room for all, and dc.lattice_in_box places any number"
             )
-    world = World(box=(0, 0, *extent), gravity=gravity, friction=friction, restitution=restitution)
-    return State(name=f"circles_{n}", world=world, bodies=make_bodies(centres, radius=radii, density=density))
+    bodies = make_bodies(centres, radius=radii, density=density)
+    return State(name=f"circles_{n}", world=World(box=(0, 0, *extent), **world), bodies=bodies)
 
 
 def lattice_in_box(
@@ -76,16 +75,15 @@ def lattice_in_box(
     radius: tuple[float, float] = (1.0, 1.0),
     gap: float = 0.1,
     density: float = 1.0,
-    friction: float = constants.FRICTION,
-    restitution: float = constants.RESTITUTION,
-    gravity: tuple[float, float] = constants.GRAVITY,
     seed: int | np.random.Generator = 0,
+    **world,
 ) -> State:
     """Circles at rest on a jittered square lattice from the floor up, for scenes too large or dense for chance.
 
     columns: circles in a row; by default as many as make the lattice square. radius: smallest and largest, m.
     gap: between the largest neighbours, as a share of their diameter; each circle is moved by up to half of it.
-    The box is as wide as the lattice and as high, so that nothing overlaps at the start.
+    The box is as wide as the lattice and as high, so that nothing overlaps at the start. world: friction, restitution
+    and gravity of the `World`.
     """
     rng = _generator(seed)
     n = integer("n_bodies", n_bodies, least=1)
@@ -99,8 +97,8 @@ def lattice_in_box(
     skin = WALL_SKIN * mean(radii)
     centres = skin + (cell + 0.5) * pitch + jitter
     box = (0, 0, 2 * skin + columns * pitch, 2 * skin + math.ceil(n / columns) * pitch)
-    world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
-    return State(name=f"lattice_{n}", world=world, bodies=make_bodies(centres, radius=radii, density=density))
+    bodies = make_bodies(centres, radius=radii, density=density)
+    return State(name=f"lattice_{n}", world=World(box=box, **world), bodies=bodies)
 
 
 def column(
@@ -109,19 +107,19 @@ def column(
     radius: float = 1.0,
     width: float = 30.0,
     density: float = 1.0,
-    friction: float = constants.FRICTION,
-    restitution: float = constants.RESTITUTION,
-    gravity: tuple[float, float] = constants.GRAVITY,
+    **world,
 ) -> State:
-    """Circles exactly above one another in the middle of the box, just touching. A silo is 2.02 radii wide."""
+    """Circles exactly above one another in the middle of the box, just touching. A silo is 2.02 radii wide.
+
+    world: friction, restitution and gravity of the `World`.
+    """
     n = integer("n_bodies", n_bodies, least=1)
     _checked_radius((radius, radius))
     if not (np.isfinite(width) and width >= 2 * radius):
         raise ValueError(f"width: expected a finite number >= the diameter {2 * radius}, got {width}")
     centres = np.stack([np.full(n, width / 2), WALL_SKIN * radius + radius * (1 + 2 * np.arange(n))], axis=1)
-    box = (0, 0, width, 2 * radius * (n + 1))
-    world = World(box=box, gravity=gravity, friction=friction, restitution=restitution)
-    return State(name=f"column_{n}", world=world, bodies=make_bodies(centres, radius=radius, density=density))
+    bodies = make_bodies(centres, radius=radius, density=density)
+    return State(name=f"column_{n}", world=World(box=(0, 0, width, 2 * radius * (n + 1)), **world), bodies=bodies)
 
 
 def bench_disks(side: int = 32) -> State:
@@ -246,12 +244,12 @@ def two_bodies(
     radius: tuple[float, float] = (1.0, 1.0),
     density: float = 1.0,
     offset: float = 0.0,
-    friction: float = constants.FRICTION,
-    restitution: float = constants.RESTITUTION,
+    **world,
 ) -> State:
     """Two circles that touch and run into each other without gravity, each at half the closing `speed`, m/s.
 
     radius: of the first (left) and of the second, m. offset: height of the second over the first, m; 0 is head-on.
+    world: friction and restitution of the `World`.
     """
     first, second = (float(r) for r in radius)
     reach = first + second
@@ -259,8 +257,7 @@ def two_bodies(
         raise ValueError(f"offset: expected less than the sum of the radii {reach}, got {offset}")
     centres = 15.0 + np.array([[0.0, 0.0], [math.sqrt(reach**2 - offset**2), offset]])
     bodies = make_bodies(centres, radius=[first, second], velocity=[[speed / 2, 0], [-speed / 2, 0]], density=density)
-    world = World(gravity=(0, 0), friction=friction, restitution=restitution)
-    return State(name="two_bodies", world=world, bodies=bodies)
+    return State(name="two_bodies", world=World(gravity=(0, 0), **world), bodies=bodies)
 
 
 def single_body(*, height: float = 0.0, radius: float = 1.0, density: float = 1.0, **world) -> State:

@@ -169,6 +169,8 @@ def first_crossing(segments, x, y, to_x, to_y):
 @njit(cache=True)
 def positions_before(bodies, segments):
     """Positions at the start of a step for `hold_beside`; where there are no segments, nothing is copied."""
+    if segments is None:
+        return bodies.position
     return bodies.position.copy() if segments.shape[0] > 0 else bodies.position
 
 

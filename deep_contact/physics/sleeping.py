@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.constants import POSITION_TOLERANCE
-from deep_contact.physics.collision import first_contacts, make_contacts
+from deep_contact.physics.collision import make_contacts, more_contacts, some_contacts
 from deep_contact.physics.contact_solver import INVERSE_MASS
 from deep_contact.physics.islands import root_of, unite
 from deep_contact.state import Contacts
@@ -66,7 +66,7 @@ def awake_contacts(contacts, sleep):
         return contacts
     still, buffer, m = sleep.still, sleep.active, 0
     if contacts.body_a.shape[0] > buffer.body_a.shape[0]:
-        buffer = make_contacts(contacts.body_a.shape[0])
+        buffer = more_contacts(contacts.body_a.shape[0])
     for i in range(contacts.body_a.shape[0]):
         # Islands sleep as a whole, so the first circle tells.
         if still[contacts.body_a[i]] < np.inf:
@@ -75,7 +75,7 @@ def awake_contacts(contacts, sleep):
             buffer.separation[m] = contacts.separation[i]
             buffer.normal_start[m], buffer.tangent_start[m] = contacts.normal_start[i], contacts.tangent_start[i]
             m += 1
-    return first_contacts(buffer, m)
+    return some_contacts(buffer, 0, m)
 
 
 @njit(cache=True)

@@ -10,6 +10,7 @@ from numba import njit
 from deep_contact.physics.collision import Cells, make_cells, make_contacts
 from deep_contact.physics.contact_solver import Rows, make_rows
 from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
+from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.physics.sleeping import SleepMemory
 from deep_contact.state import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
@@ -23,24 +24,34 @@ class Motion(NamedTuple):
 
 
 class StepInput(NamedTuple):
-    """What the steps read.
+    """What the steps read. None is a type of its own: what nothing in the scene requires is not compiled.
 
     bodies: `Bodies`; they move in place. contacts: `Contacts` at their positions, with the impulses to start from.
     box, gravity, friction, restitution: of the `World`; friction None, in place of 0, leaves the tangent rows out.
     segments: (S, 5), m and m/s (`segments.segments_of`).
     dt: s. scales: `ContactScales` of the state that the steps begin with. motion: how steps are divided by it.
+    segments, restitution and motion are None where all of them are idle: see `with_rare`.
     """
 
     bodies: Bodies
     contacts: Contacts
     box: tuple
-    segments: np.ndarray
+    segments: np.ndarray | None
     gravity: tuple
     friction: float | None
-    restitution: float
+    restitution: float | None
     dt: float
     scales: ContactScales
-    motion: Motion = Motion(1, 0.0)
+    motion: Motion | None = None
+
+
+def with_rare(given: StepInput) -> StepInput:
+    """The input of steps that know all that is rare: segments, restitution, motion, fast circles and sleep."""
+    return given._replace(
+        segments=NO_SEGMENTS if given.segments is None else given.segments,
+        restitution=0.0 if given.restitution is None else given.restitution,
+        motion=Motion(1, 0.0) if given.motion is None else given.motion,
+    )
 
 
 class StepOptions(NamedTuple):

@@ -34,7 +34,6 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact import parallel
-from deep_contact.compiled import announced
 from deep_contact.io import provenance
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
@@ -144,8 +143,7 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
             elif given.resume and _is_current(figure, path, figure.settings(changes, given.quick), seed):
                 print(f"{figure.stem}: up to date")
             else:
-                say = partial(print, file=sys.stderr, flush=True)
-                with announced(say), parallel.opened(given.jobs, given.scheduler) as jobs:
+                with parallel.opened(given.jobs, given.scheduler) as jobs:
                     produce(figure, options=changes, quick=given.quick, seed=seed, out=given.out, jobs=jobs)
         return 0
     except KeyboardInterrupt:

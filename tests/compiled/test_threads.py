@@ -1,4 +1,4 @@
-"""Processes that are forked after threads have run: a crew's, and Numba's."""
+"""Processes that are forked after threads have run: a team's, and Numba's."""
 
 import os
 import subprocess
@@ -18,7 +18,7 @@ from deep_contact.cnn.model_file import weights_of
 PILE = dc.lattice_in_box(900, gap=0.01, seed=1)
 
 
-def crew(_):
+def team(_):
     solver = dc.BatchedPGS(sweeps=5, threads=2)
     return float(dc.simulate(PILE, steps=3, solver=solver).state.bodies.position[:, 1].sum())
 
@@ -38,7 +38,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
-@pytest.mark.parametrize("work", ["crew", "network"])
+@pytest.mark.parametrize("work", ["team", "network"])
 def test_a_process_that_is_forked_after_threads_have_run_lives(tmp_path, work):
     script = tmp_path / "fork.py"
     script.write_text(FORK_AFTER_THREADS.replace("WORK", work))

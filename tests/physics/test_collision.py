@@ -16,7 +16,6 @@ from deep_contact.physics.collision import (
     sort_into_cells,
 )
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.state import World, make_bodies
 
 
@@ -78,7 +77,7 @@ def test_pairs_of_all_sizes_equal_brute_force(seed, smallest):
         bodies.position,
         bodies.radius,
         state.world.box,
-        NO_SEGMENTS,
+        None,
         state.scales.wall_skin,
         cells,
         make_contacts(8 * n),
@@ -104,7 +103,7 @@ def test_one_large_circle_crowds_no_cells():
     radius = np.full(n, 0.5)
     radius[n // 2] = 30.0
     cells = make_cells(n)
-    find_contacts(position, radius, (0, 0, side, side), NO_SEGMENTS, 0.01, cells, make_contacts(8 * n))
+    find_contacts(position, radius, (0, 0, side, side), None, 0.01, cells, make_contacts(8 * n))
     columns, rows = cells.grid[1, 3:5]
     assert columns * rows > n
     np.testing.assert_array_equal(np.flatnonzero(cells.level == 0), [n // 2])
@@ -183,7 +182,7 @@ def test_pairs_are_those_of_a_fresh_search_however_circles_move(move, smallest, 
         if step % 20 == 0:
             way = rng.normal(size=position.shape)
         found, fresh = (
-            find_contacts(position, radius, (0, 0, 22, 22), NO_SEGMENTS, 0.01, of, make_contacts(4000))
+            find_contacts(position, radius, (0, 0, 22, 22), None, 0.01, of, make_contacts(4000))
             for of in (cells, make_cells(120))
         )
         made += cells.memory[0] == 0
@@ -199,7 +198,7 @@ def test_a_heap_whose_list_does_not_fit_is_searched_without_one_for_a_while():
     for _ in range(45):
         position += rng.normal(0, 1e-4, position.shape)
         found, fresh = (
-            find_contacts(position, np.ones(60), (-5, -5, 5, 5), NO_SEGMENTS, 0.01, of, make_contacts(4000))
+            find_contacts(position, np.ones(60), (-5, -5, 5, 5), None, 0.01, of, make_contacts(4000))
             for of in (cells, make_cells(60))
         )
         assert found.body_a.size > 8 * 60 + 40
@@ -215,6 +214,6 @@ def test_what_a_search_by_size_remembers_changes_no_pair():
     for step in range(25):
         bodies.position[:] += rng.normal(0, 1e-4 if step % 10 else 1e-2, bodies.position.shape)
         lasted += cells.memory[0] >= 0
-        found = find_contacts(bodies.position, bodies.radius, box, NO_SEGMENTS, skin, cells, make_contacts(4000))
+        found = find_contacts(bodies.position, bodies.radius, box, None, skin, cells, make_contacts(4000))
         assert list(zip(found.body_a, found.body_b)) == brute_force_pairs(state)
     assert lasted > 15

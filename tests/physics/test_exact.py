@@ -115,7 +115,7 @@ def proximal_step(problem, kind):
     )
     bodies = proximal_path.bodies_of(problem)
     assert (bodies is None) == (kind == "matrices")
-    step = exact._StepOfMatrices(problem) if bodies is None else exact._StepOfBodies(problem, bodies)
+    step = exact._step_of_matrices(problem) if bodies is None else exact._step_of_bodies(problem, bodies)
     return step, blocks_of(problem)
 
 
@@ -229,12 +229,12 @@ def test_epsilon_falls_while_steps_are_easy(falling_states, monkeypatch):
     # A fifth after up to 5 pivots, half after up to 12, and four times as much after a step that is given up.
     pivots, given = iter([5, 6, 12, 13, None]), []
 
-    def step(self, blocks, impulse, epsilon, limit):
+    def step(blocks, impulse, epsilon, limit):
         given.append(epsilon)
         done = next(pivots, 99)
         return (None, 0, 1) if done is None else (impulse, done, 1)
 
-    monkeypatch.setattr(exact._StepOfBodies, "__call__", step)
+    monkeypatch.setattr(exact, "_step_of_bodies", lambda problem, bodies: step)
     from_nothing(falling_states[4], residual=1e-300, most_pivots=42)
     np.testing.assert_allclose(given, [1e-4, 2e-5, 1e-5, 5e-6, 5e-6, 2e-5], rtol=1e-12)
 
@@ -315,8 +315,13 @@ def test_a_singular_step_is_given_up():
 def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
     # Those between the steps are made to, once.
     steps = iter([(np.full((falling_states[4].contacts.count, 2), np.nan), 1, 1)])
-    step = exact._StepOfBodies.__call__
-    monkeypatch.setattr(exact._StepOfBodies, "__call__", lambda *arguments: next(steps, None) or step(*arguments))
+    made = exact._step_of_bodies
+
+    def make(problem, bodies):
+        step = made(problem, bodies)
+        return lambda *arguments: next(steps, None) or step(*arguments)
+
+    monkeypatch.setattr(exact, "_step_of_bodies", make)
     check_solution(falling_states[4], from_nothing(falling_states[4]))
 
 

@@ -7,7 +7,7 @@ import subprocess
 import pytest
 from conftest import ROOT, SCRIPTS
 
-from deep_contact.compiled import announced
+from deep_contact.compiled import announcement
 
 PIP = """#!/bin/sh
 case "$2" in venv) mkdir -p "$3/bin"; cp "$0" "$3/bin/python" ;;
@@ -40,15 +40,14 @@ def test_what_is_installed_is_not_installed_again(tmp_path):
     assert done.stdout.count("installing into .venv") == 2
 
 
-def test_compiling_is_announced_once_and_only_where_something_is_compiled():
+def test_compiling_is_announced_once_and_only_where_physics_are_compiled(capsys):
     from numba import njit
+    from numba.core import event
 
-    said = []
-    one, two = njit(lambda x: x + 1), njit(lambda x: x + 2)
-    with announced(said.append):
-        one(1), two(1)
-    assert said == ["compiling, once"]
-    with announced(said.append):
-        one(1)
-    one(1.0)
-    assert len(said) == 1
+    one, two, other = (njit(lambda x, k=k: x + k) for k in range(3))
+    one.py_func.__module__ = two.py_func.__module__ = "deep_contact.physics.engine"
+    for functions, lines in (((other,), 0), ((one, two), 1), ((one,), 0)):
+        with event.install_listener("numba:compile", announcement()):
+            for function in functions:
+                function(1)
+        assert capsys.readouterr().err.count("deep_contact: compiling for this kind") == lines

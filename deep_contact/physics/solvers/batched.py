@@ -10,44 +10,11 @@ from numba import config, njit, types
 from numba.experimental import structref
 
 from deep_contact import validation
-from deep_contact.compiled.crew import Crew, crew_size, share_of, together, wait
-from deep_contact.compiled.simd import (
-    WIDTH,
-    lane,
-    least,
-    load,
-    load_rows,
-    most,
-    spread,
-    store,
-    store_rows,
-)
+from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store, store_rows
+from deep_contact.compiled.team import Team, share_of, team_size, together, wait
 from deep_contact.constants import POSITION_TOLERANCE
-from deep_contact.physics.batches import (
-    BLOCKS,
-    CIRCLES,
-    PHASES,
-    empty_tiles,
-    fill_tiles,
-    is_plan_of,
-    make_plan,
-    make_tiles,
-    plan_batches,
-    store_block,
-    with_room,
-    write_block,
-)
-from deep_contact.physics.collision import (
-    carry_impulses,
-    contacts_at,
-    first_contacts,
-    has_list,
-    hold,
-    make_contacts,
-    some_contacts,
-    write_geometry,
-    write_near_pairs,
-)
+from deep_contact.physics import batches, collision
+from deep_contact.physics.batches import BLOCKS, CIRCLES, PHASES
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -119,12 +86,8 @@ def sweep_tiles(tiles, first, last, friction):
         a_x, a_y, a_s, w_a = load_rows(solver_bodies, body, 2 * t)
         b_x, b_y, b_s, w_b = load_rows(solver_bodies, body, 2 * t + 1)
         row = 6 * t
-        n_x, n_y, k_n, k_t = (
-            load(data, row + N_X),
-            load(data, row + N_Y),
-            load(data, row + NORMAL_MASS),
-            load(data, row + TANGENT_MASS),
-        )
+        n_x, n_y = load(data, row + N_X), load(data, row + N_Y)
+        k_n, k_t = load(data, row + NORMAL_MASS), load(data, row + TANGENT_MASS)
         arm_a, arm_b = load(data, row + ARM_A), load(data, row + ARM_B)
         old_n, old_t = load(impulse, 2 * t + NORMAL), load(impulse, 2 * t + TANGENT)
 
@@ -148,15 +111,15 @@ def sweep_tiles(tiles, first, last, friction):
 
 
 @njit(cache=True)
-def share_of_phase(plan, p, crew):
+def share_of_phase(plan, p, team):
     """The places in `Plan.order`, first and after the last, of the blocks of a phase that this thread does.
 
     Neighbours in the list, so that threads share the circles of a few blocks: to get one that another core has changed
     costs more than to relax a contact. Where phases are not shared, rank 0 does all.
     """
-    first, last = share_of(plan.start[p + 1] - plan.start[p], crew)
+    first, last = share_of(plan.start[p + 1] - plan.start[p], team)
     if not phases_are_shared(plan):
-        first, last = 0, plan.start[p + 1] - plan.start[p] if crew.rank == 0 else 0
+        first, last = 0, plan.start[p + 1] - plan.start[p] if team.rank == 0 else 0
     return plan.start[p] + first, plan.start[p] + last
 
 
@@ -167,24 +130,24 @@ def phases_are_shared(plan):
 
 
 @njit(cache=True)
-def end_phase(plan, p, crew):
+def end_phase(plan, p, team):
     """The barrier after a phase, where the next one needs it."""
     if phases_are_shared(plan) or p == plan.count[PHASES] - 1:
-        wait(crew)
+        wait(team)
 
 
 @njit(cache=True)
-def sweep_blocks(plan, tiles, friction, turn, crew):
-    """One sweep over all tiles, in place, by a crew. Returns θ. turn: 0 and 1 alternate.
+def sweep_blocks(plan, tiles, friction, turn, team):
+    """One sweep over all tiles, in place, by a team. Returns θ. turn: 0 and 1 alternate.
 
     Blocks of a phase share no circle, so that it does not matter which thread does which.
     """
     for p in range(plan.count[PHASES]):
-        first, last = share_of_phase(plan, p, crew)
+        first, last = share_of_phase(plan, p, team)
         for q in range(first, last):
             k = plan.order[q]
             plan.worst[k, turn] = sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction)
-        end_phase(plan, p, crew)
+        end_phase(plan, p, team)
     theta = 0.0
     for k in range(plan.count[BLOCKS]):
         theta = max(theta, plan.worst[k, turn])
@@ -192,15 +155,15 @@ def sweep_blocks(plan, tiles, friction, turn, crew):
 
 
 @njit(cache=True)
-def correct_blocks(plan, tiles, scales, turn, crew):
+def correct_blocks(plan, tiles, scales, turn, team):
     """One sweep of position correction, likewise. Returns the deepest separation, m."""
     for p in range(plan.count[PHASES]):
-        first, last = share_of_phase(plan, p, crew)
+        first, last = share_of_phase(plan, p, team)
         for q in range(first, last):
             k = plan.order[q]
             begin, end = plan.first[k], plan.first[k + 1]
             plan.worst[k, turn] = correct_tiles(tiles.body, tiles.data, ARM_B + 1, tiles.centre, begin, end, scales)
-        end_phase(plan, p, crew)
+        end_phase(plan, p, team)
     deepest = 0.0
     for k in range(plan.count[BLOCKS]):
         deepest = min(deepest, plan.worst[k, turn])
@@ -208,10 +171,10 @@ def correct_blocks(plan, tiles, scales, turn, crew):
 
 
 @njit(cache=True)
-def relax_tiles(settings, plan, tiles, friction, theta, crew):
+def relax_tiles(settings, plan, tiles, friction, theta, team):
     """Projected Gauss-Seidel in batches, in place on the tiles; fills θ. Returns the sweeps."""
     for k in range(theta.shape[0]):
-        theta[k] = sweep_blocks(plan, tiles, friction, k % 2, crew)
+        theta[k] = sweep_blocks(plan, tiles, friction, k % 2, team)
         if is_over(theta[k], settings.tolerance):
             return k + 1
     return theta.shape[0]
@@ -222,42 +185,42 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
     """The same for the rows of one solve, with a plan and tiles of its own."""
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
-    plan = plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, make_plan(n, m))
-    tiles = fill_tiles(rows, solver_bodies, plan, make_tiles(n, 1, 1, solver_bodies.dtype))
-    sweeps = relax_tiles(settings, plan, tiles, friction, theta, Crew(0, 1, np.zeros(24, np.int64)))
-    empty_tiles(plan, tiles, rows, solver_bodies)
+    plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1, solver_bodies.dtype))
+    sweeps = relax_tiles(settings, plan, tiles, friction, theta, Team(0, 1, np.zeros(24, np.int64)))
+    batches.empty_tiles(plan, tiles, rows, solver_bodies)
     return sweeps
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps, crew):
+def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps, team):
     """`position_correction.correct_positions` over the tiles of the plan, with the same stop.
 
     mine: `Bodies` of this thread's share, which are moved in place.
     """
-    n, (first, last) = plan.count[CIRCLES], share_of(plan.count[CIRCLES], crew)
+    n, (first, last) = plan.count[CIRCLES], share_of(plan.count[CIRCLES], team)
     fill_centres(mine, tiles.centre[first:last])
-    for k in range(crew.rank, plan.count[BLOCKS], crew.size):
+    for k in range(team.rank, plan.count[BLOCKS], team.size):
         fill_ground(box, scales, tiles.centre[n + 5 * k : n + 5 * k + 5])
-    wait(crew)
+    wait(team)
     for k in range(sweeps):
-        if correct_blocks(plan, tiles, scales, k % 2, crew) >= -POSITION_TOLERANCE * scales.slop:
+        if correct_blocks(plan, tiles, scales, k % 2, team) >= -POSITION_TOLERANCE * scales.slop:
             break
     take_centres(tiles.centre[first:last], mine)
 
 
 PAIRS_FOUND, PARTS = range(2)
-"""Columns of `Shared.found`."""
+"""Columns of `Shared.counts`."""
 
-_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "told", "found")
+_FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "flags", "counts")
 
 
 class _Shared:
-    """What a crew shares of a run. Rank 0 alone replaces it, between barriers, where it has become too small.
+    """What a team shares of a run. Rank 0 alone replaces it, between barriers, where it has become too small.
 
     plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. memory: `StepMemory`.
-    told: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite,
-    whether there is a list of near pairs, whether the call ends. found: pairs of its share that touch, and parts of a
+    flags: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite,
+    whether there is a list of near pairs, whether the call ends. counts: pairs of its share that touch, and parts of a
     step, (size, 8).
     """
 
@@ -285,12 +248,11 @@ else:
 
 @njit(cache=True)
 def make_shared(contacts, memory, size):
-    """A `Shared` for a crew of that size, that starts from these contacts."""
+    """A `Shared` for a team of that size, that starts from these contacts."""
     n = memory.cells.cell.shape[0]
-    return Shared(
-        make_plan(n, 4 * n + 64), make_tiles(n, 1, 1, memory.solver_bodies.dtype), contacts, contacts, memory,
-        np.zeros((size, 8), np.bool_), np.zeros((size, 8), np.int64),
-    )  # fmt: skip
+    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n, 1, 1, memory.solver_bodies.dtype)
+    flags, counts = np.zeros((size, 8), np.bool_), np.zeros((size, 8), np.int64)
+    return Shared(plan, tiles, contacts, contacts, memory, flags, counts)
 
 
 @njit(cache=True)
@@ -315,140 +277,141 @@ def some_bodies(bodies, first, last):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_by_crew(given, options, log, shared, crew):
-    """`engine.advance` for `BatchedPGS`, by a crew: the same stages, with barriers between them.
+def advance_by_team(given, options, log, shared, team):
+    """`engine.advance` for `BatchedPGS`, by a team: the same stages, with barriers between them.
 
     Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
     scenes with segments or fast circles need. The contacts are left in `shared`, a `Shared`.
     """
     bodies, box, segments, scales, memory = given.bodies, given.box, given.segments, given.scales, shared.memory
-    n, theta, told = bodies.mass.shape[0], memory.theta, shared.told
-    first, last = share_of(n, crew)
+    n, theta, flags = bodies.mass.shape[0], memory.theta, shared.flags
+    first, last = share_of(n, team)
     mine = some_bodies(bodies, first, last)
     mine_a, mine_b = np.empty(4 * (last - first) + 64, np.int64), np.empty(4 * (last - first) + 64, np.int64)
     part, parts, k, j, turn = given, 1, 0, 0, 0  # the j-th of the parts of the k-th step
-    if crew.rank == 0:
-        shared.found[0, PARTS] = parts
+    if team.rank == 0:
+        shared.counts[0, PARTS] = parts
     while k < log.contacts.shape[0]:
-        if crew.rank == 0:
+        if team.rank == 0:
             contacts = shared.contacts
             if j == 0:
                 wanted = parts_of(given, memory.cells) if given.motion.most > 1 else 1
                 if wanted != parts:
                     rescale(contacts, parts / wanted)
-                    part, parts, shared.found[0, PARTS] = part_of(given, wanted), wanted, wanted
+                    part, parts, shared.counts[0, PARTS] = part_of(given, wanted), wanted, wanted
                 if parts > 1 and given.restitution > 0.0:
                     shift_flights(bodies, contacts, given.gravity, given.dt - part.dt)
-            if not is_plan_of(shared.plan, n, contacts, shared.solved):
-                shared.plan = plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
-            shared.tiles = with_room(shared.plan, shared.tiles)
+            if not batches.is_plan_of(shared.plan, n, contacts, shared.solved):
+                shared.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
+            shared.tiles = batches.with_room(shared.plan, shared.tiles)
             shared.solved = contacts
             if part.restitution > 0.0:
                 rebound(part, contacts)
-        wait(crew)
-        if crew.rank > 0 and shared.found[0, PARTS] != parts:
-            parts = shared.found[0, PARTS]
+        wait(team)
+        if team.rank > 0 and shared.counts[0, PARTS] != parts:
+            parts = shared.counts[0, PARTS]
             part = part_of(given, parts)
         plan, tiles, solved = shared.plan, shared.tiles, shared.solved
         my_velocities, before = tiles.solver_bodies[first:last], positions_before(bodies, segments)
         # Velocities.
         integrate_velocities(mine, part.gravity, part.dt, my_velocities)
-        wait(crew)
-        write_blocks(part, solved, plan, tiles, crew)
-        sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, crew)
-        told[crew.rank, 1] = all_finite(my_velocities)
-        store_blocks(plan, tiles, solved, crew)
+        wait(team)
+        write_blocks(part, solved, plan, tiles, team)
+        sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, team)
+        flags[team.rank, 1] = all_finite(my_velocities)
+        store_blocks(plan, tiles, solved, team)
         # Positions.
-        told[crew.rank, 0] = move(mine, my_velocities, part)
-        wait(crew)
-        if told[:, 0].any():
-            if crew.rank == 0:
+        flags[team.rank, 0] = move(mine, my_velocities, part)
+        wait(team)
+        if flags[:, 0].any():
+            if team.rank == 0:
                 stop_fast_circles(bodies, part)
-            wait(crew)
+            wait(team)
         if segments.shape[0] == 0:
-            correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps, crew)
-            wait(crew)
-        if crew.rank == 0:
+            correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps, team)
+            wait(team)
+        if team.rank == 0:
             if segments.shape[0] > 0:
                 correct_positions(bodies, solved, box, segments, scales, options.position_sweeps, memory.correction)
-            if sweeps > 0 and not told[:, 1].all():
+            if sweeps > 0 and not flags[:, 1].all():
                 theta[sweeps - 1] = np.nan
             m = solved.body_a.shape[0]
-            told[0, 3] = log_step(log, k, m, sweeps, theta, sweeps * m)
+            flags[0, 3] = log_step(log, k, m, sweeps, theta, sweeps * m)
             # The contacts that the next step solves.
-            hold(bodies, before, box, segments, scales.wall_skin, solved)
-            told[0, 2] = has_list(bodies.position, bodies.radius, memory.cells) and segments.shape[0] == 0
-        wait(crew)
+            collision.hold(bodies, before, box, segments, scales.wall_skin, solved)
+            is_listed = collision.has_list(bodies.position, bodies.radius, memory.cells, 0.0)
+            flags[0, 2] = is_listed and segments.shape[0] == 0
+        wait(team)
         buffer, turn, j = memory.contacts[turn], 1 - turn, j + 1
-        if told[0, 2]:
-            mine_a, mine_b = find_touching(given, shared, buffer, mine_a, mine_b, crew)
-            describe_touching(given, options, shared, mine_a, mine_b, crew)
-        elif crew.rank == 0:
+        if flags[0, 2]:
+            mine_a, mine_b = find_touching(given, shared, buffer, mine_a, mine_b, team)
+            describe_touching(given, options, shared, mine_a, mine_b, team)
+        elif team.rank == 0:
             where = bodies.position, bodies.radius, box, segments, scales.wall_skin
-            shared.contacts = contacts_at(*where, memory.cells, buffer)
-            carry_impulses(solved, shared.contacts, options.carry)
-        wait(crew)
+            shared.contacts = collision.contacts_at(*where, memory.cells, buffer)
+            collision.carry_impulses(solved, shared.contacts, options.carry)
+        wait(team)
         if j == parts:
             j, k = 0, k + 1
-            if crew.rank == 0 and parts > 1 and given.restitution > 0.0:
+            if team.rank == 0 and parts > 1 and given.restitution > 0.0:
                 shift_flights(bodies, shared.contacts, given.gravity, part.dt - given.dt)
-            if told[0, 3]:
+            if flags[0, 3]:
                 break
-    if crew.rank == 0 and parts > 1:
+    if team.rank == 0 and parts > 1:
         rescale(shared.contacts, parts)
 
 
 @njit(cache=True, error_model="numpy")
-def find_touching(given, shared, buffer, mine_a, mine_b, crew):
+def find_touching(given, shared, buffer, mine_a, mine_b, team):
     """The pairs of this thread's circles that touch, from the list of near ones, into `mine_a` and `mine_b`.
 
     Returns these, larger ones if needed. `Shared.contacts` has room for the pairs of all threads then, in the buffer.
     """
-    bodies, (begin, end) = given.bodies, share_of(given.bodies.mass.shape[0], crew)
+    bodies, (begin, end) = given.bodies, share_of(given.bodies.mass.shape[0], team)
     where = bodies.position, bodies.radius, given.box, given.scales.wall_skin, shared.memory.cells, begin, end
-    found = write_near_pairs(*where, mine_a, mine_b)
+    found = collision.write_near_pairs(*where, mine_a, mine_b)
     while found < 0:
         mine_a, mine_b = np.empty(2 * mine_a.shape[0] + 64, np.int64), np.empty(2 * mine_b.shape[0] + 64, np.int64)
-        found = write_near_pairs(*where, mine_a, mine_b)
-    shared.found[crew.rank, PAIRS_FOUND] = found
-    wait(crew)
-    if crew.rank == 0:
-        m = shared.found[:, PAIRS_FOUND].sum()
+        found = collision.write_near_pairs(*where, mine_a, mine_b)
+    shared.counts[team.rank, PAIRS_FOUND] = found
+    wait(team)
+    if team.rank == 0:
+        m = shared.counts[:, PAIRS_FOUND].sum()
         if m > buffer.body_a.shape[0]:
-            buffer = make_contacts(m)
-        shared.contacts = first_contacts(buffer, m)
-    wait(crew)
+            buffer = collision.more_contacts(m)
+        shared.contacts = collision.some_contacts(buffer, 0, m)
+    wait(team)
     return mine_a, mine_b
 
 
 @njit(cache=True, error_model="numpy")
-def describe_touching(given, options, shared, mine_a, mine_b, crew):
+def describe_touching(given, options, shared, mine_a, mine_b, team):
     """Write this thread's pairs where they belong among the contacts, with their geometry and what they carry."""
     bodies, skin = given.bodies, given.scales.wall_skin
-    before, count = shared.found[: crew.rank, PAIRS_FOUND].sum(), shared.found[crew.rank, PAIRS_FOUND]
-    contacts = some_contacts(shared.contacts, before, before + count)
+    before, count = shared.counts[: team.rank, PAIRS_FOUND].sum(), shared.counts[team.rank, PAIRS_FOUND]
+    contacts = collision.some_contacts(shared.contacts, before, before + count)
     for i in range(count):
         contacts.body_a[i], contacts.body_b[i] = mine_a[i], mine_b[i]
-    write_geometry(bodies.position, bodies.radius, given.box, given.segments, skin, contacts)
-    carry_impulses(shared.solved, contacts, options.carry)
+    collision.write_geometry(bodies.position, bodies.radius, given.box, given.segments, skin, contacts)
+    collision.carry_impulses(shared.solved, contacts, options.carry)
 
 
 @njit(cache=True, error_model="numpy")
-def write_blocks(given, contacts, plan, tiles, crew):
+def write_blocks(given, contacts, plan, tiles, team):
     """`batches.write_block` of all blocks, phase by phase, since it changes velocities."""
     for p in range(plan.count[PHASES]):
-        first, last = share_of_phase(plan, p, crew)
+        first, last = share_of_phase(plan, p, team)
         for q in range(first, last):
-            write_block(given, contacts, plan, tiles, plan.order[q])
-        end_phase(plan, p, crew)
+            batches.write_block(given, contacts, plan, tiles, plan.order[q])
+        end_phase(plan, p, team)
 
 
 @njit(cache=True)
-def store_blocks(plan, tiles, contacts, crew):
+def store_blocks(plan, tiles, contacts, team):
     """`batches.store_block` of all blocks."""
-    first, last = share_of(plan.count[BLOCKS], crew)
+    first, last = share_of(plan.count[BLOCKS], team)
     for k in range(first, last):
-        store_block(plan, tiles, contacts, k)
+        batches.store_block(plan, tiles, contacts, k)
 
 
 class _Run:
@@ -457,14 +420,14 @@ class _Run:
     def __init__(self, solver: BatchedPGS):
         self._solver, self._shared = solver, None
 
-    def __call__(self, given, options, memory, log):
+    def __call__(self, given, rare, options, memory, log):
         """As `engine.advance`."""
         if self._shared is None:
             self._size = threads_of(self._solver, given.bodies.count)
             self._shared = make_shared(given.contacts, memory, self._size)
         else:
             go_on(self._shared, given.contacts)
-        together(self._size, advance_by_crew, given, options, log, self._shared)
+        together(self._size, advance_by_team, given, options, log, self._shared)
         return results_in(self._shared)
 
 
@@ -472,7 +435,7 @@ def threads_of(solver, n_bodies: int) -> int:
     """On how many threads a solver runs a scene of so many circles here."""
     if not isinstance(solver, BatchedPGS):
         return 1
-    return crew_size(solver.threads, n_bodies, CIRCLES_A_THREAD)
+    return team_size(solver.threads, n_bodies, CIRCLES_A_THREAD)
 
 
 register(

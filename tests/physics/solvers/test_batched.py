@@ -6,7 +6,7 @@ from conftest import assert_same_bits
 from numba import config
 
 import deep_contact as dc
-from deep_contact.compiled.crew import ALONE
+from deep_contact.compiled.team import ALONE
 from deep_contact.physics import batches, contact_solver, engine, position_correction
 from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.physics.solvers import batched

@@ -1,8 +1,8 @@
 """Several threads that go through the same compiled function side by side, and wait for each other at barriers.
 
 A parallel loop of Numba takes longer to start, on the layer that survives a fork, than a sweep over a few thousand
-contacts takes in all. A barrier between threads that run already is a few cache misses. So each thread of a crew calls
-the same function with its own `Crew`; what cannot be shared is done by the one of rank 0, between barriers.
+contacts takes in all. A barrier between threads that run already is a few cache misses. So each thread of a team calls
+the same function with its own `Team`; what cannot be shared is done by the one of rank 0, between barriers.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from numba import config, njit, types
 from numba.extending import intrinsic
 
 ARRIVED, ROUND, BROKEN = 0, 8, 16
-"""Elements of `Crew.board`, in cache lines of their own: threads at the barrier, barriers passed, whether one is lost.
+"""Elements of `Team.board`, in cache lines of their own: threads at the barrier, barriers passed, whether one is lost.
 """
 
 PATIENCE = 2000
 """Looks at the board before a thread lets others have its core: some microseconds."""
 
 
-class Crew(NamedTuple):
+class Team(NamedTuple):
     """A thread's place among others. rank: 0 to size − 1. board: (24,), shared by all."""
 
     rank: int
@@ -34,8 +34,8 @@ class Crew(NamedTuple):
     board: np.ndarray
 
 
-ALONE = Crew(0, 1, np.zeros(24, np.int64))
-"""The crew of one: its barriers are free."""
+ALONE = Team(0, 1, np.zeros(24, np.int64))
+"""The team of one: its barriers are free."""
 
 
 def cores() -> int:
@@ -43,8 +43,8 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def crew_size(threads: int | None, count: int, least: int) -> int:
-    """How many threads a crew for so many things has: at most `threads`, and one without the compiler.
+def team_size(threads: int | None, count: int, least: int) -> int:
+    """How many threads a team for so many things has: at most `threads`, and one without the compiler.
 
     By default as many as there are cores, `least` things for each, and one in a thread or a process that another one
     started: it will not be the only one.
@@ -58,7 +58,7 @@ def crew_size(threads: int | None, count: int, least: int) -> int:
 
 
 def together(size: int, function, *arguments) -> object:
-    """Call the function (nogil) with the arguments and a `Crew`, in as many threads. Returns what rank 0 returns.
+    """Call the function (nogil) with the arguments and a `Team`, in as many threads. Returns what rank 0 returns.
 
     An error of one thread, or an interrupt, ends the others at their next barrier, and is raised.
     """
@@ -68,7 +68,7 @@ def together(size: int, function, *arguments) -> object:
 
     def run(rank: int) -> object:
         try:
-            return function(*arguments, Crew(rank, size, board))
+            return function(*arguments, Team(rank, size, board))
         except BaseException:
             board[BROKEN] = 1
             raise
@@ -77,48 +77,48 @@ def together(size: int, function, *arguments) -> object:
         try:
             others = [pool.submit(run, rank) for rank in range(1, size)]
             found = run(0)
-        except BrokenCrew:
+        except BrokenTeam:
             found = None
         except BaseException:
             board[BROKEN] = 1
             raise
         errors = [error for other in others if (error := other.exception()) is not None]
     # Of the thread that was lost first, not of those that it left waiting.
-    for error in sorted(errors, key=lambda error: isinstance(error, BrokenCrew)):
+    for error in sorted(errors, key=lambda error: isinstance(error, BrokenTeam)):
         raise error
     return found
 
 
-class BrokenCrew(RuntimeError):
-    """A thread of the crew will not come to this barrier."""
+class BrokenTeam(RuntimeError):
+    """A thread of the team will not come to this barrier."""
 
 
 @njit(cache=True)
-def wait(crew):
-    """The barrier: returns when all of the crew have called it; what they wrote before is there to read.
+def wait(team):
+    """The barrier: returns when all of the team have called it; what they wrote before is there to read.
 
-    Raises `BrokenCrew` where one of them has ended with an error.
+    Raises `BrokenTeam` where one of them has ended with an error.
     """
-    if crew.size == 1:
+    if team.size == 1:
         return
-    current = _read(crew.board, ROUND)
-    if _add(crew.board, ARRIVED, 1) == crew.size - 1:
-        _add(crew.board, ARRIVED, -crew.size)
-        _add(crew.board, ROUND, 1)
+    current = _read(team.board, ROUND)
+    if _add(team.board, ARRIVED, 1) == team.size - 1:
+        _add(team.board, ARRIVED, -team.size)
+        _add(team.board, ROUND, 1)
         return
     looks = 0
-    while _read(crew.board, ROUND) == current:
+    while _read(team.board, ROUND) == current:
         looks += 1
         if looks > PATIENCE:
-            if _read(crew.board, BROKEN) != 0:
-                raise BrokenCrew
+            if _read(team.board, BROKEN) != 0:
+                raise BrokenTeam
             _let_others_run()
 
 
 @njit(cache=True)
-def share_of(count, crew):
+def share_of(count, team):
     """(first, after the last) of the things from 0 to before `count` that are this thread's, in a row."""
-    return count * crew.rank // crew.size, count * (crew.rank + 1) // crew.size
+    return count * team.rank // team.size, count * (team.rank + 1) // team.size
 
 
 def _element(context, builder, array_type, array, i):
