@@ -15,6 +15,7 @@ SHIPPED = (
     "scripts/table_*.py",
     "scripts/all_figures.py",
     "scripts/predict.py",
+    "scripts/train.py",
     "data/sample/*",
     "data/reference/run_tradeoff.json",  # Figures 6.1, 6.2 and 6.11 draw it
 )

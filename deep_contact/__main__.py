@@ -26,6 +26,7 @@ COMMANDS = {
     "figure": "draw a figure by its number in the thesis; without a number, list them",
     "table": "make a table by its number in the thesis; without a number, list them",
     "predict": "predict the impulses of state files",
+    "train": "train a network; --quick: a small one on its own data, in two minutes",
 }
 
 DIVERGED, BAD_FILE, NO_PACKAGE, INTERRUPTED = 1, 3, 4, 130
@@ -43,8 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser, commands = _parsers()
     name, following = (arguments or [""])[0], arguments[1:]
     try:
-        if name == "predict":
-            script = shipped.ROOT / "scripts" / "predict.py"
+        if name in ("predict", "train"):
+            script = shipped.ROOT / "scripts" / f"{name}.py"
         elif name in ("figure", "table") and following and not following[0].startswith("-"):
             script = _script(name, following.pop(0))
         else:

@@ -4,8 +4,7 @@ It has 258 MB, of which the last layer has 244. Its matrix W (8192 × 7442) is r
 largest that keeps the file below --bytes; all other weights stay. W itself is mostly the noise of its initialisation,
 so the product is a truncated singular value decomposition of the outputs on the features X of training states: with
 Y = X W = U S Vᵀ, W V_r V_rᵀ is the matrix of rank r that changes the outputs for X least (Eckart, Young). The loss of
-accuracy is measured on test states and stored in the card. Where training computed in bfloat16, the matrices are
-rounded to it, as they were in every step of the training: half of their bytes are zeros then, and the file packs.
+accuracy is measured on test states and stored in the card.
 
 The full network is rebuilt by the command in its card: python scripts/train.py --architecture thesis …
 """
@@ -60,14 +59,6 @@ def factored(model, vectors: np.ndarray):
     return small
 
 
-def round_as_trained(model) -> None:
-    """Round all matrices and kernels to bfloat16, in place; biases and statistics stay."""
-    from ml_dtypes import bfloat16
-
-    for layer in model.layers:
-        layer.set_weights([w.astype(bfloat16).astype(w.dtype) if w.ndim > 1 else w for w in layer.get_weights()])
-
-
 def measured(model, images) -> dict[str, float]:
     """Appendix B's loss, the same with absolute values, and the root of the squared error over the squared labels."""
     totals = np.zeros(4)
@@ -109,8 +100,6 @@ def main() -> int:
     features = np.concatenate([before.predict_on_batch(images[k][0]) for k in range(len(images))])
     rank = largest_rank(model, given.bytes)
     small = factored(model, right_vectors(features, model.layers[-1].get_weights()[0], rank))
-    if full.card["config"].get("precision") == "mixed_bfloat16":
-        round_as_trained(small)
     tested = evenly(store.states(split["test"]), given.held_out)
     test = ImageDataset(store, tested, spec, batch_size=32)
     errors = {name: measured(network, test) for name, network in (("full", model), ("factored", small))}

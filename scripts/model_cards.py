@@ -1,4 +1,4 @@
-"""python scripts/model_cards.py: write models/README.md and models/registry.json from what the model files hold."""
+"""python scripts/model_cards.py: write models/README.md, registry.json and learning curves from the model files."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ MODELS = Path(__file__).resolve().parent.parent / "models"
 ABOUT = {
     "model.h5": "The model that `dc.load_model()` gives, the far-field network: it corrects Builtin's start by a "
     "coarse image of stress (`deep_contact/cnn/far_field.py`), in a box of any size, and was trained through the "
-    'solver; `warm_start="guarded"` uses it where it helps.',
+    "solver.",
     "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",
 }
 HEAD = """# Models
@@ -25,23 +25,24 @@ Plain `keras.models.load_model(path, compile=False)` opens them as well (thesis_
 Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that were used
 neither for training nor for choosing the epoch; phases as in `data/README.md`.
 
-The data of thesis_factored.h5 are those of `scripts/generate_data.py` before the engine's sweep changed
-its order of operations: the same command now gives runs that part from them by rounding, with another hash. Those of
-the far-field networks are `python scripts/generate_data.py --simulations 400 --out data/generated/large`.
+thesis_factored.h5 was trained in half precision, which commit 3b4f18f is the last to have: the same command without
+`--precision` trains in float32. Its data are those of `scripts/generate_data.py` before the engine's sweep changed its
+order of operations: the same command now gives runs that part from them by rounding, with another hash. Those of the
+far-field networks are `python scripts/generate_data.py --simulations 400 --out data/generated/large`.
 
-`comparison/` holds networks that were trained on a small budget, alike but for one setting: Table 6.2, Figure 6.4.
+`comparison/` holds networks that were trained on a small budget, alike but for their width: Figure 6.4.
 """
 
 
 def card(path: Path) -> str:
-    """One model's section."""
+    """One model's section. Draws its learning curve beside the file."""
     from deep_contact.cnn.inference import gives, takes
     from deep_contact.cnn.model_file import read_metadata, spec_of
+    from deep_contact.cnn.training.curve import learning_curve
 
     stored = read_metadata(path)
     found, spec = stored["card"], spec_of(stored, path)
-    lines = [f"## {path.name}", "", ABOUT.get(path.name, ""), ""]
-    history, best = found["history"], found["best_epoch"]
+    history, best, errors = found["history"], found["best_epoch"], found["held_out"]
     rows = {
         "architecture": found["architecture"],
         "weights": found["parameters"],
@@ -58,13 +59,12 @@ def card(path: Path) -> str:
         "states shown": visits(found),
         "rank": found.get("factored", {}).get("rank"),
     }
-    lines += ["| | |", "|---|---|"]
+    curve = learning_curve(history, path.with_name(f"{path.stem}_history.png"))
+    lines = [f"## {path.name}", "", ABOUT[path.name], "", "| | |", "|---|---|"]
     lines += [f"| {name} | {value} |" for name, value in rows.items() if value is not None]
-    curve, errors = path.with_name(f"{path.stem}_history.png"), found["held_out"]
-    if curve.exists():
-        lines += ["", f"![learning curve]({curve.name})"]
     after = " | ".join(f"after {k} sweeps" for k in errors["sweeps"])
-    lines += ["", f"| phase | states | start | {after} |", "|---" * (3 + len(errors["sweeps"])) + "|"]
+    lines += ["", f"![learning curve]({curve.name})", "", f"| phase | states | start | {after} |"]
+    lines += ["|---" * (3 + len(errors["sweeps"])) + "|"]
     for phase, by_start in errors["phases"].items():
         for start in (name for name in by_start if name != "states"):
             cells = " | ".join(f"{value:.3f}" for value in by_start[start]["mean"])

@@ -79,7 +79,7 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
         state = dc.simulate(state, steps=0).state
     if state.contacts.count == 0:
         return [f"{path}: no contacts, nothing to predict"]
-    predicted = model.predict(state)
+    predicted = model.predict(state, project=False)
     start = projected(*predicted, state.world.friction)
     name = path.name.removesuffix(".gz").removesuffix(".xml")
     with replacing(out / f"{name}.csv") as temporary:
@@ -108,7 +108,7 @@ def main(argv=None) -> int:
     try:
         limit_threads(given.threads)
         model = load_model(given.model)
-    except (OSError, ValueError) as error:
+    except (ImportError, OSError, ValueError) as error:
         parser.exit(2, f"{parser.prog}: {error}\n")
     given.out.mkdir(parents=True, exist_ok=True)
     bad = 0

@@ -1,12 +1,14 @@
-"""python scripts/train.py [--architecture "far field"|thesis] [--out FOLDER] …: train a network.
+"""python scripts/train.py [--quick] [--architecture "far field"|thesis] [--out FOLDER] …: train a network.
 
+    python scripts/train.py --quick                          # a small network on its own small data, in two minutes
     python scripts/generate_data.py                          # the data, once
     python scripts/train.py                                  # the far-field network, through the solver
     python scripts/train.py --architecture thesis --epochs 10
     python scripts/train.py --from models/model.h5 --epochs 5 --out runs/further    # go on from a model, its settings
 
-Started again with the same flags, a run goes on where it was stopped. At the end <out>/model.h5 is a model file with
-its card, and <out>/history.png the learning curve; --model copies both to another place.
+<out>/history.png, the learning curve, is drawn after every epoch. Started again with the same flags, a run goes on
+where it was stopped, within an epoch too. At the end <out>/model.h5 is a model file with its card; --model copies it
+and the curve to another place. `deep-contact train` is the same.
 """
 
 from __future__ import annotations
@@ -22,6 +24,17 @@ from pathlib import Path
 
 from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
 
+QUICK_DATA = {"simulations": 12, "steps": 250, "bodies": (40, 60), "seed": 1}
+QUICK = {
+    "far field": {"options": {"width": 8}, "epochs": 8, "states_per_epoch": 960},
+    "thesis": {
+        "options": {"stacks": [[4, [3]], [8, [3]], [8, [2]], [16, [2]], [16, [2]]]},
+        **{"epochs": 6, "states_per_epoch": 640, "batch_size": 32, "optimizer": "adam", "rate": 1e-3},
+    },
+}
+for _small in QUICK.values():
+    _small |= {"validation_states": 100, "fractions": (0.7, 0.15, 0.15)}
+
 
 class Parser(argparse.ArgumentParser):
     """Reports a wrong option in one line, without the list of all options."""
@@ -36,8 +49,9 @@ def arguments() -> argparse.ArgumentParser:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, argument_default=argparse.SUPPRESS
     )
     add = parser.add_argument
-    add("--data", default="data/generated", help="folder of the simulations")
-    add("--out", default=None, help="folder of the run; by default runs/<architecture>")
+    add("--quick", action="store_true", default=False, help="a small network and its data, made in <out>/data")
+    add("--data", default=None, help="folder of the simulations (data/generated)")
+    add("--out", default=None, help="folder of the run; by default runs/<architecture> or runs/quick_<architecture>")
     add("--model", default=None, metavar="PATH", help="copy the finished model file there too")
     add("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model file")
     add("--threads", type=int, default=1, help="of TensorFlow")
@@ -51,14 +65,9 @@ def arguments() -> argparse.ArgumentParser:
         "fractions": {"nargs": 3, "type": float, "help": "train, validation, test"},
     }
     for field in fields(TrainingConfig):
-        kind, shown = hints[field.name], f"far field: {field.default}"
-        if kind is bool:
-            how = {"action": argparse.BooleanOptionalAction, "help": shown}
-        elif isinstance(kind, types.UnionType):
-            how = {"type": lambda text: None if text == "none" else int(text), "metavar": "NUMBER"}
-            how["help"] = f"or none; {shown}"
-        else:
-            how = {"type": kind, "help": shown}
+        how = {"type": hints[field.name], "help": f"far field: {field.default}"}
+        if isinstance(how["type"], types.UnionType):
+            how = {"type": lambda text: None if text == "none" else int(text), "metavar": "NUMBER", "help": "or none"}
         add("--" + field.name.replace("_", "-"), **special.get(field.name, how))
     return parser
 
@@ -69,7 +78,7 @@ def option(text: str):
     return name, float(value) if "." in value or "e" in value else int(value)
 
 
-def configuration(given: dict, from_model) -> TrainingConfig:
+def configuration(given: dict, from_model, quick: bool = False) -> TrainingConfig:
     """The settings by their flags: those of a model, or the defaults of the architecture, with changes."""
     if "options" in given:
         given["options"] = dict(given["options"])
@@ -77,43 +86,35 @@ def configuration(given: dict, from_model) -> TrainingConfig:
         from deep_contact.cnn.model_file import read_metadata
 
         return config_of(read_metadata(from_model), **given)
-    return CONFIGS.get(given.get("architecture"), TrainingConfig)(**given)
+    small = QUICK.get(given.get("architecture", "far field"), {}) if quick else {}
+    return CONFIGS.get(given.get("architecture"), TrainingConfig)(**(small | given))
 
 
-def learning_curve(history, path):
-    """Draw the losses, and the validation errors if there are any, against the epoch. Returns the axes."""
-    from deep_contact.reporting import plotting
-
-    errors = [name for name in history[-1] if name.startswith("validation_velocity")]
-    with plotting.style():
-        figure, axes = plotting.subplots(1, 2 if errors else 1, size=(8.4 if errors else 4.2, 3.4), squeeze=False)
-    epochs = [line["epoch"] + 1 for line in history]
-    for name, label in (("loss", "training"), ("validation_loss", "validation")):
-        axes[0, 0].plot(epochs, [line[name] for line in history], label=label)
-    for name in errors:
-        sweeps = name.removeprefix("validation_velocity_error").lstrip("_")
-        label = f"after {sweeps or 'no'} sweep{'s' if sweeps else ''}"
-        axes[0, 1].semilogy(epochs, [line[name] for line in history], label=label)
-    for ax, quantity in zip(axes[0], ("loss", "relative velocity error, validation")):
-        plotting.label_axes(ax, "epoch", quantity)
-        ax.legend()
-    plotting.save(figure, path)
-    return axes[0]
-
-
-def run(data, out, model, **given) -> None:
+def run(data, out, model, quick, **given) -> None:
     """Train, and print the errors on the test states."""
     options = {name: given.pop(name) for name in ("threads", "held_out", "from_model")}
-    config = configuration(given, options["from_model"])
-    out = Path(out or f"runs/{config.architecture.replace(' ', '_')}")
+    config = configuration(given, options["from_model"], quick)
+    out = Path(out or f"runs/{'quick_' if quick else ''}{config.architecture.replace(' ', '_')}")
     from deep_contact.cnn.dataset import Store
 
-    store = Store(data)  # before TensorFlow, which takes seconds to load
-    from deep_contact.cnn.training import train
+    if quick and data is None:
+        from deep_contact.reporting.figures import progress_bar
+        from deep_contact.studies.chapter_5 import make_states
 
+        data = out / "data"
+        print(f"{data}: {QUICK_DATA['simulations']} short simulations, about 8 MB")
+        make_states(data, **QUICK_DATA, progress=progress_bar)
+    store = Store(data or "data/generated")  # before TensorFlow, which takes seconds to load
+    from deep_contact.cnn.backend import keras
+    from deep_contact.cnn.training import train
+    from deep_contact.cnn.training.curve import learning_curve, read_history
+
+    def draw(epoch, logs):
+        learning_curve(read_history(out / "history.csv"), out / "history.png")
+
+    options["callbacks"] = [keras.callbacks.LambdaCallback(on_epoch_end=draw)]
     done = train(config, store, out, command=shlex.join(["python", "scripts/train.py", *sys.argv[1:]]), **options)
-    learning_curve(done.history, out / "history.png")
-    print(f"best epoch {done.best_epoch + 1} of {len(done.history)}; {done.path}")
+    print(f"best epoch {done.best_epoch + 1} of {len(done.history)}; {done.path}; {out / 'history.png'}")
     errors = done.model.card["held_out"]
     print("mean relative velocity error after", ", ".join(map(str, errors["sweeps"])), "sweeps, test states")
     for phase, found in errors["phases"].items():
@@ -133,10 +134,10 @@ def main(given=None) -> int:
     try:
         run(**parsed)
     except KeyboardInterrupt:
-        print("\ntrain.py: stopped; the same command goes on after the last finished epoch", file=sys.stderr)
+        print("\ntrain: stopped; the same command goes on from the last 20 seconds", file=sys.stderr)
         return 130
-    except (OSError, ValueError, ArithmeticError, RuntimeError) as error:
-        print(f"train.py: {error}", file=sys.stderr)
+    except (ImportError, OSError, ValueError, ArithmeticError, RuntimeError) as error:
+        print(f"train: {error}", file=sys.stderr)
         return 1
     return 0
 

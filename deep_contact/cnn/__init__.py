@@ -13,7 +13,7 @@ _HOME = {
     "dataset": "DataFileError Store phase read_simulation split_by_simulation write_simulation",
     "evaluation": "",
     "images": "CHANNELS THESIS_CHANNELS ImageSpec input_image label_image read_back",
-    "inference": "Cnn load_model",
+    "inference": "Cnn LearnedModel load_model",
     "losses": "",
     "model_file": "",
     "schedules": "",

@@ -10,7 +10,7 @@ import inspect
 from collections.abc import Callable, Sequence
 
 from deep_contact.cnn.backend import keras
-from deep_contact.validation import flag, integer, number, one_of
+from deep_contact.validation import integer, number, one_of
 
 layers = keras.layers
 
@@ -40,7 +40,6 @@ def thesis(
     stacks: Sequence[tuple[int, Sequence[int]]] = THESIS_STACKS,
     dropout: float = 0.1,
     weight_decay: float = 5e-4,
-    input_normalization: bool = False,
 ) -> keras.Model:
     """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · outputs).
 
@@ -50,7 +49,6 @@ def thesis(
 
     stacks: filters and sides of the kernels; all but the last are pooled. dropout: after every stack (Table 5.1).
     weight_decay: of the L2 regulariser; the thesis does not print its value.
-    input_normalization: batch normalisation after the input, as in section 5.3.1, not in Table 5.1 or Appendix B.
     Raises ValueError naming the option and the value.
     """
     if len(shape) != 2:
@@ -62,8 +60,6 @@ def thesis(
     number("weight_decay", weight_decay, 0)
     same = {"padding": "same", "activation": "relu", "kernel_initializer": "he_normal"}
     stack = [keras.Input((n_y, n_x, channels), name="bodies")]
-    if flag("input_normalization", input_normalization):
-        stack.append(layers.BatchNormalization(name="normalization_0"))
     for stage, (filters, kernels) in enumerate(stacks, 1):
         for turn, side in enumerate(kernels, 1):
             decay = keras.regularizers.L2(weight_decay)

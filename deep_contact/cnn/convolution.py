@@ -5,7 +5,7 @@ sixteen. Eight nodes of a group are eight vectors that stay in registers while a
 operation multiplies and adds as many numbers as the processor can at a time. A transposed convolution is four such
 layers, one for the even and odd rows and columns of its output, so that no zero is multiplied. Images are stored with
 one node of zeros around them, the one at the end of a row being that at the beginning of the next, and each as it is
-and with ReLU taken, since a residual block needs both. Table 6.3 has its times beside TensorFlow's.
+and with ReLU taken, since a residual block needs both.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ from typing import NamedTuple
 
 import numpy as np
 from llvmlite.binding import get_host_cpu_features
-from numba import njit, prange, uint64
+from numba import njit, uint64
 
 from deep_contact.compiled.simd import WIDTH, doubled, load_like, most, spread, spread_like, store
-from deep_contact.compiled.threads import at_most_threads
 
 
 def layer_shapes(channels: int, outputs: int, width: int) -> dict[str, list[tuple[int, ...]]]:
@@ -81,16 +80,15 @@ class Image(NamedTuple):
 class Program:
     """The network `architectures.far_field` for images (n_y, n_x, channels), n = 1 (mod 8).
 
-    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. threads: at most so many work on a layer;
-    the number changes no bit of the result. Do not call it from several threads at a time: they would share a
-    workspace. Raises ValueError where the network has other layers (see `layer_shapes`).
+    weights: layer -> kernel and bias, as `model_file.StoredNetwork` has them. Do not call it from several threads at a
+    time: they would share a workspace. Raises ValueError where the network has other layers (see `layer_shapes`).
     """
 
-    def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int], *, threads: int = 1):
+    def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
         found = dimensions(weights)
         if found is None:
             raise ValueError(f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
-        self._of, self._threads = weights, threads
+        self._of = weights
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
         image, outputs = self._image(*shape, found[0]), found[1]
         second = self._block("second", self._down("to_second", image))
@@ -110,12 +108,7 @@ class Program:
         if image.shape != self._input.shape:
             raise ValueError(f"image: expected shape {self._input.shape}, got {image.shape}")
         self._input[:] = image
-        given = self.layers, self.nodes, self.weights, self.workspace
-        if self._threads == 1:
-            _run(*given)
-        else:
-            with at_most_threads(self._threads):
-                _run_side_by_side(*given)
+        _run(self.layers, self.nodes, self.weights, self.workspace)
         return self._output.copy()
 
     def _image(self, height, width, features) -> Image:
@@ -249,24 +242,11 @@ def _convolve(layer, b, nodes, weights, space, zero):
 
 
 @njit(cache=True, error_model="numpy")
-def _block(layer, b, nodes, weights, space):
-    zero = spread(np.float32(0.0))
-    if layer.vectors == 2:
-        _convolve(layer, b, nodes, weights, space, doubled(zero))
-    else:
-        _convolve(layer, b, nodes, weights, space, zero)
-
-
-@njit(cache=True, error_model="numpy")
 def _run(layers, nodes, weights, space):
+    zero = spread(np.float32(0.0))
     for layer in layers:
         for b in range(layer.blocks):
-            _block(layer, b, nodes, weights, space)
-
-
-@njit(cache=True, error_model="numpy", parallel=True)
-def _run_side_by_side(layers, nodes, weights, space):
-    for i in range(layers.shape[0]):
-        for b in prange(layers[i].blocks):
-            # Numba hands an array to its threads, and no single record.
-            _block(layers[i], b, nodes, weights, space)
+            if layer.vectors == 2:
+                _convolve(layer, b, nodes, weights, space, doubled(zero))
+            else:
+                _convolve(layer, b, nodes, weights, space, zero)

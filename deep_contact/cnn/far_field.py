@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from deep_contact.cnn.images import check_fields, with_contacts
+from deep_contact.cnn.images import stored_fields, with_contacts
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -51,7 +51,7 @@ from deep_contact.sph import Grid
 from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
 from deep_contact.sph.kernels import kernel_number
 from deep_contact.state import State
-from deep_contact.validation import flag, number, one_of
+from deep_contact.validation import number
 
 CONTACT_CHANNELS = (
     "density",
@@ -72,13 +72,6 @@ BODY_CHANNELS = (
 )
 """Splatted at the centres: velocities after Δt of gravity, without impulses and with Builtin's."""
 
-INPUTS = {
-    "all": CONTACT_CHANNELS + BODY_CHANNELS,
-    "contacts": CONTACT_CHANNELS,
-    "bodies": ("bodies", "velocity_x_free", "velocity_y_free", "spin_free"),
-}
-"""Name -> channels. "bodies" are those of the thesis: where circles are, and how they move."""
-
 COEFFICIENTS = tuple(
     "stress_trace stress_xx stress_xy stress_turn builtin_normal_1 builtin_normal_xx builtin_normal_xy builtin_tangent "
     "normal_residual_1 normal_residual_xx normal_residual_xy tangent_residual".split()
@@ -94,6 +87,9 @@ _SMALL = 1e-2
 
 _POLY6 = kernel_number("poly6")
 
+_REMOVED = {"inputs": "all", "correction": True}
+"""Field of a spec in earlier files -> its only value that still has a meaning."""
+
 WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
 """Numbers of nodes along an edge of a window, n = 1 (mod 8): few, because the network is set up for each shape."""
 
@@ -102,28 +98,19 @@ WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
 class FarFieldSpec:
     """The images of a far-field network.
 
-    spacing: of the input's nodes, mean radii. support: h of the splat, mean radii. inputs: of `INPUTS`.
-    correction: add the prediction to λ_Builtin; otherwise λ = Σ_j c_j F_j.
+    spacing: of the input's nodes, mean radii. support: h of the splat, mean radii.
     Raises ValueError naming the field and the value.
     """
 
     spacing: float = 1.0
     support: float = 1.0
-    inputs: str = "all"
-    correction: bool = True
+
+    channels = CONTACT_CHANNELS + BODY_CHANNELS
+    targets = COEFFICIENTS
 
     def __post_init__(self):
         number("spacing", self.spacing, above=0)
         number("support", self.support, above=0)
-        one_of("inputs", self.inputs, INPUTS)
-        flag("correction", self.correction)
-
-    targets = COEFFICIENTS
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Names of the input's channels."""
-        return INPUTS[self.inputs]
 
     def window(self, low: np.ndarray, high: np.ndarray, radius: float) -> Grid:
         """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles with this mean radius, m.
@@ -142,11 +129,8 @@ class FarFieldSpec:
     @classmethod
     def from_dict(cls, values: dict) -> FarFieldSpec:
         """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields."""
-        names = {"kind", "coarsening"} | {field.name for field in fields(cls)}
-        values = dict(check_fields("far-field spec", values, names))
-        one_of("kind", values.pop("kind"), ("far field",))
-        one_of("coarsening", values.pop("coarsening"), (COARSENING,))
-        return cls(**values)
+        only = {"kind": "far field", "coarsening": COARSENING}
+        return cls(**stored_fields("far-field spec", cls, values, _REMOVED | only))
 
 
 def window_side(cells: float) -> int:
@@ -161,7 +145,7 @@ class Description(NamedTuple):
     grid: Grid  # of the image
     point: np.ndarray  # contact points, turned, (m, 2), m
     features: np.ndarray  # F: change of λ_n and λ_t per coefficient, not turned, (m, 12, 2), N·s
-    start: np.ndarray  # the impulses to correct: Builtin's, or zeros, (m, 2), N·s
+    start: np.ndarray  # the impulses to correct, Builtin's, (m, 2), N·s
     unsolved: float  # rms change by one relaxation of each row, over the rms of λ
 
 
@@ -181,12 +165,9 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
     np.arcsinh(found.contact_sizes, out=found.contact_sizes)
     np.arcsinh(found.body_sizes, out=found.body_sizes)
     grid = spec.window(found.low, found.high, found.mean_radius)
-    image = np.zeros((*grid.shape, len(INPUTS["all"])), np.float32)
+    image = np.zeros((*grid.shape, len(spec.channels)), np.float32)
     _paint(image, (*grid.origin, *grid.spacing), spec.support * grid.spacing[0] / spec.spacing, found)
-    if spec.inputs != "all":
-        image = np.ascontiguousarray(image[:, :, [INPUTS["all"].index(name) for name in spec.channels]])
-    start = rows.impulse.copy() if spec.correction else np.zeros_like(rows.impulse)
-    return Description(image, grid, found.point, found.features, start, found.unsolved)
+    return Description(image, grid, found.point, found.features, rows.impulse.copy(), found.unsolved)
 
 
 def correct(image: np.ndarray, description: Description) -> np.ndarray:

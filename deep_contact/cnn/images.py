@@ -94,22 +94,23 @@ class ImageSpec:
     def from_dict(cls, values: dict) -> ImageSpec:
         """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields, and on those of versions before
         that changed the values of an image."""
-        names = {field.name for field in fields(cls)}
-        before = _REMOVED.keys() & values if isinstance(values, dict) else ()
-        for name in before:
-            given, only = values[name], _REMOVED[name]
-            if any(value != only for value in (given if isinstance(given, list) else [given])):
-                raise ValueError(f"image spec: {name}: expected {only}, the only one left, got {given}")
-        values = check_fields("image spec", values, names.union(before))
-        return cls(**{name: values[name] for name in names})
+        return cls(**stored_fields("image spec", cls, values, _REMOVED))
 
 
-def check_fields(what: str, values, names: set[str]) -> dict:
-    """`values`, which has to be a dict with these names. Raises ValueError otherwise."""
-    if not isinstance(values, dict) or set(values) != names:
+def stored_fields(what: str, kind: type, values, only: dict) -> dict:
+    """The fields of a dataclass in `values`, a dict with all of them and perhaps with those of `only`.
+
+    only: name -> its one value that has a meaning, of a field that the dataclass lacks. Raises ValueError otherwise.
+    """
+    names = {field.name for field in fields(kind)}
+    if not isinstance(values, dict) or set(values) - only.keys() != names:
         got = sorted(values) if isinstance(values, dict) else values
         raise ValueError(f"{what}: expected the fields {', '.join(sorted(names))}, got {got!r}")
-    return values
+    for name in only.keys() & values:
+        given = values[name] if isinstance(values[name], list) else [values[name]]
+        if any(value != only[name] for value in given):
+            raise ValueError(f"{what}: {name}: expected {only[name]!r}, the only one left, got {values[name]!r}")
+    return {name: values[name] for name in names}
 
 
 def _names(name: str, given, table) -> tuple[str, ...]:

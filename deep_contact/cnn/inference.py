@@ -16,7 +16,7 @@ import numpy as np
 
 from deep_contact.cnn.backend import limit_threads, one_thread
 from deep_contact.cnn.convolution import Program
-from deep_contact.cnn.far_field import Description, FarFieldSpec, correct, describe
+from deep_contact.cnn.far_field import COARSENING, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
 from deep_contact.cnn.registry import network_file
@@ -51,9 +51,15 @@ def load_model(path=None) -> LearnedModel:
 class LearnedModel:
     """A network and what is needed to use it: state in, impulses at its contacts out.
 
-    source: the network, a `keras.Model`; for a far-field network as its file holds it. spec: what its images are made
-    of. card: where it comes from, what it is worth. box: (width, height) that a network of fixed size was made for, m,
-    or None. path: the file it was read from, or None.
+    `predict` does all; `input` and `impulses` are its two ends, for any Keras model between them:
+
+        x = net.input(state)
+        y = keras_model(x[None])
+        normal, tangent = net.impulses(state, y)
+
+    source: the network, any `keras.Model` of the spec's channels and targets; for a far-field network as its file holds
+    it. spec: what its images are made of. card: where it comes from, what it is worth. box: (width, height) that a
+    network of fixed size was made for, m, or None. path: the file it was read from, or None.
     """
 
     source: object
@@ -68,46 +74,82 @@ class LearnedModel:
         """The `keras.Model`."""
         return self.source.build() if isinstance(self.source, StoredNetwork) else self.source
 
-    def predict(self, state: State | Sequence[State]):
-        """(λ_n, λ_t) at the state's contacts as the network has them, (m,) each, N·s: not projected.
+    def input(self, state: State) -> np.ndarray:
+        """The image that the network takes, (n_y, n_x, channels), float32.
 
-        For several states, a list of such pairs. Raises ModelFileError where the network does not fit the scene,
-        ValueError where no contacts have been looked for yet.
+        Raises ModelFileError where the network does not fit the scene, ValueError where no contacts have been looked
+        for yet.
+        """
+        self.check_scene(state)
+        return self._seen(state)[0]
+
+    def impulses(self, state: State, output, *, project: bool = True) -> tuple[np.ndarray, np.ndarray]:
+        """(λ_n, λ_t) at the state's contacts from what a network gave for `input(state)`, (m,) each, N·s.
+
+        output: (n_y, n_x, targets), flat or not, with or without a batch of one. project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
+        Raises ValueError naming the shape that was expected and the one that came.
+        """
+        self.check_scene(state)
+        image, read = self._seen(state)
+        shape, given = self._output_shape(image.shape), np.asarray(output, np.float32)
+        if given.size != np.prod(shape):
+            raise ValueError(f"output: expected shape {(1, *shape)}, got {given.shape}")
+        return self._read(state, read, given.reshape(shape), project)
+
+    def predict(self, state: State | Sequence[State], *, project: bool = True):
+        """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
+
+        project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n, else as the network has them. Raises as `input`.
         """
         if not isinstance(state, State):
-            return [self.predict(one) for one in state]
+            return [self.predict(one, project=project) for one in state]
         self.check_scene(state)
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
-        return self._impulses(state)
+        image, read = self._seen(state)
+        return self._read(state, read, self.run(image), project)
 
     def predict_image(self, state: State) -> np.ndarray:
         """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units.
 
         A far-field network's is of coefficients, (rows, columns, 12), at every second node of the window.
         """
-        self.check_scene(state)
-        return self._image(state)
+        return self.run(self.input(state))
 
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32.
 
-        A far-field network takes n = 1 (mod 8) nodes a side, and gives as `predict_image`.
+        A far-field network takes n = 1 (mod 8) nodes a side, and gives as `predict_image`. Raises ValueError naming the
+        shape that was expected and the one that came.
         """
         image = np.ascontiguousarray(image, np.float32)
         if image.shape not in self._compiled:
+            if image.ndim != 3 or not self._fits(image.shape):
+                raise ValueError(f"image: expected shape {self._takes()}, got {image.shape}")
             self._compiled[image.shape] = self._compile(image.shape)
         return self._compiled[image.shape](image)
 
-    def _impulses(self, state):
-        return read_back(self._image(state), state, self.spec)
+    @staticmethod
+    def _read(state, read, image, project):
+        normal, tangent = (np.ascontiguousarray(row) for row in read(image))
+        return projected(normal, tangent, state.world.friction) if project else (normal, tangent)
 
-    def _image(self, state):
-        return self.run(input_image(state, self.spec))
+    def _seen(self, state):
+        """The network's input for a state, and a function of its output: (λ_n, λ_t)."""
+        return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
+
+    def _output_shape(self, shape):
+        return (*shape[:2], len(self.spec.targets))
+
+    def _takes(self):
+        return self.network.input_shape[1:]
+
+    def _fits(self, shape):
+        return all(side in (None, given) for side, given in zip(self._takes(), shape))
 
     def _compile(self, shape):
         function = compiled(self.network, shape)
-        return lambda image: function(image).reshape(*shape[:2], -1)
+        return lambda image: function(image).reshape(self._output_shape(shape))
 
     def check_scene(self, state: State) -> None:
         """Raise ModelFileError naming the field unless the network can work on this scene."""
@@ -149,16 +191,18 @@ class LearnedModel:
 class FarFieldModel(LearnedModel):
     """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds."""
 
-    def _impulses(self, state):
-        return self.correct(state, describe(state, self.spec))
+    def _seen(self, state):
+        description = describe(state, self.spec)
+        return description.image, lambda image: correct(image, description).T
 
-    def correct(self, state: State, description: Description) -> tuple[np.ndarray, np.ndarray]:
-        """`predict` from a description that has been made already."""
-        impulses = correct(self.run(description.image), description)
-        return np.ascontiguousarray(impulses[:, 0]), np.ascontiguousarray(impulses[:, 1])
+    def _output_shape(self, shape):
+        return (*((n - 1) // COARSENING + 1 for n in shape[:2]), len(self.spec.targets))
 
-    def _image(self, state):
-        return self.run(describe(state, self.spec).image)
+    def _takes(self):
+        return f"(8 j + 1, 8 k + 1, {len(self.spec.channels)})"
+
+    def _fits(self, shape):
+        return shape[0] % 8 == shape[1] % 8 == 1 and shape[2] == len(self.spec.channels)
 
     def _compile(self, shape):
         return Program(weights_of(self.source), shape[:2])
@@ -209,7 +253,7 @@ class Cnn:
         object.__setattr__(self, "model", known_model(self.model))
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        return projected(*self.model.predict(state), state.world.friction)
+        return self.model.predict(state)
 
 
 @dataclass(frozen=True)
@@ -246,7 +290,8 @@ class Guarded:
         description = describe(state, self.model.spec, problem=problem)
         if description.unsolved < self.least:
             return builtin
-        learned = projected(*self.model.correct(state, description), state.world.friction)
+        impulses = correct(self.model.run(description.image), description)
+        learned = projected(*np.ascontiguousarray(impulses.T), state.world.friction)
         if self.trial == 0:
             return learned
         tried = PGS(sweeps=self.trial, tolerance=None)

@@ -10,8 +10,6 @@ ops = keras.ops
 def masked_squared_error(y_true, y_pred):
     """Loss of Appendix B (Eq 5.3): mean of (y_pred − y_true)² over the last axis, where y_true ≠ 0, else 0.
 
-    The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction. In
-    float32, whatever the layers compute in.
+    The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction.
     """
-    flags = ops.cast(ops.not_equal(y_true, 0.0), "float32")
-    return ops.mean(ops.square((ops.cast(y_pred, "float32") - y_true) * flags), axis=-1)
+    return ops.mean(ops.where(ops.not_equal(y_true, 0.0), ops.square(y_pred - y_true), 0.0), axis=-1)

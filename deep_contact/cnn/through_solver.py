@@ -4,9 +4,6 @@ A start serves the velocities after the few sweeps that a user pays for. λ itse
 sweep removes do not matter. So the loss is the error after those sweeps, of the engine's own solver in its own order.
 Its gradient with respect to the start is the adjoint of the sweeps: one pass back over the contacts per sweep, with the
 clamps of the forward pass (almost everywhere the derivative).
-
-The error of the velocities needs the solution. The loss may instead be the change by one more sweep ("residual"), which
-needs no labels. `impulse_loss` is the plain regression on λ, for comparison.
 """
 
 from __future__ import annotations
@@ -36,7 +33,6 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.engine import step_problem
 from deep_contact.state import State
-from deep_contact.validation import one_of
 
 _NOTHING = 1e-12
 """‖v* − v⁻‖, √J, below which there is nothing to solve and the error is 0."""
@@ -70,63 +66,38 @@ def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int
 
 
 def loss_and_gradient(
-    problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int], weights: Sequence[float], measure="velocity"
+    problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int], weights: Sequence[float]
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """(loss, gradient (m, 2) with respect to the start, errors): loss = Σ weight · error after so many sweeps.
-
-    measure: "velocity", the error of `errors_after`; or "residual", ‖Δλ‖ of one more sweep over ‖Δλ‖ of the first
-    sweep from λ = 0, in the norm Σ Δλ² / k with the effective masses k, which needs no solution.
 
     The start is projected on λ_n ≥ 0 and the cone before the first sweep. Where the projection cuts a negative normal
     impulse off, the gradient is kept if it asks for more impulse; otherwise such a contact could never learn to push.
     """
-    one_of("measure", measure, ("velocity", "residual"))
     sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
     in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
-    errors, gradient = _errors_and_gradient(problem, in_cone, sweeps, weights, measure == "residual")
+    errors, gradient = _errors_and_gradient(problem, in_cone, sweeps, weights)
     _before_projection(start, problem.friction, gradient)
     return float(weights @ errors), gradient, errors
 
 
-def impulse_loss(problem: SolvedProblem, start: np.ndarray) -> tuple[float, np.ndarray]:
-    """(loss, gradient (m, 2)): ‖λ − λ*‖ / ‖λ*‖ in the norm Σ λ² / k with the effective masses k; 0 where λ* = 0."""
-    weight = 1.0 / problem.rows.data[:, NORMAL_MASS : TANGENT_MASS + 1]
-    size = math.sqrt(np.sum(weight * problem.solution**2))
-    if size == 0.0:
-        return 0.0, np.zeros(problem.solution.shape)
-    off = start - problem.solution
-    error = math.sqrt(np.sum(weight * off**2))
-    return error / size, weight * off / (size * max(error, 1e-12 * size))
-
-
 @njit(cache=True)
-def _errors_and_gradient(problem, start, sweeps, weights, residual):
-    """(errors (c,), gradient (m, 2) of Σ weight · error by a start in the cone). residual: of one more sweep."""
+def _errors_and_gradient(problem, start, sweeps, weights):
+    """(errors (c,), gradient (m, 2) of Σ weight · error by a start in the cone)."""
     rows, free, solution, friction = problem
     n = free.shape[0] - 4
-    impulses, velocities, clamped = _sweeps(rows, free, friction, start, sweeps[-1] + 1 if residual else sweeps[-1])
-    by_velocities, by_impulses = np.zeros((len(impulses), n + 4, 3)), np.zeros_like(impulses)
-    errors, goal = np.zeros(sweeps.size), free
-    if residual:
-        metric = 1.0 / rows.data[:, NORMAL_MASS : TANGENT_MASS + 1]
-        size = _norm(metric, _sweeps(rows, free, friction, np.zeros_like(start), 1)[0][1])
-    else:
-        # s = ω r has half the inertia of the mass.
-        metric = np.array([1.0, 1.0, 0.5]) / free[:n, 3:]
-        goal = _velocities(rows, free, solution)
-        size = _norm(metric, (goal - free)[:n, :3])
+    velocities, clamped = _sweeps(rows, free, friction, start, sweeps[-1])
+    by_velocities, errors = np.zeros((len(velocities), n + 4, 3)), np.zeros(sweeps.size)
+    # s = ω r has half the inertia of the mass.
+    metric = np.array([1.0, 1.0, 0.5]) / free[:n, 3:]
+    goal = _velocities(rows, free, solution)
+    size = _norm(metric, (goal - free)[:n, :3])
     if size < _NOTHING:
-        return errors, by_impulses[0]
+        return errors, np.zeros_like(start)
     for c, k in enumerate(sweeps):
-        off = impulses[k + 1] - impulses[k] if residual else (velocities[k] - goal)[:n, :3]
+        off = (velocities[k] - goal)[:n, :3]
         errors[c] = _norm(metric, off) / size
-        slope = weights[c] / (size * size * max(errors[c], 1e-9)) * metric * off
-        if residual:
-            by_impulses[k + 1] += slope
-            by_impulses[k] -= slope
-        else:
-            by_velocities[k, :n] = slope
-    return errors, _adjoint_sweeps(rows, free, friction, clamped, by_velocities, by_impulses)
+        by_velocities[k, :n] = weights[c] / (size * size * max(errors[c], 1e-9)) * metric * off
+    return errors, _adjoint_sweeps(rows, free, friction, clamped, by_velocities)
 
 
 @njit(cache=True)
@@ -157,29 +128,23 @@ def _velocities(rows, free, impulse):
 
 @njit(cache=True)
 def _sweeps(rows, free, friction, start, count):
-    """Sweeps from a start in the cone: impulses (count + 1, m, 2) and velocities (count + 1, n + 4, 4) after each
-    number of them, and clamped (count, m, 2)."""
-    m = rows.body.shape[0]
-    impulses, velocities = np.empty((count + 1, m, 2)), np.empty((count + 1, free.shape[0], 4))
-    clamped = np.empty((count, m, 2), np.int8)
-    impulses[0], velocities[0] = start, _velocities(rows, free, start)
+    """Velocities (count + 1, n + 4, 4) after each number of sweeps from a start in the cone, clamped (count, m, 2)."""
+    impulse, velocities = start.copy(), np.empty((count + 1, free.shape[0], 4))
+    clamped = np.empty((count, *start.shape), np.int8)
+    velocities[0] = _velocities(rows, free, start)
     for k in range(count):
-        impulses[k + 1], velocities[k + 1] = impulses[k], velocities[k]
-        forward_sweep(rows, friction, velocities[k + 1], impulses[k + 1], clamped[k])
-    return impulses, velocities, clamped
+        velocities[k + 1] = velocities[k]
+        forward_sweep(rows, friction, velocities[k + 1], impulse, clamped[k])
+    return velocities, clamped
 
 
 @njit(cache=True)
-def _adjoint_sweeps(rows, free, friction, clamped, by_velocities, by_impulses):
-    """The adjoint of `_sweeps`: derivative by the start, (m, 2), of a loss of what `_sweeps` returns.
-
-    by_velocities: (count + 1, n + 4, 3). by_impulses: (count + 1, m, 2).
-    """
-    by_velocity, by_impulse = by_velocities[-1], by_impulses[-1]
+def _adjoint_sweeps(rows, free, friction, clamped, by_velocities):
+    """The adjoint of `_sweeps`: derivative by the start, (m, 2), of a loss of the velocities, (count + 1, n + 4, 3)."""
+    by_velocity, by_impulse = by_velocities[-1], np.zeros(clamped.shape[1:])
     for k in range(len(clamped) - 1, -1, -1):
         adjoint_sweep(rows, friction, free, clamped[k], by_velocity, by_impulse)
         by_velocity += by_velocities[k]
-        by_impulse += by_impulses[k]
     for i in range(clamped.shape[1]):
         by_normal, by_tangent = _by_change(rows, free, by_velocity, i)
         by_impulse[i, 0] += by_normal

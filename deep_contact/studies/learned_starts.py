@@ -1,4 +1,4 @@
-"""Learned starts against classical ones: Figures 6.4, 6.8 to 6.10 and 6.12, Tables 6.2 and 6.3.
+"""Learned starts against classical ones: Figures 6.4, 6.8 to 6.10 and 6.12.
 
 A setting is a start and the solver that follows it: "builtin, NNCG", or "builtin", which PGS follows. A learned start
 with its best solver is compared with the best classical setting, chosen after the fact. Errors are velocity errors
@@ -9,21 +9,17 @@ on.
 
 from __future__ import annotations
 
-import multiprocessing
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from itertools import product
 
 import numpy as np
 
-from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
 from deep_contact.cnn.images import input_image, read_back
-from deep_contact.cnn.inference import Cnn, limit_threads, load_model, network_file, projected
-from deep_contact.cnn.model_file import weights_of
+from deep_contact.cnn.inference import projected
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import solve, step_problem
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
@@ -85,7 +81,7 @@ def errors_of(state: State, given: Mapping, settings: Iterable[str], *rest) -> d
     return {name: errors_after(state, given[start], solver, *rest) for name, start, solver in pairs}
 
 
-# ---- states of held-out scenes: Figures 6.4, 6.8, 6.9, Table 6.2 ----
+# ---- states of held-out scenes: Figures 6.4, 6.8, 6.9 ----
 
 FEW = (3, 10, 30)
 """Numbers of sweeps that the claims are about."""
@@ -248,67 +244,6 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
         return projected(*(correct(out, seen).T if far_field else read_back(out, state, spec)), friction)
 
     return {"splat": splat, "network": partial(model.run, image), "gather": gather}
-
-
-# ---- times of the network by runtime: Table 6.3 ----
-
-RUNTIMES = ("Numba", "XLA", "TensorFlow")
-"""`cnn.convolution`; one program of TensorFlow's compiler; one call per layer."""
-
-
-def times_in_process(task: Mapping) -> dict[str, list]:
-    """`times_of_runtimes` in a fresh process: TensorFlow takes its number of threads only once."""
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as alone:
-        return alone.submit(times_of_runtimes, task).result()
-
-
-def times_of_runtimes(task: Mapping) -> dict[str, list]:
-    """Times of all networks, runtimes and batches on the image of a settling pile, μs, the least of several.
-
-    task: "models": paths, "count" of circles, "threads", "batches": images at once, "repeats", "seed".
-    Returns {"times": [{"network", "circles", "threads", "runtime", "batch", "us": per image}], "stages":
-    [{"network", "circles", "threads", "image", "run", "read": `stages_of` the start, "all" of it, "sweep"}], with one
-    thread only}.
-    """
-    limit_threads(task["threads"])
-    state = piles.states_of(piles.pile("settling", task["count"], task["seed"]), count=1)[0]
-    found: dict = {"times": [], "stages": []}
-
-    def us(call):
-        return 1e6 * timing.fastest(call, task["repeats"])
-
-    for path in task["models"]:
-        model = load_model(network_file(path))
-        common = {"network": path.split("/")[-1], "circles": task["count"], "threads": task["threads"]}
-        if task["threads"] == 1:
-            start = Cnn(model)
-            calls = [*stages_of(start, state).values(), partial(start, state, PGS())]
-            stages = dict(zip(("image", "run", "read", "all"), map(us, calls)))
-            sweep = 1e6 * sweep_time(state, "PGS", task["repeats"])
-            found["stages"].append(common | stages | {"sweep": sweep})
-        for batch in task["batches"]:
-            images = np.repeat(describe(state, model.spec).image[None], batch, axis=0)
-            for runtime, run in runtimes(model.network, images.shape, task["threads"]).items():
-                time_of_one = us(partial(run, images)) / batch
-                found["times"].append(common | {"runtime": runtime, "batch": batch, "us": time_of_one})
-    return found
-
-
-def runtimes(network, shape: tuple, threads: int) -> dict[str, Callable]:
-    """Runtime -> function of a batch of images of this shape."""
-    from deep_contact.cnn.backend import tensorflow as tf
-
-    program = Program(weights_of(network), shape[1:3], threads=threads)
-
-    def in_tensorflow(one_program):
-        signature = [tf.TensorSpec(shape, tf.float32)]
-        function = tf.function(
-            lambda images: network(images, training=False), input_signature=signature, jit_compile=one_program
-        ).get_concrete_function()
-        return lambda images: function(tf.constant(images)).numpy()
-
-    ways = (lambda images: [program(image) for image in images], in_tensorflow(True), in_tensorflow(None))
-    return dict(zip(RUNTIMES, ways))
 
 
 # ---- time to an error from given states: Figure 6.10 ----

@@ -51,24 +51,12 @@ def test_thesis_network_cannot_pull(thesis):
     assert float(np.min(made)) == 0.0
 
 
-def test_batch_normalisation_after_the_input_is_an_option_that_learns_two_numbers_a_channel():
-    """Section 5.3.1 names it; the 64,498,866 weights leave it out."""
-    plain, normalized = (build("thesis", shape=(8, 8), input_normalization=given) for given in (False, True))
-    trainable = [sum(int(np.prod(v.shape)) for v in model.trainable_variables) for model in (plain, normalized)]
-    assert trainable[1] - trainable[0] == 2 * 5
-    images = np.random.default_rng(0).normal(3.0, 7.0, (64, 8, 8, 5)).astype(np.float32)
-    shown = np.asarray(normalized.layers[0](images, training=True))
-    np.testing.assert_allclose(shown.mean(axis=(0, 1, 2)), 0, atol=1e-4)
-    np.testing.assert_allclose(shown.std(axis=(0, 1, 2)), 1, atol=1e-3)
-
-
 @pytest.mark.parametrize(
     ("name", "options", "field"),
     [
         ("alexnet", {}, "architecture"),
         ("thesis", {"shape": (61,)}, "shape"),
         ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
-        ("thesis", {"input_normalization": 1}, "input_normalization"),
         ("thesis", {"dropout": 1.0}, "dropout"),
         ("far field", {"channels": 3, "widht": 8}, "options of far field: expected one of channels"),
         ("far field", {"channels": 0, "outputs": 1}, "channels"),

@@ -43,12 +43,6 @@ def test_a_second_image_finds_nothing_of_the_first():
     np.testing.assert_array_equal(program(given), first)
 
 
-def test_threads_change_no_bit():
-    weights, given = weights_of(network(24)), image((33, 49))
-    one, two = (Program(weights, (33, 49), threads=count)(given) for count in (1, 2))
-    np.testing.assert_array_equal(one, two)
-
-
 def test_a_network_of_other_layers_is_refused():
     weights = weights_of(network(8))
     weights["to_second"][0] = weights["to_second"][0][:2]

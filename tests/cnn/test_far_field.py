@@ -5,6 +5,7 @@ import pytest
 from symmetry import transform_state
 
 import deep_contact as dc
+from deep_contact.cnn import inference
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec, correct, corrected, describe, window_side
 from deep_contact.cnn.inference import Cnn, FarFieldModel, Guarded, load_model
 from deep_contact.state import World
@@ -90,20 +91,8 @@ def test_far_away_contacts_make_a_coarser_window():
     assert description.grid.box[2] > 9_999.1
 
 
-def test_inputs_are_parts_of_one_image(state):
-    everything = describe(state, SPEC).image
-    for spec in (FarFieldSpec(inputs="contacts"), FarFieldSpec(inputs="bodies")):
-        chosen = [SPEC.channels.index(name) for name in spec.channels]
-        np.testing.assert_array_equal(describe(state, spec).image, everything[:, :, chosen])
-
-
-def test_without_correction_nothing_is_added_to(state):
-    alone, description = describe(state, FarFieldSpec(correction=False)), describe(state, SPEC)
-    assert not alone.start.any()
-    # The gates can still bring Builtin's impulses back, in units of the share that is unsolved.
-    np.testing.assert_array_equal(alone.features, description.features)
-    # And with it, but without coefficients, the start is Builtin's.
-    start = corrected(description, np.zeros((state.contacts.count, len(COEFFICIENTS))))
+def test_with_no_coefficients_the_start_is_builtins(state):
+    start = corrected(describe(state, SPEC), np.zeros((state.contacts.count, len(COEFFICIENTS))))
     np.testing.assert_array_equal(start[:, 0], state.contacts.normal_start)
     np.testing.assert_array_equal(start[:, 1], state.contacts.tangent_start)
 
@@ -138,8 +127,10 @@ def test_spec_goes_through_json():
     assert FarFieldSpec.from_dict(FarFieldSpec(spacing=0.75).to_dict()) == FarFieldSpec(spacing=0.75)
     with pytest.raises(ValueError, match="spacing: expected a finite number > 0, got -1"):
         FarFieldSpec(spacing=-1)
-    with pytest.raises(ValueError, match="inputs: expected one of all, contacts, bodies, got 'pixels'"):
-        FarFieldSpec(inputs="pixels")
+    before = FarFieldSpec().to_dict() | {"inputs": "all", "correction": True}
+    assert FarFieldSpec.from_dict(before) == FarFieldSpec()
+    with pytest.raises(ValueError, match="inputs: expected 'all', the only one left, got 'bodies'"):
+        FarFieldSpec.from_dict(before | {"inputs": "bodies"})
     with pytest.raises(ValueError, match="far-field spec: expected the fields"):
         FarFieldSpec.from_dict({"kind": "far field"})
 
@@ -192,10 +183,10 @@ def test_training_resumes_and_beats_builtin_a_little(tmp_path):
 
 
 class Fake(FarFieldModel):
-    """Corrects by what its card holds; raises where that is nothing."""
+    """Gives what its card holds; raises where that is nothing."""
 
-    def correct(self, state, description):
-        return self.card["impulses"]
+    def run(self, image):
+        return self.card["image"]
 
 
 def test_a_resting_pile_pays_for_no_network(state):
@@ -204,16 +195,17 @@ def test_a_resting_pile_pays_for_no_network(state):
     normal, tangent = guarded(resting, dc.PGS())
     np.testing.assert_array_equal(normal, resting.contacts.normal_start)
     np.testing.assert_array_equal(tangent, resting.contacts.tangent_start)
-    with pytest.raises(KeyError, match="impulses"):
+    with pytest.raises(KeyError, match="image"):
         guarded(state, dc.PGS())
 
 
-def test_the_network_is_taken_up_to_its_margin_of_the_last_theta(state):
+def test_the_network_is_taken_up_to_its_margin_of_the_last_theta(state, monkeypatch):
     normal, tangent = state.contacts.normal_impulse, state.contacts.tangent_impulse
     learned, builtin = (1.5 * normal, tangent), (state.contacts.normal_start, state.contacts.tangent_start)
     three = dc.PGS(sweeps=3, tolerance=None)
     theta = [dc.solve_contacts(state, solver=three, start=start).record.theta[-1] for start in (builtin, learned)]
-    ratio, model = theta[1] / theta[0], Fake(source=None, spec=SPEC, card={"impulses": learned})
+    ratio, model = theta[1] / theta[0], Fake(source=None, spec=SPEC, card={"image": None})
+    monkeypatch.setattr(inference, "correct", lambda image, description: np.column_stack(learned))
     cases = (1.001 * ratio, 3, learned), (0.999 * ratio, 3, builtin), (0.0, 0, learned)  # no trial, no question
     for margin, trial, expected in cases:
         found = Guarded(model, margin=margin, trial=trial)(state, dc.PGS())

@@ -362,7 +362,7 @@ def test_network_of_fixed_size_predicts_in_its_box(fixed):
     state = small_state()
     image = fixed.predict_image(state)
     assert image.shape == (9, 13, 2)
-    np.testing.assert_array_equal(fixed.predict(state), read_back(image, state, fixed.spec))
+    np.testing.assert_array_equal(fixed.predict(state, project=False), read_back(image, state, fixed.spec))
 
 
 @pytest.mark.parametrize("size", [(4.0, 6.0), (5.9, 4.0), (12.0, 8.0)])
@@ -379,6 +379,20 @@ def test_convolutional_network_runs_in_any_box(network, size):
     np.testing.assert_allclose(image, network(input_image(state, SPEC)[None])[0], rtol=1e-5, atol=1e-6)
     run = dc.simulate(state, steps=3, solver=dc.PGS(), warm_start=Cnn(model))
     assert set(run.status) <= {"converged", "no_contacts"}
+
+
+@pytest.mark.parametrize("name", ["thesis_factored", "model"])
+def test_plain_keras_between_input_and_impulses_gives_the_prediction(name, falling_states):
+    net, state = load_model(name), falling_states[5]
+    y = net.network(net.input(state)[None], training=False)
+    for project in (True, False):
+        expected = np.array(net.predict(state, project=project))
+        found = np.array(net.impulses(state, y, project=project))
+        np.testing.assert_allclose(found, expected, atol=1e-5 * np.abs(expected).max())
+    with pytest.raises(ValueError, match=r"output: expected shape \(1, .*\), got \(1, 7\)"):
+        net.impulses(state, np.zeros((1, 7)))
+    with pytest.raises(ValueError, match=r"image: expected shape \(.*\), got \(60, 60, 5\)"):
+        net.run(np.zeros((60, 60, 5)))
 
 
 def test_inference_is_traced_once(network, falling_states, monkeypatch):
@@ -404,7 +418,7 @@ def test_projection_is_on_the_friction_cone():
 def test_cnn_start_is_the_prediction_projected(file, falling_states):
     start, state = Cnn(file), falling_states[5]
     normal, tangent = start(state, state.solver)
-    expected = projected(*start.model.predict(state), state.world.friction)
+    expected = projected(*start.model.predict(state, project=False), state.world.friction)
     np.testing.assert_array_equal((normal, tangent), expected)
     assert (normal > 0).any()
     assert (np.abs(tangent) <= state.world.friction * normal).all()

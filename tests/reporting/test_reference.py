@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
 
 
 GONE = {
-    **{"6.6": ("solvers", "quantities"), "6.10": ("coarse",), "6.12": ("runs",), "T 6.3": ("models",)},
+    **{"6.6": ("solvers", "quantities"), "6.10": ("coarse",), "6.12": ("runs",)},
     "T 6.1": (
         *("data", "network", "training", "own_bodies", "own_steps", "simulations", "steps", "bodies"),
         *("held_out", "states", "stacks", "deeper", "settings"),
@@ -179,7 +179,6 @@ UNDECIDED = {
     "5.10": "times, of a smaller pile",
     "6.4": FEW_SCENES,
     "6.7": "fewer steps, after which solutions have parted less",
-    "T 6.3": "one scene of 100 circles, where TensorFlow is behind",
     "6.8": FEW_SCENES,
 }
 """Figures whose quick runs may find other claims to hold, and why."""

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from deep_contact.cnn.backend import keras
 from deep_contact.cnn.backend import tensorflow as tf
 from deep_contact.cnn.dataset import evenly
 from deep_contact.cnn.far_field import COARSENING, corrected, describe, nodes_of
-from deep_contact.cnn.through_solver import errors_after, impulse_loss, loss_and_gradient, solved_problem
+from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
 from deep_contact.cnn.training.network import NetworkRun
 
 _LEARN_FROM, _JUDGE_BY = 0.02, 0.05
@@ -62,59 +61,29 @@ class FarFieldRun(NetworkRun):
         images = np.stack([description.image for description in descriptions])
         return self._coefficients(images, node, np.concatenate([weight for _, weight in read]))
 
-    def fit(self, callbacks: list, *, epochs: int, first: int, verbose: int) -> None:
-        """Train from epoch `first` on. Keras's own loop knows no gradient that comes from elsewhere."""
-        more = {"add_progbar": verbose != 0, "verbose": verbose, "epochs": epochs, "steps": None}
-        called = keras.callbacks.CallbackList(callbacks, model=self.model, **more)
-        self.model.stop_training = False
-        called.on_train_begin()
-        for epoch in range(first, epochs):
-            called.on_epoch_begin(epoch)
-            loss = self.epoch(epoch, called)
-            found = self.validate()
-            called.on_epoch_end(epoch, {"loss": loss, **found, "val_loss": found["validation_loss"]})
-            if self.model.stop_training:
-                break
-        called.on_train_end()
-
-    def epoch(self, epoch: int, callbacks: keras.callbacks.CallbackList) -> float:
-        """Train on one epoch's states. Returns the mean loss."""
+    def batches(self, epoch: int):
+        """Lists of examples of an epoch with windows of one shape."""
         rng = np.random.default_rng((self.config.seed, epoch))
         states = self.states[rng.permutation(len(self.states))[: self.per_epoch]]
-        symmetry = rng.integers(0, 8, self.per_epoch)
-        total, done = 0.0, 0
-        for k, batch in enumerate(_by_shape(self.examples(states, symmetry), self.config.batch_size)):
-            callbacks.on_train_batch_begin(k)
-            total += self.step(batch)
-            done += len(batch)
-            callbacks.on_train_batch_end(k, {"loss": total / done})
-        return total / self.per_epoch
+        return _by_shape(self.examples(states, rng.integers(0, 8, self.per_epoch)), self.config.batch_size)
 
-    def step(self, batch) -> float:
-        """One step by examples with windows of one shape. Returns the sum of their losses."""
+    def step(self, batch) -> tuple[float, int]:
+        """One step by examples with windows of one shape. Returns the sum of their losses, and their number."""
         with tf.GradientTape() as tape:
             coefficients = self.coefficients([description for description, _ in batch])
         values = coefficients.numpy().astype(np.float64)
         by_coefficient, total, first = np.empty_like(values), 0.0, 0
         for description, problem in batch:
             own = slice(first, first + len(description.start))
-            loss, gradient = self.loss_and_gradient(problem, corrected(description, values[own]))
+            start = corrected(description, values[own])
+            loss, gradient, _ = loss_and_gradient(problem, start, self.config.sweeps, self.weights)
             by_coefficient[own] = np.einsum("ik,ijk->ij", gradient, description.features)
             total += loss
             first = own.stop
         # Divided by a full batch, so that a few states with a rare window do not count as much as a batch.
         given = tf.constant(by_coefficient / self.config.batch_size, tf.float32)
         self._apply(tape.gradient(coefficients, self.model.trainable_variables, output_gradients=given))
-        return total
-
-    def loss_and_gradient(self, problem, start) -> tuple[float, np.ndarray]:
-        """The loss of one state by its start, and the gradient with respect to the start."""
-        if self.config.loss == "impulses":
-            return impulse_loss(problem, start)
-        if self.config.loss == "through solver":
-            return loss_and_gradient(problem, start, self.config.sweeps, self.weights)[:2]
-        equal = np.full(len(self.weights), 1 / len(self.weights))
-        return loss_and_gradient(problem, start, self.config.sweeps, equal, "residual")[:2]
+        return total, len(batch)
 
     def errors(self, states: np.ndarray, *, learned: bool) -> np.ndarray:
         """Velocity errors (k, 1 + sweeps) before and after each number of sweeps, from the network or Builtin."""

@@ -1,7 +1,8 @@
-"""A network in training, and the networks on images, which Keras trains."""
+"""A network in training, and the networks on images."""
 
 from __future__ import annotations
 
+import itertools
 import sys
 
 import numpy as np
@@ -16,9 +17,10 @@ from deep_contact.io.provenance import package_versions, processor
 
 
 class NetworkRun:
-    """A network in training. Subclasses have `fit`, which trains it, and set `training_states`, their number.
+    """A network in training. Subclasses have `batches`, `step` and `validate`, and set `training_states`, their number.
 
-    box: the world's box of a network of one size, or None.
+    box: the world's box of a network of one size, or None. position: where the run is: the epoch, its batches and
+    states that are done, and the sum of their losses.
     """
 
     box = None
@@ -35,7 +37,12 @@ class NetworkRun:
         self.model.optimizer = self.optimizer  # where Keras's callbacks look for it
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
         self.variables = {f"{kind}_{i:04d}": v for kind, found in kinds.items() for i, v in enumerate(found)}
-        """All that an epoch changes: weights, statistics, the random states of dropout, the optimizer's."""
+        """All that a step changes: weights, statistics, the random states of dropout, the optimizer's."""
+        self.begin(0)
+
+    def begin(self, epoch: int) -> None:
+        """Go to the first state of an epoch."""
+        self.position = {"epoch": epoch, "batches": 0, "states": 0, "loss": 0.0}
 
     def batches_per_epoch(self) -> int:
         """Number of full batches of an epoch. Raises ValueError where there are fewer states than one batch has."""
@@ -43,6 +50,37 @@ class NetworkRun:
         if states < size:
             raise ValueError(f"batch_size: expected at most the {states} states to train on, got {size}")
         return max(1, min(states, self.config.states_per_epoch or states) // size)
+
+    def fit(self, callbacks: list, *, verbose: int) -> None:
+        """Train from `position` on, until all epochs are done or a callback ends it.
+
+        Not `keras.Model.fit`, which takes no gradient that comes from elsewhere and goes on from no point in an epoch.
+        """
+        epochs, per_epoch = self.config.epochs, self.batches_per_epoch() * self.config.batch_size
+        called = keras.callbacks.CallbackList(callbacks, model=self.model, epochs=epochs, verbose=verbose)
+        self.model.stop_training = False
+        called.on_train_begin()
+        for epoch in range(self.position["epoch"], epochs):
+            called.on_epoch_begin(epoch)
+            if verbose:
+                print(f"Epoch {epoch + 1}/{epochs}")
+            bar = keras.utils.Progbar(per_epoch, verbose=verbose, unit_name="state", stateful_metrics=["loss"])
+            at = self.position
+            for k, batch in itertools.islice(enumerate(self.batches(epoch)), at["batches"], None):
+                called.on_train_batch_begin(k)
+                loss, count = self.step(batch)
+                at.update(batches=k + 1, states=at["states"] + count, loss=at["loss"] + loss)
+                mean = at["loss"] / at["states"]
+                called.on_train_batch_end(k, {"loss": mean})
+                bar.update(at["states"], [("loss", mean)], finalize=False)
+            found = {"loss": at["loss"] / at["states"]} | self.validate()
+            shown = [(name, found[name]) for name in ("loss", "validation_loss")]
+            bar.update(at["states"], shown, finalize=True)
+            self.begin(epoch + 1)
+            called.on_epoch_end(epoch, found | {"val_loss": found["validation_loss"]})
+            if self.model.stop_training:
+                break
+        called.on_train_end()
 
     def card(self) -> dict:
         """Fields of the model card about the network and its training."""
@@ -110,11 +148,21 @@ class ImageRun(NetworkRun):
         self.training_states, self.box = len(states), self.images.box
         super().__init__(config, network, shape=spec.shape(store.info(split.train[0]).header["world"]))
         self.batches_per_epoch()
-
-    def fit(self, callbacks: list, *, epochs: int, first: int, verbose: int) -> None:
-        """Train from epoch `first` on."""
         metrics = [masked_squared_error]  # without the weights' penalty, which the loss has
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
-        self.images.start(first)
-        given = {"validation_data": self.validation_images, "callbacks": callbacks, "shuffle": False}
-        self.model.fit(self.images, epochs=epochs, initial_epoch=first, verbose=verbose, **given)
+
+    def batches(self, epoch: int):
+        """Batches of images, in the order of the epoch."""
+        self.images.start(epoch)
+        return (self.images[k] for k in range(len(self.images)))
+
+    def step(self, batch) -> tuple[float, int]:
+        """One step. Returns the sum of the losses and the number of states."""
+        self.model.reset_metrics()
+        loss = self.model.train_on_batch(*batch, return_dict=True)["loss"]
+        return float(loss) * len(batch[0]), len(batch[0])
+
+    def validate(self) -> dict[str, float]:
+        """The loss on the validation states."""
+        found = self.model.evaluate(self.validation_images, verbose=0, return_dict=True)
+        return {"validation_loss": float(found["masked_squared_error"])}

@@ -4,14 +4,14 @@ A run is a folder:
 
 | file        | holds                                                                                             |
 |-------------|---------------------------------------------------------------------------------------------------|
-| last.npz    | after every epoch: weights, optimizer, random state, history and settings; a run goes on from it   |
+| last.npz    | every 20 s and after an epoch: weights, optimizer, random state, position, history and settings   |
 | best.h5     | the model file of the epoch with the lowest validation loss so far                                |
 | history.csv | one line for each epoch, with the columns below                                                   |
 | model.h5    | at the end: the best one with its card                                                            |
 
-Each file is replaced as a whole, and an epoch depends only on last.npz, the settings and the data. So a run that is
-killed at any moment and started again gives the history of an undisturbed run, to the last bit on the same machine.
-At most the epoch in progress is lost.
+Each file is replaced as a whole, and what follows depends only on last.npz, the settings and the data. So a run that is
+killed at any moment and started again gives the history of an undisturbed run, to the last bit on the same machine. At
+most 20 seconds and a batch are lost.
 
 | column                      | meaning                                                                                |
 |-----------------------------|----------------------------------------------------------------------------------------|
@@ -19,7 +19,7 @@ At most the epoch in progress is lost.
 | validation_loss             | on the validation states; for the far-field network over that of Builtin's start       |
 | validation_velocity_error   | mean relative velocity error before any sweep (far-field network)                      |
 | validation_velocity_error_k | after k sweeps, for each of `TrainingConfig.sweeps` (far-field network)                |
-| seconds                     | wall time of the epoch                                                                 |
+| seconds                     | wall time of the epoch, of its last part where it was interrupted                      |
 """
 
 from __future__ import annotations
@@ -46,6 +46,9 @@ from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.cnn.training.far_field_run import FarFieldRun
 from deep_contact.cnn.training.network import ImageRun, NetworkRun
 from deep_contact.io.files import replacing
+
+SAVE_EVERY = 20.0
+"""Seconds from one last.npz to the next within an epoch."""
 
 
 class Training(NamedTuple):
@@ -74,8 +77,9 @@ def train(
     data: a `Store` or its folder. out: folder of the run. from_model: path of a model file whose network the run starts
     with, in place of an untrained one; its images have to be those of the settings (`config.config_of` gives them).
     threads: of TensorFlow (`limit_threads`), or None to leave them as they are. command: for the card. held_out: number
-    of test states for the card. verbose: 0 prints nothing, 1 Keras's progress bar, 2 a line an epoch, "auto" 1 on a
-    terminal and 2 elsewhere. callbacks: of Keras; a run that goes on calls them only from there on.
+    of test states for the card. verbose: 0 prints nothing, 1 a progress bar, 2 a line an epoch, "auto" 1 on a terminal
+    and 2 elsewhere; what will be written is announced first. callbacks: of Keras; a run that goes on calls them only
+    from there on.
     Raises ValueError where the run in `out` was started with other settings or data (`epochs` may differ unless the
     rates depend on it); FloatingPointError where the loss is not finite.
     """
@@ -94,21 +98,18 @@ def train(
     if initial and initial.spec != config.spec():
         raise ValueError(f"from_model: expected a network for the images {config.spec()}, got one for {initial.spec}")
     settings = json.loads(json.dumps(settings))
-    policy = keras.config.dtype_policy()
-    try:
-        keras.config.set_dtype_policy(config.precision)
-        kind = FarFieldRun if config.is_far_field else ImageRun
-        run = kind(config, store, split, initial and initial.network)
-    finally:
-        keras.config.set_dtype_policy(policy)
+    kind = FarFieldRun if config.is_far_field else ImageRun
+    run = kind(config, store, split, initial and initial.network)
     about = {"command": command, "config": settings, "data_hash": settings["data"], "split": split._asdict()}
     record = Record(run, out, about)
-    rates = schedules.schedule(config.schedule, epochs=config.epochs, rate=config.rate)
     if verbose == "auto":
         verbose = 1 if sys.stdout.isatty() else 2
     if len(record.history) < config.epochs:
+        if verbose:
+            print(announcement(run, out))
+        rates = schedules.schedule(config.schedule, epochs=config.epochs, rate=config.rate)
         scheduler = keras.callbacks.LearningRateScheduler(lambda epoch, rate: rates(epoch))
-        run.fit([scheduler, record, *callbacks], epochs=config.epochs, first=len(record.history), verbose=verbose)
+        run.fit([scheduler, record, *callbacks], verbose=verbose)
     history = record.history
     best_epoch = min(range(len(history)), key=lambda k: history[k]["validation_loss"])
     model = load_model(out / "best.h5")
@@ -119,10 +120,20 @@ def train(
     return Training(history, best_epoch, path, load_model(path))
 
 
-class Record(keras.callbacks.Callback):
-    """Sets a run to where the one in its folder was stopped, and writes the folder after every epoch.
+def announcement(run: NetworkRun, out: Path) -> str:
+    """What a run will write, with its size."""
+    last = sum(np.prod(v.shape) * np.dtype(v.dtype).itemsize for v in run.variables.values()) / 1e6
+    model = 4e-6 * run.model.count_params()
+    weights = f"{run.model.count_params():,} weights, {run.training_states:,} states to train on"
+    sizes = f"last.npz {last:.1f} MB, best.h5 and model.h5 {model:.1f} MB each, {last + 2 * model:.1f} MB in all"
+    return f"{weights}\n{out} will hold {sizes}"
 
-    Keras's `BackupAndRestore` loses the random states of dropout, and its `CSVLogger` a line where a run is killed.
+
+class Record(keras.callbacks.Callback):
+    """Sets a run to where the one in its folder was stopped, and writes the folder while it trains.
+
+    Keras's `BackupAndRestore` loses the optimizer's state and the random states of dropout, and its `CSVLogger` a line
+    where a run is killed.
     """
 
     def __init__(self, run: NetworkRun, out: Path, about: dict):
@@ -132,7 +143,7 @@ class Record(keras.callbacks.Callback):
             with np.load(out / "last.npz", allow_pickle=False) as file:
                 stored = json.loads(file["state"].tobytes())
                 _check_settings(stored["settings"], about["config"], out)
-                self.history = stored["history"]
+                self.history, run.position = stored["history"], stored["position"]
                 for name, variable in run.variables.items():
                     variable.assign(file[name])
 
@@ -142,7 +153,11 @@ class Record(keras.callbacks.Callback):
         return self.run.card() | self.about | {"history": self.history, "seconds": seconds}
 
     def on_epoch_begin(self, epoch, logs=None):
-        self.start = time.perf_counter()
+        self.start = self.saved = time.perf_counter()
+
+    def on_train_batch_end(self, batch, logs=None):
+        if time.perf_counter() - self.saved >= SAVE_EVERY and math.isfinite(logs["loss"]):
+            self.save()
 
     def on_epoch_end(self, epoch, logs=None):
         if not math.isfinite(logs["loss"]):
@@ -150,23 +165,27 @@ class Record(keras.callbacks.Callback):
                 f"loss: expected a finite number, got {logs['loss']} in epoch {epoch}; try a lower rate"
             )
         rate = float(f"{float(self.run.optimizer.learning_rate):.7g}")
-        line = {"epoch": epoch, "rate": rate, "loss": float(logs["loss"])}
-        columns = {"val_masked_squared_error": "validation_loss"} | {n: n for n in logs if n.startswith("validation_")}
-        line |= {column: float(logs[name]) for name, column in columns.items() if name in logs}
+        line = {"epoch": epoch, "rate": rate, "loss": logs["loss"]}
+        line |= {name: value for name, value in logs.items() if name.startswith("validation_")}
         line |= {"seconds": round(time.perf_counter() - self.start, 2)}
         best = min((before["validation_loss"] for before in self.history), default=math.inf)
         self.history.append(line)
-        # The best one first: killed between the two, the epoch is repeated with the same result.
+        # The best one first: killed between the two, the last part is repeated with the same result.
         if line["validation_loss"] < best:
             save_model(self.out / "best.h5", self.run.model, self.run.spec, self.card(), box=self.run.box)
-        arrays = {name: keras.ops.convert_to_numpy(variable) for name, variable in self.run.variables.items()}
-        state = json.dumps({"settings": self.about["config"], "history": self.history})
-        with replacing(self.out / "last.npz") as temporary, open(temporary, "wb") as file:
-            np.savez(file, state=np.frombuffer(state.encode(), np.uint8), **arrays)
+        self.save()
         with replacing(self.out / "history.csv") as temporary, open(temporary, "w", newline="") as file:
             writer = csv.DictWriter(file, self.history[0], lineterminator="\n")
             writer.writeheader()
             writer.writerows(self.history)
+
+    def save(self) -> None:
+        """Write last.npz."""
+        arrays = {name: keras.ops.convert_to_numpy(variable) for name, variable in self.run.variables.items()}
+        state = {"settings": self.about["config"], "history": self.history, "position": self.run.position}
+        with replacing(self.out / "last.npz") as temporary, open(temporary, "wb") as file:
+            np.savez(file, state=np.frombuffer(json.dumps(state).encode(), np.uint8), **arrays)
+        self.saved = time.perf_counter()
 
 
 def _check_settings(before: dict, settings: dict, out: Path) -> None:
