@@ -3,7 +3,7 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn.images import input_image
+from deep_contact.cnn.images import label_image
 from deep_contact.cnn.inference import load_model, network_file
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
@@ -12,30 +12,33 @@ from deep_contact.studies import starts
 
 
 def compute(options, seed, jobs, progress):
-    """Input channels, the strongest maps of some layers, the prediction, and the solution beside it."""
+    """The mass, the strongest map of three convolutions, and λ_n as predicted and as solved."""
     model = load_model(network_file(options["model"]))
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = starts.solved_states(scene, steps=options["steps"], contacts_only=False)[-1]
     if not state.contacts.count:
         raise ValueError(f"steps: expected enough of them for contacts, got none after {options['steps']}")
-    image = input_image(state, model.spec)
+    image = model.input(state)
     layers = worked.convolutions(model.network)
     maps = worked.feature_maps(model.network, image, [layer.name for layer in layers])
-    evenly = np.unique(np.linspace(0, len(layers) - 1, options["layers"]).round().astype(int))
-    panels = [panel("input", image, model.spec.channels, options["maps"])]
-    panels += [panel(layers[i].name, maps[layers[i].name], None, options["maps"]) for i in evenly]
+    panels = [{"layer": "input", "map": "mass", "values": image[..., model.spec.channels.index("mass")]}]
+    for i in np.unique(np.linspace(0, len(layers) - 1, 3).round().astype(int)):
+        found = maps[layers[i].name]
+        best = int(worked.strongest(found, 1)[0])
+        shown = f"map {best + 1} of {found.shape[2]}"
+        panels.append({"layer": layers[i].name, "map": shown, "values": found[..., best]})
+    panels.append({"layer": "output", "map": "λ_n, predicted", "values": model.run(image)[..., 0]})
+    panels.append({"layer": "label", "map": "λ_n, solved", "values": label_image(state, model.spec)[..., 0]})
     contacts = state.contacts
     solved = np.concatenate([contacts.normal_impulse, contacts.tangent_impulse])
-    normal, tangent = model.predict(state)
-
-    def error(normal, tangent):
-        return float(np.linalg.norm(np.concatenate([normal, tangent]) - solved) / np.linalg.norm(solved))
-
+    builtin, none = (contacts.normal_start, contacts.tangent_start), (0.0 * contacts.normal_start,) * 2
+    given = {"network": model.predict(state), "Builtin": builtin, "None": none}
+    off = {name: float(np.linalg.norm(np.concatenate(pair) - solved)) for name, pair in given.items()}
     return {
-        "scene": plotting.state_data(state),
-        "model": {key: model.card.get(key) for key in ("architecture", "parameters", "seed", "training_states")},
+        "model": {"file": options["model"]} | {key: model.card.get(key) for key in ("architecture", "parameters")},
+        "contacts": contacts.count,
+        "box": state.world.box,
         "panels": panels,
-        "predicted": {"normal": normal, "tangent": tangent},
         "convolutions": [
             {
                 "name": layer.name,
@@ -47,22 +50,7 @@ def compute(options, seed, jobs, progress):
             }
             for layer in layers
         ],
-        "relative error of λ": {
-            "network": error(normal, tangent),
-            "Builtin": error(contacts.normal_start, contacts.tangent_start),
-            "None": 1.0,
-        },
-    }
-
-
-def panel(name, maps, labels, count):
-    """The strongest maps of a layer, as stored data."""
-    chosen = worked.strongest(maps, count)
-    return {
-        "layer": name,
-        "maps in all": int(maps.shape[2]),
-        "shown": [str(labels[i]) if labels else f"map {i}" for i in chosen],
-        "values": [maps[..., i] for i in chosen],
+        "relative error of λ": {name: size / float(np.linalg.norm(solved)) for name, size in off.items()},
     }
 
 
@@ -76,49 +64,30 @@ def claims(data):
 
 
 def draw(data, options):
-    """A row of maps for each layer; below, the impulses predicted and solved."""
-    columns, rows = options["maps"], len(data["panels"])
-    figure = plotting.new_figure((1.75 * columns, 2.2 * rows + 3.9))
-    above, below = figure.subfigures(2, 1, height_ratios=[2.2 * rows, 3.9])
-    state = plotting.state_of(data["scene"])
-    x_min, y_min, x_max, y_max = state.world.box
-    for row, part in zip(above.subplots(rows, columns, squeeze=False), data["panels"]):
-        for ax in row:
-            ax.axis("off")
-        for ax, name, values in zip(row, part["shown"], part["values"]):
-            # Impacts are much larger than all else: the colour scale ends at the 95th percentile.
-            size = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
-            look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
-            shown = ax.imshow(values, cmap="cividis", vmin=-size, vmax=size, **look)
-            ax.set_title(name.replace("_", " "), fontsize=8)
-            bar = above.colorbar(shown, ax=ax, location="bottom", shrink=0.9, pad=0.02, ticks=[-size, 0, size])
-            bar.ax.set_xticklabels([f"{-size:.2g}", "0", f"{size:.2g}"], fontsize=6)
-        n_y, n_x = np.shape(part["values"][0])
-        text = f"{part['layer'].replace('_', ' ')}\n{n_y} × {n_x}, {part['maps in all']} maps"
-        look = {"rotation": 90, "ha": "right", "va": "center", "fontsize": 8}
-        row[0].text(-0.06, 0.5, text, transform=row[0].transAxes, **look)
-    draw_impulses(below.subplots(1, 3), state, data["predicted"])
+    """Six images of one state: from the input through the layers to the output, and the solution."""
+    figure, panels = plotting.subplots(2, 3, size=(9.0, 6.6))
+    x_min, y_min, x_max, y_max = data["box"]
+    for ax, part in zip(panels.flat, data["panels"]):
+        values = np.array(part["values"])
+        # Impacts are much larger than all else: the colours end at the 95th percentile.
+        largest = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
+        look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
+        shown = ax.imshow(values, vmin=min(0.0, -largest * (values.min() < 0)), vmax=largest, **look)
+        unit = {"input": "kg", "output": "N·s", "label": "N·s"}.get(part["layer"], "activation")
+        figure.colorbar(shown, ax=ax, shrink=0.8, label=unit)
+        n_y, n_x = values.shape
+        ax.set_title(f"{part['layer'].replace('_', ' ')}, {n_y} × {n_x} nodes\n{part['map'].replace('λ_n', 'λ$_n$')}")
+        ax.axis("off")
+    for ax in list(panels.flat)[len(data["panels"]) :]:
+        ax.remove()
+    error = data["relative error of λ"]["network"]
+    text = f"What a network sees: {data['model']['file']} on a falling pile; error of λ: {100 * error:.0f} %"
+    figure.suptitle(text, fontsize=11)
     return figure
 
 
-def draw_impulses(panels, state, predicted):
-    """The pile with the solved impulses and with the predicted ones, and one plotted over the other."""
-    solved = state.contacts
-    found = solved._replace(normal_impulse=np.maximum(0.0, predicted["normal"]))
-    largest = max(solved.normal_impulse.max(), found.normal_impulse.max())
-    for ax, contacts, text in ((panels[0], solved, "solved λ$_n$"), (panels[1], found, "predicted λ$_n$, if positive")):
-        plotting.draw_state(ax, state.replace(contacts=contacts), colour_by=None, largest_impulse=largest)
-        ax.set_title(f"{text}, {contacts.count} contacts" if contacts is solved else text)
-    ax = panels[2]
-    ax.plot(solved.normal_impulse, predicted["normal"], "o", color=plotting.BLUE, markersize=3, label="normal")
-    ax.plot(solved.tangent_impulse, predicted["tangent"], "x", color=plotting.VERMILION, markersize=4, label="tangent")
-    ax.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
-    plotting.label_axes(ax, "solved λ", "predicted λ", x_unit="N·s", y_unit="N·s")
-    ax.legend()
-
-
-OPTIONS = {"model": "models/thesis_factored.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6}
-FIGURE = Figure("4.3", "Feature maps of the trained network on a state of the falling pile", compute, None, draw,
+OPTIONS = {"model": "models/thesis_factored.h5", "n_bodies": 100, "size": 30.0, "steps": 150}
+FIGURE = Figure("4.3", "Feature maps of the thesis's network on a state of the falling pile", compute, None, draw,
                 claims, options=OPTIONS, seed=5, digits=4)  # fmt: skip
 
 if __name__ == "__main__":

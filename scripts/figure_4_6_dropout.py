@@ -3,7 +3,7 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn.images import input_image, read_back
+from deep_contact.cnn.images import read_back
 from deep_contact.cnn.inference import load_model, network_file
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
@@ -19,7 +19,7 @@ def compute(options, seed, jobs, progress):
     rng = np.random.default_rng(seed)
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
-    image = input_image(state, model.spec)
+    image = model.input(state)
     off = [read_back(model.run(image), state, model.spec)[0] for _ in range(2)]
     dropping, source, name = worked.with_dropout(model.network)
     before = worked.feature_maps(dropping, image, [source])[source]
@@ -41,6 +41,7 @@ def compute(options, seed, jobs, progress):
             "weights": [layer.weights.tolist() for layer in layers],
             "dropped": [[False] * 3, *hidden, [False] * 2],
         },
+        "model": {"file": options["model"]} | {key: model.card.get(key) for key in ("architecture", "parameters")},
         "rate": dropping.get_layer(name).rate,
         "layer": source,
         "map": strongest,
@@ -73,33 +74,29 @@ def claims(data):
 
 
 def draw(data, options):
-    """Above: the small network before and after. Below: a map and the prediction of the trained one, off and on."""
-    figure = plotting.new_figure((11.0, 6.0))
-    above, below = figure.subfigures(2, 1, height_ratios=[1, 1.05])
+    """Above: a small network before and after. Below: a map and the prediction of the trained one, off and on."""
+    figure = plotting.new_figure((9.0, 6.4))
+    above, below = figure.subfigures(2, 1, height_ratios=[1, 1.1])
+    above.suptitle("Dropout in training: a share of the neurons, drawn at random, gives zero", fontsize=11)
     small = data["small network"]
-    titles = ("before dropout", f"after, rate {options['rate drawn']:g}")
+    titles = ("without", f"with a rate of {options['rate drawn']:g}")
     for ax, title, dropped in zip(above.subplots(1, 2), titles, (None, small["dropped"])):
         plotting.draw_network(ax, small["values"], small["weights"], dropped=dropped, numbers="")
         ax.set_title(title)
-    panels = below.subplots(1, 4)
+    below.suptitle(f"{data['model']['file']} on a falling pile, rate {data['rate']:g}", fontsize=11)
+    panels = below.subplots(1, 3)
     before, after = np.array(data["before"]), np.array(data["after"])
-    kept = np.divide(after, before, out=np.full_like(before, np.nan), where=before > 0)
-    layer, high = data["layer"].replace("_", " "), np.percentile(before[before > 0], 95)
-    parts = [
-        (f"{layer}, map {data['map']}, off", before, "activation", high, None),
-        (f"the same, rate {data['rate']:g}", after, "activation", high, None),
-        ("on / off, where not zero", kept, "ratio", 1 / (1 - data["rate"]), "cividis"),
-    ]
-    for ax, (title, values, label, most, colours) in zip(panels, parts):
-        shown = ax.imshow(values, origin="lower", interpolation="nearest", vmin=0, vmax=most, cmap=colours)
+    high = np.percentile(before[before > 0], 95)
+    for ax, values, title in ((panels[0], before, "without"), (panels[1], after, "with")):
+        shown = ax.imshow(values, origin="lower", interpolation="nearest", vmin=0, vmax=high)
         ax.axis("off")
-        ax.set_title(title)
-        below.colorbar(shown, ax=ax, location="bottom", shrink=0.85, pad=0.03, label=label)
-    ax, found = panels[3], {name: np.array(values) for name, values in data["λ_n"].items()}
+        ax.set_title(f"{data['layer'].replace('_', ' ')}, map {data['map'] + 1}, {title}")
+        below.colorbar(shown, ax=ax, location="bottom", shrink=0.85, pad=0.03, label="activation")
+    ax, found = panels[2], {name: np.array(values) for name, values in data["λ_n"].items()}
     ax.errorbar(found["off"], found["mean"], found["spread"], fmt="o", color=plotting.BLUE, markersize=3, linewidth=0.8)
     ax.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
-    plotting.label_axes(ax, "predicted λ$_n$, off", "on, mean and spread", x_unit="N·s", y_unit="N·s")
-    ax.set_title(f"{found['off'].size} contacts, {data['masks']} masks")
+    plotting.label_axes(ax, "λ$_n$ without", "λ$_n$ with, mean and spread", x_unit="N·s", y_unit="N·s")
+    ax.set_title(f"predictions, {data['masks']} masks")
     return figure
 
 

@@ -46,6 +46,9 @@ SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)
 FULL = {"simulations": 150, "steps": 600, "bodies": (70, 110)}
 QUICK = {"simulations": 4, "steps": 200, "bodies": (20, 30)}
 
+BYTES = 110
+"""Of a circle in a step of the full set, compressed."""
+
 SAMPLE_SEED = 2019
 """Of the tracked sample, so that no data set with the default seed contains it."""
 
@@ -88,20 +91,18 @@ def make_simulation(job: Job) -> bytes:
 def simulate(job: Job) -> tuple[list, list, list]:
     """The solved states of the simulation that have contacts, and their sweeps and last θ."""
     rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=(job.number,)))
-    n = int(rng.integers(job.bodies[0], job.bodies[1], endpoint=True))
+    n = int(rng.integers(*job.bodies, endpoint=True))
     scene = dc.circles_in_box(n, seed=rng).replace(name=f"sim_{job.number:04d}")
-    states, sweeps, theta = [], [], []
+    found = []
 
     def keep(state, record):
         if state.contacts.count:
-            states.append(state)
-            sweeps.append(record.sweeps)
-            theta.append(record.theta[-1])
+            found.append((state, record.sweeps, record.theta[-1]))
 
     dc.simulate(scene, steps=job.steps, solver=SOLVER, on_step=keep)
-    if not states:
+    if not found:
         raise ValueError(f"steps: expected enough for {n} circles to touch something, got {job.steps}")
-    return states, sweeps, theta
+    return tuple(map(list, zip(*found)))
 
 
 def write_xml(job: Job) -> None:
@@ -146,27 +147,30 @@ def is_running(process: int) -> bool:
     return True
 
 
-def check_finished(jobs: list[Job]) -> int:
-    """Number of simulations that exist already. Raises DataFileError where one was made with other options."""
-    finished = [job for job in jobs if job.path.exists()]
-    for job in finished:
-        header = simulation_info(job.path).header
+def missing(jobs: list[Job]) -> list[Job]:
+    """The simulations that are not there yet. Raises DataFileError where one was made with other options."""
+    for job in jobs:
+        header = simulation_info(job.path).header if job.path.exists() else job.header
         for name, expected in job.header.items():
             if header[name] != expected:
                 raise DataFileError(
                     f"{job.path}: {name}: expected {expected}, got {header[name]}: made with other options; "
                     "give another folder (--out) or remove it"
                 )
-    return len(finished)
+    return [job for job in jobs if not job.path.exists()]
 
 
 def run(jobs: list[Job], workers) -> None:
-    """Make the simulations that are missing; this process writes each file as it arrives."""
-    missing = [job for job in jobs if not job.path.exists()]
-    with closing(parallel.finished(make_simulation, missing, jobs=workers)) as made:
-        for i, data in figures.progress_bar(made, total=len(missing), text="simulations"):
-            with replacing(missing[i].path) as temporary:
+    """Make simulations; this process writes each file as it arrives."""
+    with closing(parallel.finished(make_simulation, jobs, jobs=workers)) as made:
+        for i, data in figures.progress_bar(made, total=len(jobs), text="simulations"):
+            with replacing(jobs[i].path) as temporary:
                 temporary.write_bytes(data)
+
+
+def megabytes(jobs: list[Job]) -> float:
+    """What simulations take about, MB: `BYTES` for each circle and step."""
+    return sum(BYTES * job.steps * sum(job.bodies) / 2e6 for job in jobs)
 
 
 def parse(arguments=None) -> argparse.Namespace:
@@ -186,12 +190,10 @@ def parse(arguments=None) -> argparse.Namespace:
     args = parser.parse_args(arguments)
     if args.sample and (args.quick or args.xml or args.simulations or args.steps or args.bodies or args.seed):
         parser.error("--sample: expected no other option but --out")
-    args.out = args.out or Path("data/sample" if args.sample else "data/generated")
+    args.out = (args.out or Path("data/sample" if args.sample else "data/generated")) / ("quick" if args.quick else "")
     for name, value in (QUICK if args.quick else FULL).items():
         if getattr(args, name) is None:
             setattr(args, name, value)
-    if args.quick:
-        args.out = args.out / "quick"
     for name, least in (("simulations", 1), ("steps", 1), ("seed", 0), ("jobs", 1)):
         if getattr(args, name) < least:
             parser.error(f"--{name}: expected an integer >= {least}, got {getattr(args, name)}")
@@ -204,19 +206,20 @@ def parse(arguments=None) -> argparse.Namespace:
 
 def main(arguments=None) -> int:
     args = parse(arguments)
-    first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.gzip)
-    jobs = [replace(first, number=i) for i in range(args.simulations)]
     if args.sample:
         make_sample(args.out)
         return 0
+    first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.gzip)
+    jobs = [replace(first, number=i) for i in range(args.simulations)]
     begin = time.perf_counter()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
         remove_unfinished(args.out)
-        if done := check_finished(jobs):
-            print(f"{done} of {len(jobs)} simulations are there already")
+        wanted = missing(jobs)
+        there = f", {len(jobs) - len(wanted)} are there already" if len(wanted) < len(jobs) else ""
+        print(f"{args.out}: {len(jobs)} simulations, about {megabytes(jobs):.0f} MB{there}")
         with parallel.opened(args.jobs, args.scheduler) as workers:
-            run(jobs, workers)
+            run(wanted, workers)
         if args.xml:
             wanted = [job for job in jobs if not job.xml_folder.exists()]
             figures.parallel_map(write_xml, wanted, jobs=args.jobs, progress=figures.progress_bar, text="XML")

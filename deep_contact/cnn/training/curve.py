@@ -19,17 +19,15 @@ def learning_curve(history: list[dict], path) -> Path:
     epochs = [line["epoch"] + 1 for line in history]
     losses = [line["validation_loss"] for line in history]
     best = losses.index(min(losses))
-    through_solver = any(name.startswith("validation_velocity_error_") for name in history[0])
-    judged = "velocity errors / Builtin's" if through_solver else "masked squared error"
     with plotting.style():
         figure, (left, right) = plotting.subplots(1, 2, size=(8.0, 3.4))
         look = {"marker": "o", "markersize": 3 if len(history) < 30 else 0}
         left.plot(epochs, [line["loss"] for line in history], **look)
         right.plot(epochs, losses, **look)
         right.plot(epochs[best], losses[best], "o", color=plotting.VERMILION)
-        plotting.label_axes(left, "epoch", "loss", title="training")
-        title = f"validation; best: {losses[best]:.3g}, epoch {epochs[best]:g}"
-        plotting.label_axes(right, "epoch", judged, title=title)
+        plotting.label_axes(left, "epoch", "training loss")
+        title = f"best: {losses[best]:.3g}, after epoch {epochs[best]:g}"
+        plotting.label_axes(right, "epoch", "validation loss", title=title)
         for ax in (left, right):
             ax.xaxis.get_major_locator().set_params(integer=True)
         figure.suptitle(f"Does it still learn? {len(history)} epochs", fontsize=10)
