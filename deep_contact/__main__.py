@@ -1,4 +1,4 @@
-"""The command line, `deep-contact` or `python -m deep_contact`: simulate, view, predict, figures and tables."""
+"""The command line, `deep-contact` or `python -m deep_contact`: simulate, view, predict, train, figures and tables."""
 
 from __future__ import annotations
 

@@ -194,10 +194,10 @@ class Sph:
 
 
 def _network() -> WarmStart:
-    """The start of the package's network, which loads TensorFlow."""
-    from deep_contact.cnn.inference import Cnn, known_model
+    """The start of the package's network."""
+    from deep_contact.cnn.inference import Cnn
 
-    return Cnn(known_model())
+    return Cnn()
 
 
 STARTS: dict[Name, Callable[[], WarmStart]] = {

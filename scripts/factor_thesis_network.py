@@ -29,12 +29,7 @@ def right_vectors(features: np.ndarray, kernel: np.ndarray, rank: int) -> np.nda
     made = features @ kernel
     if len(made) < rank:
         raise ValueError(f"states: expected at least {rank}, the rank, got {len(made)}")
-    # Through the smaller Gram matrix, in float64: Y Yᵀ = U S² Uᵀ, and V = Yᵀ U / S.
-    values, left = np.linalg.eigh((made @ made.T).astype(np.float64))
-    order = np.argsort(values)[::-1][:rank]
-    vectors = made.T @ (left[:, order] / np.sqrt(np.maximum(values[order], 1e-30)))
-    # Where S is nearly 0 the columns are not quite orthogonal any more.
-    return np.linalg.qr(vectors)[0]
+    return np.linalg.svd(made.astype(np.float64), full_matrices=False)[2][:rank].T.astype(made.dtype)
 
 
 def factored(model, vectors: np.ndarray):
@@ -43,19 +38,13 @@ def factored(model, vectors: np.ndarray):
 
     layers = keras.layers
     kernel, bias = model.layers[-1].get_weights()
-    small = keras.Sequential(
-        [
-            keras.Input(model.input_shape[1:], name="bodies"),
-            *(type(layer).from_config(layer.get_config()) for layer in model.layers[:-1]),
-            layers.Dense(vectors.shape[1], use_bias=False, name="impulses_factor"),
-            layers.Dense(kernel.shape[1], activation="relu", name="impulses"),
-        ],
-        name="thesis_factored",
-    )
-    for new, old in zip(small.layers, model.layers[:-1]):
-        new.set_weights(old.get_weights())
-    small.layers[-2].set_weights([kernel @ vectors])
-    small.layers[-1].set_weights([np.ascontiguousarray(vectors.T), bias])
+    small = keras.models.clone_model(keras.Sequential([keras.Input(model.input_shape[1:]), *model.layers[:-1]]))
+    small.set_weights([w for layer in model.layers[:-1] for w in layer.get_weights()])
+    first = layers.Dense(vectors.shape[1], use_bias=False, name="impulses_factor")
+    last = layers.Dense(kernel.shape[1], activation="relu", name="impulses")
+    small = keras.Sequential([keras.Input(model.input_shape[1:], name="bodies"), *small.layers, first, last])
+    first.set_weights([kernel @ vectors])
+    last.set_weights([np.ascontiguousarray(vectors.T), bias])
     return small
 
 
@@ -81,37 +70,31 @@ def main() -> int:
     add("--bytes", type=int, default=25_000_000, help="largest size of the file")
     add("--states", type=int, default=2000, help="training states for the decomposition")
     add("--held-out", type=int, default=300, help="test states to measure on")
-    add("--threads", type=int, default=1)
     given = parser.parse_args()
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.dataset import Store, evenly
     from deep_contact.cnn.evaluation import BASELINES, held_out_errors
-    from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model
+    from deep_contact.cnn.inference import Cnn, LearnedModel, load_model
     from deep_contact.cnn.model_file import save_model
     from deep_contact.cnn.training import ImageDataset
 
-    limit_threads(given.threads)
     full = load_model(given.model)
     model, spec, box = full.network, full.spec, full.box
     store, split = Store(given.data), full.card["split"]
     chosen = evenly(store.states(split["train"]), given.states)
-    images = ImageDataset(store, chosen, spec, batch_size=32)
     before = keras.Sequential([keras.Input(model.input_shape[1:]), *model.layers[:-1]])
-    features = np.concatenate([before.predict_on_batch(images[k][0]) for k in range(len(images))])
+    features = before.predict(ImageDataset(store, chosen, spec, batch_size=32), verbose=0)
     rank = largest_rank(model, given.bytes)
     small = factored(model, right_vectors(features, model.layers[-1].get_weights()[0], rank))
     tested = evenly(store.states(split["test"]), given.held_out)
-    test = ImageDataset(store, tested, spec, batch_size=32)
-    errors = {name: measured(network, test) for name, network in (("full", model), ("factored", small))}
     networks = {"full": model, "cnn": small}
-    starts = {name: Cnn(LearnedModel(source=network, spec=spec, box=box)) for name, network in networks.items()}
+    errors = {name: measured(one, ImageDataset(store, tested, spec, batch_size=32)) for name, one in networks.items()}
+    starts = {name: Cnn(LearnedModel(source=one, spec=spec, box=box)) for name, one in networks.items()}
     card = full.card | {"parameters": int(small.count_params())}
     card["factored"] = {"rank": rank, "training_states": len(chosen), "errors": errors, "of": "the last Dense layer"}
     card["held_out"] = held_out_errors((store.state(*state) for state in tested.tolist()), BASELINES | starts)
     save_model(given.out, small, spec, card, box=(0.0, 0.0, *box))
-    print(f"{given.out}: rank {rank}, {given.out.stat().st_size / 1e6:.1f} MB")
-    for name, found in errors.items():
-        print(f"  {name:9s}", "  ".join(f"{key} {value:.6g}" for key, value in found.items()))
+    print(f"{given.out}: rank {rank}, {given.out.stat().st_size / 1e6:.1f} MB; {errors}")
     return 0
 
 

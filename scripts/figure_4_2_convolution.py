@@ -74,13 +74,8 @@ def draw(data, options):
     result = data["results"]["Eq 4.1"]
     widths = [len(data["image"][0]), k_x, k_x, len(result[0])]
     figure, panels = plotting.subplots(1, 4, size=(11.0, 3.5), width_ratios=widths)
-    parts = {
-        "image I": data["image"],
-        "kernel K": data["kernel"],
-        "products under the kernel": data["products"],
-        "I * K by Eq 4.1, equal to Keras": result,
-    }
-    for ax, (title, values) in zip(panels, parts.items()):
+    titles = "image I", "kernel K", "products under the kernel", "I * K by Eq 4.1, equal to Keras"
+    for ax, title, values in zip(panels, titles, (data["image"], data["kernel"], data["products"], result)):
         values = np.asarray(values)
         size = np.abs(values).max()
         shown = ax.imshow(values, cmap="cividis", vmin=-size, vmax=size)
@@ -98,14 +93,8 @@ def draw(data, options):
     return figure
 
 
-IMAGE = [
-    [0, 0, 1, 2, 1, 0],
-    [0, 1, 3, 4, 2, 0],
-    [1, 2, 5, 3, 1, 1],
-    [0, 3, 4, 2, 0, 2],
-    [1, 1, 2, 0, 1, 3],
-    [0, 0, 1, 1, 2, 4],
-]
+IMAGE = [[0, 0, 1, 2, 1, 0], [0, 1, 3, 4, 2, 0], [1, 2, 5, 3, 1, 1], [0, 3, 4, 2, 0, 2], [1, 1, 2, 0, 1, 3]]
+IMAGE += [[0, 0, 1, 1, 2, 4]]
 KERNEL = [[1, 0, -1], [2, 1, -2], [0, 1, -1]]
 """No symmetry that would hide a flip."""
 SIZES = [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]]

@@ -4,7 +4,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact.cnn.images import label_image
-from deep_contact.cnn.inference import load_model, network_file
+from deep_contact.cnn.inference import load_model
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_4 as worked
@@ -13,7 +13,7 @@ from deep_contact.studies import starts
 
 def compute(options, seed, jobs, progress):
     """The mass, the strongest map of three convolutions, and λ_n as predicted and as solved."""
-    model = load_model(network_file(options["model"]))
+    model = load_model(options["model"])
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = starts.solved_states(scene, steps=options["steps"], contacts_only=False)[-1]
     if not state.contacts.count:

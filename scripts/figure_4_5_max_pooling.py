@@ -12,13 +12,14 @@ def compute(options, seed, jobs, progress):
     image = np.array(options["image"], dtype=float)
     rng = np.random.default_rng(seed)
     whole = rng.normal(size=(options["nodes"], options["nodes"], 3))
+    by_keras = worked.by_keras("MaxPooling2D", 2, x=whole, padding="same")
     sizes = worked.pooled_sizes(options["nodes"], options["poolings"])
     outputs = options["nodes"] ** 2 * 2
     return {
         "image": image,
         "pooled": worked.max_pool(image),
-        "Keras": worked.keras_max_pool(image[..., None])[..., 0],
-        "difference on a whole image": float(np.abs(worked.max_pool(whole) - worked.keras_max_pool(whole)).max()),
+        "Keras": worked.by_keras("MaxPooling2D", 2, x=image[..., None], padding="same")[..., 0],
+        "difference on a whole image": float(np.abs(worked.max_pool(whole) - by_keras).max()),
         "sizes": sizes,
         "weights of the last layer": {
             "with pooling": sizes[-1] ** 2 * options["channels"] * outputs,

@@ -4,7 +4,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact.cnn.images import read_back
-from deep_contact.cnn.inference import load_model, network_file
+from deep_contact.cnn.inference import load_model
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_4 as worked
@@ -15,7 +15,7 @@ def compute(options, seed, jobs, progress):
     from deep_contact.cnn.backend import keras
 
     keras.utils.set_random_seed(seed)  # of the masks
-    model = load_model(network_file(options["model"]))
+    model = load_model(options["model"])
     rng = np.random.default_rng(seed)
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state

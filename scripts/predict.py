@@ -1,39 +1,35 @@
 """python scripts/predict.py STATE.xml… [--model model] [--out predictions]: predict the impulses of states.
 
-For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, as the solver would start from them
-(projected on the friction cone), from Builtin, and solved where the file has the solution; <out>/<name>.npy with the
-predicted image, of impulses or of the coefficients that correct Builtin's; <out>/<name>.png with the impulses in the
-scene. The errors of the prediction are printed.
+For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, from Builtin, and solved where the
+file has the solution; <out>/<name>.npy with the predicted image, of impulses or of the coefficients that correct
+Builtin's; <out>/<name>.png with the impulses in the scene. Predictions are projected on the friction cone, or with
+--raw as the network has them. The velocity errors of the solver from them and from Builtin are printed.
 """
 
 from __future__ import annotations
 
 import argparse
 import csv
-import io
 from pathlib import Path
 
 import numpy as np
 
-COLUMNS = (
-    "body_a body_b x y n_x n_y predicted_n predicted_t start_n start_t builtin_n builtin_t solved_n solved_t".split()
-)
+COLUMNS = "body_a body_b x y n_x n_y predicted_n predicted_t builtin_n builtin_t solved_n solved_t".split()
 
 
-def contact_table(state, predicted, start) -> str:
-    """CSV with a row for each contact; the last two columns are empty where the state is not solved."""
-    c, text = state.contacts, io.StringIO()
-    columns = [c.body_a, c.body_b, *c.position.T, *c.normal.T, *predicted, *start, c.normal_start, c.tangent_start]
+def contact_table(state, predicted, file) -> None:
+    """Write a CSV with a row for each contact; the last two columns are empty where the state is not solved."""
+    c = state.contacts
+    columns = [c.body_a, c.body_b, *c.position.T, *c.normal.T, *predicted, c.normal_start, c.tangent_start]
     columns += [c.normal_impulse, c.tangent_impulse] if state.solved else [np.full(c.count, "")] * 2
-    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *zip(*(column.tolist() for column in columns))])
-    return text.getvalue()
+    csv.writer(file, lineterminator="\n").writerows([COLUMNS, *zip(*(column.tolist() for column in columns))])
 
 
-def picture(state, start):
-    """Draw the state with its predicted start and, if it has one, its solution."""
+def picture(state, predicted):
+    """Draw the state with its predicted impulses and, if it has one, its solution."""
     from deep_contact.reporting import plotting
 
-    drawn = state.contacts._replace(normal_impulse=start[0], tangent_impulse=start[1])
+    drawn = state.contacts._replace(normal_impulse=np.maximum(predicted[0], 0.0), tangent_impulse=predicted[1])
     shown = {"predicted": state.replace(contacts=drawn)} | ({"solved": state} if state.solved else {})
     largest = max(float(found.contacts.normal_impulse.max(initial=0.0)) for found in shown.values())
     figure, axes = plotting.subplots(1, len(shown), size=(4.2 * len(shown), 3.9), squeeze=False)
@@ -43,34 +39,24 @@ def picture(state, start):
     return figure
 
 
-def relative(found, solved) -> float:
-    """‖found − solved‖ / ‖solved‖ over both rows of all contacts."""
-    return np.linalg.norm(np.subtract(found, solved)) / (np.linalg.norm(solved) or np.nan)
-
-
-def report(state, predicted, start) -> list[str]:
-    """Lines on a state: the errors of the prediction and of Builtin."""
+def report(state, predicted) -> list[str]:
+    """Lines on a state: what was predicted, and the errors after some sweeps from there and from Builtin."""
     from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 
     contacts = state.contacts
     lines = [f"{state.name}, step {state.step}: {state.bodies.count} circles, {contacts.count} contacts"]
     lines.append(f"  predicted λ_n from {predicted[0].min():.4g} to {predicted[0].max():.4g} N·s")
     if state.solved:
-        solved = np.stack([contacts.normal_impulse, contacts.tangent_impulse])
-        builtin = contacts.normal_start, contacts.tangent_start
-        off = {"as predicted": predicted, "projected": start, "Builtin": builtin}
-        errors = (f"{name} {relative(impulses, solved):.4f}" for name, impulses in off.items())
-        lines.append(f"  relative error of λ: {', '.join(errors)}")
-        lines.append(f"  relative velocity error after {', '.join(map(str, SWEEPS))} sweeps")
-        for name, impulses in (("cnn", start), ("builtin", builtin)):
-            lines.append(f"    {name:8s}" + "".join(f"{e:9.4f}" for e in velocity_errors(state, impulses)))
+        lines.append(f"  error of the velocities after {', '.join(map(str, SWEEPS))} sweeps of PGS, relative")
+        starts = {"from the network": predicted, "from the last step": (contacts.normal_start, contacts.tangent_start)}
+        for name, start in starts.items():
+            lines.append(f"    {name:18s}" + "".join(f"{e:9.4f}" for e in velocity_errors(state, start)))
     return lines
 
 
-def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
+def predict_file(path: Path, model, out: Path, *, raw: bool = False, pictures: bool = True) -> list[str]:
     """Predict one state file, write the results, and return the lines to print."""
     import deep_contact as dc
-    from deep_contact.cnn.inference import projected
     from deep_contact.io.files import replacing
     from deep_contact.reporting import plotting
 
@@ -79,17 +65,16 @@ def predict_file(path: Path, model, out: Path, pictures: bool) -> list[str]:
         state = dc.simulate(state, steps=0).state
     if state.contacts.count == 0:
         return [f"{path}: no contacts, nothing to predict"]
-    predicted = model.predict(state, project=False)
-    start = projected(*predicted, state.world.friction)
+    predicted = model.predict(state, project=not raw)
     name = path.name.removesuffix(".gz").removesuffix(".xml")
-    with replacing(out / f"{name}.csv") as temporary:
-        temporary.write_text(contact_table(state, predicted, start), encoding="utf-8")
+    with replacing(out / f"{name}.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
+        contact_table(state, predicted, file)
     with replacing(out / f"{name}.npy") as temporary:
         np.save(temporary, model.predict_image(state), allow_pickle=False)
     if pictures:
         with plotting.style():
-            plotting.save(picture(state, start), out / f"{name}.png")
-    return [*report(state, predicted, start), f"  {out / name}.csv, .npy{', .png' if pictures else ''}"]
+            plotting.save(picture(state, predicted), out / f"{name}.png")
+    return [*report(state, predicted), f"  {out / name}.csv, .npy{', .png' if pictures else ''}"]
 
 
 def main(argv=None) -> int:
@@ -101,21 +86,23 @@ def main(argv=None) -> int:
     add("--model", default=None, help="model file, or a name in models/registry.json; default: model")
     add("--out", type=Path, default=Path("predictions"), help="folder for the results")
     add("--threads", type=int, default=1, help="of TensorFlow")
+    add("--raw", action="store_true", help="impulses as the network has them, not projected on the friction cone")
     add("--no-pictures", action="store_true", help="numbers only")
     given = parser.parse_args(argv)
-    from deep_contact.cnn.inference import limit_threads, load_model
+    from deep_contact.cnn.backend import limit_threads
+    from deep_contact.cnn.inference import load_model
 
     try:
         limit_threads(given.threads)
         model = load_model(given.model)
-    except (ImportError, OSError, ValueError) as error:
+    except (OSError, ValueError) as error:
         parser.exit(2, f"{parser.prog}: {error}\n")
     given.out.mkdir(parents=True, exist_ok=True)
     bad = 0
     for path in given.states:
         try:
-            print("\n".join(predict_file(path, model, given.out, not given.no_pictures)))
-        except (OSError, ValueError) as error:
+            print("\n".join(predict_file(path, model, given.out, raw=given.raw, pictures=not given.no_pictures)))
+        except (ImportError, OSError, ValueError) as error:
             bad += 1
             print(f"{parser.prog}: {error}")
     return 1 if bad else 0

@@ -46,7 +46,7 @@ from deep_contact.physics.contact_solver import (
     V_Y,
     apply_impulses,
 )
-from deep_contact.physics.engine import StepProblem, step_problem
+from deep_contact.physics.engine import step_problem
 from deep_contact.sph import Grid
 from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
 from deep_contact.sph.kernels import kernel_number
@@ -146,19 +146,17 @@ class Description(NamedTuple):
     point: np.ndarray  # contact points, turned, (m, 2), m
     features: np.ndarray  # F: change of λ_n and λ_t per coefficient, not turned, (m, 12, 2), N·s
     start: np.ndarray  # the impulses to correct, Builtin's, (m, 2), N·s
-    unsolved: float  # rms change by one relaxation of each row, over the rms of λ
 
 
-def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None) -> Description:
+def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description:
     """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
 
-    problem: the state's contact problem in float64 with tangents, if it has been built (`engine.step_problem`).
     Raises ValueError if there is no contact, or contacts have not been searched.
     """
     state = with_contacts(state)
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
-    rows, free, _ = step_problem(state) if problem is None else problem
+    rows, free, _ = step_problem(state)
     world = state.world
     found = _measure(state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4)
     # In NumPy, whose arsinh is vectorised.
@@ -167,7 +165,7 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
     grid = spec.window(found.low, found.high, found.mean_radius)
     image = np.zeros((*grid.shape, len(spec.channels)), np.float32)
     _paint(image, (*grid.origin, *grid.spacing), spec.support * grid.spacing[0] / spec.spacing, found)
-    return Description(image, grid, found.point, found.features, rows.impulse.copy(), found.unsolved)
+    return Description(image, grid, found.point, found.features, rows.impulse.copy())
 
 
 def correct(image: np.ndarray, description: Description) -> np.ndarray:
@@ -230,7 +228,6 @@ class _Measured(NamedTuple):
     centre: np.ndarray  # (n, 2)
     body_sizes: np.ndarray  # (n, 6): velocity and spin, without impulses and with Builtin's
     features: np.ndarray  # (m, 12, 2)
-    unsolved: float
     low: tuple[float, float]
     high: tuple[float, float]
     mean_radius: float
@@ -309,8 +306,7 @@ def _measure(bodies, contacts, rows, free, box, friction, mirrored, turns):
             moving[i, 3 * j], moving[i, 1 + 3 * j] = v_x / scale, v_y / scale
             moving[i, 2 + 3 * j] = sign * velocity[i, V_S] / scale
     low, high = (x_low, y_low), (x_high, y_high)
-    unsolved /= max(carried, 1e-300)
-    return _Measured(point, normal, sizes, residual, wall, centre, moving, features, unsolved, low, high, radius)
+    return _Measured(point, normal, sizes, residual, wall, centre, moving, features, low, high, radius)
 
 
 @njit(cache=True, error_model="numpy")

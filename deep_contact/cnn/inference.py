@@ -14,21 +14,14 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.cnn.backend import limit_threads, one_thread
+from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.far_field import COARSENING, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
 from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
-from deep_contact.physics.engine import StepProblem, solve, step_problem
-from deep_contact.physics.solvers import PGS
 from deep_contact.state import State
-
-__all__ = [
-    "Cnn", "FarFieldModel", "Guarded", "LearnedModel", "known_model", "limit_threads", "load_model", "network_file",
-    "network_start", "one_thread", "projected",
-]  # fmt: skip
 
 _SAME_BOX = 1e-6
 """A box may differ by so much from the one a network of fixed size was made for, relative."""
@@ -244,59 +237,20 @@ def compiled(model, shape: tuple[int, int, int]) -> Callable[[np.ndarray], np.nd
 class Cnn:
     """What a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
 
-    model: a `LearnedModel`, the path of a model file, or None for the one that is shipped.
+    model: a `LearnedModel`, the path or name of a model file, or None for the one that is shipped. A file that this
+    process has read and that has not changed since is not read again.
     """
 
     model: LearnedModel | str | Path | None = None
 
     def __post_init__(self):
-        object.__setattr__(self, "model", known_model(self.model))
+        if not isinstance(self.model, LearnedModel):
+            path = network_file(self.model)
+            status = path.stat()
+            object.__setattr__(self, "model", _read_once(path.resolve(), status.st_mtime_ns, status.st_size))
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.model.predict(state)
-
-
-@dataclass(frozen=True)
-class Guarded:
-    """The far-field network where it helps: Builtin's start wherever that is good enough, or better by a trial.
-
-    model: a `FarFieldModel`, or the path of its file; by default the one that is shipped.
-    least: no network is asked where one relaxation of the rows after Builtin would change them by less than this
-    share of the carried impulses (`Description.unsolved`), so that a resting pile pays next to nothing.
-    trial: sweeps from both starts. The network's is taken unless its last θ is more than `margin` times that of
-    Builtin's; 0 takes it untried. θ is a rough judge, so a start that is better in the mean gets the benefit of doubt.
-    """
-
-    model: FarFieldModel | str | Path | None = None
-    least: float = 1e-2
-    trial: int = 3
-    margin: float = 2.0
-
-    def __post_init__(self):
-        model = known_model(self.model)
-        if not isinstance(model, FarFieldModel):
-            raise ModelFileError(f"model: expected a far-field network, got one for {model.spec.targets}")
-        object.__setattr__(self, "model", model)
-
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        return self.from_problem(state, solver, step_problem(state))
-
-    def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
-        """The start from rows that have been built: for the description, and for the trial sweeps."""
-        contacts = state.contacts
-        builtin = contacts.normal_start.copy(), contacts.tangent_start.copy()
-        if contacts.count == 0:
-            return builtin
-        description = describe(state, self.model.spec, problem=problem)
-        if description.unsolved < self.least:
-            return builtin
-        impulses = correct(self.model.run(description.image), description)
-        learned = projected(*np.ascontiguousarray(impulses.T), state.world.friction)
-        if self.trial == 0:
-            return learned
-        tried = PGS(sweeps=self.trial, tolerance=None)
-        theta = [solve(state, tried, *start, problem).record.theta[-1] for start in (builtin, learned)]
-        return learned if theta[1] <= self.margin * theta[0] else builtin
 
 
 def network_start(model) -> Cnn:
@@ -306,18 +260,6 @@ def network_start(model) -> Cnn:
     """
     one_thread()
     return Cnn(model)
-
-
-def known_model(model=None) -> LearnedModel:
-    """`load_model`, but a file that this process has read and that has not changed since is not read again.
-
-    A model that has been loaded is returned as it is.
-    """
-    if isinstance(model, LearnedModel):
-        return model
-    path = network_file(model)
-    status = path.stat()
-    return _read_once(path.resolve(), status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=8)

@@ -42,18 +42,17 @@ def path_of(name: str) -> Path:
     """
     entries = registered()
     entry, folders = entries[one_of("model", name, entries)], _folders()
-    for path in (folder / entry["file"] for folder in folders):
-        if path.is_file():
-            status = path.stat()
-            found = _sha256(path, status.st_mtime_ns, status.st_size)
-            if found != entry["sha256"]:
-                raise ModelFileError(f"{path}: sha256: expected {entry['sha256']}, as registered, got {found}")
-            return path
-    raise FileNotFoundError(
-        f"model {name}: expected {entry['file']} in {' or '.join(map(str, folders))}, which does not exist; it is "
-        f"part of the source repository, not of every wheel; {FOLDER} names another folder, and `{entry['command']}` "
-        "trains such a network"
-    )
+    path = next((folder / entry["file"] for folder in folders if (folder / entry["file"]).is_file()), None)
+    if path is None:
+        raise FileNotFoundError(
+            f"model {name}: expected {entry['file']} in {' or '.join(map(str, folders))}, which does not exist; it is "
+            f"part of the source repository, not of every wheel; {FOLDER} names another folder, and "
+            f"`{entry['command']}` trains such a network"
+        )
+    status = path.stat()
+    if (found := _sha256(path, status.st_mtime_ns, status.st_size)) != entry["sha256"]:
+        raise ModelFileError(f"{path}: sha256: expected {entry['sha256']}, as registered, got {found}")
+    return path
 
 
 def registered() -> dict[str, dict]:
@@ -61,19 +60,18 @@ def registered() -> dict[str, dict]:
 
     Raises ModelFileError where a registry.json is something else.
     """
-    for folder in sorted(_folders(), key=lambda folder: folder != ROOT / "models"):
-        path = folder / "registry.json"
-        if not path.is_file():
-            continue
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            for name, entry in found.items():
-                if any(not isinstance(entry[field], str) for field in ("file", "sha256", "command")):
-                    raise ValueError(f"{name}: expected texts, got {entry}")
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-            raise ModelFileError(f"{path}: expected a name -> file, sha256 and command, got {error!r}") from None
-        return found
-    return {}
+    paths = [folder / "registry.json" for folder in (ROOT / "models", *_folders())]
+    path = next((path for path in paths if path.is_file()), None)
+    if path is None:
+        return {}
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        for name, entry in found.items():
+            if any(not isinstance(entry[field], str) for field in ("file", "sha256", "command")):
+                raise ValueError(f"{name}: expected texts, got {entry}")
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ModelFileError(f"{path}: expected a name -> file, sha256 and command, got {error!r}") from None
+    return found
 
 
 def _folders() -> list[Path]:

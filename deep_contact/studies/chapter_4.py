@@ -48,10 +48,7 @@ def by_keras(layer: str, *given, x: np.ndarray, weights: Sequence[np.ndarray] = 
 
 
 def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
-    """The same by Keras's `Conv2D`, without padding, bias and activation: (o_y, o_x, f).
-
-    image: (n_y, n_x, d); kernel: (k_y, k_x, d, f).
-    """
+    """`correlate` by Keras's `Conv2D`: (o_y, o_x, f). image: (n_y, n_x, d); kernel: (k_y, k_x, d, f)."""
     given = kernel.shape[3], kernel.shape[:2]
     return by_keras("Conv2D", *given, x=image, weights=[kernel], strides=stride, use_bias=False)
 
@@ -139,11 +136,6 @@ def max_pool(image: np.ndarray) -> np.ndarray:
     return np.array([[image[i : i + 2, j : j + 2].max(axis=(0, 1)) for j in columns] for i in rows])
 
 
-def keras_max_pool(image: np.ndarray) -> np.ndarray:
-    """The same by Keras's `MaxPooling2D`; image: (n_y, n_x, d)."""
-    return by_keras("MaxPooling2D", 2, x=image, padding="same")
-
-
 def pooled_sizes(n: int, times: int) -> list[int]:
     """Nodes along an edge before and after each of `times` 2 × 2 poolings."""
     return [-(-n // 2**i) for i in range(times + 1)]
@@ -211,17 +203,10 @@ def convolutions(model) -> list:
 
 
 def feature_maps(model, image: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """The outputs of some layers for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32.
-
-    Raises ValueError for a name that the model does not have.
-    """
+    """The outputs of some layers for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32."""
     from deep_contact.cnn.backend import keras
 
-    known = {layer.name: layer.output for layer in model.layers}
-    for name in names:
-        if name not in known:
-            raise ValueError(f"layer: expected one of {', '.join(known)}, got {name!r}")
-    inside = keras.Model(model.inputs[0], {name: known[name] for name in names})
+    inside = keras.Model(model.inputs[0], {name: model.get_layer(name).output for name in names})
     found = inside(image[None])  # training=False would switch off the dropout of `with_dropout`
     return {name: np.asarray(found[name])[0] for name in names}
 

@@ -19,8 +19,8 @@ import numpy as np
 
 from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
 from deep_contact.cnn.images import input_image, read_back
-from deep_contact.cnn.inference import projected
 from deep_contact.physics import metrics
+from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve, step_problem
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS

@@ -122,15 +122,12 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
 def start_of(description) -> WarmStart:
     """A start from its description in a figure's options.
 
-    A name, a dict with the fields of `Sph`, {"model": path} for a network, or {"guarded": path} for one that is taken
-    where it is better than Builtin. Networks run on one thread.
+    A name, a dict with the fields of `Sph`, or {"model": path} for a network, which runs on one thread.
     """
-    from deep_contact.cnn.inference import Guarded, network_start
+    from deep_contact.cnn.inference import network_start
 
     if not isinstance(description, Mapping):
         return warm_start_of(description)
-    if "guarded" in description:
-        return Guarded(network_start(description["guarded"]).model)
     return network_start(**description) if "model" in description else Sph(**description)
 
 

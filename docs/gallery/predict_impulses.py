@@ -1,13 +1,13 @@
 """Load model.h5 and predict the impulses of a state.
 
 For those who want the network: `dc.load_model()` reads the file that is shipped (no code in it is run), `predict`
-returns one normal and one tangent impulse for each contact, and the solver starts from them.
+returns one normal and one tangent impulse for each contact, within the friction cone, and the solver starts from them.
 """
 
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
 
-state = dc.read_state(dc.sample_file("impact_154"))  # a solved state of a simulation that no training has seen
+state = dc.read_state(dc.sample_file("impact_253"))  # a solved state of a simulation that no training has seen
 contacts = state.contacts
 assert contacts is not None  # as in the file of a scene
 model = dc.load_model()
@@ -15,13 +15,13 @@ normal, tangent = model.predict(state)
 print(f"{contacts.count} contacts; the network was trained on {model.card['training_states']:,} states")
 
 builtin = contacts.normal_start, contacts.tangent_start
-for name, start in (("builtin", builtin), ("network", dc.warm_start.STARTS["cnn"]()(state, dc.PGS()))):
+for name, start in (("builtin", builtin), ("network", (normal, tangent))):
     errors = ", ".join(f"{error:.3f}" for error in velocity_errors(state, start, (3, 10, 30)))
     print(f"{name}: velocity error after 3, 10 and 30 sweeps {errors}")
 
 figure, ax = dc.plotting.subplots(size=(4.5, 4.5))
-ax.plot(contacts.normal_impulse, contacts.normal_start, "s", label="Builtin", markersize=4)
-ax.plot(contacts.normal_impulse, normal, "o", label="network", markersize=4)
+ax.plot(contacts.normal_impulse, contacts.normal_start, "s", label="Builtin", markersize=4, color=dc.plotting.VERMILION)
+ax.plot(contacts.normal_impulse, normal, "o", label="network", markersize=4, color=dc.plotting.PURPLE)
 ax.axline((0, 0), slope=1, color=dc.plotting.GREY, linewidth=1)
 dc.plotting.label_axes(ax, "solved λ_n", "start", x_unit="N·s", y_unit="N·s")
 ax.legend()

@@ -5,9 +5,8 @@ import pytest
 from symmetry import transform_state
 
 import deep_contact as dc
-from deep_contact.cnn import inference
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec, correct, corrected, describe, window_side
-from deep_contact.cnn.inference import Cnn, FarFieldModel, Guarded, load_model
+from deep_contact.cnn.inference import Cnn, FarFieldModel, load_model
 from deep_contact.state import World
 
 SPEC = FarFieldSpec()
@@ -39,7 +38,6 @@ def test_scaling_all_velocities_scales_features_and_leaves_the_image(state):
     plain = describe(state, SPEC)
     np.testing.assert_allclose(scaled.image, plain.image, atol=2e-5)
     np.testing.assert_allclose(scaled.features, factor * plain.features, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(scaled.unsolved, plain.unsolved, rtol=1e-9)
 
 
 def test_the_window_spans_the_contacts_and_no_more(state):
@@ -180,33 +178,3 @@ def test_training_resumes_and_beats_builtin_a_little(tmp_path):
     losses = [[line["validation_loss"] for line in run.history] for run in (through, resumed)]
     assert losses[0] == losses[1]
     assert losses[0][-1] < 1.0  # Builtin's is 1
-
-
-class Fake(FarFieldModel):
-    """Gives what its card holds; raises where that is nothing."""
-
-    def run(self, image):
-        return self.card["image"]
-
-
-def test_a_resting_pile_pays_for_no_network(state):
-    guarded = Guarded(Fake(source=None, spec=SPEC))
-    resting = dc.simulate(dc.column(4), steps=100, solver=dc.PGS(tolerance=1e-9)).state
-    normal, tangent = guarded(resting, dc.PGS())
-    np.testing.assert_array_equal(normal, resting.contacts.normal_start)
-    np.testing.assert_array_equal(tangent, resting.contacts.tangent_start)
-    with pytest.raises(KeyError, match="image"):
-        guarded(state, dc.PGS())
-
-
-def test_the_network_is_taken_up_to_its_margin_of_the_last_theta(state, monkeypatch):
-    normal, tangent = state.contacts.normal_impulse, state.contacts.tangent_impulse
-    learned, builtin = (1.5 * normal, tangent), (state.contacts.normal_start, state.contacts.tangent_start)
-    three = dc.PGS(sweeps=3, tolerance=None)
-    theta = [dc.solve_contacts(state, solver=three, start=start).record.theta[-1] for start in (builtin, learned)]
-    ratio, model = theta[1] / theta[0], Fake(source=None, spec=SPEC, card={"image": None})
-    monkeypatch.setattr(inference, "correct", lambda image, description: np.column_stack(learned))
-    cases = (1.001 * ratio, 3, learned), (0.999 * ratio, 3, builtin), (0.0, 0, learned)  # no trial, no question
-    for margin, trial, expected in cases:
-        found = Guarded(model, margin=margin, trial=trial)(state, dc.PGS())
-        np.testing.assert_allclose(found, expected, rtol=1e-12)

@@ -5,8 +5,8 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
-from deep_contact.cnn.inference import projected
 from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
+from deep_contact.physics.contact_solver import projected
 
 SWEEPS, WEIGHTS = (0, 3, 10), (0.5, 1.0, 2.0)
 

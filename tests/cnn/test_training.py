@@ -17,9 +17,10 @@ from conftest import load_script, solved_states
 
 import deep_contact as dc
 from deep_contact.cnn import architectures
+from deep_contact.cnn.backend import limit_threads
 from deep_contact.cnn.dataset import Store, write_simulation
 from deep_contact.cnn.images import ImageSpec, input_image, label_image
-from deep_contact.cnn.inference import limit_threads, load_model
+from deep_contact.cnn.inference import load_model
 from deep_contact.cnn.model_file import read_metadata, spec_of
 from deep_contact.cnn.training import ImageDataset, TrainingConfig, config, run, thesis_config, train
 from deep_contact.cnn.training.curve import learning_curve, read_history
@@ -101,7 +102,7 @@ def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path
 
 def test_killed_process_goes_on_to_the_same_history(undisturbed, data, tmp_path):
     code = f"import test_training as t; t.quietly(t.tiny(), {str(data)!r}, {str(tmp_path)!r})"
-    paths = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH"), *sys.path[:3]]))
+    paths = os.pathsep.join(filter(None, [str(Path(__file__).parent), *sys.path]))
     environment = {**os.environ, "PYTHONPATH": paths}
     process = subprocess.Popen([sys.executable, "-c", code], env=environment, stderr=subprocess.DEVNULL)
     deadline = time.monotonic() + 120

@@ -37,10 +37,10 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.cnn import schedules
-from deep_contact.cnn.backend import keras, tensorflow
+from deep_contact.cnn.backend import keras, limit_threads, tensorflow
 from deep_contact.cnn.dataset import Store, evenly, split_by_simulation
 from deep_contact.cnn.evaluation import BASELINES, held_out_errors
-from deep_contact.cnn.inference import Cnn, LearnedModel, limit_threads, load_model
+from deep_contact.cnn.inference import Cnn, LearnedModel, load_model
 from deep_contact.cnn.model_file import read_metadata, save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.cnn.training.far_field_run import FarFieldRun
