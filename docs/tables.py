@@ -202,7 +202,7 @@ def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
         head, keys = ["figure", "thesis", "claim", "verdict", "ratio"], ("thesis", "text", "holds", "ratio")
     files = [one for one in (stored(path.stem) for path in sorted(REFERENCE.glob("*.json"))) if "claims" in one]
     files.sort(key=lambda one: (one["id"][0] > "9", [int(n) for n in re.findall(r"\d+", one["id"])]))
-    found = [(one["id"], claim) for one in files for claim in one["claims"] if bool(claim["thesis"]) == of_thesis]
+    found = [(one["id"], dict(claim)) for one in files for claim in one["claims"] if bool(claim["thesis"]) == of_thesis]
     found = [(id, claim) for id, claim in found if holding or claim["holds"] is not True]
     for _, claim in found:
         verdict = results.verdict(claim)

@@ -21,9 +21,9 @@ def compute(options, seed, jobs, progress):
     described = {"none": "none", "builtin": "builtin", **starts.CHOSEN}
     described |= {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
     every = {name: starts.start_of(description) for name, description in described.items()}
-    for size, count, most in zip(options["sizes"], options["states"], options["most"]):
+    for size, count, after, most in zip(*(options[name] for name in ("sizes", "states", "every", "most"))):
         fallen = [piles.pile("settling", size, one) for one in figures.seeds(seed, options["scenes"])]
-        states = [piles.states_of(pile, count=count, every=options["every"]) for pile in fallen]
+        states = [piles.states_of(pile, count=count, every=after) for pile in fallen]
         flat, refused = [state for of_scene in states for state in of_scene], {}
         for name in networks:
             try:
@@ -131,7 +131,7 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "sizes": [100, 1000], "scenes": 12, "states": [4, 1], "every": 25, "most": [10000, 20000], "repeats": 5,
+    "sizes": [100, 1000], "scenes": 12, "states": [4, 1], "every": [25, 100], "most": [10000, 50000], "repeats": 5,
     "networks": chapter_5.NETWORKS,
 }  # fmt: skip
 QUICK = {
