@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.studies.runs import ERRORS, LOADS, REST, Observation, errors, intervals, observe
+from deep_contact.studies.runs import ERRORS, LOADS, REST, Observation, errors, intervals, observe, with_reach
 
 
 def states(scene, *, count=40, each=5, **options):
@@ -139,3 +139,9 @@ def test_what_cannot_be_observed_is_refused():
         observe([dc.simulate(dc.drifting_circles(3), steps=1).state])
     with pytest.raises(ValueError, match="found: expected 2 runs, as the reference has, got 1"):
         intervals([observation()], [observation()] * 2)
+
+
+def test_no_value_lies_outside_of_its_reach():
+    value, reach = with_reach([1.0, 1.2, 2.0])  # the interval of a bootstrap may lie above the value
+    assert value == 1.0
+    np.testing.assert_array_equal(reach, [[0.0], [1.0]])
