@@ -182,8 +182,8 @@ def study(options: dict, *, seed: int, jobs: int | Executor, work: Path, before:
         for name, (setting, by_seed) in ensemble.items():
             ensemble[name] = setting, [by_seed[s] for s in sorted(by_seed)]
     times = {(part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)}
-    rows = (known | {key_of(row): row for row in runs.rows(ensembles, times)}).values()
-    rows = [row | runs.times_of(row["name"], row["n_bodies"], times) for row in rows]
+    rows = known | {key_of(row): row for row in runs.rows(ensembles)}
+    rows = [runs.with_times(row, times) for row in rows.values()]
     return {"errors": runs.ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
 

@@ -320,35 +320,29 @@ def times(
 # ---- what the study says ----
 
 
-def rows(ensembles: Mapping, took: Mapping) -> list[dict]:
-    """A row for each kind, size and setting: its errors with their intervals, and its times, μs, where measured.
+def rows(ensembles: Mapping) -> list[dict]:
+    """A row for each kind, size and setting: its errors with their intervals; the reference itself has none.
 
-    ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}. took: (n_bodies, phase) -> {name: μs}. "us" is
-    the mean over `MOMENTS`, "phases" has the times of the phases. The reference itself has no errors.
+    ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}.
     """
     found = []
     for (kind, n_bodies), ensemble in ensembles.items():
         true = ensemble[name_of(REFERENCE)][1]
         for name, (setting, seen) in ensemble.items():
-            found.append(
-                {
-                    "kind": kind,
-                    "n_bodies": n_bodies,
-                    "name": name,
-                    "setting": dict(setting),
-                    "seeds": len(seen),
-                    "errors": intervals(seen, true[: len(seen)]) if seen is not true else None,
-                }
-                | times_of(name, n_bodies, took)
-            )
+            row = {"kind": kind, "n_bodies": n_bodies, "name": name, "setting": dict(setting), "seeds": len(seen)}
+            found.append(row | {"errors": None if seen is true else intervals(seen, true[: len(seen)])})
     return found
 
 
-def times_of(name: str, n_bodies: int, took: Mapping) -> dict:
-    """What a row says of the times of a setting: "us" and "phases"."""
-    phases = {phase: by_name[name] for (size, phase), by_name in took.items() if size == n_bodies and name in by_name}
+def with_times(row: Mapping, took: Mapping) -> dict:
+    """The row with its times, μs: "us", the mean over `MOMENTS`, or None, and "phases", those of the phases.
+
+    took: (n_bodies, phase) -> {name: μs}.
+    """
+    n, name = row["n_bodies"], row["name"]
+    phases = {phase: by_name[name] for (size, phase), by_name in took.items() if size == n and name in by_name}
     moments = [phases.pop(moment) for moment in MOMENTS if moment in phases]
-    return {"us": math.fsum(moments) / len(moments) if moments else None, "phases": phases}
+    return row | {"us": math.fsum(moments) / len(moments) if moments else None, "phases": phases}
 
 
 def read_study(path) -> dict:

@@ -69,16 +69,10 @@ def test_rows_hold_every_setting_against_the_reference():
         runs.name_of(s): (s, [runs.observation(runs.observed("plain", 30, k, s, seconds=1.5)) for k in (1, 2)])
         for s in settings
     }
-    rows = runs.rows(
-        {("plain", 30): seen},
-        {
-            (30, runs.MOMENTS[0]): {runs.name_of(COARSE): 6.0},
-            (30, runs.MOMENTS[1]): {runs.name_of(COARSE): 8.0},
-            (30, "rest"): {runs.name_of(COARSE): 5.0},
-        },
-    )
-    reference, coarse = rows
-    assert reference["errors"] is None
+    took = {runs.MOMENTS[0]: 6.0, runs.MOMENTS[1]: 8.0, "rest": 5.0}
+    took = {(30, phase): {runs.name_of(COARSE): us} for phase, us in took.items()}
+    reference, coarse = (runs.with_times(row, took) for row in runs.rows({("plain", 30): seen}))
+    assert (reference["errors"], reference["us"]) == (None, None)
     assert (coarse["us"], coarse["phases"], coarse["seeds"]) == (7.0, {"rest": 5.0}, 2)
     value, low, high = coarse["errors"]["penetration_max"]
     assert 0 < low <= value <= high
