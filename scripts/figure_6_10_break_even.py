@@ -28,10 +28,11 @@ def compute(options, seed, jobs, progress):
 
 
 def cases(data):
-    """(Kind, circles) -> its piles; by kind, and by rising numbers of circles."""
+    """(Kind, circles) -> its piles of which a state has a reference; by kind, and by rising numbers of circles."""
     found = {}
     for pile in sorted(data["piles"], key=lambda pile: pile["circles"]):
-        found.setdefault((pile["kind"], pile["circles"]), []).append(pile)
+        if pile["start_seconds"][LEARNED]:
+            found.setdefault((pile["kind"], pile["circles"]), []).append(pile)
     return {case: found[case] for case in sorted(found, key=lambda case: case[0], reverse=True)}
 
 
@@ -44,7 +45,7 @@ def claims(data):
                 known.append((*reversed(found), f"{n}, {kind}, {error}"))
     shown = [{"where": where, "ratio": middle, "from": low, "to": high} for high, low, middle, where in sorted(known)]
     wins, ties = sum(k[0] < 1 for k in known), sum(k[1] <= 1 <= k[0] for k in known)
-    sizes = {n: [pile for pile in data["piles"] if pile["circles"] == n] for _, n in cases(data)}
+    sizes = {n: [pile for case, piles in cases(data).items() for pile in piles if case[1] == n] for _, n in cases(data)}
     prices = {f"{n} circles": learned_starts.price_of(piles) for n, piles in sorted(sizes.items())}
     measured = {"cases": len(known), "wins": wins, "ties": ties, "best": shown[:3], LEARNED: prices}
     text = "somewhere a learned start reaches an error sooner than the best classical setting (95 %)"
@@ -96,8 +97,8 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "counts": [100, 300, 1000, 3000], "kinds": ["settling", "falling"],
-    "piles": {"100": 3, "300": 3, "1000": 3, "3000": 2}, "states": 5, "every": 4,
+    "counts": [100, 300, 1000, 3000, 10000], "kinds": ["settling", "falling"],
+    "piles": {"100": 10, "300": 12, "1000": 4, "3000": 2, "10000": 1}, "states": 5, "every": 4,
     "sweeps": [0, 1, 2, 3, 5, 7, 10, 14, 20, 30, 45, 70, 100, 150, 220, 330, 500, 750, 1100, 1700, 2500, 4000],
     "past_need": 20_000, "exact": [100, 300, 1000], "repeats": 7, "model": "models/model.h5",
 }  # fmt: skip

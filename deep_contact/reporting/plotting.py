@@ -117,10 +117,13 @@ def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | Non
 
 
 def new_figure(size: tuple[float, float]):
-    """An empty matplotlib figure of a width and a height, inches, which shows itself in a notebook's cell."""
+    """An empty matplotlib figure of a width and a height, inches, which shows itself in a notebook's cell.
+
+    It is no wider than a page, so that letters keep their size where it is shown.
+    """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=size, layout="constrained")
+    figure = Figure(figsize=(min(size[0], PAGE), size[1]), layout="constrained")
 
     def png() -> bytes:
         content = io.BytesIO()

@@ -263,14 +263,14 @@ def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
     """Errors of `TIMED` by sweeps on states of one pile, and those states that have a reference.
 
     task: "circles", "kind", "seed", "starts": name -> description, "states" and "every" of the pile, "sweeps",
-    "past_need": sweeps of NNCG from each start to a reference, "exact": numbers of circles whose references are exact.
+    "past_need": sweeps from each start to the references, "exact": numbers of circles whose references are exact.
     """
     starts, used, errors = {name: start_of(one) for name, one in task["starts"].items()}, [], []
-    far = NNCG(sweeps=task["past_need"], tolerance=1e-9)
+    far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
     start = piles.pile(task["kind"], task["circles"], task["seed"])
     for state in piles.states_of(start, count=task["states"], every=task["every"]):
         given = {name: start(state, PGS()) for name, start in starts.items()}
-        ends = [solve(state, far, *impulses) for impulses in given.values()]
+        ends = [solve(state, solver, *impulses) for impulses in given.values() for solver in far]
         if references := piles.references_from(state, ends, exact=task["circles"] in task["exact"]):
             used.append(state)
             errors.append(errors_of(state, given, TIMED, task["sweeps"], references))
@@ -307,7 +307,7 @@ def sweeps_to(errors: Sequence[float], sweeps: Sequence[int], error: float) -> f
 def price_of(piles: Iterable[Mapping]) -> dict[str, float]:
     """Median time of the learned start on piles of one size, "ms", and "in sweeps" of PGS."""
     seconds = float(np.median(np.concatenate([pile["start_seconds"][LEARNED] for pile in piles])))
-    a_sweep = float(np.median([pile["sweep_seconds"]["PGS"] for pile in piles if pile["sweep_seconds"]]))
+    a_sweep = float(np.median([pile["sweep_seconds"]["PGS"] for pile in piles]))
     return {"ms": 1e3 * seconds, "in sweeps": seconds / a_sweep}
 
 
