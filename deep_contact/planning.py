@@ -75,38 +75,28 @@ class Plan:
         return notebook.shown(self._title(), rows, header=("part", "", "why", f"saving (Figure 6.7, {self.cpu})"))
 
 
-def plan(
-    scene: State, *, solver=None, warm_start: Start = "builtin", sleep: bool = False, table: Mapping | None = None
-) -> Plan:
+def plan(scene: State, *, solver=None, warm_start: Start = "builtin", sleep: bool = False) -> Plan:
     """What `simulate` would use for a scene with these options, and what it would leave out, with the savings.
 
-    Nothing is simulated; contacts are looked for where the scene has none. Arguments as in `simulate`. table: results
-    of Figure 6.7; by default those in the package.
+    Nothing is simulated; contacts are looked for where the scene has none. Arguments as in `simulate`.
     Raises ValueError on arguments that do not hold together, FileNotFoundError where no results are installed.
     """
     scene = ready(scene)
     solver, start = method_of(scene, solver, warm_start, sleep=sleep)
     Steps(solver, scene.bodies.count, sleep=sleep)  # raises ValueError where the solver cannot sleep
-    found = table if table is not None else installed_results()
-    savings = found["data"]["savings"]
-    tangents = not leaves_tangents_out(scene, solver)
+    found = installed_results()
     name = warm_start if isinstance(warm_start, str) else type(start).__name__
-    left = {part: _share(one) for part, one in savings.items()}
+    left = {part: _share(one) for part, one in found["data"]["savings"].items()}
     choices = (
-        _tangents(scene, solver, tangents, left["frictionless"]),
         *_of_the_scene(scene, solver, left),
         *_of_the_solver(scene, solver, left),
         *_between_steps(start, name, sleep, left, found["data"]["jobs"]),
         _stiffness(scene, solver),
     )
+    cpu = found["provenance"]["cpu"]
     return Plan(
-        scene=scene.name,
-        n_bodies=scene.bodies.count,
-        solver=solver,
-        warm_start=name,
-        choices=choices,
-        cpu=found["provenance"]["cpu"],
-    )
+        scene=scene.name, n_bodies=scene.bodies.count, solver=solver, warm_start=name, choices=choices, cpu=cpu
+    )  # fmt: skip
 
 
 @functools.cache
@@ -125,19 +115,17 @@ def _share(one: Mapping) -> str:
     return f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
 
 
-def _tangents(scene: State, solver, used: bool, left: str) -> Choice:
-    if scene.world.friction > 0:
-        why = f"friction is {scene.world.friction:g}"
+def _of_the_scene(scene: State, solver, left: Mapping) -> Iterator[Choice]:
+    used, friction = not leaves_tangents_out(scene, solver), scene.world.friction
+    if friction > 0:
+        why = f"friction is {friction:g}"
     elif not used:
         why = "friction is 0, so nothing turns a circle"
     elif scene.contacts.tangent_start.any():
         why = "friction is 0, but the state starts from tangent impulses"
     else:
         why = f"friction is 0, but {type(solver).__name__} has no rows without them"
-    return Choice("tangent rows and spin", used, why, f"without them a sweep costs {left}")
-
-
-def _of_the_scene(scene: State, solver, left: Mapping) -> Iterator[Choice]:
+    yield Choice("tangent rows and spin", used, why, f"without them a sweep costs {left['frictionless']}")
     count, moving = len(scene.world.segments), np.count_nonzero(scene.world.surface_speeds)
     why = f"the world has {count or 'none'}" + (f", and {moving} surfaces move" if moving else "")
     saving = "each costs every circle a comparison a step, and positions are corrected contact by contact"

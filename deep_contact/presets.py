@@ -143,18 +143,15 @@ class Recommendation:
         return notebook.shown(f"{name}: {setting}", rows)
 
 
-def recommend(
-    scene: State, *, accuracy: Accuracy | None = None, budget_ms: float | None = None, table: Mapping | None = None
-) -> Recommendation:
+def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: float | None = None) -> Recommendation:
     """The cheapest setting that keeps the tolerances of a preset, or the most accurate within a time.
 
     accuracy: a name of `PRESETS`; by default "fast". budget_ms: wall time of a step of the scene's Δt, ms.
-    table: what a study installs; by default the one in the package.
     Times are those of the processor of the study. Raises ValueError on a bad wish or on two at once.
     """
     if accuracy is not None and budget_ms is not None:
         raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
-    study = installed() if table is None else table
+    study = installed()
     substeps = _substeps(scene, study)
     stiff = stiffness(scene, substeps[TIME_STEP])
     candidates = _candidates(scene.bodies.count, kinds_of(scene), substeps, stiff and stiff.solver, study)
@@ -250,14 +247,14 @@ def _excess(found: Mapping, accuracy: str) -> float:
 
 
 def _recommendation(scene: State, accuracy: str, best: dict, candidates: list[dict], study: Mapping) -> Recommendation:
-    names = list(PRESETS)
+    names = [None, *PRESETS, None]
     at = names.index(accuracy)
+    cheaper, better = (name and _neighbour(name, best, candidates) for name in (names[at - 1], names[at + 1]))
     return Recommendation(
         accuracy=accuracy, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=scene.dt,
         n_bodies=scene.bodies.count, cpu=study["cpu"], errors=best["errors"], tolerances=PRESETS[accuracy],
         reached=_excess(best, accuracy) <= 1, outside=tuple(outside(scene, study)),
-        cheaper=_neighbour(names[at - 1], best, candidates) if at > 0 else "",
-        better=_neighbour(names[at + 1], best, candidates) if at + 1 < len(names) else "",
+        cheaper=cheaper or "", better=better or "",
     )  # fmt: skip
 
 

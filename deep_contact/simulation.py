@@ -49,8 +49,9 @@ if TYPE_CHECKING:
     from deep_contact.presets import Accuracy
 
 _FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
-_BODIES_KIND = ((_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 4
-_CONTACTS_KIND = ((_INT, 1), (_INT, 1), (_FLOAT, 2), (_FLOAT, 2)) + ((_FLOAT, 1),) * 5
+_NUMBERS, _PAIRS, _INDICES = (_FLOAT, 1), (_FLOAT, 2), (_INT, 1)
+_KINDS = (*(_PAIRS,) * 2, *(_NUMBERS,) * 4, *(_INDICES,) * 2, *(_PAIRS,) * 2, *(_NUMBERS,) * 5)
+"""Type and dimensions of the arrays of bodies and contacts."""
 
 _WORK, _SECONDS = 20_000_000, 0.2
 """Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
@@ -435,8 +436,7 @@ def _has_engine_arrays(state: State) -> bool:
     """Whether all arrays are of the kind that compiled functions were compiled for: what `check_state` makes them."""
     return state.contacts is not None and all(
         type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray
-        for part, kinds in ((state.bodies, _BODIES_KIND), (state.contacts, _CONTACTS_KIND))
-        for array, (dtype, ndim) in zip(part, kinds)
+        for array, (dtype, ndim) in zip((*state.bodies, *state.contacts), _KINDS)
     )
 
 

@@ -26,6 +26,16 @@ if TYPE_CHECKING:
     from deep_contact.state import State, StateWithContacts, World
 
 
+def _array(*names: str) -> property:
+    """A property: the run's array of this name, or its arrays as columns of one."""
+
+    def get(self: Trajectory) -> np.ndarray:
+        arrays = [self.stored.arrays[name] for name in names]
+        return arrays[0] if len(arrays) == 1 else np.column_stack(arrays)
+
+    return property(get)
+
+
 @dataclass(frozen=True, repr=False, eq=False)
 class Trajectory:
     """T states of one run of n circles, with M contacts in all. `len`, indexing and iteration give its states.
@@ -84,41 +94,13 @@ class Trajectory:
             repr(self), [], notebook.film_of(self.world.box, self.positions, radius, seconds, segments)
         )
 
+    times, positions, velocities = _array("time"), _array("position"), _array("velocity")
+    angles, spins, offsets = _array("angle"), _array("spin"), _array("contact_offset")
+    pairs, impulses = _array("body_a", "body_b"), _array("normal_impulse", "tangent_impulse")
+
     @property
     def world(self) -> World:
         return self.stored.header["world"]
-
-    @property
-    def times(self) -> np.ndarray:
-        return self.stored.arrays["time"]
-
-    @property
-    def positions(self) -> np.ndarray:
-        return self.stored.arrays["position"]
-
-    @property
-    def velocities(self) -> np.ndarray:
-        return self.stored.arrays["velocity"]
-
-    @property
-    def angles(self) -> np.ndarray:
-        return self.stored.arrays["angle"]
-
-    @property
-    def spins(self) -> np.ndarray:
-        return self.stored.arrays["spin"]
-
-    @property
-    def offsets(self) -> np.ndarray:
-        return self.stored.arrays["contact_offset"]
-
-    @property
-    def pairs(self) -> np.ndarray:
-        return np.column_stack([self.stored.arrays[name] for name in ("body_a", "body_b")])
-
-    @property
-    def impulses(self) -> np.ndarray:
-        return np.column_stack([self.stored.arrays[name] for name in ("normal_impulse", "tangent_impulse")])
 
     @property
     def energies(self) -> np.ndarray:

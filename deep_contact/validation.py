@@ -13,6 +13,12 @@ from numbers import Integral, Real
 import numpy as np
 
 
+def expect(condition, message: str) -> None:
+    """Raise ValueError with the message unless the condition holds."""
+    if not condition:
+        raise ValueError(message)
+
+
 def integer(name: str, value, least: int = 0, most: int | None = None) -> int:
     """`value` as an int from `least` to `most`, both included. A bool, and a float such as 2.0, is not an integer."""
     if isinstance(value, bool) or not isinstance(value, Integral) or value < least:

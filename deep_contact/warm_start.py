@@ -80,15 +80,10 @@ class Support:
 
 @dataclass(frozen=True)
 class Copy:
-    """The solution itself (the thesis's Copy-Model), rounded to `decimals` if given (a sibling thesis's probe)."""
-
-    decimals: int | None = None
+    """The solution itself (the thesis's Copy-Model)."""
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
-        normal, tangent = solved_impulses(state, solver)
-        if self.decimals is None:
-            return normal, tangent
-        return np.round(normal, self.decimals), np.round(tangent, self.decimals)
+        return solved_impulses(state, solver)
 
 
 @dataclass(frozen=True)

@@ -26,8 +26,9 @@ TABLE = {
 }
 
 
-def plan(scene, **options):
-    return dc.plan(scene, table=TABLE, **options)
+@pytest.fixture
+def table(monkeypatch):
+    monkeypatch.setattr(planning, "installed_results", lambda: TABLE)
 
 
 @pytest.mark.parametrize(
@@ -39,8 +40,8 @@ def plan(scene, **options):
         (0.0, dc.BatchedPGS(), True, "BatchedPGS has no rows without them"),
     ],
 )
-def test_tangent_rows_are_planned_as_they_are_built(friction, solver, used, why):
-    found = plan(dc.column(3, friction=friction), solver=solver)["tangent rows and spin"]
+def test_tangent_rows_are_planned_as_they_are_built(friction, solver, used, why, table):
+    found = dc.plan(dc.column(3, friction=friction), solver=solver)["tangent rows and spin"]
     assert (found.used, found.saving) == (used, "without them a sweep costs 52.6 % (50 to 55.6 %)")
     assert why in found.why
 
@@ -54,7 +55,7 @@ def test_tangent_rows_are_planned_as_they_are_built(friction, solver, used, why)
     ],
 )
 def test_substeps_are_planned(options, used, why):
-    found = plan(dc.column(3), solver=dc.PGS(**options))["substeps"]
+    found = dc.plan(dc.column(3), solver=dc.PGS(**options))["substeps"]
     assert (found.used, found.why) == (used, why)
 
 
@@ -62,11 +63,11 @@ def test_a_start_with_tangents_keeps_the_rows():
     state = dc.simulate(dc.column(3), steps=3).state
     contacts = state.contacts._replace(tangent_start=state.contacts.tangent_start + 1e-3)
     state = state.replace(contacts=contacts, world=dc.World(friction=0.0))
-    assert "starts from tangent impulses" in plan(state)["tangent rows and spin"].why
+    assert "starts from tangent impulses" in dc.plan(state)["tangent rows and spin"].why
 
 
 def test_options_that_are_asked_for_are_used():
-    chosen = plan(
+    chosen = dc.plan(
         dc.column(3),
         solver=dc.PGS(islands=True, precision="single", position_sweeps=0),
         warm_start=lambda state, solver: None,
@@ -74,22 +75,22 @@ def test_options_that_are_asked_for_are_used():
     )
     used = {choice.part for choice in chosen.choices if choice.used}
     assert used == {"tangent rows and spin", "islands", "sleeping", "calls between steps"}
-    default = {choice.part for choice in plan(dc.column(3)).choices if choice.used}
+    default = {choice.part for choice in dc.plan(dc.column(3)).choices if choice.used}
     assert default == {"tangent rows and spin", "position correction", "double precision"}
 
 
 def test_islands_are_counted_where_the_scene_is():
-    assert "1 of them touch" in plan(dc.simulate(dc.column(5), steps=20).state)["islands"].why
-    assert "0 of them touch" in plan(dc.single_body(height=5.0))["islands"].why
+    assert "1 of them touch" in dc.plan(dc.simulate(dc.column(5), steps=20).state)["islands"].why
+    assert "0 of them touch" in dc.plan(dc.single_body(height=5.0))["islands"].why
 
 
 def test_only_starts_that_predict_load_the_network():
     for name, used in (("cnn", True), ("builtin", False), (None, False)):
-        assert plan(dc.column(2), warm_start=name)["network"].used == used
+        assert dc.plan(dc.column(2), warm_start=name)["network"].used == used
 
 
-def test_a_plan_prints_every_choice_its_reason_and_its_saving():
-    found = plan(dc.circles_in_box(20, seed=1, friction=0.0), solver=dc.PGS(sweeps=10))
+def test_a_plan_prints_every_choice_its_reason_and_its_saving(table):
+    found = dc.plan(dc.circles_in_box(20, seed=1, friction=0.0), solver=dc.PGS(sweeps=10))
     text = str(found)
     assert text.startswith("circles_20: 20 circles, PGS(sweeps=10, tolerance=6e-05) from builtin\n")
     for choice in found.choices:
@@ -122,14 +123,14 @@ def test_missing_results_say_how_they_are_made(monkeypatch, tmp_path):
     ],
 )
 def test_what_simulate_refuses_is_refused(options, message):
-    for refuse in (plan, lambda scene, **given: dc.simulate(scene, steps=1, **given)):
+    for refuse in (dc.plan, lambda scene, **given: dc.simulate(scene, steps=1, **given)):
         with pytest.raises(ValueError, match=message):
             refuse(dc.column(2), **options)
 
 
 def test_an_unknown_part_names_the_known_ones():
     with pytest.raises(KeyError, match="expected one of tangent rows and spin, static segments, islands"):
-        plan(dc.column(2))["gravity"]
+        dc.plan(dc.column(2))["gravity"]
 
 
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="one thread without the compiler")
@@ -146,6 +147,6 @@ def test_threads_are_planned_as_they_are_taken(n_bodies, solver, used, why, monk
     for module in (team, planning):
         monkeypatch.setattr(module, "cores", lambda: 4)
     monkeypatch.setattr(config, "NUMBA_NUM_THREADS", 4)
-    found = plan(dc.lattice_in_box(n_bodies), solver=solver)["threads"]
+    found = dc.plan(dc.lattice_in_box(n_bodies), solver=solver)["threads"]
     assert found.used == used
     assert why in found.why

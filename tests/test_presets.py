@@ -130,10 +130,10 @@ def test_a_projectile_gets_steps_as_short_as_each_preset_needs(study):
 
 def test_what_a_preset_cannot_keep_is_said_once_with_what_to_do(study):
     small = dc.lattice_in_box(10, radius=(1e-3, 1e-3)).replace(dt=1.0)
-    with pytest.warns(presets.PresetWarning) as told:
+    with pytest.warns(presets.PresetWarning) as said:
         presets.solver_and_start(small, None)
-    assert len(told) == 1
-    text = str(told[0].message)
+    assert len(said) == 1
+    text = str(said[0].message)
     assert "dt = 1 s: circles of 0.001 m at up to 0 m/s need" in text
     least = float(text.split("give a dt of at most ")[1].split(" s")[0])
     with warnings.catch_warnings():
@@ -146,11 +146,11 @@ def test_what_a_preset_cannot_keep_is_said_once_with_what_to_do(study):
 
 def test_a_warning_names_the_line_of_the_user_and_a_loop_says_it_once(study):
     scene = dc.two_bodies()
-    with warnings.catch_warnings(record=True) as told:
+    with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("default")
         for _ in range(3):
             dc.simulate(scene, steps=1, accuracy="fast")
-    assert [one.filename for one in told] == [__file__]
+    assert [one.filename for one in said] == [__file__]
 
 
 def test_a_budget_buys_the_most_accurate_setting(study):
@@ -225,7 +225,7 @@ def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():
     assert all(found.errors[name] <= most for name, most in found.tolerances.items() if name in found.errors)
 
 
-def test_a_preset_is_chosen_by_the_kinds_of_piles_that_a_scene_is_like():
+def test_a_preset_is_chosen_by_the_kinds_of_piles_that_a_scene_is_like(monkeypatch):
     plain, mixed = dc.circles_in_box(20, seed=1), dc.circles_in_box(20, seed=1, radius=(0.5, 1.0))
     slippery, smooth = (dc.circles_in_box(20, seed=1, friction=friction) for friction in (0.1, 0.0))
     assert [presets.kinds_of(scene) for scene in (plain, mixed, slippery, smooth)] == [
@@ -237,9 +237,9 @@ def test_a_preset_is_chosen_by_the_kinds_of_piles_that_a_scene_is_like():
     cheap, dear = (entry(name, 0.01, us, 0.5, method="PGS", sweeps=us) for name, us in (("cheap", 10), ("dear", 20)))
     for of_size in cheap["errors"].values():
         of_size["mixed radii"] = {name: 9 * value for name, value in of_size["plain"].items()}
-    study = {"cpu": "", "sizes": [100, 1000], "settings": [cheap, dear]}
-    assert dc.recommend(plain, table=study).solver.sweeps == 10
-    found = dc.recommend(mixed, table=study)
+    monkeypatch.setattr(presets, "installed", lambda: {"cpu": "", "sizes": [100, 1000], "settings": [cheap, dear]})
+    assert dc.recommend(plain).solver.sweeps == 10
+    found = dc.recommend(mixed)
     assert found.solver.sweeps == 20
     assert found.reached
 

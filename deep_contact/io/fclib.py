@@ -27,6 +27,7 @@ from deep_contact.io import hdf5
 from deep_contact.io.files import read_bytes, replacing
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite
 from deep_contact.state import State
+from deep_contact.validation import expect
 
 MAX_TEXT, MAX_BYTES = 2**26, 2**28
 """Bytes of the largest text, and of all arrays of the largest HDF5 file, unpacked: 80,000 and 700,000 contacts."""
@@ -75,8 +76,7 @@ def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, gue
         arrays["guesses/number_of_guesses"] = np.array([1], np.int32)
         arrays["guesses/1/r"] = finite("guess", guess, problem.b.shape)
     size = sum(array.nbytes for array in arrays.values())
-    if size > MAX_BYTES:
-        raise ValueError(f"problem: expected at most {MAX_BYTES} bytes, got {size}")
+    expect(size <= MAX_BYTES, f"problem: expected at most {MAX_BYTES} bytes, got {size}")
     with replacing(path) as temporary, h5py.File(temporary, "w") as file:
         for name, array in arrays.items():
             file.create_dataset(name, data=array)
@@ -85,18 +85,16 @@ def write_fclib(path: str | os.PathLike, problem: ContactProblem | State, *, gue
 
 def _read_fc2d(lines: list[str]) -> ContactProblem:
     dimension, contacts, storage, rows, columns = _header(lines)
-    if dimension != 2:
-        raise ValueError(f"dimension: expected 2, got {dimension}")
-    if rows != 2 * contacts or columns != rows:
-        raise ValueError(f"W: expected {2 * contacts} rows and columns, two a contact, got {rows} and {columns}")
+    expect(dimension == 2, f"dimension: expected 2, got {dimension}")
+    wanted = f"W: expected {2 * contacts} rows and columns, two a contact, got {rows} and {columns}"
+    expect(rows == columns == 2 * contacts, wanted)
+    expect(storage in (0, 2), f"storage of W: expected 0 (dense) or 2 (sparse), got {storage}")
     if storage == 0:
         numbers = _numbers(lines[5:], rows * rows + rows + contacts)
         W, rest = numbers[: rows * rows].reshape(rows, rows, order="F"), numbers[rows * rows :]
-    elif storage == 2:
+    else:
         W, end = _printed_by_csparse(lines, rows)
         rest = _numbers(lines[end:], rows + contacts)
-    else:
-        raise ValueError(f"storage of W: expected 0 (dense) or 2 (sparse), got {storage}")
     return check_problem(ContactProblem(sparse.csr_array(W), rest[:rows], friction=rest[rows:]))
 
 
@@ -104,8 +102,7 @@ def _header(lines: list[str]) -> list[int]:
     """The five integers before W, each on a line of its own."""
     found = []
     for name, line in zip(("dimension", "number of contacts", "storage of W", "rows", "columns"), [*lines, *[""] * 5]):
-        if not re.fullmatch(r"\s*\d{1,9}\s*", line):
-            raise ValueError(f"{name}: expected an integer, got {line[:40]!r}")
+        expect(re.fullmatch(r"\s*\d{1,9}\s*", line), f"{name}: expected an integer, got {line[:40]!r}")
         found.append(int(line))
     return found
 
@@ -114,19 +111,17 @@ def _printed_by_csparse(lines: list[str], rows: int) -> tuple[sparse.csc_array, 
     """The matrix of CSparse's print, and the line after it. A title may stand before its sizes."""
     found = ((at, match) for at, line in enumerate(lines[5:9], 5) if (match := _SIZES.match(line)))
     at, sizes = next(found, (0, None))
-    if sizes is None:
-        raise ValueError("W: expected CSparse's print, 'r-by-c, nzmax: … nnz: …', within 3 lines of line 6")
-    if (int(sizes[1]), int(sizes[2])) != (rows, rows):
-        raise ValueError(f"W: expected {rows} rows and columns, got {sizes[1]} and {sizes[2]}")
-    end = at + 1 + rows + int(sizes[4])
-    if len(lines) < end:
-        raise ValueError(f"W: expected {rows} columns and {sizes[4]} entries, got {len(lines) - at - 1} lines")
+    expect(sizes, "W: expected CSparse's print, 'r-by-c, nzmax: … nnz: …', within 3 lines of line 6")
+    is_square = (int(sizes[1]), int(sizes[2])) == (rows, rows)
+    expect(is_square, f"W: expected {rows} rows and columns, got {sizes[1]} and {sizes[2]}")
+    end, wanted = at + 1 + rows + int(sizes[4]), f"W: expected {rows} columns and {sizes[4]} entries, got "
+    expect(len(lines) >= end, f"{wanted}{len(lines) - at - 1} lines")
     starts, indices, data = [], [], []
     for number, line in enumerate(lines[at + 1 : end], at + 2):
         if column := _COLUMN.match(line):
-            if (int(column[1]), int(column[2])) != (len(starts), len(data)):
-                expected = f"column {len(starts)} with entries from {len(data)}"
-                raise ValueError(f"line {number}: expected {expected}, got {line[:60]!r}")
+            follows = (int(column[1]), int(column[2])) == (len(starts), len(data))
+            expected = f"column {len(starts)} with entries from {len(data)}"
+            expect(follows, f"line {number}: expected {expected}, got {line[:60]!r}")
             starts.append(len(data))
             continue
         row, _, value = line.partition(":")
@@ -135,18 +130,14 @@ def _printed_by_csparse(lines: list[str], rows: int) -> tuple[sparse.csc_array, 
             data.append(float(value))
         except ValueError:
             raise ValueError(f"line {number}: expected 'row : value', got {line[:60]!r}") from None
-        if not 0 <= indices[-1] < rows:
-            raise ValueError(f"line {number}: expected a row from 0 to {rows - 1}, got {indices[-1]}")
-    if len(starts) != rows or len(data) != int(sizes[4]):
-        got = f"{len(starts)} and {len(data)}"
-        raise ValueError(f"W: expected {rows} columns and {int(sizes[4])} entries, got {got}")
+        expect(0 <= indices[-1] < rows, f"line {number}: expected a row from 0 to {rows - 1}, got {indices[-1]}")
+    expect((len(starts), len(data)) == (rows, int(sizes[4])), f"{wanted}{len(starts)} and {len(data)}")
     return sparse.csc_array((data, indices, [*starts, len(data)]), shape=(rows, rows)), end
 
 
 def _numbers(lines: list[str], count: int) -> np.ndarray:
     words = " ".join(lines).split()
-    if len(words) != count:
-        raise ValueError(f"W, q and μ: expected {count} numbers to the end of the file, got {len(words)}")
+    expect(len(words) == count, f"W, q and μ: expected {count} numbers to the end of the file, got {len(words)}")
     try:
         numbers = np.array(words, np.float64)
     except ValueError as error:
@@ -155,47 +146,41 @@ def _numbers(lines: list[str], count: int) -> np.ndarray:
 
 
 def _read_fclib(file: h5py.File) -> ContactProblem:
-    if "fclib_local" not in file:
-        raise ValueError(f"expected the group fclib_local, got {sorted(file)[:8]}")
+    expect("fclib_local" in file, f"expected the group fclib_local, got {sorted(file)[:8]}")
     names = ("spacedim", "W/m", "W/n", "W/nz", "W/p", "W/i", "W/x", "vectors/q", "vectors/mu")
     arrays = hdf5.read({name: hdf5.dataset(file, f"fclib_local/{name}") for name in names}, MAX_BYTES)
-    if "V" in file["fclib_local"]:
-        raise ValueError("V, R: expected a problem of contacts alone, got one with bilateral constraints")
+    is_alone = "V" not in file["fclib_local"]
+    expect(is_alone, "V, R: expected a problem of contacts alone, got one with bilateral constraints")
     spacedim, rows, columns, kind = (_integer(name, arrays[name]) for name in names[:4])
     p, i = (_integers(name, arrays[name]) for name in ("W/p", "W/i"))
     x, q, mu = (arrays[name].astype(np.float64) for name in ("W/x", "vectors/q", "vectors/mu"))
-    if spacedim != 2:
-        raise ValueError(f"spacedim: expected 2, got {spacedim}")
-    if rows != columns or rows < 0:
-        raise ValueError(f"W: expected as many rows as columns, got {rows} and {columns}")
-    if q.shape != (rows,):
-        raise ValueError(f"vectors/q: expected {rows} numbers, as W has rows, got shape {q.shape}")
-    if kind in (-1, -2):
-        if p.shape != (rows + 1,) or p[0] != 0 or (np.diff(p) < 0).any() or p[-1] > len(i) or len(i) != len(x):
-            raise ValueError(f"W/p: expected {rows + 1} offsets from 0 to at most {len(x)} in rising order")
+    expect(spacedim == 2, f"spacedim: expected 2, got {spacedim}")
+    expect(rows == columns and rows >= 0, f"W: expected as many rows as columns, got {rows} and {columns}")
+    expect(q.shape == (rows,), f"vectors/q: expected {rows} numbers, as W has rows, got shape {q.shape}")
+    expect(kind >= -2, f"W/nz: expected -2 (rows), -1 (columns) or a number of triplets, got {kind}")
+    if kind < 0:
+        rise = p.shape == (rows + 1,) and p[0] == 0 and (np.diff(p) >= 0).all() and p[-1] <= len(i) == len(x)
+        expect(rise, f"W/p: expected {rows + 1} offsets from 0 to at most {len(x)} in rising order")
         make, used, indices = sparse.csc_array if kind == -1 else sparse.csr_array, p[-1], {"W/i": i}
-    elif kind >= 0:
-        if not p.shape == i.shape == x.shape or p.ndim != 1:
-            raise ValueError(f"W/p, W/i, W/x: expected as many of each, got {p.shape}, {i.shape} and {x.shape}")
-        make, used, indices = sparse.coo_array, kind, {"W/p": p, "W/i": i}
     else:
-        raise ValueError(f"W/nz: expected -2 (rows), -1 (columns) or a number of triplets, got {kind}")
+        as_many = p.shape == i.shape == x.shape and p.ndim == 1
+        expect(as_many, f"W/p, W/i, W/x: expected as many of each, got {p.shape}, {i.shape} and {x.shape}")
+        make, used, indices = sparse.coo_array, kind, {"W/p": p, "W/i": i}
     for name, index in indices.items():
         least, most = index[:used].min(initial=0), index[:used].max(initial=0)
-        if least < 0 or most >= max(rows, 1):
-            raise ValueError(f"{name}: expected indices from 0 to {rows - 1}, got {least} to {most}")
+        fit = least >= 0 and most < max(rows, 1)
+        expect(fit, f"{name}: expected indices from 0 to {rows - 1}, got {least} to {most}")
     given = (x[:used], (p[:used], i[:used])) if kind >= 0 else (x[:used], i[:used], p)
     return check_problem(ContactProblem(sparse.csr_array(make(given, shape=(rows, rows))), q, friction=mu))
 
 
 def _integer(name: str, array: np.ndarray) -> int:
-    if array.size != 1:
-        raise ValueError(f"{name}: expected an integer, got {array.dtype}, {array.shape}")
+    expect(array.size == 1, f"{name}: expected an integer, got {array.dtype}, {array.shape}")
     return int(_integers(name, array).ravel()[0])
 
 
 def _integers(name: str, array: np.ndarray) -> np.ndarray:
     """The array with signs: differences of unsigned integers are never negative, whatever the offsets are."""
-    if array.dtype.kind not in "iu" or array.max(initial=0) >= 2**63:
-        raise ValueError(f"{name}: expected an integer, got {array.dtype}, {array.shape}")
+    fits = array.dtype.kind in "iu" and array.max(initial=0) < 2**63
+    expect(fits, f"{name}: expected an integer, got {array.dtype}, {array.shape}")
     return array.astype(np.int64)

@@ -35,7 +35,7 @@ from deep_contact.io.files import FileError, write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import integer, number, one_of
+from deep_contact.validation import expect, integer, number, one_of
 
 FORMAT = "deep-contact simulation"
 VERSION = 1
@@ -163,23 +163,21 @@ def phase(state: State) -> str:
 def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=None, options=None) -> StoredSimulation:
     """States of one simulation as arrays. Arguments and errors as for `write_simulation`."""
     states = [check_state(state) for state in states]
-    if not states:
-        raise ValueError("states: expected at least one state, got none")
+    expect(states, "states: expected at least one state, got none")
     first = states[0]
     for i, state in enumerate(states):
-        if state.contacts is None:
-            raise ValueError(f"states[{i}].contacts: expected contacts, got None")
+        expect(state.contacts is not None, f"states[{i}].contacts: expected contacts, got None")
         for name in ("name", "world", "dt", "solver"):
             if getattr(state, name) != getattr(first, name):
                 expected, got = getattr(first, name), getattr(state, name)
                 raise ValueError(f"states[{i}].{name}: expected that of the first state, {expected!r}, got {got!r}")
         for name in ("mass", "radius"):
-            if not np.array_equal(getattr(state.bodies, name), getattr(first.bodies, name)):
-                raise ValueError(f"states[{i}].bodies.{name}: expected that of the first state, got another")
-    if first.solver is not None and type(first.solver) not in METHODS.values():
-        raise ValueError(f"states[0].solver: expected None or one of {', '.join(METHODS)}, got {first.solver!r}")
-    if "\0" in first.name:
-        raise ValueError(f"states[0].name: expected text without NUL, got {first.name!r}")
+            same = np.array_equal(getattr(state.bodies, name), getattr(first.bodies, name))
+            expect(same, f"states[{i}].bodies.{name}: expected that of the first state, got another")
+    solver = first.solver
+    known = solver is None or type(solver) in METHODS.values()
+    expect(known, f"states[0].solver: expected None or one of {', '.join(METHODS)}, got {solver!r}")
+    expect("\0" not in first.name, f"states[0].name: expected text without NUL, got {first.name!r}")
     arrays = {
         "step": np.array([s.step for s in states], np.int64),
         "time": np.array([s.time for s in states], np.float64),
@@ -217,11 +215,9 @@ def write_simulation(
 def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> bytes:
     """The bytes of a simulation's file. compression and errors as for `write_simulation`."""
     one_of("compression", compression, ("gzip", "lzf", None))
-    if simulation.bytes > MAX_BYTES:
-        raise ValueError(f"states: expected at most {MAX_BYTES} bytes a file, got {simulation.bytes}")
-    segments = len(simulation.header["world"].segments)
-    if segments > _MOST_SEGMENTS:
-        raise ValueError(f"segments: expected at most {_MOST_SEGMENTS:,} in a file, got {segments:,}")
+    size, segments = simulation.bytes, len(simulation.header["world"].segments)
+    expect(size <= MAX_BYTES, f"states: expected at most {MAX_BYTES} bytes a file, got {size}")
+    expect(segments <= _MOST_SEGMENTS, f"segments: expected at most {_MOST_SEGMENTS:,} in a file, got {segments:,}")
     buffer = io.BytesIO()
     with h5py.File(buffer, "w") as file:
         for name, value in (_attributes(simulation.header) | {"digest": simulation.digest}).items():
@@ -258,7 +254,7 @@ def read_simulation(path) -> StoredSimulation:
         digest = attributes.pop("digest")
         # Of the attributes as they are in the file: the header may hold options that are newer than the file.
         actual = _digest(attributes, arrays)
-        _expect(actual == digest, f"digest: expected that of the contents, {actual}, got {digest}: altered or damaged")
+        expect(actual == digest, f"digest: expected that of the contents, {actual}, got {digest}: altered or damaged")
     return StoredSimulation(header=header, arrays=arrays, digest=digest)
 
 
@@ -280,12 +276,6 @@ def simulation_info(path) -> SimulationInfo:
 
 
 # ---- details of a file ----
-
-
-def _expect(condition, message: str) -> None:
-    """Raise ValueError unless the condition holds; `hdf5.opened` names the file."""
-    if not condition:
-        raise ValueError(message)
 
 
 def _kind(attribute: str) -> str:
@@ -344,11 +334,11 @@ def _read_attributes(file: h5py.File) -> dict:
     for name in (*_TEXTS, *_NUMBERS, *(name for name in _OPTIONAL if name in file.attrs)):
         value = hdf5.attribute(file, name)
         if name in _TEXTS:
-            _expect(isinstance(value, bytes), f"{name}: expected a text of fixed length, got {type(value).__name__}")
+            expect(isinstance(value, bytes), f"{name}: expected a text of fixed length, got {type(value).__name__}")
             values[name] = value.decode()
         else:
             array = np.asarray(value)
-            _expect(array.dtype.str == _kind(name), f"{name}: expected {_kind(name)}, got {array.dtype.str}")
+            expect(array.dtype.str == _kind(name), f"{name}: expected {_kind(name)}, got {array.dtype.str}")
             values[name] = tuple(array.tolist()) if array.shape else array.item()
     return values
 
@@ -356,15 +346,15 @@ def _read_attributes(file: h5py.File) -> dict:
 def _header(attributes: dict) -> dict:
     """What the attributes of a file mean."""
     for name, expected in (("format", FORMAT), ("version", VERSION)):
-        _expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
+        expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
     world = {name: attributes[name] for name in ("box", "gravity", "friction", "restitution")}
     scales, segments = attributes.get("scales"), attributes.get("segments", ())
     if scales is not None:
         count = len(ContactScales._fields)
-        _expect(np.size(scales) == count, f"scales: expected {count}, got {np.size(scales)}")
+        expect(np.size(scales) == count, f"scales: expected {count}, got {np.size(scales)}")
         world["scales"] = ContactScales._make(scales)
-    _expect(np.size(segments) % 4 == 0, f"segments: expected 4 numbers each, got {np.size(segments)} in all")
+    expect(np.size(segments) % 4 == 0, f"segments: expected 4 numbers each, got {np.size(segments)} in all")
     segments = np.reshape(segments, (-1, 4)).tolist()
     header["world"] = World(**world, segments=segments, surface_speeds=attributes.get("surface_speeds", ()))
     for name in ("solver", "seed", "options"):
@@ -382,19 +372,19 @@ def _header(attributes: dict) -> dict:
 def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     """The arrays of a file, whose types and shapes fit each other, before any is read."""
     strange = sorted(set(file) ^ set(_ARRAYS))
-    _expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
+    expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
     datasets = {name: hdf5.dataset(file, name) for name in _ARRAYS}
     sizes = {"2": 2}
     for name, letter in (("step", "T"), ("mass", "n"), ("body_a", "M")):
         shape = datasets[name].shape
-        _expect(shape is not None and len(shape) == 1, f"{name}: expected one dimension, got shape {shape}")
+        expect(shape is not None and len(shape) == 1, f"{name}: expected one dimension, got shape {shape}")
         sizes[letter] = shape[0]
-    _expect(sizes["T"], "step: expected at least one state, got none")
+    expect(sizes["T"], "step: expected at least one state, got none")
     sizes["E"] = sizes["T"] + 1
     for name, (dtype, dimensions) in _ARRAYS.items():
         array, shape = datasets[name], tuple(sizes[letter] for letter in dimensions)
-        _expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
-        _expect(array.shape == shape, f"{name}: expected shape {shape}, got {array.shape}")
+        expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
+        expect(array.shape == shape, f"{name}: expected shape {shape}, got {array.shape}")
     return datasets
 
 
@@ -418,7 +408,7 @@ def _check_arrays(arrays: dict, segments: int) -> None:
     refuse("normal_impulse", arrays["normal_impulse"] < 0, "a number >= 0")
     refuse("contact_offset", (steps < 0) | (offset > a.size), "rising numbers within the contacts")
     first, last = offset[[0, -1]].tolist()
-    _expect((first, last) == (0, a.size), f"contact_offset: expected 0 to {a.size}, got {first} to {last}")
+    expect((first, last) == (0, a.size), f"contact_offset: expected 0 to {a.size}, got {first} to {last}")
     refuse("body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}")
     refuse("body_b", (b <= a) | (b >= end), f"a body after body_a, up to {end - 1}")
     refuse("normal", np.stack([np.abs(length - 1) > 1e-4] * 2, axis=1), "a unit vector")

@@ -22,7 +22,7 @@ oninput="const s = this.parentNode.querySelector('svg'); s.pauseAnimations(); s.
 
 def shown(title: str, rows: Iterable[Sequence], picture: str = "", header: Sequence[str] = ()) -> str:
     """HTML of a title, a table, and a picture beside it. rows: a name and values each. header: of the columns."""
-    body = "".join(f"<th>{escape(name)}</th>" for name in header)
+    body = f"<tr>{''.join(f'<th>{escape(name)}</th>' for name in header)}</tr>" if header else ""
     for name, *values in rows:
         cells = "".join(f"<td>{escape(str(value))}</td>" for value in values)
         body += f"<tr><th>{escape(str(name))}</th>{cells}</tr>"

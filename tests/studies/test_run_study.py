@@ -164,7 +164,8 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
         "PGS, 20 sweeps, position_sweeps=0, Δt / 16",
     }
     table = json.loads((tmp_path / "runs.json").read_text())
-    found = dc.recommend(dc.circles_in_box(20), accuracy="preview", table=table)
+    monkeypatch.setattr("deep_contact.presets.installed", lambda: table)
+    found = dc.recommend(dc.circles_in_box(20), accuracy="preview")
     assert found.us > 0
     assert {setting["name"] for setting in table["settings"]} == {"PGS, 3 sweeps, Δt", "NNCG, 2 sweeps, Δt"}
 
