@@ -386,14 +386,6 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         states = solved_states(scene, steps=max(steps) + 1, contacts_only=False)
         return {"snapshots": [plotting.state_data(states[step]) for step in steps]}
 
-    def table(data):
-        rows = [["time (s)", "contacts", "mean height (m)", "largest speed (m/s)", "largest λ_n (N·s)"]]
-        for state in map(plotting.state_of, data["snapshots"]):
-            height, speed = state.bodies.position[:, 1].mean(), plotting.body_values(state, "speed")[0].max()
-            largest = state.contacts.normal_impulse.max(initial=0.0)
-            rows.append([state.time, state.contacts.count, height, speed, largest])
-        return rows
-
     def draw(data, options):
         states = [plotting.state_of(found) for found in data["snapshots"]]
         figure, panels = plotting.subplots(1, len(states), size=(2.9 * len(states), 3.35), squeeze=False, sharey=True)
@@ -410,7 +402,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         return figure
 
     options = {"n_bodies": 100, "size": 30.0, "times": list(times)}
-    return Figure(id, title, compute, table, draw, options=options)
+    return Figure(id, title, compute, draw=draw, options=options)
 
 
 def _end(values: Sequence[np.ndarray]) -> float:
