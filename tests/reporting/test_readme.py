@@ -40,7 +40,13 @@ def blocks(language, text):
 
 PYTHON = {name: blocks("python", text) for name, text in TEXTS.items()}
 LINES = "".join(block for text in TEXTS.values() for block in blocks("bash", text)).splitlines()
-COMMANDS = dict.fromkeys(filter(str.strip, LINES))
+COMMANDS = dict.fromkeys(line for line in LINES if line.strip() and not line.startswith("#"))
+
+
+@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if page != "docs/guide.md"])
+def test_code_fits_the_page(page):
+    shown = "".join(blocks("python", TEXTS[page]) + blocks("bash", TEXTS[page]))
+    assert [line for line in shown.splitlines() if len(line) > 88] == []
 
 
 def test_readme_is_one_page_and_the_documentation_at_most_100_kilobytes():
