@@ -13,14 +13,13 @@ import re
 import sys
 
 import measured
-from measured import REFERENCE, ROOT, stored
-
 from deep_contact.io.files import replacing
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
 from deep_contact.studies import verdicts
 from deep_contact.studies.runs import ERRORS, cheaper_than_rivals
+from measured import REFERENCE, ROOT, stored
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
 _BLOCK = re.compile(r"(<!-- table: (?P<name>[\w ]+) -->\n).*?(<!-- end -->)", re.DOTALL)

@@ -17,7 +17,9 @@ def main():
     """Compare two starts on two scenes, here and on the cluster."""
     starts = {"none": "none", "builtin": "builtin"}
     here = dc.experiments.compare_starts(starts, jobs=1, **STUDY)
-    with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as machines:
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, dashboard_address=None
+    ) as machines:
         with parallel.cluster(machines.scheduler_address) as workers:
             there = dc.experiments.compare_starts(starts, jobs=workers, **STUDY)
     for name, found in there["paired"].items():

@@ -21,7 +21,9 @@ starts: dict[str, dc.warm_start.WarmStart] = {
 }
 found = dc.experiments.paired(states, starts, sweeps=1000)
 for name, one in found.items():
-    print(f"{name:15s} mean {one['sweeps'].mean():6.1f} sweeps to 6e-5 N·s, median {np.median(one['sweeps']):5.0f}")
+    print(
+        f"{name:15s} mean {one['sweeps'].mean():6.1f} sweeps to 6e-5 N·s, median {np.median(one['sweeps']):5.0f}"
+    )
 
 figure, ax = dc.plotting.subplots()
 for name, one in found.items():

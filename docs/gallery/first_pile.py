@@ -18,7 +18,9 @@ def measure(state, record):
 
 
 run = dc.simulate(scene, steps=200, dt=0.01, solver=dc.PGS(sweeps=100), on_step=measure)
-print(f"{run.state.bodies.count} circles, {run.state.contacts.count} contacts at t = {run.state.time:.2f} s")
+print(
+    f"{run.state.bodies.count} circles, {run.state.contacts.count} contacts at t = {run.state.time:.2f} s"
+)
 print(f"sweeps a step: mean {run.sweeps.mean():.0f}, largest {run.sweeps.max()}")
 for reason, count in zip(*np.unique(run.status, return_counts=True)):
     print(f"{count} steps ended with {reason}")

@@ -12,7 +12,9 @@ import numpy as np
 
 import deep_contact as dc
 
-state = dc.experiments.solved_states(dc.circles_in_box(n_bodies=60, size=24.0, seed=5), steps=201)[-1]
+state = dc.experiments.solved_states(
+    dc.circles_in_box(n_bodies=60, size=24.0, seed=5), steps=201
+)[-1]
 points, impulses = state.contacts.position, state.contacts.normal_impulse
 at_edge: dict[str, Any] = {"outside": "clamp", "unreached": "zero"}
 
@@ -21,15 +23,23 @@ for kernel in dc.sph.KERNELS:
     for d in (0.25, 0.5):
         grid = dc.sph.Grid.over_box(state.world.box, d)
         shape: dict[str, Any] = {"h": d, "kernel": kernel}
-        image = dc.sph.splat(grid, points, impulses, normalization="particle", **shape, **at_edge)
+        image = dc.sph.splat(
+            grid, points, impulses, normalization="particle", **shape, **at_edge
+        )
         ones = dc.sph.density(grid, points, **shape, **at_edge)
         ways = (
             dc.sph.gather(grid, image, points, **at_edge),
             dc.sph.gather(grid, image, points, method="sph", **shape, **at_edge),
-            dc.sph.gather(grid, image, points, normalization="consistent", density=ones, **at_edge),
+            dc.sph.gather(
+                grid, image, points, normalization="consistent", density=ones, **at_edge
+            ),
         )
-        losses = [np.linalg.norm(back - impulses) / np.linalg.norm(impulses) for back in ways]
-        print(f"{kernel:13s} {d:5.2f}  {losses[0]:8.3f}  {losses[1]:12.3f}  {losses[2]:10.1e}")
+        losses = [
+            np.linalg.norm(back - impulses) / np.linalg.norm(impulses) for back in ways
+        ]
+        print(
+            f"{kernel:13s} {d:5.2f}  {losses[0]:8.3f}  {losses[1]:12.3f}  {losses[2]:10.1e}"
+        )
 
 figure, ax = dc.plotting.subplots()
 q = np.linspace(0, 1, 200)

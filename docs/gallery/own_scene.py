@@ -12,11 +12,16 @@ import deep_contact as dc
 rng = np.random.default_rng(1)
 n = 120
 jet = np.arange(n) % 2  # 0: from the left, 1: from the right
-position = np.column_stack([np.where(jet, 14.0, 6.0), 8.0 + 1.1 * (np.arange(n) // 2)])  # m
+# m
+position = np.column_stack([np.where(jet, 14.0, 6.0), 8.0 + 1.1 * (np.arange(n) // 2)])
 position[:, 0] += rng.uniform(-0.2, 0.2, n)
 velocity = np.column_stack([np.where(jet, -3.0, 3.0), np.full(n, -5.0)])  # m/s
-bodies = dc.make_bodies(position, radius=rng.choice([0.25, 0.35, 0.45], n), velocity=velocity, density=2.0)
-world = dc.World(box=(0.0, 0.0, 20.0, 80.0), friction=0.3, segments=[((4.0, 6.0), (10.0, 3.0))])
+bodies = dc.make_bodies(
+    position, radius=rng.choice([0.25, 0.35, 0.45], n), velocity=velocity, density=2.0
+)
+world = dc.World(
+    box=(0.0, 0.0, 20.0, 80.0), friction=0.3, segments=[((4.0, 6.0), (10.0, 3.0))]
+)
 scene = dc.State(name="two jets", world=world, bodies=bodies)
 
 run = dc.simulate(scene, steps=400, accuracy="fast", record=5)

@@ -6,24 +6,34 @@ the image of a state, the model is called as always, and `impulses` reads what i
 
 import deep_contact as dc
 from deep_contact.cnn import ImageSpec, LearnedModel
-from deep_contact.cnn.backend import keras  # the same as `import keras`, without TensorFlow's log
+
+# the same as `import keras`, without TensorFlow's log
+from deep_contact.cnn.backend import keras
 
 keras.utils.set_random_seed(0)
-field = [keras.layers.Conv2D(8, 3, padding="same", activation="relu"), keras.layers.Conv2D(2, 3, padding="same")]
-mine = keras.Sequential([keras.Input((None, None, 5)), *field])  # 5 channels in, λ_n and λ_t out; not trained
+field = [
+    keras.layers.Conv2D(8, 3, padding="same", activation="relu"),
+    keras.layers.Conv2D(2, 3, padding="same"),
+]
+# 5 channels in, λ_n and λ_t out; not trained
+mine = keras.Sequential([keras.Input((None, None, 5)), *field])
 
 state = dc.read_state(dc.sample_file("impact_154"))
-net = LearnedModel(source=mine, spec=ImageSpec())  # the thesis's channels, d = h = 0.5 m
+# the thesis's channels, d = h = 0.5 m
+net = LearnedModel(source=mine, spec=ImageSpec())
 x = net.input(state)  # (61, 61, 5)
 y = mine(x[None])  # (1, 61, 61, 2)
-normal, tangent = net.impulses(state, y)  # one of each a contact, N·s, within the friction cone
+# one of each a contact, N·s, within the friction cone
+normal, tangent = net.impulses(state, y)
 print(f"image {x.shape}, output {tuple(y.shape)}, {normal.size} contacts")
 
 thesis = dc.load_model("thesis_factored")  # a model that is shipped goes the same way
 y = thesis.network(thesis.input(state)[None])
 normal, tangent = thesis.impulses(state, y)
 solved = dc.solve_contacts(state, solver=dc.PGS(), start=(normal, tangent))
-print(f"mean λ_n {normal.mean():.2f} N·s by the network, {solved.normal_impulses.mean():.2f} N·s solved")
+print(
+    f"mean λ_n {normal.mean():.2f} N·s by the network, {solved.normal_impulses.mean():.2f} N·s solved"
+)
 
 try:
     thesis.impulses(state, y[:, :100])

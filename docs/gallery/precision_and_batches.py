@@ -10,7 +10,9 @@ import numpy as np
 
 import deep_contact as dc
 
-pile = dc.simulate(dc.lattice_in_box(n_bodies=3000, seed=1), steps=150, solver=dc.PGS(sweeps=20)).state
+pile = dc.simulate(
+    dc.lattice_in_box(n_bodies=3000, seed=1), steps=150, solver=dc.PGS(sweeps=20)
+).state
 solvers = {
     "PGS": dc.PGS(sweeps=20, tolerance=None),
     "PGS, single": dc.PGS(precision="single", sweeps=20, tolerance=None),
@@ -26,4 +28,6 @@ for name, solver in solvers.items():
     position = run.state.bodies.position
     reference = position if reference is None else reference
     apart = np.abs(position - reference).max()
-    print(f"{name:19s} {took:6.2f} ms a step, at most {apart:.1e} m from PGS after 40 steps")
+    print(
+        f"{name:19s} {took:6.2f} ms a step, at most {apart:.1e} m from PGS after 40 steps"
+    )

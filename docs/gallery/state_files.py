@@ -19,11 +19,15 @@ print("\n".join(Path("halfway.xml").read_text().splitlines()[:5]))
 resumed = dc.simulate(dc.read_state("halfway.xml"), steps=100).state
 straight = dc.simulate(scene, steps=200).state
 same = np.array_equal(resumed.bodies.position, straight.bodies.position)
-print(f"after 200 steps the resumed run and the uninterrupted run have the same bits: {same}")
+print(
+    f"after 200 steps the resumed run and the uninterrupted run have the same bits: {same}"
+)
 assert same
 
 # A file that is damaged is refused, with the line, the element and the value.
-Path("damaged.xml").write_text(Path("halfway.xml").read_text().replace('radius="1.0"', 'radius="-1.0"', 1))
+Path("damaged.xml").write_text(
+    Path("halfway.xml").read_text().replace('radius="1.0"', 'radius="-1.0"', 1)
+)
 try:
     dc.read_state("damaged.xml")
 except ValueError as error:

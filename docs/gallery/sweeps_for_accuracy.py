@@ -15,10 +15,18 @@ exact = dc.solve_exactly(state)
 print(f"exact solution: residual {exact.residual:.1e} m/s after {exact.pivots} pivots")
 
 budgets = np.unique(np.geomspace(1, 300, 16).astype(int))
-solvers = {"PGS": dc.PGS, "PSOR, ω = 1.3": dc.PSOR, "NNCG": dc.NNCG, "NesterovPGS": dc.NesterovPGS}
+solvers = {
+    "PGS": dc.PGS,
+    "PSOR, ω = 1.3": dc.PSOR,
+    "NNCG": dc.NNCG,
+    "NesterovPGS": dc.NesterovPGS,
+}
 figure, ax = dc.plotting.subplots()
 for name, method in solvers.items():
-    solutions = [dc.solve_contacts(state, solver=method(sweeps=int(k), tolerance=None)) for k in budgets]
+    solutions = [
+        dc.solve_contacts(state, solver=method(sweeps=int(k), tolerance=None))
+        for k in budgets
+    ]
     errors = [velocity_error(state, solution, exact.solution) for solution in solutions]
     ax.loglog(budgets, errors, marker="o", markersize=3, label=name)
     print(f"{name:15s} error after {budgets[-1]} sweeps: {errors[-1]:.1e}")

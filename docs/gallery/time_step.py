@@ -25,7 +25,11 @@ for dt in (0.02, 0.01, 0.005, 0.0025):
     begin = time.perf_counter()
     dc.simulate(scene, steps=round(2.0 / dt), dt=dt, solver=solver, on_step=measure)
     rows.append((dt, max(depth), np.mean(depth), 1e3 * (time.perf_counter() - begin)))
-    print("Δt {:6.4f} s: deepest {:6.1f} slops, mean of steps {:5.2f}, {:4.0f} ms".format(*rows[-1]))
+    print(
+        "Δt {:6.4f} s: deepest {:6.1f} slops, mean of steps {:5.2f}, {:4.0f} ms".format(
+            *rows[-1]
+        )
+    )
 
 steps, deepest, mean, _ = zip(*rows)
 figure, ax = dc.plotting.subplots()

@@ -11,15 +11,23 @@ from deep_contact.cnn.training import far_field_config
 
 for sim in range(4):
     scene = dc.circles_in_box(n_bodies=25, size=16.0, seed=10 + sim)
-    write_simulation(f"sim_{sim:04d}.h5", dc.experiments.solved_states(scene, steps=150, every=2))
+    write_simulation(
+        f"sim_{sim:04d}.h5", dc.experiments.solved_states(scene, steps=150, every=2)
+    )
 print(f"{len(Store('.'))} states")
 
 config = far_field_config(
-    options={"width": 4}, fractions=(0.5, 0.25, 0.25), epochs=2, states_per_epoch=48, validation_states=24
+    options={"width": 4},
+    fractions=(0.5, 0.25, 0.25),
+    epochs=2,
+    states_per_epoch=48,
+    validation_states=24,
 )
 done = train(config, ".", "run", held_out=24)
 for line in done.history:
-    print(f"epoch {line['epoch'] + 1}: loss {line['loss']:.3f}, validation {line['validation_loss']:.3f}")
+    print(
+        f"epoch {line['epoch'] + 1}: loss {line['loss']:.3f}, validation {line['validation_loss']:.3f}"
+    )
 
 state = Store(".").state(3, 30)
 normal, tangent = dc.load_model("run/model.h5").predict(state)

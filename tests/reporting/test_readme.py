@@ -43,10 +43,9 @@ LINES = "".join(block for text in TEXTS.values() for block in blocks("bash", tex
 COMMANDS = dict.fromkeys(line for line in LINES if line.strip() and not line.startswith("#"))
 
 
-@pytest.mark.parametrize("page", [page for page, text in TEXTS.items() if page != "docs/guide.md"])
+@pytest.mark.parametrize("page", TEXTS)
 def test_code_fits_the_page(page):
-    shown = "".join(blocks("python", TEXTS[page]) + blocks("bash", TEXTS[page]))
-    assert [line for line in shown.splitlines() if len(line) > 88] == []
+    assert [line for block in blocks("python", TEXTS[page]) for line in block.splitlines() if len(line) > 88] == []
 
 
 def test_readme_is_one_page_and_the_documentation_at_most_100_kilobytes():
@@ -165,7 +164,7 @@ def test_the_stages_of_a_step_are_those_of_the_engine_in_its_order():
 def test_an_example_is_short_listed_and_public(path):
     """`scripts/docs.sh` runs it."""
     source = path.read_text(encoding="utf-8")
-    assert len(source.splitlines()) <= 40
+    assert len(source.splitlines()) <= 50
     assert "__file__" not in source  # a wheel has no repository around it
     assert f"({path.name})" in TEXTS["docs/gallery/index.md"]
     tree = ast.parse(source)
