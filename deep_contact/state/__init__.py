@@ -27,7 +27,7 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.state import notebook
 from deep_contact.state.scales import ContactScales, contact_scales
-from deep_contact.validation import flag, integer, number
+from deep_contact.validation import expect, flag, integer, number
 
 S = TypeVar("S", bound="State")
 
@@ -190,17 +190,18 @@ class World:
 
     def __post_init__(self):
         box, gravity = _numbers(self.box), _numbers(self.gravity)
-        if len(box) != 4 or not np.isfinite(box).all() or box[0] >= box[2] or box[1] >= box[3]:
-            raise ValueError(f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
-        if len(gravity) != 2 or not np.isfinite(gravity).all():
-            raise ValueError(f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
+        fits = len(box) == 4 and np.isfinite(box).all() and box[0] < box[2] and box[1] < box[3]
+        expect(fits, f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
+        fits = len(gravity) == 2 and np.isfinite(gravity).all()
+        expect(fits, f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
         segments = _checked_segments(self.segments)
-        checked = {"box": box, "gravity": gravity, "segments": segments, "scales": _checked_scales(self.scales)}
-        checked["surface_speeds"] = _checked_speeds(self.surface_speeds, len(segments))
-        checked["friction"] = number("friction", self.friction, low=0)
-        checked["restitution"] = number("restitution", self.restitution, low=0, high=1)
-        for name, value in checked.items():
-            object.__setattr__(self, name, value)
+        # Past the dataclass, which is frozen.
+        vars(self).update(
+            box=box, gravity=gravity, segments=segments, scales=_checked_scales(self.scales),
+            surface_speeds=_checked_speeds(self.surface_speeds, len(segments)),
+            friction=number("friction", self.friction, low=0),
+            restitution=number("restitution", self.restitution, low=0, high=1),
+        )  # fmt: skip
 
     @cached_property
     def is_within_limits(self) -> bool:
@@ -442,8 +443,8 @@ def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
 def _checked_scales(scales) -> ContactScales | None:
     if scales is None:
         return None
-    if not isinstance(scales, ContactScales):
-        raise ValueError(f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
+    is_known = isinstance(scales, ContactScales)
+    expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
     # Floats, whatever was given: compiled code is compiled for those.
     limits = {"max_translation": {"above": 0}}
     named = scales._asdict().items()
@@ -456,8 +457,7 @@ def _length(name: str, values) -> int:
         shape = np.shape(values)
     except ValueError:  # rows of unlike lengths
         shape = ()
-    if len(shape) != 1:
-        raise ValueError(f"{name}: expected an array of one dimension, got {reprlib.repr(values)}")
+    expect(len(shape) == 1, f"{name}: expected an array of one dimension, got {reprlib.repr(values)}")
     return shape[0]
 
 
@@ -475,8 +475,7 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
         array = np.array(value, dtype=np.float64, order="C")
     except (ValueError, TypeError, OverflowError):
         raise ValueError(f"{owner}.{name}: expected numbers of shape {shape}, got {reprlib.repr(value)}") from None
-    if array.shape != shape:
-        raise ValueError(f"{owner}.{name}: expected shape {shape}, got {array.shape}")
+    expect(array.shape == shape, f"{owner}.{name}: expected shape {shape}, got {array.shape}")
     _refuse_where(~np.isfinite(array), owner, name, array, "a finite number")
     return array
 

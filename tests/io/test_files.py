@@ -1,4 +1,4 @@
-"""Atomic writes."""
+"""JSON as it is written, and heaps of HDF5 that lead nowhere."""
 
 import json
 
@@ -6,24 +6,9 @@ import h5py
 import pytest
 
 from deep_contact.cnn.model_file import ModelFileError, read_metadata
-from deep_contact.io.files import replacing, write_json
+from deep_contact.io.files import write_json
 from deep_contact.io.hdf5 import damaged_heap
 from deep_contact.io.simulation_h5 import DataFileError, read_simulation
-
-
-def test_an_interrupted_replacement_leaves_no_temporary_file(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-
-    def interrupted():
-        with replacing(path) as temporary:
-            temporary.write_text("half")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert path.read_text() == "old"
-    assert [entry.name for entry in tmp_path.iterdir()] == ["a.txt"]
 
 
 def test_json_keeps_bits_puts_one_object_a_line_and_holds_finite_numbers(tmp_path):

@@ -72,33 +72,6 @@ def test_a_process_killed_while_it_writes_leaves_the_last_whole_file(tmp_path, m
     assert read_state(tmp_path / "state.xml").step >= written
 
 
-KILLED_FIGURE = """
-import os, signal, sys
-from deep_contact.reporting import figures
-
-def compute(options, seed, jobs, progress):
-    if sys.argv[3:]:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return {"x": 1.0}
-
-FIGURE = figures.Figure("T 9.8", "Killed", compute, lambda data: [["x"]])
-raise SystemExit(figures.main(FIGURE, sys.argv[1:3]))
-"""
-
-
-@POSIX
-def test_a_figure_killed_while_it_computes_leaves_what_was_there(tmp_path):
-    def contents():
-        return {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-
-    assert run(KILLED_FIGURE, "--out", tmp_path, "die").returncode == -signal.SIGKILL
-    assert not contents()
-    assert run(KILLED_FIGURE, "--out", tmp_path).returncode == 0
-    whole = contents()
-    assert run(KILLED_FIGURE, "--out", tmp_path, "die").returncode == -signal.SIGKILL
-    assert contents() == whole
-
-
 KILLED_STUDY = """
 import os, signal, sys
 from pathlib import Path
