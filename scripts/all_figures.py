@@ -1,13 +1,12 @@
 """python scripts/all_figures.py [--quick] [--only 3.7,5.9,T5.1] [--out figures] [--jobs J] …
 
 Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers. A failure does not stop the others.
-At the end it prints a summary and writes all results of the folder into one page, <out>/index.html. `--resume` keeps
-what is stored with the same settings and commit, `--replot` draws all again from what is stored.
+At the end it prints a summary and writes all results of the folder into one page, <out>/index.html.
 
 `--references` makes every file of data/reference: studies and benchmarks first, since figures are drawn from some of
 them, then all figures and tables, and the tables of the documentation. It takes some hours, on a machine that does
-nothing else, and keeps what this commit has made: the command goes on where it was stopped. `--list` only names what is
-to be made. Exit status: 0 if all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
+nothing else, and keeps what this commit has made: the command goes on where it was stopped. Exit status: 0 if all
+succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
 """
 
 import argparse
@@ -84,12 +83,15 @@ def parse(arguments):
     """The arguments, and the list of those that are passed on to every script."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add, flags = parser.add_argument, ("quick", "resume", "replot")
+    add("--quick", action="store_true", help="smaller runs, each within a minute")
+    add("--resume", action="store_true", help="keep what is stored with the same settings and commit")
+    add("--replot", action="store_true", help="draw all again from what is stored")
+    add("--references", action="store_true", help="make data/reference")
+    add("--list", action="store_true", help="only name what is to be made")
     add("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
-    add("--out", default="figures", metavar="FOLDER")
-    for name in (*flags, "references", "list"):
-        add(f"--{name}", action="store_true")
-    add("--jobs", type=int)
-    add("--seed", type=int)
+    add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
+    add("--jobs", type=int, help="processes (default: one for each core)")
+    add("--seed", type=int, help="of everything random (default: each script's own)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
     if given.references:

@@ -441,7 +441,7 @@ def say(name: str, values: dict) -> None:
 def main(arguments=None) -> None:
     """Run a benchmark and write its file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("name", choices=BENCHMARKS)
+    parser.add_argument("name", choices=BENCHMARKS, help="what is timed")
     parser.add_argument("files", nargs="*", type=Path, help="of outside: fc2d or FCLIB files")
     parser.add_argument("--out", type=Path, help="the file (build/results/benchmark_NAME.json)")
     parser.add_argument("--sizes", type=int, nargs="*", help="numbers of circles; of disks: discs along a side")

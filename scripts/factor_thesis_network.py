@@ -64,9 +64,9 @@ def main() -> int:
     """Factor, measure, save."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("model", type=Path)
-    add("--data", default="data/generated")
-    add("--out", type=Path, default=Path("models/thesis_factored.h5"))
+    add("model", type=Path, help="model file of the trained network")
+    add("--data", default="data/generated", help="folder of the simulations")
+    add("--out", type=Path, default=Path("models/thesis_factored.h5"), help="the factored model file")
     add("--bytes", type=int, default=25_000_000, help="largest size of the file")
     add("--states", type=int, default=2000, help="training states for the decomposition")
     add("--held-out", type=int, default=300, help="test states to measure on")

@@ -82,7 +82,7 @@ def main(argv=None) -> int:
     about = __doc__.partition(": ")[2]
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
-    add("states", nargs="+", type=Path, metavar="STATE.xml")
+    add("states", nargs="+", type=Path, metavar="STATE.xml", help="state files")
     add("--model", default=None, help="model file, or a name in models/registry.json; default: model")
     add("--out", type=Path, default=Path("predictions"), help="folder for the results")
     add("--threads", type=int, default=1, help="of TensorFlow")

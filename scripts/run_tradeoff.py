@@ -309,7 +309,7 @@ def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     add = parser.add_argument
     add("--quick", action="store_true", help="a smaller study that ends within five minutes")
-    add("--seed", type=int, default=0)
+    add("--seed", type=int, default=0, help="of the piles")
     add("--jobs", type=int, default=2, help="processes for the errors (2)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
     add("--out", type=Path, help="results file (in data/reference; quick: in runs)")

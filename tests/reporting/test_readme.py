@@ -1,5 +1,6 @@
 """README and the documentation: tables are what the results files say, and every block of code does what it says."""
 
+import argparse
 import ast
 import io
 import json
@@ -138,6 +139,16 @@ def test_commands_name_scripts_files_and_options_that_there_are(command):
     known = help_of(*words)
     for option in (word for word in arguments if word.startswith("--")):
         assert re.search(rf"{option}\b", known), option
+
+
+@pytest.mark.parametrize("script", ["all_figures", "benchmark", "generate_data", "predict", "run_tradeoff", "train"])
+def test_every_option_of_a_script_says_what_it_is(script, monkeypatch):
+    """Those of figures: test_figures.py."""
+    found = []
+    monkeypatch.setattr(argparse.ArgumentParser, "print_help", lambda parser: found.extend(parser._actions))
+    help_of.__wrapped__(f"scripts/{script}.py")
+    assert found
+    assert [action.dest for action in found if not action.help] == []
 
 
 @pytest.mark.parametrize("page", PAGES)
