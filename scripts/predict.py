@@ -95,14 +95,14 @@ def main(argv=None) -> int:
     try:
         limit_threads(given.threads)
         model = load_model(given.model)
-    except (OSError, ValueError) as error:
-        parser.exit(2, f"{parser.prog}: {error}\n")
+    except (ModuleNotFoundError, OSError, ValueError) as error:
+        parser.exit(4 if isinstance(error, ModuleNotFoundError) else 2, f"{parser.prog}: {error}\n")
     given.out.mkdir(parents=True, exist_ok=True)
     bad = 0
     for path in given.states:
         try:
             print("\n".join(predict_file(path, model, given.out, raw=given.raw, pictures=not given.no_pictures)))
-        except (ImportError, OSError, ValueError) as error:
+        except (OSError, ValueError) as error:
             bad += 1
             print(f"{parser.prog}: {error}")
     return 1 if bad else 0

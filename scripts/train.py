@@ -136,9 +136,9 @@ def main(given=None) -> int:
     except KeyboardInterrupt:
         print("\ntrain: stopped; the same command goes on from the last 20 seconds", file=sys.stderr)
         return 130
-    except (ImportError, OSError, ValueError, ArithmeticError, RuntimeError) as error:
+    except (ModuleNotFoundError, OSError, ValueError, ArithmeticError, RuntimeError) as error:
         print(f"train: {error}", file=sys.stderr)
-        return 1
+        return 4 if isinstance(error, ModuleNotFoundError) else 1  # 4: see deep_contact.__main__.STATUS
     return 0
 
 
