@@ -21,7 +21,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import re
 import shutil
 import sys
 import time
@@ -129,24 +128,6 @@ def make_sample(out: Path) -> None:
             write_state(out / f"{name}_{state.step}.xml.gz", state)
 
 
-def remove_unfinished(out: Path) -> None:
-    """Remove what killed processes left half written: names that begin with a dot and end with a process's number."""
-    for path in [*out.glob(".sim_*"), *(out / "xml").glob(".sim_*")]:
-        match = re.fullmatch(r"\.sim_\d+\.(\d+)(\.h5)?", path.name)
-        if match and not is_running(int(match[1])):
-            shutil.rmtree(path) if path.is_dir() else path.unlink()
-
-
-def is_running(process: int) -> bool:
-    """Whether a process of this number is running; True on Windows, where the question would end the process."""
-    try:
-        if os.name != "nt":
-            os.kill(process, 0)
-    except OSError as error:
-        return not isinstance(error, ProcessLookupError)
-    return True
-
-
 def missing(jobs: list[Job]) -> list[Job]:
     """The simulations that are not there yet. Raises DataFileError where one was made with other options."""
     for job in jobs:
@@ -214,7 +195,6 @@ def main(arguments=None) -> int:
     begin = time.perf_counter()
     try:
         args.out.mkdir(parents=True, exist_ok=True)
-        remove_unfinished(args.out)
         wanted = missing(jobs)
         there = f", {len(jobs) - len(wanted)} are there already" if len(wanted) < len(jobs) else ""
         print(f"{args.out}: {len(jobs)} simulations, about {megabytes(jobs):.0f} MB{there}")

@@ -25,10 +25,12 @@ Plain `keras.models.load_model(path, compile=False)` opens them as well (thesis_
 Errors are ‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy, in the mean over states of simulations that were used
 neither for training nor for choosing the epoch; phases as in `data/README.md`.
 
-thesis_factored.h5 was trained in half precision, which commit 3b4f18f is the last to have: the same command without
-`--precision` trains in float32. Its data are those of `scripts/generate_data.py` before the engine's sweep changed its
-order of operations: the same command now gives runs that part from them by rounding, with another hash. Those of the
-far-field networks are `python scripts/generate_data.py --simulations 400 --out data/generated/large`.
+thesis_factored.h5 was trained in half precision, and the matrix of its last layer (244 MB) was replaced by a product of
+rank 170 that changes the outputs on 2,000 training states least (`factor_thesis_network.py`). Commit 3b4f18f is the
+last to have both; the network's command without `--precision` trains it in float32. Its data are those of
+`scripts/generate_data.py` before the engine's sweep changed its order of operations: the same command now gives runs
+that part from them by rounding, with another hash. Those of the far-field networks are
+`python scripts/generate_data.py --simulations 400 --out data/generated/large`.
 
 `comparison/` holds networks that were trained on a small budget, alike but for their width: Figure 6.4.
 """

@@ -60,16 +60,12 @@ class Store:
         """All states, one simulation after the other."""
         return (self.state(sim, index) for sim, index in self.states().tolist())
 
-    def path(self, sim: int) -> Path:
-        """The file of a simulation. Raises KeyError on an unknown one."""
+    def info(self, sim: int) -> SimulationInfo:
+        """Header and size of a simulation, read without its arrays. Raises KeyError on an unknown one."""
         if sim not in self.simulations:
             raise KeyError(f"sim: expected a simulation of {self.folder}, got {sim!r}")
-        return simulation_path(self.folder, sim)
-
-    def info(self, sim: int) -> SimulationInfo:
-        """Header and size of a simulation, read without its arrays."""
         if sim not in self._infos:
-            self._infos[sim] = simulation_info(self.path(sim))
+            self._infos[sim] = simulation_info(simulation_path(self.folder, sim))
         return self._infos[sim]
 
     def simulation(self, sim: int) -> StoredSimulation:
@@ -79,7 +75,7 @@ class Store:
             # Make room first, so that the bound holds while the file is read.
             while self._cache and needed + sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
                 self._cache.popitem(last=False)
-            self._cache[sim] = read_simulation(self.path(sim))
+            self._cache[sim] = read_simulation(simulation_path(self.folder, sim))
         self._cache.move_to_end(sim)
         return self._cache[sim]
 

@@ -13,7 +13,6 @@ import pytest
 from conftest import load_script, solved_states
 
 import deep_contact as dc
-from deep_contact.cnn import architectures
 from deep_contact.cnn.backend import limit_threads
 from deep_contact.cnn.dataset import Store, write_simulation
 from deep_contact.cnn.images import ImageSpec, input_image, label_image
@@ -216,18 +215,6 @@ def test_settings_of_the_shipped_models_are_known():
 def test_bad_settings_are_named(field, value):
     with pytest.raises(ValueError, match=field):
         TrainingConfig(**{field: value})
-
-
-def test_factored_network_of_full_rank_is_the_network():
-    script = load_script("factor_thesis_network")
-    keras.utils.set_random_seed(0)
-    network = architectures.build("thesis", shape=(3, 3))
-    image = np.random.default_rng(0).normal(size=(40, 3, 3, 5)).astype(np.float32)
-    features = keras.Sequential([keras.Input((3, 3, 5)), *network.layers[:-1]])(image)
-    vectors = script.right_vectors(np.asarray(features), network.layers[-1].get_weights()[0], 18)
-    np.testing.assert_allclose(script.factored(network, vectors)(image), network(image), rtol=1e-3, atol=1e-5)
-    limit = 4 * network.count_params()
-    assert script.largest_rank(network, limit) < 18
 
 
 # ---- scripts/train.py, scripts/model_cards.py ----

@@ -153,7 +153,7 @@ def test_a_worker_with_other_code_refuses(workers, monkeypatch):
 
 def test_a_function_that_workers_do_not_have_is_an_error(workers):
     with pytest.raises(ModuleNotFoundError, match="generate_data"):
-        workers.submit(load_script("generate_data").is_running, 1).result()
+        workers.submit(load_script("generate_data").missing, []).result()
 
 
 def test_results_are_handed_on_and_not_kept(workers):
