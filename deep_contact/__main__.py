@@ -124,7 +124,7 @@ def _add_view(parser: argparse.ArgumentParser) -> None:
     _add_scene(parser, steps=400)
     add = parser.add_argument
     add("--every", type=int, default=4, metavar="N", help="steps a frame (default: %(default)s)")
-    add("--warm-start", default="builtin", help="where the solver starts, or 'cnn' (default: %(default)s)")
+    add("--warm-start", default="builtin", metavar="NAME", help="none, builtin, cnn, … (default: %(default)s)")
     add("--out", metavar="FILE.gif", help="write a film instead of opening a window")
     parser.set_defaults(run=_view)
 

@@ -230,7 +230,7 @@ def test_a_script_that_lacks_a_package_says_so(probe, capsys):
     assert "figure 9.1: No module named 'keras_of_old'" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("command", "settings"), [("simulate", 12), ("view", 8)])
+@pytest.mark.parametrize(("command", "settings"), [("simulate", 13), ("view", 9)])
 def test_help_says_the_unit_of_every_setting(command, settings, capsys):
     with pytest.raises(SystemExit, match="0"):
         main([command, "--help"])
