@@ -108,8 +108,7 @@ def styles_of(names: Iterable[str]) -> dict[str, dict]:
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
     """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot. A notebook shows it.
 
-    size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. keywords go to
-    `matplotlib.figure.Figure.subplots`.
+    size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several.
     """
     with style():
         figure = new_figure(size or ((6.0, 4.0) if rows == columns == 1 else (4.2 * columns, 3.6 * rows)))
@@ -212,20 +211,17 @@ def zoom_into(ax, window: Sequence[float], *, outline_in) -> None:
 
 
 def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
-    """The quantity that colours the circles, shape (n,), and its label with unit.
+    """What colours the circles, (n,), and its label: "speed", m/s, or "impulse", the sum of λ_n at its contacts, N·s.
 
-    colour_by: "speed", m/s, or "impulse", the sum of the normal impulses at the circle's contacts, N·s.
-    Raises ValueError for any other.
+    Raises ValueError for any other `colour_by`.
     """
-    if colour_by == "speed":
+    if one_of("colour_by", colour_by, ("speed", "impulse")) == "speed":
         return np.hypot(*np.asarray(state.bodies.velocity).T), "speed (m/s)"
-    if colour_by == "impulse":
-        total = np.zeros(state.bodies.count + 4 + len(state.world.segments))
-        if state.contacts is not None:
-            np.add.at(total, state.contacts.body_a, state.contacts.normal_impulse)
-            np.add.at(total, state.contacts.body_b, state.contacts.normal_impulse)
-        return total[: state.bodies.count], "sum of normal impulses (N·s)"
-    raise ValueError(f"colour_by: expected 'speed', 'impulse' or None, got {colour_by!r}")
+    total = np.zeros(state.bodies.count + 4 + len(state.world.segments))
+    if state.contacts is not None:
+        np.add.at(total, state.contacts.body_a, state.contacts.normal_impulse)
+        np.add.at(total, state.contacts.body_b, state.contacts.normal_impulse)
+    return total[: state.bodies.count], "sum of normal impulses (N·s)"
 
 
 def state_data(state) -> dict:
@@ -297,11 +293,9 @@ def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
     from matplotlib.collections import LineCollection
 
     bodies, contacts = state.bodies, state.contacts
-    ends = np.where(
-        (contacts.body_b < bodies.count)[:, None],
-        bodies.position[np.minimum(contacts.body_b, bodies.count - 1)],
-        contacts.position,
-    )
+    ends = contacts.position.copy()
+    others = contacts.body_b < bodies.count
+    ends[others] = bodies.position[contacts.body_b[others]]
     lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
     largest = float(contacts.normal_impulse.max()) if largest_impulse is None else largest_impulse
     width = 0.3 + 4.0 * np.minimum(contacts.normal_impulse / (largest or 1.0), 1.0)
@@ -408,11 +402,11 @@ def draw_network(
     dropped: Sequence[Sequence[bool]] | None = None,
     numbers: str = "{:.2f}",
 ) -> None:
-    """Draw a fully connected network with numbers: one column of neurons for each layer, from left to right.
+    """Draw a fully connected network: one column of neurons for each layer, from left to right.
 
-    values: of each layer's neurons. weights: between each layer and the next, (n, m). A positive weight is a blue line,
-    a negative one a dashed vermilion line; the width is proportional to the size. titles: under the layers. dropped:
-    neurons that are crossed out and whose lines are omitted. numbers: format of a neuron's value; "" omits them.
+    values: of each layer's neurons. weights: between each layer and the next, (n, m): blue lines, dashed vermilion ones
+    where negative, as wide as they are large. titles: under the layers. dropped: neurons that are crossed out and have
+    no lines. numbers: format of a neuron's value; "" omits them.
     """
     from matplotlib.collections import LineCollection
 
