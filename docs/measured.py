@@ -266,6 +266,13 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     ],
     "thesis.md": [
         (
+            "Faster than Builtin is `model.h5` at sweeps {} to {}, and the thesis's network at sweeps {} to {} (Fig",
+            lambda: [
+                *sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin")[:2],
+                *sweeps("figure_5_9", "momentum, converges faster than Builtin")[:2],
+            ],
+        ),
+        (
             "Bilinear, it converges faster than Builtin at sweeps {} to {} and more slowly from sweep {} on",
             lambda: sweeps("figure_3_8", "bilinearly, as printed, converges faster than Builtin")[:3],
         ),
