@@ -1,18 +1,20 @@
 """Piles whose contacts carry no impulses: what it takes to solve their first step, and what happens if it is not.
 
-A settled pile loses the impulses of its contacts, as positions from elsewhere have none. Every method solves its step
-from zero and from `warm_start.Support`, whose time counts; a method's error after so many sweeps is that of the
-velocities against the solution that the impulses of the run lead to.
+A pile loses the impulses of its contacts, as positions from elsewhere have none. Every method solves its step from
+each start, whose price counts. Its error is that of the velocities against the nearest of several solutions
+(`metrics.nearest_velocity_error`): what the impulses of the run lead to, and where the methods end from the support.
 """
 
 from __future__ import annotations
 
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import step_problem
+from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
@@ -26,6 +28,16 @@ METHODS = {
     "NesterovPGS": partial(NesterovPGS, tolerance=None),
 }
 STARTS = ("zero", "support")
+REFERENCE_SWEEPS = 20_000
+FIRST_SWEEPS = 20
+"""Sweeps of a run's first step from the support; from zero it gets as many more as the support costs."""
+
+
+class PileWithoutPast(NamedTuple):
+    """A state whose contacts carry no impulses, and solutions of its step."""
+
+    state: StateWithContacts
+    references: list
 
 
 def without_past(state: StateWithContacts) -> StateWithContacts:
@@ -37,41 +49,63 @@ def without_past(state: StateWithContacts) -> StateWithContacts:
     return state.replace(contacts=contacts, solved=False)
 
 
-def cell(n_bodies: int, seed: int, *, steps: int, sweeps: list[int], repeats: int) -> dict:
-    """A pile after so many steps: time, s, and error of each method from each start after so many sweeps.
+def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> PileWithoutPast:
+    """A packed pile of radii from `smallest` to 1 m, of a kind of `piles.SLOWEST`."""
+    past = piles.packed_pile(n_bodies, seed=seed, smallest=smallest, slowest=piles.SLOWEST[kind])
+    state, tolerance = without_past(past), 1e-9 * float(past.bodies.mass.mean())
+    ends = [solve_contacts(past, solver=NNCG(sweeps=REFERENCE_SWEEPS, tolerance=tolerance))]
+    start = Support()(state, None)
+    for name in ("PSOR 1.5", "NesterovPGS"):
+        ends.append(solve_contacts(state, solver=METHODS[name](sweeps=REFERENCE_SWEEPS // 4), start=start))
+    return PileWithoutPast(state, piles.references_from(state, ends, exact=False) or ends[:1])
 
-    Returns {"contacts", "price": time of the support, s, "curves": {method: {start: [[time, error], …]}}, "jolt":
-    {start: largest rms speed, m/s, in half a second of 10 sweeps a step, of which the first has 20 from that start}}.
+
+def errors(found: PileWithoutPast, starts: dict, sweeps: list[int]) -> dict:
+    """Method -> start -> velocity errors after so many sweeps. starts: name -> impulses."""
+
+    def error(make, start, count):
+        solution = solve_contacts(found.state, solver=make(sweeps=count), start=start)
+        return metrics.nearest_velocity_error(found.state, solution, found.references)
+
+    return {
+        name: {start: [error(make, given, k) for k in sweeps] for start, given in starts.items()}
+        for name, make in METHODS.items()
+    }
+
+
+def times(state: StateWithContacts, starts: dict, sweeps: list[int], repeats: int) -> dict:
+    """{"contacts", "price": start -> s, "sweeps": method -> time of so many sweeps, s}. starts: what makes impulses."""
+    price = timing.interleaved(starts, repeats=repeats)
+    runs = {(name, k): partial(solve_contacts, state, solver=make(sweeps=k))
+            for name, make in METHODS.items() for k in sweeps}  # fmt: skip
+    took = timing.interleaved(runs, repeats=repeats)
+    by_method = {name: [took[name, k] for k in sweeps] for name in METHODS}
+    return {"contacts": state.contacts.count, "price": price, "sweeps": by_method}
+
+
+def jolt(state: StateWithContacts, impulses=None, sweeps: int = FIRST_SWEEPS) -> dict:
+    """Half a second of 10 sweeps a step, whose first step has so many sweeps from these impulses.
+
+    Returns {"speed": largest rms speed, m/s, "sinking": how far the centre of mass falls, m}. Without impulses it is the
+    run that the preset "fast" makes of the state.
     """
-    past = piles.packed_pile(n_bodies, seed=seed, steps=steps)
-    solved = solve_contacts(past, solver=NNCG(sweeps=20_000, tolerance=1e-9 * float(past.bodies.mass.mean())))
-    state = without_past(past)
-    problem, support = step_problem(state), Support()
-    given = {"zero": None, "support": support.from_problem(state, None, problem)}
-    price = timing.fastest(partial(support.from_problem, state, None, problem), repeats)
-    curves = {}
-    for name, make in METHODS.items():
-        runs = {
-            (start, k): partial(solve_contacts, state, solver=make(sweeps=k), start=impulses)
-            for start, impulses in given.items()
-            for k in sweeps
-        }
-        times = timing.interleaved(runs, repeats=repeats)
-        errors = {key: metrics.velocity_error(state, run(), solved) for key, run in runs.items()}
-        curves[name] = {
-            start: [[times[start, k] + (price if start == "support" else 0.0), errors[start, k]] for k in sweeps]
-            for start in STARTS
-        }
-    jolts = {start: jolt(state, impulses) for start, impulses in given.items()}
-    return {"contacts": state.contacts.count, "price": price, "curves": curves, "jolt": jolts}
+    if impulses is None:
+        run = simulate(state.replace(step=0), steps=50, record=1, accuracy="fast")
+    else:
+        first = solve_contacts(state, solver=NesterovPGS(sweeps=sweeps, tolerance=None), start=impulses)
+        contacts = state.contacts._replace(normal_start=first.normal_impulses, tangent_start=first.tangent_impulses)
+        run = simulate(state.replace(contacts=contacts), steps=50, record=1, solver=PGS(sweeps=10, tolerance=None))
+    height = [np.average(one.bodies.position, axis=0, weights=one.bodies.mass)[1] for one in run.trajectory]
+    return {"speed": max(map(piles.rms_speed, run.trajectory)), "sinking": height[0] - min(height)}
 
 
-def jolt(state: StateWithContacts, impulses) -> float:
-    """Largest rms speed of a pile in half a second, m/s, whose first step has 20 sweeps from these impulses."""
-    first = solve_contacts(state, solver=NesterovPGS(sweeps=20, tolerance=None), start=impulses)
-    contacts = state.contacts._replace(normal_start=first.normal_impulses, tangent_start=first.tangent_impulses)
-    run = simulate(state.replace(contacts=contacts), steps=50, record=1, solver=PGS(sweeps=10, tolerance=None))
-    return max(map(piles.rms_speed, run.trajectory))
+def exact(state: StateWithContacts, starts: dict) -> dict:
+    """Start -> {"time": of `solve_exactly` from there, s, "pivots", "converged"}. starts: name -> impulses."""
+    found = {}
+    for name, given in starts.items():
+        seconds, solution = timing.timed(partial(solve_exactly, state, *given))
+        found[name] = {"time": seconds, "pivots": solution.pivots, "converged": solution.converged}
+    return found
 
 
 def time_to(curve: list, error: float) -> float:
@@ -83,6 +117,14 @@ def time_to(curve: list, error: float) -> float:
     return float("inf")
 
 
-def best_times(curves: dict, error: float) -> dict[str, float]:
-    """Start -> time of the fastest method to an error, s."""
-    return {start: min(time_to(by_start[start], error) for by_start in curves.values()) for start in STARTS}
+def best_time(of_pile: dict, timed: dict, start: str, error: float) -> float:
+    """Time of the fastest method from a start to an error, s, the start's included; times of sweeps go by contacts.
+
+    of_pile: {"contacts", "errors": of `errors`}. timed: of `times`.
+    """
+    scale = of_pile["contacts"] / timed["contacts"]
+    price = timed["price"].get(start, 0.0)
+    return min(
+        time_to([[scale * (price + took), off] for took, off in zip(timed["sweeps"][name], by_start[start])], error)
+        for name, by_start in of_pile["errors"].items()
+    )
