@@ -1,90 +1,150 @@
 """python scripts/figure_6_14_no_past.py: the first step of a pile without impulses, from zero and from the support."""
 
+from functools import partial
+
 import numpy as np
 
+from deep_contact.physics.engine import step_problem
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import no_past
+from deep_contact.studies.learned_starts import median_with_interval
+from deep_contact.warm_start import Support
 
 COLOURS = {"zero": plotting.GREY, "support": plotting.VERMILION}
-ERRORS = (0.3, 0.1)
+ERRORS = (0.3, 0.1, 0.03)
+JOLTS = (*no_past.STARTS, "preset")
+LEVELS = np.geomspace(0.03, 0.9, 30)
+
+
+def makers(state):
+    """Start -> what makes its impulses, from rows that have been built, as a run has them."""
+    nothing, problem = np.zeros(state.contacts.count), step_problem(state)
+    return {"zero": lambda: (nothing, nothing), "support": partial(Support().from_problem, state, None, problem)}
+
+
+def measure(job):
+    """One pile: what its starts lead to. No time but that of `solve_exactly`."""
+    options, (n, kind, radii, seed, exact) = job
+    found = no_past.pile(n, kind, options["radii"][radii], seed)
+    given = {name: make() for name, make in makers(found.state).items()}
+    ended = {"n_bodies": n, "kind": kind, "radii": radii, "seed": seed, "contacts": found.state.contacts.count}
+    ended["errors"] = no_past.errors(found, given, options["sweeps"])
+    ended["jolt"] = {name: no_past.jolt(found.state, given[name], options["first"][name]) for name in given}
+    ended["jolt"]["preset"] = no_past.jolt(found.state)
+    if exact:
+        ended["exact"] = no_past.exact(found.state, given)
+    return ended
 
 
 def compute(options, seed, jobs, progress):
-    """The cells of every size, one a seed."""
-    parts = [(n, s) for n in options["n_bodies"] for s in figures.seeds(seed, options["scenes"])]
-    common = {name: options[name] for name in ("steps", "sweeps", "repeats")}
-    return {"cells": [{"n_bodies": n} | no_past.cell(n, s, **common) for n, s in progress(parts, text="piles")]}
+    """Every size, kind and radii; times of one pile of each, alone on the machine, the others' by their contacts."""
+    cells = [(n, kind, radii) for n in options["states"] for kind in options["kinds"] for radii in options["radii"]]
+    wanted = [
+        (options, (int(n), kind, radii, s, int(n) in options["exact"] and k < options["solved_exactly"]))
+        for n, kind, radii in cells
+        for k, s in enumerate(figures.seeds(seed, options["states"][n]))
+    ]
+    piles = figures.parallel_map(measure, wanted, jobs=jobs, progress=progress, text="piles")
+    timed = []
+    for n, kind, radii in progress(cells, text="times"):
+        state = no_past.pile(int(n), kind, options["radii"][radii], figures.seeds(seed, 1)[0]).state
+        took = no_past.times(state, makers(state), options["sweeps"], options["repeats"])
+        timed.append({"n_bodies": int(n), "kind": kind, "radii": radii} | took)
+    return {"piles": piles, "times": timed}
 
 
-def by_size(data):
-    """Circles -> cells."""
-    found = {}
-    for cell in data["cells"]:
-        found.setdefault(cell["n_bodies"], []).append(cell)
-    return found
+def cell_of(one):
+    """Size, kind and radii of a pile or of times."""
+    return one["n_bodies"], one["kind"], one["radii"]
 
 
-def times(cells, error):
-    """Start -> times of the cells, ms."""
-    found = [no_past.best_times(cell["curves"], error) for cell in cells]
-    return {start: [1e3 * one[start] for one in found] for start in no_past.STARTS}
+def by_cell(data):
+    """(Size, kind, radii) -> (its piles, its times)."""
+    return {
+        cell_of(timed): ([pile for pile in data["piles"] if cell_of(pile) == cell_of(timed)], timed)
+        for timed in data["times"]
+    }
+
+
+def times(piles, timed, start, error):
+    """Times of the piles to an error, ms; infinite where no method comes there."""
+    return np.array([1e3 * no_past.best_time(pile, timed, start, error) for pile in piles])
+
+
+def ratio(piles, timed, start, others, error):
+    """Time from a start over the least from the others, pile by pile; [median, low, high] as `median_with_interval`."""
+    one, other = times(piles, timed, start, error), np.min([times(piles, timed, o, error) for o in others], axis=0)
+    done = np.isfinite(one) | np.isfinite(other)
+    return median_with_interval(one[done] / other[done] if 2 * done.sum() > done.size else np.empty(0))
+
+
+def name_of(cell):
+    n, kind, radii = cell
+    return f"{n:,} {kind} circles, {radii} radii"
 
 
 def claims(data):
-    """The support halves the time to an error, and a third of the jolt is left."""
-    for error in ERRORS:
-        ratios = {}
-        for n, cells in by_size(data).items():
-            zero, support = map(np.array, times(cells, error).values())
-            if np.isfinite(zero).all():
-                ratios[f"{n} circles"] = float(np.median(support / zero))
-        if not ratios:
-            continue
-        text = f"from the support at most half of the time from zero, to a velocity error of {error:g}"
-        yield Claim(text, None, max(ratios.values()) <= 0.5, ratios)
-    ratios = {f"{n} circles": float(np.median([cell["jolt"]["support"] / cell["jolt"]["zero"] for cell in cells]))
-              for n, cells in by_size(data).items()}  # fmt: skip
-    yield Claim("the support leaves a third of the jolt at most", None, max(ratios.values()) <= 1 / 3, ratios)
+    """The support halves the time to an error at rest, and leaves a third of the jolt."""
+    cells = by_cell(data)
+    for error in ERRORS[:2]:
+        found = {name_of(c): ratio(*of, "support", ["zero"], error) for c, of in cells.items() if c[1] == "resting"}
+        found = {name: value for name, value in found.items() if value is not None}
+        text = f"at rest, from the support at most half of the time from zero, to a velocity error of {error:g}"
+        yield Claim(text, None, all(value[0] <= 0.5 for value in found.values()) if found else None, found)
+    found = {
+        name_of(c): median_with_interval(
+            np.array([pile["jolt"]["support"]["speed"] / pile["jolt"]["zero"]["speed"] for pile in piles])
+        )
+        for c, (piles, _) in cells.items()
+        if c[1] == "resting"
+    }
+    found = {name: value for name, value in found.items() if value is not None}
+    text = "at rest, at equal time for the first step, the support leaves a third of the jolt at most"
+    yield Claim(text, None, all(value[0] <= 1 / 3 for value in found.values()) if found else None, found)
 
 
 def table(data):
-    head = ["circles", "support, ms", *(f"{start} to {e:g}, ms" for e in ERRORS for start in no_past.STARTS)]
-    rows = [[*head, *(f"jolt from {start}, m/s" for start in no_past.STARTS)]]
-    for n, cells in by_size(data).items():
-        found = [np.median(times(cells, e)[start]) for e in ERRORS for start in no_past.STARTS]
-        jolts = [float(np.median([cell["jolt"][start] for cell in cells])) for start in no_past.STARTS]
-        price = 1e3 * float(np.median([cell["price"] for cell in cells]))
-        rows.append([n, price, *(float(time) if np.isfinite(time) else None for time in found), *jolts])
+    head = ["circles", "kind", "radii", "piles", "support, ms"]
+    head += [f"{start} to {error:g}, ms" for error in ERRORS for start in no_past.STARTS]
+    rows = [[*head, *(f"jolt, {start}, m/s" for start in JOLTS)]]
+    for (n, kind, radii), (piles, timed) in by_cell(data).items():
+        medians = [float(np.median(times(piles, timed, start, error))) for error in ERRORS for start in no_past.STARTS]
+        jolts = [float(np.median([pile["jolt"][start]["speed"] for pile in piles])) for start in JOLTS]
+        shown = [median if np.isfinite(median) else None for median in medians]
+        rows.append([n, kind, radii, len(piles), 1e3 * timed["price"]["support"], *shown, *jolts])
     return rows
 
 
 def draw(data, options):
-    """A panel for each size: error by time of the fastest method, from each start; a line a pile."""
-    sizes = by_size(data)
-    figure, panels = plotting.subplots(1, len(sizes), size=(3.4 * len(sizes), 3.6), squeeze=False)
-    levels = np.geomspace(0.03, 0.9, 40)
-    for ax, (n, cells) in zip(panels[0], sizes.items()):
+    """Error by time of the fastest method from each start, for resting piles: a panel a size, medians and quartiles."""
+    cells = {cell: of for cell, of in by_cell(data).items() if cell[1:] == tuple(options["drawn"])}
+    figure, panels = plotting.subplots(1, len(cells), size=(plotting.PAGE, 3.2), squeeze=False)
+    for ax, ((n, *_), (piles, timed)) in zip(panels[0], cells.items()):
         for start, colour in COLOURS.items():
-            for k, cell in enumerate(cells):
-                found = [1e3 * no_past.best_times(cell["curves"], level)[start] for level in levels]
-                ax.plot(
-                    np.where(np.isfinite(found), found, np.nan),
-                    levels,
-                    color=colour,
-                    linewidth=1.2,
-                    label=None if k else f"from {start}",
-                )
-        plotting.label_axes(ax, "time of the step", "velocity error", x_unit="ms", title=f"{n:,} circles")
+            if start in timed["price"]:
+                found = np.array([times(piles, timed, start, level) for level in LEVELS])
+                low, middle, high = np.percentile(found, (25, 50, 75), axis=1, method="nearest")
+                reached = np.isfinite(middle)
+                ax.plot(middle[reached], LEVELS[reached], color=colour, label=f"from {start}")
+                ends = low[reached], np.where(np.isfinite(high[reached]), high[reached], 10 * middle[reached].max())
+                ax.fill_betweenx(LEVELS[reached], *ends, color=colour, alpha=0.2, linewidth=0)
+        plotting.label_axes(ax, "time of the first step", "", x_unit="ms", title=f"{n:,} circles")
         plotting.log_axes(ax)
+    panels[0, 0].set_ylabel("velocity error")
+    figure.suptitle("How soon is a resting pile without impulses solved?", fontsize=10)
     plotting.legend_below(figure, panels[0, 0])
     return figure
 
 
-OPTIONS = {"n_bodies": [300, 1000, 3000, 10000], "scenes": 3, "steps": 600, "repeats": 2,
-           "sweeps": [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560]}  # fmt: skip
+OPTIONS = {
+    "states": {"100": 20, "300": 20, "1000": 20, "3000": 20, "10000": 6}, "kinds": ["settling", "resting"],
+    "radii": {"near": 0.8, "mixed": 0.5}, "sweeps": [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560], "repeats": 2,
+    "first": {"zero": 33, "support": 20}, "exact": [300, 1000], "solved_exactly": 5, "drawn": ["resting", "near"],
+}  # fmt: skip
+QUICK = {"states": {"100": 4, "300": 4}, "solved_exactly": 1, "repeats": 1}
 FIGURE = Figure("6.14", "A pile without a past: its first step", compute, table, draw, claims, options=OPTIONS,
-                quick={"n_bodies": [100, 300], "scenes": 2, "steps": 200, "repeats": 1})  # fmt: skip
+                quick=QUICK, digits=5)  # fmt: skip
 
 if __name__ == "__main__":
     raise SystemExit(figures.main(FIGURE))

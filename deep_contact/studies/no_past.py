@@ -13,9 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.physics import metrics
-from deep_contact.physics.engine import step_problem
 from deep_contact.physics.exact import solve_exactly
-from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
+from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS, NesterovPGS
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles, timing
@@ -28,6 +27,7 @@ METHODS = {
     "NesterovPGS": partial(NesterovPGS, tolerance=None),
 }
 STARTS = ("zero", "support")
+SETTLE = BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)
 REFERENCE_SWEEPS = 20_000
 FIRST_SWEEPS = 20
 """Sweeps of a run's first step from the support; from zero it gets as many more as the support costs."""
@@ -50,8 +50,9 @@ def without_past(state: StateWithContacts) -> StateWithContacts:
 
 
 def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> PileWithoutPast:
-    """A packed pile of radii from `smallest` to 1 m, of a kind of `piles.SLOWEST`."""
-    past = piles.packed_pile(n_bodies, seed=seed, smallest=smallest, slowest=piles.SLOWEST[kind])
+    """A packed pile of radii from `smallest` to 1 m, of a kind of `piles.KINDS`."""
+    make = partial(piles.packed_pile, steps=50, smallest=smallest)
+    past = piles.pile(kind, n_bodies, seed, solver=SETTLE, make=make)
     state, tolerance = without_past(past), 1e-9 * float(past.bodies.mass.mean())
     ends = [solve_contacts(past, solver=NNCG(sweeps=REFERENCE_SWEEPS, tolerance=tolerance))]
     start = Support()(state, None)
@@ -86,8 +87,8 @@ def times(state: StateWithContacts, starts: dict, sweeps: list[int], repeats: in
 def jolt(state: StateWithContacts, impulses=None, sweeps: int = FIRST_SWEEPS) -> dict:
     """Half a second of 10 sweeps a step, whose first step has so many sweeps from these impulses.
 
-    Returns {"speed": largest rms speed, m/s, "sinking": how far the centre of mass falls, m}. Without impulses it is the
-    run that the preset "fast" makes of the state.
+    Returns {"speed": largest rms speed, m/s, "sinking": fall of the centre of mass, m}. Without impulses it is the run
+    that the preset "fast" makes of the state.
     """
     if impulses is None:
         run = simulate(state.replace(step=0), steps=50, record=1, accuracy="fast")
