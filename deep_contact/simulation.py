@@ -60,9 +60,9 @@ _WORK, _SECONDS = 20_000_000, 0.2
 COINCIDENT = 0.1
 """Distance of two centres, in the smaller radius, below which `simulate` warns."""
 
-FIRST = NesterovPGS(sweeps=200, tolerance=None)
-"""Solves step 0 of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest would fall into
-itself."""
+FIRST_SWEEPS = 200, 2000
+"""Least and most sweeps of step 0 of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest
+would fall into itself. Between them it is a fifth of the circles, since a load goes a few circles far in a sweep."""
 
 
 class Simulation(NamedTuple):
@@ -166,7 +166,7 @@ def simulate(
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
     were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run. Where the
     scene's circles are too small or too fast for its Δt, the step is divided into substeps. At step 0
-    contacts that carry no impulses, as of positions from elsewhere, get those of `FIRST`.
+    contacts that carry no impulses, as of positions from elsewhere, are first solved well (`FIRST_SWEEPS`).
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
@@ -337,10 +337,12 @@ def _shifted(state: StateWithContacts, change: float) -> StateWithContacts:
 
 
 def _with_a_past(state: StateWithContacts) -> StateWithContacts:
-    """The state with the impulses of `FIRST`, from what its positions say (`warm_start.Support`)."""
+    """The state with the impulses of `FIRST_SWEEPS` sweeps from what its positions say (`warm_start.Support`)."""
     if state.contacts.count == 0:
         return state
-    found = solve_contacts(state, solver=FIRST, start="support")
+    least, most = FIRST_SWEEPS
+    solver = NesterovPGS(sweeps=min(max(least, state.bodies.count // 5), most), tolerance=None)
+    found = solve_contacts(state, solver=solver, start="support")
     normal, tangent = found.normal_impulses, found.tangent_impulses
     contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
     if not state.solved:

@@ -188,11 +188,11 @@ class Sph:
         return sph.Grid.over_box(state.world.box, self.spacing), state.contacts.position, options
 
 
-def _network() -> WarmStart:
-    """The start of the package's network."""
-    from deep_contact.cnn.inference import Cnn
+def _network(name: str) -> WarmStart:
+    """A start of the package's networks."""
+    from deep_contact.cnn import inference
 
-    return Cnn()
+    return getattr(inference, name)()
 
 
 STARTS: dict[Name, Callable[[], WarmStart]] = {
@@ -204,7 +204,8 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
     "random": Random,
     "bad": Bad,
     "sph": Sph,
-    "cnn": _network,
+    "cnn": lambda: _network("Cnn"),
+    "learned support": lambda: _network("LearnedSupport"),
 }
 """Name -> what makes the start with its default options."""
 

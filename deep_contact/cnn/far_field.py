@@ -30,6 +30,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.cnn.images import stored_fields, with_contacts
+from deep_contact.compiled.simd import WIDTH, load, spread, store
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -46,10 +47,9 @@ from deep_contact.physics.contact_solver import (
     V_Y,
     apply_impulses,
 )
-from deep_contact.physics.engine import step_problem
+from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
-from deep_contact.sph.grid import ROUNDING, _kernel_weights, _most_nodes, _nearest_weight
-from deep_contact.sph.kernels import kernel_number
+from deep_contact.sph.grid import ROUNDING
 from deep_contact.state import State
 from deep_contact.validation import number
 
@@ -85,7 +85,8 @@ _SMALL = 1e-2
 """Share of the carried impulses in the scale of a state, so that the tiny residual of a resting pile is not magnified.
 """
 
-_POLY6 = kernel_number("poly6")
+_ROOM = -(-len(CONTACT_CHANNELS + BODY_CHANNELS) // WIDTH) * WIDTH
+"""Channels of an image while it is painted, by vectors; the last ones stay zero."""
 
 _REMOVED = {"inputs": "all", "correction": True}
 """Field of a spec in earlier files -> its only value that still has a meaning."""
@@ -148,24 +149,25 @@ class Description(NamedTuple):
     start: np.ndarray  # the impulses to correct, Builtin's, (m, 2), N·s
 
 
-def describe(state: State, spec: FarFieldSpec, symmetry: int = 0) -> Description:
+def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepProblem | None = None) -> Description:
     """Describe a state with contacts to the network. symmetry: 0 to 7, as in `images.transform_state`; for training.
 
+    problem: the contact problem in float64 with tangents, if it has been built; its rows hold the impulses to correct.
     Raises ValueError if there is no contact, or contacts have not been searched.
     """
     state = with_contacts(state)
     if state.contacts.count == 0:
         raise ValueError("state.contacts: expected at least one contact, got 0")
-    rows, free, _ = step_problem(state)
+    rows, free, _ = step_problem(state) if problem is None else problem
     world = state.world
     found = _measure(state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4)
     # In NumPy, whose arsinh is vectorised.
     np.arcsinh(found.contact_sizes, out=found.contact_sizes)
     np.arcsinh(found.body_sizes, out=found.body_sizes)
     grid = spec.window(found.low, found.high, found.mean_radius)
-    image = np.zeros((*grid.shape, len(spec.channels)), np.float32)
-    _paint(image, (*grid.origin, *grid.spacing), spec.support * grid.spacing[0] / spec.spacing, found)
-    return Description(image, grid, found.point, found.features, rows.impulse.copy())
+    image = np.zeros((*grid.shape, _ROOM), np.float32)
+    _paint(image, (*grid.origin, grid.spacing[0]), spec.support * grid.spacing[0] / spec.spacing, found)
+    return Description(image[:, :, : len(spec.channels)], grid, found.point, found.features, rows.impulse.copy())
 
 
 def correct(image: np.ndarray, description: Description) -> np.ndarray:
@@ -197,14 +199,24 @@ def nodes_of(description: Description, shape: tuple[int, int]):
 
     The weights are those of `sph.gather`; a point outside reads the edge of the grid.
     """
-    grid, (n_y, n_x) = description.grid, shape
-    place = (description.point - grid.origin) / (COARSENING * grid.spacing[0])
-    place = np.clip(place, 0.0, (n_x - 1.0, n_y - 1.0))
-    cell = np.minimum(place.astype(np.int32), np.array([n_x - 2, n_y - 2], np.int32))
-    (i, j), (s, t) = cell.T, (place - cell).T
-    node = (j * n_x + i)[:, None] + np.array([0, 1, n_x, n_x + 1], np.int32)
-    weight = np.stack([(1.0 - s) * (1.0 - t), s * (1.0 - t), (1.0 - s) * t, s * t], axis=1)
-    return node.astype(np.int32), weight.astype(np.float32)
+    grid = description.grid
+    return _nodes(description.point, (*grid.origin, COARSENING * grid.spacing[0]), shape)
+
+
+@njit(cache=True, error_model="numpy")
+def _nodes(point, geometry, shape):
+    """`nodes_of` for points (m, 2), m. geometry: of the output's grid, x and y of its first node and spacing, m."""
+    (x0, y0, d), (n_y, n_x), m = geometry, shape, point.shape[0]
+    node, weight = np.empty((m, 4), np.int32), np.empty((m, 4), np.float32)
+    for k in range(m):
+        x = min(max((point[k, 0] - x0) / d, 0.0), n_x - 1.0)
+        y = min(max((point[k, 1] - y0) / d, 0.0), n_y - 1.0)
+        i, j = min(int(x), n_x - 2), min(int(y), n_y - 2)
+        s, t, first = x - i, y - j, j * n_x + i
+        node[k, 0], node[k, 1], node[k, 2], node[k, 3] = first, first + 1, first + n_x, first + n_x + 1
+        weight[k, 0], weight[k, 1] = (1.0 - s) * (1.0 - t), s * (1.0 - t)
+        weight[k, 2], weight[k, 3] = (1.0 - s) * t, s * t
+    return node, weight
 
 
 @njit(cache=True, error_model="numpy")
@@ -320,12 +332,12 @@ def _paint(image, geometry, h, found):
     """Splat `CONTACT_CHANNELS` and `BODY_CHANNELS` as `sph.splat` with poly6 and the normalization "particle" does.
 
     A particle with no node within h goes to the nearest node; a circle outside the image touches nothing and is left
-    out. found: `_Measured`, compressed.
+    out. image: (n_y, n_x, `_ROOM`), float32. geometry: x and y of its first node and spacing, m. found: `_Measured`,
+    compressed.
     """
-    n_y, n_x, channels = image.shape
+    n_y, n_x, _ = image.shape
     first = len(CONTACT_CHANNELS)
-    weights = np.empty(_most_nodes(geometry, n_y, n_x, h))
-    values = np.empty(channels, np.float32)
+    values = np.zeros(_ROOM, np.float32)
     sizes, residual = found.contact_sizes, found.residual
     for k in range(found.point.shape[0]):
         x, y = found.normal[k, 0], found.normal[k, 1]
@@ -337,32 +349,48 @@ def _paint(image, geometry, h, found):
             # t ⊗ n with t = (n_y, -n_x): its symmetric part has xx = 2 n_x n_y, xy = n_y² − n_x².
             values[6 + 6 * j], values[7 + 6 * j], values[8 + 6 * j] = across, across * xy, -across * xx
         values[first - 1] = found.wall[k]
-        _add(image, geometry, h, found.point[k], values, 0, first, weights)
-    x_last, y_last = geometry[0] + geometry[2] * (n_x - 1), geometry[1] + geometry[3] * (n_y - 1)
+        _add(image, geometry, h, found.point[k], values, 0, (first - 1) // WIDTH + 1)
+    values[:] = 0.0
+    x_last, y_last = geometry[0] + geometry[2] * (n_x - 1), geometry[1] + geometry[2] * (n_y - 1)
     values[first] = 1.0
     for k in range(found.centre.shape[0]):
         x, y = found.centre[k, 0], found.centre[k, 1]
         if geometry[0] <= x <= x_last and geometry[1] <= y <= y_last:
             for j in range(6):
                 values[first + 1 + j] = found.body_sizes[k, j]
-            _add(image, geometry, h, found.centre[k], values, first, channels, weights)
+            _add(image, geometry, h, found.centre[k], values, first // WIDTH, _ROOM // WIDTH)
 
 
 @njit(cache=True, error_model="numpy")
-def _add(image, geometry, h, point, values, begin, end, weights):
-    """Add a particle's values, the channels from `begin` to `end`.
+def _add(image, geometry, h, point, values, begin, end):
+    """Add a particle's values by their vectors of `WIDTH` channels from `begin` to `end`.
 
-    `sph.splat` would take eight times as long: it writes float64 and checks its arguments.
+    `sph.splat` would take twenty times as long: it writes float64, knows all kernels and checks its arguments.
     """
-    n_y, n_x, _ = image.shape
-    i0, i1, j0, j1, total = _kernel_weights(geometry, n_y, n_x, point[0], point[1], h, _POLY6, weights)
-    if not total > 0.0:
-        i0, i1, j0, j1, total = _nearest_weight(geometry, n_y, n_x, point[0], point[1], weights)
-    n = 0
+    (x0, y0, d), (n_y, n_x, _) = geometry, image.shape
+    x, y = point[0] - x0, point[1] - y0
+    i0, i1 = max(math.ceil((x - h) / d), 0), min(math.floor((x + h) / d) + 1, n_x)
+    j0, j1 = max(math.ceil((y - h) / d), 0), min(math.floor((y + h) / d) + 1, n_y)
+    total = 0.0
     for j in range(j0, j1):
         for i in range(i0, i1):
-            w = np.float32(weights[n] / total)
-            n += 1
+            total += _weight(x - i * d, y - j * d, h)
+    if not total > 0.0:
+        i0 = int(min(max(math.floor(x / d + 0.5), 0.0), n_x - 1.0))
+        j0 = int(min(max(math.floor(y / d + 0.5), 0.0), n_y - 1.0))
+        i1, j1 = i0 + 1, j0 + 1
+    for j in range(j0, j1):
+        for i in range(i0, i1):
+            w = _weight(x - i * d, y - j * d, h) / total if total > 0.0 else 1.0
             if w > 0.0:
+                first = (j * n_x + i) * (_ROOM // WIDTH)
+                share = spread(np.float32(w))
                 for c in range(begin, end):
-                    image[j, i, c] += w * values[c]
+                    store(image, first + c, load(image, first + c) + share * load(values, c))
+
+
+@njit(cache=True, error_model="numpy")
+def _weight(x, y, h):
+    """(1 − (r / h)²)³: poly6 but for its constant, which the normalisation divides out."""
+    q = 1.0 - (x * x + y * y) / (h * h)
+    return q * q * q if q > 0.0 else 0.0

@@ -21,6 +21,8 @@ from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
 from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
+from deep_contact.physics.engine import StepProblem, step_problem
+from deep_contact.physics.support import supported
 from deep_contact.state import State
 
 _SAME_BOX = 1e-6
@@ -115,7 +117,7 @@ class LearnedModel:
         A far-field network takes n = 1 (mod 8) nodes a side, and gives as `predict_image`. Raises ValueError naming the
         shape that was expected and the one that came.
         """
-        image = np.ascontiguousarray(image, np.float32)
+        image = np.asarray(image, np.float32)
         if image.shape not in self._compiled:
             if image.ndim != 3 or not self._fits(image.shape):
                 raise ValueError(f"image: expected shape {self._takes()}, got {image.shape}")
@@ -251,6 +253,34 @@ class Cnn:
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.model.predict(state)
+
+
+@dataclass(frozen=True)
+class LearnedSupport(Cnn):
+    """`warm_start.Support`, corrected by a far-field network that was trained on such starts, for piles without a past.
+
+    model: as of `Cnn`; by default "no_past". Where contacts carry impulses of a step before, Builtin is better.
+    """
+
+    model: LearnedModel | str | Path | None = "no_past"
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not isinstance(self.model, FarFieldModel):
+            raise ModelFileError(f"model: expected a far-field network, got one for {self.model.spec.targets}")
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        return self.from_problem(state, solver, step_problem(state))
+
+    def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
+        """The start from rows that have been built."""
+        impulses = np.column_stack(supported(state, problem))
+        if not impulses.any():
+            return impulses[:, 0].copy(), impulses[:, 1].copy()
+        problem = problem._replace(rows=problem.rows._replace(impulse=impulses))
+        description = describe(state, self.model.spec, problem=problem)
+        corrected = correct(self.model.run(description.image), description)
+        return projected(*np.ascontiguousarray(corrected.T), state.world.friction)
 
 
 def network_start(model) -> Cnn:

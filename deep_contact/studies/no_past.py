@@ -14,7 +14,7 @@ import numpy as np
 
 from deep_contact.physics import metrics
 from deep_contact.physics.exact import solve_exactly
-from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS, NesterovPGS
+from deep_contact.physics.solvers import NNCG, PSOR, NesterovPGS
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles, timing
@@ -26,18 +26,17 @@ METHODS = {
     "NNCG": partial(NNCG, tolerance=None),
     "NesterovPGS": partial(NesterovPGS, tolerance=None),
 }
-STARTS = ("zero", "support")
-SETTLE = BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)
 REFERENCE_SWEEPS = 20_000
 FIRST_SWEEPS = 20
-"""Sweeps of a run's first step from the support; from zero it gets as many more as the support costs."""
+"""Of the first step of a run."""
 
 
 class PileWithoutPast(NamedTuple):
-    """A state whose contacts carry no impulses, and solutions of its step."""
+    """A state whose contacts carry no impulses, solutions of its step, and the state as it was, with its impulses."""
 
     state: StateWithContacts
     references: list
+    past: StateWithContacts
 
 
 def without_past(state: StateWithContacts) -> StateWithContacts:
@@ -52,13 +51,13 @@ def without_past(state: StateWithContacts) -> StateWithContacts:
 def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> PileWithoutPast:
     """A packed pile of radii from `smallest` to 1 m, of a kind of `piles.KINDS`."""
     make = partial(piles.packed_pile, steps=50, smallest=smallest)
-    past = piles.pile(kind, n_bodies, seed, solver=SETTLE, make=make)
+    past = piles.pile(kind, n_bodies, seed, solver=piles.SETTLE, make=make)
     state, tolerance = without_past(past), 1e-9 * float(past.bodies.mass.mean())
     ends = [solve_contacts(past, solver=NNCG(sweeps=REFERENCE_SWEEPS, tolerance=tolerance))]
     start = Support()(state, None)
     for name in ("PSOR 1.5", "NesterovPGS"):
         ends.append(solve_contacts(state, solver=METHODS[name](sweeps=REFERENCE_SWEEPS // 4), start=start))
-    return PileWithoutPast(state, piles.references_from(state, ends, exact=False) or ends[:1])
+    return PileWithoutPast(state, piles.references_from(state, ends, exact=False) or ends[:1], past)
 
 
 def errors(found: PileWithoutPast, starts: dict, sweeps: list[int]) -> dict:
@@ -85,18 +84,18 @@ def times(state: StateWithContacts, starts: dict, sweeps: list[int], repeats: in
 
 
 def jolt(state: StateWithContacts, impulses=None, sweeps: int = FIRST_SWEEPS) -> dict:
-    """Half a second of 10 sweeps a step, whose first step has so many sweeps from these impulses.
+    """Half a second by the preset "fast", whose first step has so many sweeps of NesterovPGS from these impulses.
 
     Returns {"speed": largest rms speed, m/s, "sinking": fall of the centre of mass, m}. Without impulses it is the run
-    that the preset "fast" makes of the state.
+    that `simulate` makes of the state.
     """
-    if impulses is None:
-        run = simulate(state.replace(step=0), steps=50, record=1, accuracy="fast")
-    else:
+    state = state.replace(step=0)
+    if impulses is not None:
         first = solve_contacts(state, solver=NesterovPGS(sweeps=sweeps, tolerance=None), start=impulses)
         contacts = state.contacts._replace(normal_start=first.normal_impulses, tangent_start=first.tangent_impulses)
-        run = simulate(state.replace(contacts=contacts), steps=50, record=1, solver=PGS(sweeps=10, tolerance=None))
-    height = [np.average(one.bodies.position, axis=0, weights=one.bodies.mass)[1] for one in run.trajectory]
+        state = state.replace(contacts=contacts)
+    run = simulate(state, steps=50, record=1, accuracy="fast")
+    height = [float(np.average(one.bodies.position[:, 1], weights=one.bodies.mass)) for one in run.trajectory]
     return {"speed": max(map(piles.rms_speed, run.trajectory)), "sinking": height[0] - min(height)}
 
 

@@ -30,6 +30,9 @@ KINDS = {
 THOROUGH = NNCG(sweeps=300)
 """Solves the steps of a pile."""
 
+SETTLE = BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)
+"""Lets a packing settle."""
+
 EXACT = 1e-8
 """Largest residual of an exact solution, m/s."""
 
@@ -56,22 +59,25 @@ def pile(kind: str, n_bodies: int, seed: int, *, solver=THOROUGH, most: int = 20
     return state
 
 
-def packed_pile(n_bodies: int, seed: int = 0, *, steps: int = 200, smallest: float = 0.8) -> State:
-    """A pile that does not have to fall first: unequal circles close to a hexagonal packing settle for `steps` steps.
+def packing(n_bodies: int, rng, *, smallest: float = 0.8, width: float = 1.0, friction: float = 0.5) -> State:
+    """Unequal circles close to a hexagonal packing, which do not have to fall before they are a pile.
 
-    Radii are uniform in `smallest` to 1 m. From 0.8 m no crystal forms, and there are about as many contacts as in a
-    pile that was dropped.
+    rng: numpy Generator. Radii are uniform in `smallest` to 1 m. From 0.8 m no crystal forms, and there are about as
+    many contacts as in a pile that was dropped. width: of the box, in that of a square of so many circles.
     """
-    rng = np.random.default_rng(seed)
-    columns = math.ceil(math.sqrt(n_bodies))
-    pitch, jitter = 1.85, 0.02
+    columns, pitch, jitter = math.ceil(math.sqrt(n_bodies) * width), 1.85, 0.02
     row, column = np.divmod(np.arange(n_bodies), columns)
     centres = np.column_stack([(column + 0.5 * (row % 2)) * pitch, row * pitch * math.sqrt(0.75)])
-    centres += 1.0 + WALL_SKIN + jitter * rng.uniform(-0.5, 0.5, centres.shape)
+    centres = centres + 1.0 + WALL_SKIN + jitter * rng.uniform(-0.5, 0.5, centres.shape)
     size = centres.max(axis=0) + np.array([1.0 + WALL_SKIN, 20.0])
     bodies = make_bodies(centres, radius=rng.uniform(smallest, 1.0, n_bodies))
-    packed = State(name=f"packed_{n_bodies}", world=World(box=(0, 0, *size)), bodies=bodies)
-    return simulate(packed, steps=steps, solver=BatchedPGS(sweeps=10, tolerance=None, position_sweeps=3)).state
+    return State(name=f"packed_{n_bodies}", world=World(box=(0, 0, *size), friction=friction), bodies=bodies)
+
+
+def packed_pile(n_bodies: int, seed: int = 0, *, steps: int = 200, smallest: float = 0.8) -> State:
+    """A `packing` that settles for so many steps."""
+    scene = packing(n_bodies, np.random.default_rng(seed), smallest=smallest)
+    return simulate(scene, steps=steps, solver=SETTLE).state
 
 
 def rms_speed(state: State) -> float:
