@@ -73,14 +73,19 @@ def errors(found: PileWithoutPast, starts: dict, sweeps: list[int]) -> dict:
     }
 
 
-def times(state: StateWithContacts, starts: dict, sweeps: list[int], repeats: int) -> dict:
-    """{"contacts", "price": start -> s, "sweeps": method -> time of so many sweeps, s}. starts: what makes impulses."""
+def times(state: StateWithContacts, starts: dict, repeats: int) -> dict:
+    """{"contacts", "price": start -> s, "sweeps": method -> time of none and of each sweep, s}.
+
+    starts: name -> what makes the impulses.
+    """
+    few, many, found = 20, 220, {}
+    for name, make in METHODS.items():
+        runs = {k: partial(solve_contacts, state, solver=make(sweeps=k)) for k in (few, many)}
+        took = timing.interleaved(runs, repeats=repeats)
+        slope, overhead = timing.slope_and_overhead((few, took[few]), (many, took[many]))
+        found[name] = [max(overhead, 0.0), slope]
     price = timing.interleaved(starts, repeats=repeats)
-    runs = {(name, k): partial(solve_contacts, state, solver=make(sweeps=k))
-            for name, make in METHODS.items() for k in sweeps}  # fmt: skip
-    took = timing.interleaved(runs, repeats=repeats)
-    by_method = {name: [took[name, k] for k in sweeps] for name in METHODS}
-    return {"contacts": state.contacts.count, "price": price, "sweeps": by_method}
+    return {"contacts": state.contacts.count, "price": price, "sweeps": found}
 
 
 def jolt(state: StateWithContacts, impulses=None, sweeps: int = FIRST_SWEEPS) -> dict:
@@ -118,13 +123,14 @@ def time_to(curve: list, error: float) -> float:
 
 
 def best_time(of_pile: dict, timed: dict, start: str, error: float) -> float:
-    """Time of the fastest method from a start to an error, s, the start's included; times of sweeps go by contacts.
+    """Time of the fastest method from a start to an error, s, the start's included; times go by contacts.
 
-    of_pile: {"contacts", "errors": of `errors`}. timed: of `times`.
+    of_pile: {"contacts", "after": numbers of sweeps, "errors": of `errors`}. timed: of `times`.
     """
     scale = of_pile["contacts"] / timed["contacts"]
-    price = timed["price"].get(start, 0.0)
-    return min(
-        time_to([[scale * (price + took), off] for took, off in zip(timed["sweeps"][name], by_start[start])], error)
-        for name, by_start in of_pile["errors"].items()
-    )
+    best = np.inf
+    for name, by_start in of_pile["errors"].items():
+        overhead, sweep = timed["sweeps"][name]
+        spent = scale * (timed["price"][start] + overhead + sweep * np.array(of_pile["after"]))
+        best = min(best, time_to(list(zip(spent, by_start[start])), error))
+    return best
