@@ -12,6 +12,8 @@ ABOUT = {
     "model.h5": "The model that `dc.load_model()` gives, the far-field network: it corrects Builtin's start by a "
     "coarse image of stress (`deep_contact/cnn/far_field.py`), in a box of any size, and was trained through the "
     "solver.",
+    "no_past.h5": "The network of the start `learned support`, for piles whose contacts carry no impulses: it corrects "
+    "`warm_start.Support`, which the table below calls builtin. Data: `scripts/generate_packings.py`.",
     "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",
 }
 HEAD = """# Models
