@@ -1,15 +1,18 @@
 """python scripts/figure_6_14_no_past.py: the first step of a pile without impulses, by what it starts from."""
 
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 
 from deep_contact.cnn.inference import LearnedSupport
+from deep_contact.io.provenance import commit
 from deep_contact.physics.engine import step_problem
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import no_past
 from deep_contact.studies.learned_starts import median_with_interval
+from deep_contact.studies.parts import done
 from deep_contact.warm_start import Support
 
 COLOURS = {"zero": plotting.GREY, "support": plotting.VERMILION, "learned support": plotting.PURPLE}
@@ -28,13 +31,12 @@ def makers(state, model):
     return made
 
 
-def measure(job):
-    """One pile: what its starts lead to. No time but that of `solve_exactly`."""
-    options, (n, kind, radii, seed, exact) = job
-    found = no_past.pile(n, kind, options["radii"][radii], seed)
+def measure(n_bodies, kind, radii, seed, exact, options, commit):
+    """One pile: what its starts lead to, and the time of `solve_exactly` where it is asked for. commit: of the code."""
+    found = no_past.pile(n_bodies, kind, options["radii"][radii], seed)
     given = {name: make() for name, make in makers(found.state, options["model"]).items()}
-    ended = {"n_bodies": n, "kind": kind, "radii": radii, "seed": seed, "contacts": found.state.contacts.count}
-    ended["after"] = options["sweeps"]
+    ended = {"n_bodies": n_bodies, "kind": kind, "radii": radii, "seed": seed, "after": options["sweeps"]}
+    ended["contacts"] = found.state.contacts.count
     ended["errors"] = no_past.errors(found, given, options["sweeps"])
     ended["jolt"] = {name: no_past.jolt(found.state, given[name], options["first"][name]) for name in given}
     ended["jolt"] |= {"simulate": no_past.jolt(found.state), "past": no_past.jolt(found.past)}
@@ -44,19 +46,26 @@ def measure(job):
 
 
 def compute(options, seed, jobs, progress):
-    """Every size, kind and radii; times of one pile of each, alone on the machine, the others' by their contacts."""
-    cells = [(n, kind, radii) for n in options["states"] for kind in options["kinds"] for radii in options["radii"]]
-    wanted = [
-        (options, (int(n), kind, radii, s, int(n) in options["exact"] and k < options["solved_exactly"]))
-        for n, kind, radii in cells
-        for k, s in enumerate(figures.seeds(seed, options["states"][n]))
+    """Every size, kind and radii; times of one pile of each, alone on the machine, the others' by their contacts.
+
+    Piles that are done are kept in the folder `work`, so that an interrupted run of one commit goes on.
+    """
+    cells = [
+        (int(n), kind, radii) for n in options["states"] for kind in options["kinds"] for radii in options["radii"]
     ]
-    piles = figures.parallel_map(measure, wanted, jobs=jobs, progress=progress, text="piles")
+    common = {"options": {name: options[name] for name in ("radii", "sweeps", "model", "first")}, "commit": commit()}
+    parts = [
+        ("pile", {"n_bodies": n, "kind": kind, "radii": radii, "seed": s, "exact": exact} | common)
+        for n, kind, radii in cells
+        for k, s in enumerate(figures.seeds(seed, options["states"][str(n)]))
+        for exact in [n in options["exact"] and k < options["solved_exactly"]]
+    ]
+    piles = done(parts, {"pile": measure}, work=Path(options["work"]), jobs=jobs, text="piles")
     timed = []
     for n, kind, radii in progress(cells, text="times"):
-        state = no_past.pile(int(n), kind, options["radii"][radii], figures.seeds(seed, 1)[0]).state
+        state = no_past.pile(n, kind, options["radii"][radii], figures.seeds(seed, 1)[0]).state
         took = no_past.times(state, makers(state, options["model"]), options["repeats"])
-        timed.append({"n_bodies": int(n), "kind": kind, "radii": radii} | took)
+        timed.append({"n_bodies": n, "kind": kind, "radii": radii} | took)
     return {"piles": piles, "times": timed}
 
 
@@ -166,7 +175,7 @@ OPTIONS = {
     "states": {"100": 20, "300": 20, "1000": 20, "3000": 20, "10000": 6}, "kinds": ["settling", "resting"],
     "radii": {"near": 0.8, "mixed": 0.5}, "sweeps": [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560], "repeats": 5,
     "first": {"zero": 33, "support": 20, "learned support": 20},
-    "model": "no_past", "exact": [300, 1000], "solved_exactly": 5, "drawn": ["resting", "near"], "least": 1000,
+    "model": "no_past", "work": "runs/figure_6_14", "exact": [300, 1000], "solved_exactly": 5, "drawn": ["resting", "near"], "least": 1000,
 }  # fmt: skip
 QUICK = {"states": {"100": 4, "300": 4}, "least": 100, "solved_exactly": 1, "repeats": 1}
 FIGURE = Figure("6.14", "A pile without a past: its first step", compute, table, draw, claims, options=OPTIONS,

@@ -20,7 +20,8 @@ def test_the_network_corrects_the_support_within_the_cone(pile):
     state, friction = pile.state, pile.state.world.friction
     starts = {"support": dc.warm_start.Support()(state, None), "learned": LearnedSupport()(state, None)}
     normal, tangent = starts["learned"]
-    assert (normal >= 0).all() and (np.abs(tangent) <= friction * normal + 1e-12).all()
+    assert (normal >= 0).all()
+    assert (np.abs(tangent) <= friction * normal + 1e-12).all()
     errors = no_past.errors(pile, starts, [20])
     assert errors["NesterovPGS"]["learned"][0] < 0.9 * errors["NesterovPGS"]["support"][0]
 
@@ -46,7 +47,8 @@ def test_a_network_on_images_is_refused():
 
 
 def test_the_state_that_is_judged_carries_nothing_and_its_references_solve_it(pile):
-    assert not pile.state.solved and not any(np.any(values) for values in pile.state.contacts[5:])
+    assert not pile.state.solved
+    assert not any(np.any(values) for values in pile.state.contacts[5:])
     assert pile.past.contacts.normal_start.any()
     assert all(metrics.residual(pile.state, one) < piles.ENOUGH for one in pile.references)
 
@@ -73,4 +75,5 @@ def test_the_data_are_solved_states_that_start_from_the_support(tmp_path):
     np.testing.assert_array_equal(state.contacts.tangent_start, tangent)
     written = path.stat().st_mtime_ns
     make(0, tmp_path)  # what is there stays
-    assert state.solved and path.stat().st_mtime_ns == written
+    assert state.solved
+    assert path.stat().st_mtime_ns == written
