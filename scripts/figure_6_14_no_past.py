@@ -174,7 +174,7 @@ def draw(data, options):
 OPTIONS = {
     "states": {"100": 20, "300": 20, "1000": 20, "3000": 20, "10000": 6}, "kinds": ["settling", "resting"],
     "radii": {"near": 0.8, "mixed": 0.5}, "sweeps": [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560], "repeats": 5,
-    "first": {"zero": 33, "support": 20, "learned support": 20}, "model": "no_past", "work": "runs/figure_6_14",
+    "first": {"zero": 60, "support": 52, "learned support": 20}, "model": "no_past", "work": "runs/figure_6_14",
     "exact": [300, 1000], "solved_exactly": 5, "drawn": ["resting", "near"], "least": 1000,
 }  # fmt: skip
 QUICK = {"states": {"100": 4, "300": 4}, "least": 100, "solved_exactly": 1, "repeats": 1}
