@@ -93,12 +93,12 @@ class Figure:
     @property
     def stem(self) -> str:
         """Name of its files without suffix: figure_3_7, table_5_1."""
-        return f"{'table' if self.is_table else 'figure'}_{self.id.removeprefix('T ').replace('.', '_')}"
+        return re.sub(r"[ .]", "_", results.name_of(self.id).lower())
 
     @property
     def heading(self) -> str:
         """Figure 3.7: title."""
-        return f"{'Table' if self.is_table else 'Figure'} {self.id.removeprefix('T ')}: {self.title}"
+        return f"{results.name_of(self.id)}: {self.title}"
 
     def beside(self, options: dict) -> dict | None:
         """The reference results beside which a quick run is judged (`results.verdict`); None for any other run."""

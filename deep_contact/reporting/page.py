@@ -64,13 +64,13 @@ def write_report(
 
 
 def _names(ids: Iterable[str]) -> str:
-    return ", ".join(_name(id) for id in sorted(ids, key=_order))
+    return ", ".join(results.name_of(id) for id in sorted(ids, key=_order))
 
 
 def _content(path: Path) -> dict:
     """Content of the page for a results file. Raises ResultsError where it cannot be read."""
     entry, reference, picture = results.read_results(path), results.reference(path.stem), path.with_suffix(".png")
-    made, other, name = entry["provenance"], _other_settings(entry, reference), _name(entry["id"])
+    made, other, name = entry["provenance"], _other_settings(entry, reference), results.name_of(entry["id"])
     run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs")}
     return {
         "id": entry["id"],
@@ -79,7 +79,7 @@ def _content(path: Path) -> dict:
         "full": None if reference is None else not other,
         "other": other,
         "name": name,
-        "anchor": name.lower().replace(" ", "-").replace(".", "-"),
+        "anchor": re.sub("[ .]", "-", name.lower()),
         "picture": _embedded(picture) if picture.exists() else None,
         "settings": {**entry["options"], "seed": made["seed"]},
         "made": run | made["packages"] | made.get("inputs", {}),
@@ -105,10 +105,6 @@ def _judged(claim: dict, beside: dict | None) -> dict:
 def _order(id: str) -> tuple:
     chapter, number = id.removeprefix("T ").split(".")
     return chapter.zfill(4), int(number), id.startswith("T ")
-
-
-def _name(id: str) -> str:
-    return f"Table {id[2:]}" if id.startswith("T ") else f"Figure {id}"
 
 
 def _embedded(picture: Path) -> str:

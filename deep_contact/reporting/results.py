@@ -154,6 +154,11 @@ def reference(stem: str) -> dict | None:
     return read_results(path) if path.exists() else None
 
 
+def name_of(id: str) -> str:
+    """Figure 3.7 or Table 5.1, of the id "3.7" or "T 5.1"."""
+    return f"Table {id[2:]}" if id.startswith("T ") else f"Figure {id}"
+
+
 def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
     """How a stored claim reads: its own verdict if it has one, else "holds", "does not hold" or "open".
 
