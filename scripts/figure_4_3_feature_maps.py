@@ -3,7 +3,6 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn.images import label_image
 from deep_contact.cnn.inference import load_model
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
@@ -12,7 +11,7 @@ from deep_contact.studies import starts
 
 
 def compute(options, seed, jobs, progress):
-    """The mass, the strongest map of three convolutions, and λ_n as predicted and as solved."""
+    """Input channels, the strongest maps of some layers, the prediction, and the solution beside it."""
     model = load_model(options["model"])
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = starts.solved_states(scene, steps=options["steps"], contacts_only=False)[-1]
@@ -21,24 +20,21 @@ def compute(options, seed, jobs, progress):
     image = model.input(state)
     layers = worked.convolutions(model.network)
     maps = worked.feature_maps(model.network, image, [layer.name for layer in layers])
-    panels = [{"layer": "input", "map": "mass", "values": image[..., model.spec.channels.index("mass")]}]
-    for i in np.unique(np.linspace(0, len(layers) - 1, 3).round().astype(int)):
-        found = maps[layers[i].name]
-        best = int(worked.strongest(found, 1)[0])
-        shown = f"map {best + 1} of {found.shape[2]}"
-        panels.append({"layer": layers[i].name, "map": shown, "values": found[..., best]})
-    panels.append({"layer": "output", "map": "λ_n, predicted", "values": model.run(image)[..., 0]})
-    panels.append({"layer": "label", "map": "λ_n, solved", "values": label_image(state, model.spec)[..., 0]})
+    evenly = np.unique(np.linspace(0, len(layers) - 1, options["layers"]).round().astype(int))
+    panels = [panel("input", image, model.spec.channels, options["maps"])]
+    panels += [panel(layers[i].name, maps[layers[i].name], None, options["maps"]) for i in evenly]
     contacts = state.contacts
     solved = np.concatenate([contacts.normal_impulse, contacts.tangent_impulse])
-    builtin, none = (contacts.normal_start, contacts.tangent_start), (0.0 * contacts.normal_start,) * 2
-    given = {"network": model.predict(state), "Builtin": builtin, "None": none}
-    off = {name: float(np.linalg.norm(np.concatenate(pair) - solved)) for name, pair in given.items()}
+    normal, tangent = model.predict(state, project=False)
+
+    def error(normal, tangent):
+        return float(np.linalg.norm(np.concatenate([normal, tangent]) - solved) / np.linalg.norm(solved))
+
     return {
-        "model": {"file": options["model"]} | {key: model.card.get(key) for key in ("architecture", "parameters")},
-        "contacts": contacts.count,
-        "box": state.world.box,
+        "scene": plotting.state_data(state),
+        "model": {key: model.card.get(key) for key in ("architecture", "parameters", "seed", "training_states")},
         "panels": panels,
+        "predicted": {"normal": normal, "tangent": tangent},
         "convolutions": [
             {
                 "name": layer.name,
@@ -50,7 +46,22 @@ def compute(options, seed, jobs, progress):
             }
             for layer in layers
         ],
-        "relative error of λ": {name: size / float(np.linalg.norm(solved)) for name, size in off.items()},
+        "relative error of λ": {
+            "network": error(normal, tangent),
+            "Builtin": error(contacts.normal_start, contacts.tangent_start),
+            "None": 1.0,
+        },
+    }
+
+
+def panel(name, maps, labels, count):
+    """The strongest maps of a layer, as stored data."""
+    chosen = worked.strongest(maps, count)
+    return {
+        "layer": name,
+        "maps in all": int(maps.shape[2]),
+        "shown": [str(labels[i]) if labels else f"map {i}" for i in chosen],
+        "values": [maps[..., i] for i in chosen],
     }
 
 
@@ -64,30 +75,36 @@ def claims(data):
 
 
 def draw(data, options):
-    """Six images of one state: from the input through the layers to the output, and the solution."""
-    figure, panels = plotting.subplots(2, 3, size=(9.0, 6.6))
-    x_min, y_min, x_max, y_max = data["box"]
-    for ax, part in zip(panels.flat, data["panels"]):
-        values = np.array(part["values"])
+    """The strongest map of the input and of some layers, and the impulses predicted over those solved."""
+    figure, axes = plotting.subplots(2, 3, size=(9.0, 6.4))
+    *panels, last = axes.flat
+    state = plotting.state_of(data["scene"])
+    x_min, y_min, x_max, y_max = state.world.box
+    look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
+    for ax, part in zip(panels, data["panels"]):
+        i = part["shown"].index("mass") if "mass" in part["shown"] else 0
+        values = np.array(part["values"][i])
         # Impacts are much larger than all else: the colours end at the 95th percentile.
-        largest = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
-        look = {"origin": "lower", "extent": (x_min, x_max, y_min, y_max), "interpolation": "nearest"}
-        shown = ax.imshow(values, vmin=min(0.0, -largest * (values.min() < 0)), vmax=largest, **look)
-        unit = {"input": "kg", "output": "N·s", "label": "N·s"}.get(part["layer"], "activation")
-        figure.colorbar(shown, ax=ax, shrink=0.8, label=unit)
-        n_y, n_x = values.shape
-        ax.set_title(f"{part['layer'].replace('_', ' ')}, {n_y} × {n_x} nodes\n{part['map'].replace('λ_n', 'λ$_n$')}")
+        size = np.percentile(np.abs(values)[np.nonzero(values)], 95) if np.any(values) else 1.0
+        shown = ax.imshow(values, vmin=-size if values.min() < 0 else 0.0, vmax=size, **look)
+        figure.colorbar(shown, ax=ax, shrink=0.8)
+        which = part["shown"][i] + f" of {part['maps in all']}" * part["shown"][i].startswith("map")
+        ax.set_title(f"{part['layer'].replace('_', ' ')}\n{which}, {len(values)} × {values.shape[1]} nodes")
         ax.axis("off")
-    for ax in list(panels.flat)[len(data["panels"]) :]:
+    for ax in panels[len(data["panels"]) :]:
         ax.remove()
-    error = data["relative error of λ"]["network"]
-    text = f"What a network sees: {data['model']['file']} on a falling pile; error of λ: {100 * error:.0f} %"
-    figure.suptitle(text, fontsize=11)
+    last.plot(state.contacts.normal_impulse, data["predicted"]["normal"], "o", color=plotting.PURPLE, markersize=3)
+    last.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
+    most = 1.05 * max(state.contacts.normal_impulse.max(), np.max(data["predicted"]["normal"]))
+    last.set(xlim=(-0.03 * most, most), ylim=(-0.03 * most, most), aspect="equal")
+    plotting.label_axes(last, "solved λ$_n$", "predicted λ$_n$", x_unit="N·s", y_unit="N·s")
+    last.set_title(f"output\nrelative error of λ: {data['relative error of λ']['network']:.2f}")
+    figure.suptitle(f"What the thesis's network sees of a falling pile ({options['model']})", fontsize=11)
     return figure
 
 
-OPTIONS = {"model": "models/thesis_factored.h5", "n_bodies": 100, "size": 30.0, "steps": 150}
-FIGURE = Figure("4.3", "Feature maps of the thesis's network on a state of the falling pile", compute, None, draw,
+OPTIONS = {"model": "models/thesis_factored.h5", "n_bodies": 100, "size": 30.0, "steps": 150, "layers": 4, "maps": 6}
+FIGURE = Figure("4.3", "Feature maps of the trained network on a state of the falling pile", compute, None, draw,
                 claims, options=OPTIONS, seed=5, digits=4)  # fmt: skip
 
 if __name__ == "__main__":

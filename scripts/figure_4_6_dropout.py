@@ -83,15 +83,15 @@ def draw(data, options):
     for ax, title, dropped in zip(above.subplots(1, 2), titles, (None, small["dropped"])):
         plotting.draw_network(ax, small["values"], small["weights"], dropped=dropped, numbers="")
         ax.set_title(title)
-    below.suptitle(f"{data['model']['file']} on a falling pile, rate {data['rate']:g}", fontsize=11)
+    below.suptitle(f"{options['model']} on a falling pile, rate {data['rate']:g}", fontsize=11)
     panels = below.subplots(1, 3)
     before, after = np.array(data["before"]), np.array(data["after"])
     high = np.percentile(before[before > 0], 95)
     for ax, values, title in ((panels[0], before, "without"), (panels[1], after, "with")):
         shown = ax.imshow(values, origin="lower", interpolation="nearest", vmin=0, vmax=high)
         ax.axis("off")
-        ax.set_title(f"{data['layer'].replace('_', ' ')}, map {data['map'] + 1}, {title}")
-        below.colorbar(shown, ax=ax, location="bottom", shrink=0.85, pad=0.03, label="activation")
+        ax.set_title(f"{data['layer'].replace('_', ' ')}, map {data['map'] + 1},\n{title}")
+        below.colorbar(shown, ax=ax, shrink=0.7, label="activation")
     ax, found = panels[2], {name: np.array(values) for name, values in data["λ_n"].items()}
     ax.errorbar(found["off"], found["mean"], found["spread"], fmt="o", color=plotting.BLUE, markersize=3, linewidth=0.8)
     ax.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
