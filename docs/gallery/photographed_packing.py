@@ -10,12 +10,11 @@ import numpy as np
 
 import deep_contact as dc
 
-scene = dc.lattice_in_box(300, seed=2)
-pile = dc.simulate(scene, steps=1200, solver=dc.NNCG(sweeps=30)).state
+pile = dc.simulate(dc.lattice_in_box(300, seed=2), steps=1200, solver=dc.NNCG()).state
 carried = pile.contacts.normal_start / pile.dt
 true = dict(zip(zip(pile.contacts.body_a, pile.contacts.body_b), carried))
-solver = dc.NesterovPGS(sweeps=1000, tolerance=None)
-rng = np.random.default_rng(1)
+solver, rng = dc.NesterovPGS(sweeps=1000, tolerance=None), np.random.default_rng(1)
+solved: list[dc.State] = []
 figure, axes = dc.plotting.subplots(1, 3, size=(9.0, 3.2))
 print("noise, % of r   contacts   of the true ones   correlation of forces")
 for ax, noise in zip(axes, (0.0, 0.1, 1.0)):  # % of a radius
@@ -24,26 +23,19 @@ for ax, noise in zip(axes, (0.0, 0.1, 1.0)):  # % of a radius
         pile.bodies.position + sigma * rng.standard_normal((300, 2)),
         radius=pile.bodies.radius + 2 * sigma,
     )
-    photo = dc.State(name="photo", world=pile.world, bodies=seen)
-    state = dc.simulate(photo, steps=0).state  # finds the contacts
-    forces = dc.solve_contacts(state, solver=solver, start="learned support")
-    pairs = list(zip(state.contacts.body_a, state.contacts.body_b))
-    both = [
-        (forces.normal_impulses[k] / state.dt, true[pair])
-        for k, pair in enumerate(pairs)
-        if pair in true
-    ]
-    agreement = np.corrcoef(np.array(both).T)[0, 1]
-    print(
-        f"{noise:13g} {len(pairs):10d} {len(both):12d} of {len(true)} {agreement:16.2f}"
+    dc.simulate(
+        dc.State(name="photo", world=pile.world, bodies=seen),
+        steps=1,
+        solver=solver,
+        warm_start="learned support",
+        on_step=lambda state, record: solved.append(state),
     )
-    solved = state.replace(
-        contacts=state.contacts._replace(
-            normal_impulse=forces.normal_impulses,
-            tangent_impulse=forces.tangent_impulses,
-        ),
-        solved=True,
-    )
-    dc.plotting.draw_state(ax, solved, colour_by=None)
+    contacts = solved[-1].contacts
+    forces = contacts.normal_impulse / pile.dt
+    pairs = list(zip(contacts.body_a, contacts.body_b))
+    both = [(forces[k], true[pair]) for k, pair in enumerate(pairs) if pair in true]
+    agree = np.corrcoef(np.array(both).T)[0, 1]
+    print(f"{noise:13g} {len(pairs):10d} {len(both):8d} of {len(true)} {agree:16.2f}")
+    dc.plotting.draw_state(ax, solved[-1], colour_by=None)
     ax.set_title(f"noise {noise:g} % of r")
 dc.plotting.save(figure, "photographed_packing.png")
