@@ -388,13 +388,13 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
 
     def draw(data, options):
         states = [plotting.state_of(found) for found in data["snapshots"]]
-        figure, panels = plotting.subplots(1, len(states), size=(2.9 * len(states), 3.35), squeeze=False, sharey=True)
+        figure, panels = plotting.subplots(1, len(states), size=(8.3, 3.1), squeeze=False, sharey=True)
         high = _end([plotting.body_values(state, colour_by)[0] for state in states])
         impulse = _end([state.contacts.normal_impulse for state in states])
         for ax, state in zip(panels[0], states):
             look = {"limits": (0.0, high), "largest_impulse": impulse or None}
             circles = plotting.draw_state(ax, state, colour_by=colour_by, **look)
-            ax.set_title(f"t = {state.time:.2f} s, {state.contacts.count} contacts", loc="left")
+            ax.set_title(f"t = {state.time:.2f} s\n{state.contacts.count} contacts", loc="left")
             ax.label_outer()
         plotting.colour_bar(panels[0, -1], circles, extend="max")
         plotting.impulse_key(figure, impulse)
