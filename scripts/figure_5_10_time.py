@@ -16,7 +16,7 @@ COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting
 
 
 def compute(options, seed, jobs, progress):
-    """Settling piles of two sizes, the smaller in the thesis's box; one process, since it is the time that counts."""
+    """Settling piles of two sizes, the smaller in the thesis's box; one process, since its time counts."""
     networks, found = options["networks"], {}
     described = {"none": "none", "builtin": "builtin", **starts.CHOSEN}
     described |= {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
@@ -122,7 +122,7 @@ def draw(data, options):
         ax.set_yticks(range(len(names)), [plotting.style_of(name)["label"] for name in names])
         ax.invert_yaxis()
         ax.grid(axis="y", visible=False)
-        ax.set(xlim=(0, 1.25 * left.max()), xlabel="mean time of a step's contacts (ms)")
+        ax.set(xlim=(0, 1.25 * left.max()), xlabel="mean processor time of a step's contacts (ms)")
         ax.set_title(f"{int(size):,} circles, {min(pile['contacts']):,} to {max(pile['contacts']):,} contacts")
     plotting.legend_below(figure, panels[0, 0])
     note = "SPH and Copy are given the solution. Lines: 95 % intervals; numbers: mean sweeps."
