@@ -2,6 +2,7 @@
 
 import multiprocessing
 import sys
+from collections.abc import Callable
 from functools import cache
 
 # compiled in: deep_contact.compiled.boxing
@@ -28,11 +29,11 @@ def prepare_numba() -> None:
     finally:
         linalg.ensure_blas = check
     if multiprocessing.parent_process() is None:
-        event.register("numba:compile", announcement())
+        event.register("numba:compile", announcement(lambda line: print(line, file=sys.stderr, flush=True)))
 
 
-def announcement():
-    """A listener that prints one line to stderr when Numba first compiles physics, which no cache had."""
+def announcement(echo: Callable[[str], None]):
+    """A listener that hands one line to `echo` when Numba first compiles physics, which no cache had."""
     from numba.core import event
 
     class Announcement(event.Listener):
@@ -41,8 +42,7 @@ def announcement():
         def on_start(self, event) -> None:
             if not self.is_made and event.data["dispatcher"].py_func.__module__.startswith("deep_contact.physics."):
                 self.is_made = True
-                line = "deep_contact: compiling for this kind of scene and solver, once; it takes about 20 s"
-                print(line, file=sys.stderr, flush=True)
+                echo("deep_contact: compiling for this kind of scene and solver, once; it takes about 20 s")
 
         def on_end(self, event) -> None:
             pass
