@@ -131,7 +131,7 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "sizes": [100, 1000], "scenes": 12, "states": [4, 1], "every": [25, 100], "most": [10000, 50000], "repeats": 5,
+    "sizes": [100, 1000], "scenes": 10, "states": [4, 1], "every": [25, 100], "most": [10000, 20000], "repeats": 3,
     "networks": chapter_5.NETWORKS,
 }  # fmt: skip
 QUICK = {
