@@ -1,7 +1,9 @@
 """Numba's cache does not outlive a change of any source that was compiled into it, nor does damage go unnoticed."""
 
 import importlib
+import pickle
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -123,3 +125,13 @@ def test_without_a_folder_to_keep_code_in_functions_are_compiled_and_one_warning
         functions = [njit(cache=True)(lambda x: x + 1) for _ in range(2)]
     assert [function(1) for function in functions] == [2, 2]
     assert len(warned) == 1
+
+
+def test_an_index_that_names_a_class_which_has_moved_counts_as_none(tmp_path):
+    file = code_cache._CheckedFile(str(tmp_path), "moved", "stamp")
+    named = b"cdeep_contact.moved_away\nState\n."  # pickled: a class of a module that is gone
+    content = pickle.dumps(file._version) + named
+    Path(file._index_path).write_bytes(content + code_cache._checksum(content))
+    assert file._load_index() == {}
+    file.save(("key",), "code")  # and is written anew
+    assert file.load(("key",)) == "code"
