@@ -21,7 +21,8 @@ from deep_contact.presets import PRESETS
 from deep_contact.studies.chapter_5 import NETWORKS, THESIS_VISITS, networks_info
 from deep_contact.studies.learned_starts import CLASSICAL, best_errors
 from deep_contact.studies.runs import cheaper_than_rivals
-from deep_contact.studies.verdicts import BY_SWEEP
+from deep_contact.studies.starts import READ
+from deep_contact.studies.verdicts import BY_SWEEP, RATIO
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"
@@ -183,6 +184,25 @@ def ratio_after(stem: str, text: str, after: int) -> list[float]:
     return claim(stem, text)[BY_SWEEP][str(after)]
 
 
+def both_ways() -> tuple[int, int]:
+    """Claims on SPH that were judged for both ways back, and how many of their verdicts are another by spline."""
+    printed, spline = READ.values()
+    pairs = []
+    for stem in ("figure_3_8", "figure_5_4", "figure_5_5", "figure_5_6", "figure_5_7", "figure_5_9"):
+        holds = {claim["text"]: claim["holds"] for claim in stored(stem)["claims"]}
+        other = {text.replace(spline, printed): value for text, value in holds.items() if spline in text}
+        pairs += [(holds[text], value) for text, value in other.items() if text in holds]
+    return len(pairs), sum(one is not other for one, other in pairs)
+
+
+def times_builtin(network: str) -> float:
+    """Time of a network's start to θ < 6e-5 in piles of 100 circles, over that of Builtin's (Figure 5.10)."""
+    named = f"100 circles, CNN ({network})"
+    claims = (one for one in stored("figure_5_10")["claims"] if one["text"].startswith(named))
+    (found,) = (one["measured"][RATIO][0] for one in claims if "not efficient" in one["text"])
+    return found
+
+
 def training_share() -> float:
     """States that the thesis's training showed, over those that the training of its network here did."""
     return THESIS_VISITS / networks_info(NETWORKS)["cnn thesis"]["visits"]
@@ -273,6 +293,15 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             ],
         ),
         (
+            "takes {:.1f} times Builtin's time, the thesis's network {:.1f} times; in piles",
+            lambda: [times_builtin("model.h5"), times_builtin("thesis_factored.h5")],
+        ),
+        (
+            "and poly6 is slower than spiky at sweeps {} to {}, where",
+            lambda: sweeps("figure_5_6", "poly6, read by spline"),
+        ),
+        ("Of {} claims on SPH that were judged both ways, {} have another verdict by spline", both_ways),
+        (
             "Bilinear, it converges faster than Builtin at sweeps {} to {} and more slowly from sweep {} on",
             lambda: sweeps("figure_3_8", "bilinearly, as printed, converges faster than Builtin")[:3],
         ),
@@ -317,7 +346,10 @@ GIVEN: dict[str, list[str]] = {
     "guide.md": ["0.01 s for r = 1 m", "takes 2.6 GB", "takes 0.6 GB"],
     "other_starts.md": ["Δt = 0.01 s", "1.75 | 1.45", "ω = 1.75 for the normal and 1.45 for", "d = h = 0.5 m"],
     "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
-    "thesis.md": ["95 %", "d = 0.75 m with h = 0.5 m", "of d = h = 0.5 m"],
+    "thesis.md": [
+        *("95 %", "d = 0.75 m with h = 0.5 m", "of d = h = 0.5 m"),
+        "d = 0.5 m (poly6) or d = 0.25 m (spiky)",
+    ],
 }
 """Page -> pieces of its text whose numbers are settings, or sizes of what others made."""
 

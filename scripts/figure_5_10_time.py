@@ -7,7 +7,7 @@ import numpy as np
 
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Figure
+from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_5, piles, starts, verdicts
 from deep_contact.studies.chapter_5 import STAGES
 
@@ -50,6 +50,11 @@ def by_scene(pile, values):
     return np.array([np.mean(values, where=of == number) for number in np.unique(of)])
 
 
+def is_given_up(pile, name):
+    """Whether a start never reached the threshold."""
+    return pile["starts"][name]["missed"] == len(pile["scene"])
+
+
 def times(pile, name):
     """Milliseconds of each stage of a start, one a scene; 0 for a stage that it does not need."""
     seconds = pile["starts"][name]["seconds"]
@@ -70,6 +75,15 @@ def claims_of(pile, name, where):
     splat, network, gather, _ = ours.values()
 
     def judged(first, second, text, thesis, within, names):
+        if text.count("θ") and is_given_up(pile, name) and is_given_up(pile, "builtin"):
+            found = {what: float(np.mean(values)) for what, values in zip(names, (first, second))}
+            return Claim(
+                f"{where}: {text}",
+                thesis,
+                None,
+                found,
+                f"open: neither start reached it in {np.max(sweeps):,.0f} sweeps",
+            )
         means = {f"mean {what}": float(np.mean(values)) for what, values in zip(names, (first, second))}
         return verdicts.judged_values(first, second, f"{where}: {text}", thesis, within=within, also=means)
 
@@ -118,11 +132,11 @@ def draw(data, options):
             _, *ends = verdicts.interval(lambda drawn, whole=whole: whole[drawn].mean(axis=1), whole.size)
             ax.plot(ends, [place] * 2, color=plotting.BLACK, linewidth=1.2)
             sweeps = np.mean(pile["starts"][name]["sweeps"])
-            ax.text(max(ends), place, f"  {sweeps:,.0f}", va="center", fontsize=8)
+            ax.text(max(ends), place, f"  {'>' * is_given_up(pile, name)}{sweeps:,.0f}", va="center", fontsize=8)
         ax.set_yticks(range(len(names)), [plotting.style_of(name)["label"] for name in names])
         ax.invert_yaxis()
         ax.grid(axis="y", visible=False)
-        ax.set(xlim=(0, 1.25 * left.max()), xlabel="mean processor time of a step's contacts (ms)")
+        ax.set(xlim=(0, 1.25 * left.max()), xlabel="mean processor time of a step (ms)")
         ax.set_title(f"{int(size):,} circles, {min(pile['contacts']):,} to {max(pile['contacts']):,} contacts")
     plotting.legend_below(figure, panels[0, 0])
     note = "SPH and Copy are given the solution. Lines: 95 % intervals; numbers: mean sweeps."
