@@ -243,7 +243,9 @@ def outcome(claims: list[dict]) -> str:
     held = sum(claim["holds"] is True for claim in claims)
     counted = f"{held} of {len(claims)} claims hold" if held else "No claim holds"
     counted = "All claims hold" if held == len(claims) else counted
-    others = [(results.verdict(claim), claim["text"]) for claim in claims if claim["holds"] is not True]
+    parts = sum(claim["holds"] is None for claim in claims)
+    counted += f", {parts} in part or within the noise" if parts else ""
+    others = [(results.verdict(claim), claim["text"]) for claim in claims if claim["holds"] is False]
     return " ".join([f"{counted}.", *(f"**{verdict.capitalize()}**: {text}." for verdict, text in others)])
 
 
