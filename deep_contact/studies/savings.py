@@ -17,9 +17,11 @@ from dataclasses import replace
 import numpy as np
 
 from deep_contact import constants
+from deep_contact.physics.engine import Steps, step_input
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
+from deep_contact.physics.step import make_log
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies import piles, timing
@@ -30,9 +32,6 @@ FEW, ENOUGH = 10, 1_000_000
 
 STEP = PGS(sweeps=10, tolerance=None)
 """The step whose parts are compared."""
-
-FALLING_ASLEEP = 100
-"""Steps in which a pile at rest falls asleep."""
 
 SCATTERED = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""
@@ -97,26 +96,24 @@ def sweep_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
     """What parts of `STEP` cost a resting pile, s per step: being awake, position correction, calls between steps.
 
-    A pile falls asleep in the first `FALLING_ASLEEP` steps, which are not counted. "apart": what leaving a part out
-    changes in so many steps.
+    "apart": what leaving a part out changes in so many steps. Circles may fall asleep in them.
     """
     pile, rolling = ready(at_rest(piles.scene(n_bodies, seed))), ready(heaps_and_one_rolling(n_bodies, seed))
+    asleep = _Asleep(pile, np.full(n_bodies, np.inf), steps)
+    all_but_one = _Asleep(rolling, np.append(np.full(n_bodies, np.inf), 0.0), steps)
+    step = functools.partial(simulate, steps=steps, solver=STEP)
     ways = {
-        "awake": (pile, {}),
-        "asleep": (pile, {"sleep": True}),
-        "one rolling, awake": (rolling, {}),
-        "one rolling, asleep": (rolling, {"sleep": True}),
-        "uncorrected": (pile, {"solver": replace(STEP, position_sweeps=0)}),
-        "called": (pile, {"on_step": lambda *_: None}),
+        "awake": functools.partial(step, pile),
+        "one rolling, awake": functools.partial(step, rolling),
+        "uncorrected": functools.partial(step, pile, solver=replace(STEP, position_sweeps=0)),
+        "called": functools.partial(step, pile, on_step=lambda *_: None),
     }
-
-    def run(name, more):
-        state, options = ways[name]
-        return simulate(state, steps=FALLING_ASLEEP + more, **({"solver": STEP} | options)).state
-
-    runs = {(name, more): functools.partial(run, name, more) for name in ways for more in (0, steps)}
-    times, ends = interleaved(runs, repeats=repeats), {name: run(name, steps) for name in ways}
-    cost = {name: np.maximum(times[name, steps] - times[name, 0], 1e-9) / steps for name in ways}
+    runs = ways | {"asleep": asleep.run, "one rolling, asleep": all_but_one.run}
+    setup = {"asleep": asleep.reset, "one rolling, asleep": all_but_one.reset}
+    times = {name: found / steps for name, found in interleaved(runs, repeats=repeats, setup=setup).items()}
+    ways |= {"asleep": functools.partial(step, pile, sleep=True)}
+    ways |= {"one rolling, asleep": functools.partial(step, rolling, sleep=True)}
+    ends = {name: way().state for name, way in ways.items()}
     pairs = {
         "asleep": ("awake", "asleep"),
         "asleep but for one": ("one rolling, awake", "one rolling, asleep"),
@@ -124,9 +121,30 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
         "no call between steps": ("called", "awake"),
     }
     return {
-        name: timing.ratio(cost[general], cost[special]) | {"apart": apart(ends[general], ends[special])}
+        name: timing.ratio(times[general], times[special]) | {"apart": apart(ends[general], ends[special])}
         for name, (general, special) in pairs.items()
     }
+
+
+class _Asleep:
+    """Steps of `STEP` by circles that have been still for `still`, (n,), s: `simulate` lets all start awake.
+
+    It calls the compiled step itself. `reset` prepares a run.
+    """
+
+    def __init__(self, state: State, still: np.ndarray, steps: int):
+        self._state, self._still, self._log = state, still, make_log(steps)
+
+    def reset(self) -> None:
+        bodies, contacts = (
+            part._make(field.copy() for field in part) for part in (self._state.bodies, self._state.contacts)
+        )
+        self._given = step_input(self._state.replace(bodies=bodies, contacts=contacts), STEP)
+        self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
+        self._advance.memory(self._given).sleep.still[:] = self._still
+
+    def run(self) -> None:
+        self._advance(self._given, self._log)
 
 
 def island_savings(scene: State, *, steps: int, every: int) -> dict:
@@ -135,16 +153,18 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
     Returns {"step", "contacts", "islands", "together", "apart": relaxations of each state, "seconds_together",
     "seconds_apart": the least of three, "difference": largest between the velocities of both, m/s}.
     """
-    found: dict[str, list] = {}
     ways = {"together": PGS(), "apart": PGS(islands=True)}
-    for state in solved_states(scene, steps=steps, every=every, solver=ways["together"]):
-        calls = {name: functools.partial(solve_contacts, state, solver=solver) for name, solver in ways.items()}
-        one, other = (call().velocities for call in calls.values())
+    states = solved_states(scene, steps=steps, every=every, solver=ways["together"])
+    calls = {(name, k): functools.partial(solve_contacts, state, solver=solver)
+             for k, state in enumerate(states) for name, solver in ways.items()}  # fmt: skip
+    took, found = interleaved(calls, repeats=3, reduce=min), {}
+    for k, state in enumerate(states):
+        one, other = (calls[name, k]().velocities for name in ways)
         now = {"step": state.step, "contacts": state.contacts.count, "difference": float(np.abs(one - other).max())}
         now["islands"] = len(np.unique(islands_of(state)[state.contacts.body_a]))
-        for name, seconds in interleaved(calls, repeats=3, reduce=min).items():
-            now[name] = int(simulate(state, steps=1, solver=ways[name]).relaxations[0])
-            now[f"seconds_{name}"] = seconds
+        for name, solver in ways.items():
+            now[name] = int(simulate(state, steps=1, solver=solver).relaxations[0])
+            now[f"seconds_{name}"] = took[name, k]
         for name, value in now.items():
             found.setdefault(name, []).append(value)
     return {name: np.array(values) for name, values in found.items()}
