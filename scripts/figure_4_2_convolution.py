@@ -74,7 +74,7 @@ def draw(data, options):
     result = data["results"]["Eq 4.1"]
     widths = [len(data["image"][0]), k_x, k_x, len(result[0])]
     figure, panels = plotting.subplots(1, 4, size=(11.0, 3.5), width_ratios=widths)
-    titles = "image I", "kernel K", "products under the kernel", "I * K by Eq 4.1, equal to Keras"
+    titles = "image I", "kernel K", "products under the kernel", "I * K (Eq 4.1)"
     for ax, title, values in zip(panels, titles, (data["image"], data["kernel"], data["products"], result)):
         values = np.asarray(values)
         size = np.abs(values).max()

@@ -54,7 +54,7 @@ def draw(data, options):
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
 
-    figure, (whole, near) = plotting.subplots(1, 2, size=(8.6, 4.4))
+    figure, (whole, near) = plotting.subplots(1, 2, size=(8.3, 4.8))
     state, h = plotting.state_of(data["scene"]), data["h"]
     x, y = np.array(data["x"]), np.array(data["y"])
     points = state.contacts.position

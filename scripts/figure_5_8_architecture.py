@@ -48,7 +48,7 @@ def draw(data, options):
     bottom.grid(axis="x", visible=False)
     for middle, count in zip(middles, weights):
         if count:
-            bottom.text(middle, count * 1.4, f"{count:,}", ha="center", va="bottom", rotation=90, fontsize=7)
+            bottom.text(middle, count * 1.4, f"{count:,}", ha="center", va="bottom", rotation=90, fontsize=8)
     bottom.set_xlabel(f"layers, from input to output; {sum(weights):,} trainable parameters in all")
     return figure
 
@@ -76,7 +76,7 @@ def draw_slabs(ax, layers):
         middles.append(x + thick / 2)
         if shape != written:
             size = " × ".join(map(str, shape))
-            ax.text(x + thick / 2, low - 0.12, size, ha="center", va="top", rotation=90, fontsize=7)
+            ax.text(x + thick / 2, low - 0.12, size, ha="center", va="top", rotation=90, fontsize=8)
             written = shape
         x = right + max(shift + 0.12, gap)
     ax.set(xlim=(-0.6, x + 0.2), ylim=(-2.9, 2.3))

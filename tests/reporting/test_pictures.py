@@ -43,7 +43,8 @@ def shown_texts(picture):
 def points_of(ax):
     """Where the axes show lines, (n, 2), pixels."""
     lines = [line.get_transform().transform(line.get_xydata()) for line in ax.lines if line.get_visible()]
-    return np.concatenate([np.empty((0, 2)), *lines])
+    points, seen = np.concatenate([np.empty((0, 2)), *lines]), ax.get_window_extent()
+    return points[((points >= seen.min) & (points <= seen.max)).all(axis=1)]
 
 
 @pytest.mark.parametrize("name", STORED)
