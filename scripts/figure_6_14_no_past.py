@@ -138,15 +138,18 @@ def judged(text, found, holds):
 
 
 def table(data):
-    head = ["circles", "kind", "radii", "piles", "support, ms", "learned support, ms"]
-    head += [f"{start} to {error:g}, ms" for error in ERRORS for start in COLOURS]
+    """Ratios of times with intervals, and medians of what a start costs and of the largest speed of a run."""
+    head = ["circles", "piles", "support, ms", "learned support, ms"]
+    head += [f"support over zero, to {error:g}" for error in ERRORS[:2]]
+    head += [f"learned over best classical, to {error:g}" for error in ERRORS]
     rows = [[*head, *(f"jolt, {start}, m/s" for start in JOLTS)]]
     for (n, kind, radii), (piles, timed) in by_cell(data).items():
-        medians = [float(np.median(times(piles, timed, start, error))) for error in ERRORS for start in COLOURS]
+        ratios = [ratio(piles, timed, "support", ["zero"], error) for error in ERRORS[:2]]
+        ratios += [ratio(piles, timed, LEARNED, CLASSICAL, error) for error in ERRORS]
+        shown = ["–" if one is None else "{:.2f} ({:.2f}–{:.2f})".format(*one) for one in ratios]
         jolts = [float(np.median([pile["jolt"][start]["speed"] for pile in piles])) for start in JOLTS]
-        shown = [median if np.isfinite(median) else None for median in medians]
         prices = [1e3 * timed["price"][start] for start in ("support", LEARNED)]
-        rows.append([n, kind, radii, len(piles), *prices, *shown, *jolts])
+        rows.append([n, f"{len(piles)} {kind}, {radii}", *prices, *shown, *jolts])
     return rows
 
 
@@ -172,7 +175,7 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "states": {"100": 20, "300": 20, "1000": 20, "3000": 20, "10000": 6}, "kinds": ["settling", "resting"],
+    "states": {"100": 20, "300": 20, "1000": 20, "3000": 20, "10000": 10}, "kinds": ["settling", "resting"],
     "radii": {"near": 0.8, "mixed": 0.5}, "sweeps": [5, 10, 20, 40, 80, 160, 320, 640, 1280, 2560], "repeats": 5,
     "first": {"zero": 60, "support": 52, "learned support": 20}, "model": "no_past", "work": "runs/figure_6_14",
     "exact": [300, 1000], "solved_exactly": 5, "drawn": ["resting", "near"], "least": 1000,
