@@ -21,7 +21,7 @@ from deep_contact.state import LARGEST_SINGLE_START, LARGEST_START, State, State
 from deep_contact.validation import integer, one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
-Name = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad", "sph", "cnn"]
+Name = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad", "sph", "cnn", "learned support"]
 Start = Name | WarmStart | None
 """What `warm_start=` takes; None is "none"."""
 

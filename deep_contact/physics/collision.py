@@ -445,7 +445,7 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer):
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
-            if m >= 0:
+            if m >= 0 and segments.shape[0] > 0:
                 m = insert_pairs(position, radius, segments, skin, buffer.body_a, buffer.body_b, m)
         if m >= 0:
             break

@@ -9,12 +9,13 @@ admissible forces, so even exact positions do not give back those of its history
 import numpy as np
 
 import deep_contact as dc
+from deep_contact.state import StateWithContacts
 
 pile = dc.simulate(dc.lattice_in_box(300, seed=2), steps=1200, solver=dc.NNCG()).state
 carried = pile.contacts.normal_start / pile.dt
 true = dict(zip(zip(pile.contacts.body_a, pile.contacts.body_b), carried))
 solver, rng = dc.NesterovPGS(sweeps=1000, tolerance=None), np.random.default_rng(1)
-solved: list[dc.State] = []
+solved: list[StateWithContacts] = []
 figure, axes = dc.plotting.subplots(1, 3, size=(9.0, 3.2))
 print("noise, % of r   contacts   of the true ones   correlation of forces")
 for ax, noise in zip(axes, (0.0, 0.1, 1.0)):  # % of a radius
