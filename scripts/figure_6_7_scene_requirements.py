@@ -79,7 +79,7 @@ def table(data):
     rows = [["what", "times cheaper", "quartiles", "apart, m", "general", "special"]]
     for name, n, one in named_savings(data):
         name = name if n is None else f"{name}, {n} circles, ns"
-        rows.append([name, one["ratio"], [one["low"], one["high"]], one.get("apart"), one["general"], one["special"]])
+        rows.append([name, one["ratio"], [one["low"], one["high"]], one["apart"], one["general"], one["special"]])
     for name, one in data["jobs"].items():
         rows.append([f"job: {name}, s; MB", None, None, None, one["seconds"], one["memory_mb"]])
     return rows
@@ -95,8 +95,7 @@ def draw(data, options):
         left.barh(k, one["ratio"] - 1, left=1, height=0.6, color=plotting.SKY)
         left.plot([one["low"], one["high"]], [k, k], color=plotting.BLACK)
         left.annotate(f"{one['ratio']:.3g}×", (max(one["high"], 1), k), (4, 0), textcoords="offset points", va="center")
-        if "apart" in one:  # not in files from before
-            right.plot(max(one["apart"], SMALLEST), k, "o", color=plotting.VERMILION, markersize=4)
+        right.plot(max(one["apart"], SMALLEST), k, "o", color=plotting.VERMILION, markersize=4)
     left.set_yticks(range(len(rows)), [name if n is None else f"{name}, {n:,} circles" for name, n, _ in rows])
     left.invert_yaxis()
     ratios = [one[end] for _, _, one in rows for end in ("low", "high")]
