@@ -88,10 +88,16 @@ def times(piles, timed, start, error):
 
 
 def ratio(piles, timed, start, others, error):
-    """Time from a start over the least from the others, pile by pile; [median, low, high] as `median_with_interval`."""
+    """Time from a start over the least from the others, pile by pile; [median, low, high] as `median_with_interval`.
+
+    A start that never comes to the error counts with the time of the most sweeps, a bound.
+    """
     one, other = times(piles, timed, start, error), np.min([times(piles, timed, o, error) for o in others], axis=0)
     done = np.isfinite(one) | np.isfinite(other)
-    return median_with_interval(one[done] / other[done] if 2 * done.sum() > done.size else np.empty(0))
+    if 2 * done.sum() <= done.size:
+        return None
+    most = np.array([1e3 * no_past.time_of_all(pile, timed, start) for pile in piles])
+    return median_with_interval((np.minimum(one, most) / np.minimum(other, most))[done])
 
 
 def name_of(cell):

@@ -127,10 +127,17 @@ def best_time(of_pile: dict, timed: dict, start: str, error: float) -> float:
 
     of_pile: {"contacts", "after": numbers of sweeps, "errors": of `errors`}. timed: of `times`.
     """
-    scale = of_pile["contacts"] / timed["contacts"]
-    best = np.inf
+    return min(time_to(curve, error) for curve in _curves(of_pile, timed, start))
+
+
+def time_of_all(of_pile: dict, timed: dict, start: str) -> float:
+    """Time of the most sweeps of the slowest method, s; arguments as of `best_time`."""
+    return max(curve[-1][0] for curve in _curves(of_pile, timed, start))
+
+
+def _curves(of_pile, timed, start):
+    """(time, error) after each number of sweeps, a list for each method."""
+    scale, after = of_pile["contacts"] / timed["contacts"], np.array(of_pile["after"])
     for name, by_start in of_pile["errors"].items():
         overhead, sweep = timed["sweeps"][name]
-        spent = scale * (timed["price"][start] + overhead + sweep * np.array(of_pile["after"]))
-        best = min(best, time_to(list(zip(spent, by_start[start])), error))
-    return best
+        yield list(zip(scale * (timed["price"][start] + overhead + sweep * after), by_start[start]))
