@@ -119,9 +119,14 @@ def some_contacts(buffer, i, j):
     )  # fmt: skip
 
 
+@njit(cache=True)
 def own_contacts(contacts):
     """The contacts in memory of their own, no larger than they are."""
-    return Contacts(*(field.copy() for field in contacts))
+    return Contacts(
+        contacts.body_a.copy(), contacts.body_b.copy(), contacts.position.copy(), contacts.normal.copy(),
+        contacts.separation.copy(), contacts.normal_impulse.copy(), contacts.tangent_impulse.copy(),
+        contacts.normal_start.copy(), contacts.tangent_start.copy(),
+    )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
