@@ -41,7 +41,6 @@ def folder(tmp_path_factory):
 
 
 GONE = {
-    "6.10": ("coarse",),
     "T 6.1": (
         *("data", "network", "training", "own_bodies", "own_steps", "simulations", "steps", "bodies"),
         *("held_out", "states", "stacks", "deeper", "settings"),
