@@ -62,7 +62,7 @@ COINCIDENT = 0.1
 
 FIRST_SWEEPS = 200, 2000
 """Least and most sweeps of step 0 of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest
-would fall into itself. Between them it is a fifth of the circles, since a load goes a few circles far in a sweep."""
+would fall into itself. Between them it is a fifth of the circles."""
 
 
 class Simulation(NamedTuple):

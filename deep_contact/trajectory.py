@@ -3,7 +3,7 @@
     run = Trajectory.from_states(states)
     run.save("fall.h5")
     run.energies[:, 0].max()                     # largest kinetic energy, J
-    run                                          # in a notebook: a film of it
+    run                                          # in a notebook: a player
 
 The file is that of a data set (`deep_contact.io.simulation_h5`).
 """
@@ -17,13 +17,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from deep_contact.state import notebook
-from deep_contact.validation import number
+from deep_contact.validation import integer, number
 
 if TYPE_CHECKING:
     from matplotlib.animation import FuncAnimation
 
     from deep_contact.io.simulation_h5 import StoredSimulation
     from deep_contact.state import State, StateWithContacts, World
+
+MOST_FRAMES = 40
+"""Of a player in a notebook, which keeps its pictures."""
 
 
 def _array(*names: str) -> property:
@@ -87,12 +90,10 @@ class Trajectory:
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the run as a film, at its own speed, with a button and a slider."""
+        """What a notebook shows: matplotlib's player of at most `MOST_FRAMES` states, at the run's own speed."""
         seconds = max(float(self.times[-1] - self.times[0]), 1e-3)
-        radius, segments = self.stored.arrays["radius"], self.world.segments
-        return notebook.shown(
-            repr(self), [], notebook.film_of(self.world.box, self.positions, radius, seconds, segments)
-        )
+        every = -(-len(self) // MOST_FRAMES)
+        return self.animate(fps=max(len(self) / every / seconds, 1.0), height=3.5, every=every).to_jshtml()
 
     times, positions, velocities = _array("time"), _array("position"), _array("velocity")
     angles, spins, offsets = _array("angle"), _array("spin"), _array("contact_offset")
@@ -110,11 +111,11 @@ class Trajectory:
         potential = -(self.positions @ np.array(self.world.gravity)) @ mass
         return np.column_stack([0.5 * (linear + turning), potential])
 
-    def animate(self, *, fps: float = 25, height: float = 5.0) -> FuncAnimation:
+    def animate(self, *, fps: float = 25, height: float = 5.0, every: int = 1) -> FuncAnimation:
         """A matplotlib animation of the circles, coloured by speed, and their contacts, as wide as their impulses.
 
-        fps: states shown in a second. height: of the picture, inches. Its `to_jshtml()` is for notebooks, its `save`
-        writes a film.
+        fps: states shown in a second. height: of the picture, inches. every: one in so many states is shown. Its
+        `to_jshtml()` is for notebooks, its `save` writes a film.
         """
         from matplotlib.animation import FuncAnimation
 
@@ -132,7 +133,8 @@ class Trajectory:
             plotting.draw_state(ax, self[i], limits=(0.0, fastest), largest_impulse=strongest)
             ax.set_title(f"t = {self.times[i]:.2f} s", loc="left")
 
-        return FuncAnimation(figure, draw, frames=len(self), interval=1000 / number("fps", fps, above=0), repeat=False)
+        shown = range(0, len(self), integer("every", every, 1))
+        return FuncAnimation(figure, draw, frames=shown, interval=1000 / number("fps", fps, above=0), repeat=False)
 
 
 def load_trajectory(path) -> Trajectory:

@@ -1,12 +1,14 @@
 """What notebooks and editors show: short reprs, inline pictures; and states that compare."""
 
 import dataclasses
+import re
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact import trajectory
 from deep_contact.reporting import figures, plotting
 from deep_contact.state import notebook
 
@@ -62,25 +64,11 @@ def test_a_run_shows_how_its_solves_ended(run):
     assert dc.simulate(dc.column(1), steps=0)._repr_html_()
 
 
-def test_a_trajectory_is_a_film_of_every_circle(run):
-    shown = run.trajectory._repr_html_()
-    circles = picture_in(shown).findall("g/circle")
-    assert len(circles) == 3
-    for i, circle in enumerate(circles):
-        across, up = circle.findall("animate")
-        heights = [float(value) for value in up.get("values").split(";")]
-        assert (across.get("attributeName"), up.get("attributeName"), up.get("dur")) == ("cx", "cy", "0.6s")
-        assert len(heights) == len(run.trajectory)
-        np.testing.assert_allclose(np.diff(heights) <= 0.2, np.diff(run.trajectory.positions[:, i, 1]) >= -0.03)
-    assert "setCurrentTime" in shown
-    assert 'max="0.6"' in shown
-
-
-def test_a_long_film_has_fewer_pictures(monkeypatch):
-    positions = np.zeros((50, 4, 2))
-    monkeypatch.setattr(notebook, "MOST_PLACES", 80)
-    svg = picture_in(notebook.film_of((0, 0, 1, 1), positions, np.ones(4), 1.0))
-    assert len(svg.find("g/circle/animate").get("values").split(";")) == 17  # every third
+def test_a_trajectory_is_a_player_of_its_states(run, monkeypatch):
+    frames = re.findall(r"frames\[\d+\] = .data:image/png", run.trajectory._repr_html_())
+    assert len(frames) == len(run.trajectory) == 4
+    monkeypatch.setattr(trajectory, "MOST_FRAMES", 3)  # every second state
+    assert run.trajectory._repr_html_().count("data:image/png") == 2
 
 
 def test_arrays_plans_and_recommendations_are_tables(run):

@@ -365,7 +365,7 @@ def _paint(image, geometry, h, found):
 def _add(image, geometry, h, point, values, begin, end):
     """Add a particle's values by their vectors of `WIDTH` channels from `begin` to `end`.
 
-    `sph.splat` would take twenty times as long: it writes float64, knows all kernels and checks its arguments.
+    `sph.splat` writes float64, knows all kernels and checks its arguments, which takes many times as long.
     """
     (x0, y0, d), (n_y, n_x, _) = geometry, image.shape
     x, y = point[0] - x0, point[1] - y0

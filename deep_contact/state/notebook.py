@@ -1,4 +1,4 @@
-"""How notebooks show things: tables, and circles as inline SVG, at rest or as a film. No plotting package is needed."""
+"""How notebooks show things: tables, and circles as inline SVG. No plotting package is needed."""
 
 from __future__ import annotations
 
@@ -10,14 +10,8 @@ import numpy as np
 WIDTH = 260
 """Of a picture, pixels; its height is at most twice that."""
 
-MOST_CIRCLES, MOST_PLACES, MOST_ROWS = 5000, 100_000, 10
-"""A notebook keeps its pictures: of more circles none is made; a film has so many places of circles at most, and a
-table of arrays so many rows."""
-
-_CONTROLS = """<br><button onclick="const s = this.parentNode.querySelector('svg');
-s.animationsPaused() ? s.unpauseAnimations() : s.pauseAnimations()">play / pause</button>
-<input type="range" min="0" max="{0:g}" step="any" value="0" style="width:{1}px"
-oninput="const s = this.parentNode.querySelector('svg'); s.pauseAnimations(); s.setCurrentTime(this.value)">"""
+MOST_CIRCLES, MOST_ROWS = 5000, 10
+"""A notebook keeps its pictures: of more circles none is made, and a table of arrays has so many rows at most."""
 
 
 def shown(title: str, rows: Iterable[Sequence], picture: str = "", header: Sequence[str] = ()) -> str:
@@ -43,12 +37,11 @@ def _text(value) -> str:
     return ", ".join(f"{number:.4g}" for number in np.atleast_1d(value).tolist())
 
 
-def picture_of(box, position: np.ndarray, radius, lines=(), strength=(), segments=(), seconds: float = 0.0) -> str:
+def picture_of(box, position: np.ndarray, radius, lines=(), strength=(), segments=()) -> str:
     """SVG of circles in their box, and of lines over them.
 
-    box: (x_min, y_min, x_max, y_max), m. position: (n, 2), m, or of a film of so many `seconds`, (T, n, 2).
-    radius: (n,), m. lines: start and end, (m, 2, 2), m. strength: of each line, (m,); the width is proportional to it.
-    segments: static ones, (x_0, y_0, x_1, y_1) each, m.
+    box: (x_min, y_min, x_max, y_max), m. position: (n, 2), m. radius: (n,), m. lines: start and end, (m, 2, 2), m.
+    strength: of each line, (m,); the width is proportional to it. segments: static ones, (x_0, y_0, x_1, y_1) each, m.
     What is not finite is left out. Empty for more than `MOST_CIRCLES` circles.
     """
     if len(radius) > MOST_CIRCLES:
@@ -64,8 +57,7 @@ def picture_of(box, position: np.ndarray, radius, lines=(), strength=(), segment
         places, r = on_screen(position), scale * np.asarray(radius)
         ends = on_screen(np.reshape(lines, (-1, 2, 2))).reshape(-1, 4)
         widths = 0.3 + 3.0 * np.asarray(strength) / max(float(np.max(strength, initial=0.0)), 1e-300)
-    places = places[None] if places.ndim == 2 else places[:: 1 + places.size // (2 * MOST_PLACES)]
-    seen = np.isfinite(places).all(axis=(0, 2)) & np.isfinite(r)
+    seen = np.isfinite(places).all(axis=1) & np.isfinite(r)
     kept = np.isfinite(ends).all(axis=1) & np.isfinite(widths)
     stroke = 'stroke="currentColor"'
     return "".join((
@@ -73,34 +65,15 @@ def picture_of(box, position: np.ndarray, radius, lines=(), strength=(), segment
         f'<rect width="{width:.0f}" height="{height:.0f}" fill="none" {stroke}/>',
         *(_line(end, stroke) for end in on_screen(np.reshape(segments, (-1, 2, 2))).reshape(-1, 4)),
         '<g fill="#CFE6F5" stroke="#333333" stroke-width="0.5">',
-        *(_circle(places[:, i], r[i], seconds) for i in np.flatnonzero(seen)),
+        *('<circle cx="{:.1f}" cy="{:.1f}" r="{:.1f}"/>'.format(*places[i], r[i]) for i in np.flatnonzero(seen)),
         '</g><g stroke="#D55E00">',
         *(_line(end, f'stroke-width="{thick:.1f}"') for end, thick in zip(ends[kept], widths[kept])),
         "</g></svg>",
     ))  # fmt: skip
 
 
-def film_of(box, positions: np.ndarray, radius, seconds: float, segments=()) -> str:
-    """`picture_of` with a button and a slider. positions: (T, n, 2), m. seconds: that the film takes."""
-    picture = picture_of(box, positions, radius, segments=segments, seconds=seconds)
-    return f"<div>{picture}{_CONTROLS.format(seconds, WIDTH - 90)}</div>" if picture else ""
-
-
 def _line(end: np.ndarray, stroke: str) -> str:
     return '<line x1="{:.1f}" y1="{:.1f}" x2="{:.1f}" y2="{:.1f}" {}/>'.format(*end, stroke)
-
-
-def _circle(places: np.ndarray, r: float, seconds: float) -> str:
-    """A circle at the first of its places, (T, 2), or on its way through all of them."""
-    text = '<circle cx="{:.1f}" cy="{:.1f}" r="{:.1f}"'.format(*places[0], r)
-    if not seconds:
-        return f"{text}/>"
-    way = zip(("cx", "cy"), (";".join(f"{value:.1f}" for value in column) for column in places.T))
-    moves = (
-        f'<animate attributeName="{name}" values="{values}" dur="{seconds:g}s" repeatCount="indefinite"/>'
-        for name, values in way
-    )
-    return f"{text}>{''.join(moves)}</circle>"
 
 
 def counted(number: int, thing: str) -> str:

@@ -27,8 +27,6 @@ METHODS = {
     "NesterovPGS": partial(NesterovPGS, tolerance=None),
 }
 REFERENCE_SWEEPS = 20_000
-FIRST_SWEEPS = 20
-"""Of the first step of a run."""
 
 
 class PileWithoutPast(NamedTuple):
@@ -88,7 +86,7 @@ def times(state: StateWithContacts, starts: dict, repeats: int) -> dict:
     return {"contacts": state.contacts.count, "price": price, "sweeps": found}
 
 
-def jolt(state: StateWithContacts, impulses=None, sweeps: int = FIRST_SWEEPS) -> dict:
+def jolt(state: StateWithContacts, impulses=None, sweeps: int = 0) -> dict:
     """Half a second by the preset "fast", whose first step has so many sweeps of NesterovPGS from these impulses.
 
     Returns {"speed": largest rms speed, m/s, "sinking": fall of the centre of mass, m}. Without impulses it is the run
