@@ -4,7 +4,7 @@ NAME   what is timed
 engine ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
 step   whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
 transfer, xml   splat and gather beside a k-d tree; writing and reading a state
-outside  FILE …: fc2d or FCLIB files, or piles of our own, to Siconos's error, by our solvers, Siconos and pinocchio
+outside  FILE …: fc2d files, or piles of our own, to Siconos's error, by our solvers, Siconos and pinocchio
 disks  steps of Siconos's bench-disks: ours whole, and Siconos's solver alone
 
 Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 where times are of the processor (outside, disks). The result
@@ -31,7 +31,7 @@ import numpy as np
 import deep_contact as dc
 from deep_contact import sph
 from deep_contact.compiled import team
-from deep_contact.io.fclib import read_problem
+from deep_contact.io.fc2d import read_problem
 from deep_contact.io.files import write_json
 from deep_contact.physics.lcp import check_problem, contact_problem, natural_residual, siconos_error
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
@@ -442,7 +442,7 @@ def main(arguments=None) -> None:
     """Run a benchmark and write its file."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("name", choices=BENCHMARKS, help="what is timed")
-    parser.add_argument("files", nargs="*", type=Path, help="of outside: fc2d or FCLIB files")
+    parser.add_argument("files", nargs="*", type=Path, help="of outside: fc2d files")
     parser.add_argument("--out", type=Path, help="the file (build/results/benchmark_NAME.json)")
     parser.add_argument("--sizes", type=int, nargs="*", help="numbers of circles; of disks: discs along a side")
     parser.add_argument("--repeats", type=int, help="timed runs")

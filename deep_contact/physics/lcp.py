@@ -1,7 +1,7 @@
 """The contact problem as matrices, which the engine never builds.
 
 It is the form of the textbook, to hold the sweeps against, and the form in which problems come from other programs
-(`io.fclib`), where nothing is known of bodies. `matrix_solvers` and `exact` solve it.
+(`io.fc2d`), where nothing is known of bodies. `matrix_solvers` and `exact` solve it.
 """
 
 from __future__ import annotations

@@ -1,9 +1,12 @@
-"""The files that come with the package, in a checkout and in a wheel."""
+"""The files that come with the package, in a checkout and in a wheel; and JSON as it is written."""
+
+import json
 
 import pytest
 
 import deep_contact as dc
 from deep_contact.io import shipped
+from deep_contact.io.files import write_json
 
 
 def test_every_sample_is_a_solved_state_of_its_step():
@@ -35,3 +38,14 @@ def test_a_file_is_found_here_first_then_among_those_that_are_shipped(tmp_path, 
     assert shipped.find(name).samefile(tmp_path / name)
     with pytest.raises(FileNotFoundError, match=r"none\.json: expected a file"):
         shipped.find("none.json")
+
+
+def test_json_keeps_bits_puts_one_object_a_line_and_holds_finite_numbers(tmp_path):
+    value = {"a": [0.1, 1e-300], "θ": [{"b": None}, {"b": True}], "empty": {}}
+    text = write_json(tmp_path / "new" / "a.json", value).read_text(encoding="utf-8")
+    assert json.loads(text) == value
+    assert '"a": [0.1,1e-300],\n' in text
+    assert '"θ"' in text
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "b.json", {"a": float("nan")})
+    assert not (tmp_path / "b.json").exists()

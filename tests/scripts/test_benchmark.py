@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from conftest import load_script
 
-from deep_contact.io.fclib import write_fclib
 from deep_contact.physics.lcp import check_problem, contact_problem, siconos_error
 from deep_contact.studies import rivals
 
@@ -54,8 +53,17 @@ def test_transfer_and_state_files_are_timed(run):
     assert found[".xml.gz"]["bytes"] < found[".xml"]["bytes"]
 
 
+def write_fc2d(path, state):
+    """The contact problem of a state as Siconos's text, W dense by columns."""
+    problem = contact_problem(state)
+    W = problem.A.toarray()
+    numbers = np.concatenate([W.ravel("F"), problem.b, problem.friction]).tolist()
+    path.write_text("\n".join(map(repr, [2, len(W) // 2, 0, *W.shape, *numbers])))
+    return path
+
+
 def test_solvers_are_compared_on_files_and_piles_and_a_second_run_is_added(run, falling_states, tmp_path):
-    path = write_fclib(tmp_path / "pile.hdf5", falling_states[9])
+    path = write_fc2d(tmp_path / "pile.dat", falling_states[9])
     command = ("outside", path, "--sizes", "--repeats", 1, "--tolerance", 1e-4)
     first = run(*command, "--only", "ours, PGS")
     assert first["contacts"]["pile"] == falling_states[9].contacts.count
@@ -69,7 +77,7 @@ def test_solvers_are_compared_on_files_and_piles_and_a_second_run_is_added(run, 
 
 def test_who_is_slow_is_left_out_of_larger_problems(run, falling_states, tmp_path, monkeypatch):
     monkeypatch.setattr(benchmark, "MOST", 0.0)
-    files = [write_fclib(tmp_path / f"pile_{k}.hdf5", falling_states[k]) for k in (12, 2)]
+    files = [write_fc2d(tmp_path / f"pile_{k}.dat", falling_states[k]) for k in (12, 2)]
     found = run("outside", *files, "--sizes", "--only", "ours, PGS")
     small, large = found["seconds"].values()
     assert small["ours, PGS"] > 0
