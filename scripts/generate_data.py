@@ -1,20 +1,22 @@
-"""The data set: simulations of the thesis's scene with random numbers of circles, every solved state kept.
+"""The data sets: simulations of the thesis's scene, every solved state kept; and packed piles without a past.
 
     python scripts/generate_data.py [--simulations 150] [--steps 600] [--bodies 70 110] [--seed 0]
                                     [--out data/generated] [--jobs 2] [--scheduler ADDRESS] [--xml] [--gzip] [--quick]
+    python scripts/generate_data.py --packings [--simulations 640] [--out data/generated/packings]
     python scripts/generate_data.py --sample [--out data/sample]
 
 Writes <out>/sim_0000.h5, …, one file per simulation (`deep_contact.io.simulation_h5`, data/README.md), without the
 states that have no contacts. --xml also writes every state as <out>/xml/sim_0000/sim_0000_<step>.xml, with --gzip as
 .xml.gz. --quick makes four short simulations of few circles, in <out>/quick. --sample makes the few states that are
-tracked with the source.
+tracked with the source. --packings makes the data of the start `learned support`: four states of a pile that settles,
+whose contacts start from the support; five eighths have 50 to 3,000 circles, the others 600 to 6,000.
 
 Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be
 stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind.
 
 With --scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`). They need no shared file system: they
-return every simulation as the bytes of its file, which this process writes; the simulation of a worker that dies is
-repeated by another. XML files are made from these files afterwards, by processes of this machine.
+return every simulation as the bytes of its file, which this process writes. XML files are made from these files
+afterwards, by processes of this machine.
 """
 
 from __future__ import annotations
@@ -24,6 +26,7 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -34,19 +37,28 @@ import deep_contact as dc
 from deep_contact import constants, parallel
 from deep_contact.cnn.dataset import simulation_path
 from deep_contact.io import simulation_h5
-from deep_contact.io.files import replacing
+from deep_contact.io.files import write_bytes
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
 from deep_contact.io.state_xml import write_state
+from deep_contact.physics import metrics
 from deep_contact.reporting import figures
+from deep_contact.studies.no_past import without_past
+from deep_contact.studies.piles import SETTLE, packing
 
 SOLVER = dc.PGS(sweeps=5000, tolerance=constants.THETA_TOLERANCE)
 """As in the thesis's generator; states that need more sweeps are kept as they are."""
 
 FULL = {"simulations": 150, "steps": 600, "bodies": (70, 110)}
 QUICK = {"simulations": 4, "steps": 200, "bodies": (20, 30)}
+PACKINGS = 640
 
-BYTES = 110
-"""Of a circle in a step of the full set, compressed."""
+SMALL = {"sizes": (50, 3000), "steps": (80, 80, 200, 300), "stream": 34}
+LARGE = {"sizes": (600, 6000), "steps": (80, 120, 300, 400), "stream": 35}
+SMALLEST = 0.5, 0.8, 0.95
+"""Least radii of packings, m; the largest is 1 m."""
+FRICTION = 0.1, 0.3, 0.5, 0.5, 0.5, 0.8, 1.0
+UNSOLVED = 1e-2
+"""Residual of a solution beyond which a state of a packing is left out, m/s."""
 
 SAMPLE_SEED = 2019
 """Of the tracked sample, so that no data set with the default seed contains it."""
@@ -62,6 +74,7 @@ class Job:
     bodies: tuple[int, int]
     out: str
     gzip: bool = False
+    packing: bool = False
 
     @property
     def path(self) -> Path:
@@ -75,14 +88,16 @@ class Job:
 
     @property
     def header(self) -> dict:
-        """Fields of the file's header that determine the states."""
+        """Fields of the file's header that determine the states; a packing's follow from its number."""
+        if self.packing:
+            return {"seed": None, "options": {}}
         options = {"steps": self.steps, "bodies": list(self.bodies)}
         return {"seed": {"entropy": self.seed, "spawn_key": [self.number]}, "options": options}
 
 
 def make_simulation(job: Job) -> bytes:
     """The file of one simulation. Nothing is written here: a worker may be on another machine."""
-    states, sweeps, theta = simulate(job)
+    states, sweeps, theta = (packed_states(job.number), None, None) if job.packing else simulate(job)
     packed = simulation_h5.pack_simulation(states, sweeps=sweeps, theta=theta, **job.header)
     return simulation_h5.simulation_file(packed)
 
@@ -104,6 +119,25 @@ def simulate(job: Job) -> tuple[list, list, list]:
     return tuple(map(list, zip(*found)))
 
 
+def packed_states(number: int) -> Iterator[dc.State]:
+    """The states of a pile that settles, solved from their past, each with its support as the start."""
+    kind, k = (SMALL, number) if number < 400 else (LARGE, number - 400)
+    rng = np.random.default_rng((kind["stream"], k))
+    n = int(np.exp(rng.uniform(*np.log(kind["sizes"]))))
+    smallest, friction = rng.choice(SMALLEST), float(rng.choice(FRICTION))
+    state = packing(n, rng, width=rng.uniform(0.7, 1.3), smallest=smallest, friction=friction)
+    tolerance = 1e-8 * float(state.bodies.mass.mean())
+    for steps in kind["steps"]:
+        state = dc.simulate(state, steps=steps, solver=SETTLE).state
+        solution = dc.solve_contacts(state, solver=dc.NNCG(sweeps=10_000, tolerance=tolerance))
+        if metrics.residual(state, solution) <= UNSOLVED:
+            bare = without_past(state)
+            normal, tangent = dc.warm_start.Support()(bare, None)
+            solved = {"normal_impulse": solution.normal_impulses, "tangent_impulse": solution.tangent_impulses}
+            contacts = bare.contacts._replace(normal_start=normal, tangent_start=tangent, **solved)
+            yield bare.replace(contacts=contacts, solved=True)
+
+
 def write_xml(job: Job) -> None:
     """Write every state of the simulation's file as XML, in a folder with a temporary name until it is complete."""
     simulation, final = simulation_h5.read_simulation(job.path), job.xml_folder
@@ -119,7 +153,6 @@ def write_xml(job: Job) -> None:
 
 def make_sample(out: Path) -> None:
     """Two states of each phase of a full simulation as XML, and a short one of few circles as HDF5."""
-    out.mkdir(parents=True, exist_ok=True)
     run([Job(0, SAMPLE_SEED, QUICK["steps"], QUICK["bodies"], str(out))], 1)
     states, _, _ = simulate(Job(1, SAMPLE_SEED, FULL["steps"], FULL["bodies"], str(out)))
     for name in simulation_h5.PHASES:
@@ -145,19 +178,13 @@ def run(jobs: list[Job], workers) -> None:
     """Make simulations; this process writes each file as it arrives."""
     with closing(parallel.finished(make_simulation, jobs, jobs=workers)) as made:
         for i, data in figures.progress_bar(made, total=len(jobs), text="simulations"):
-            with replacing(jobs[i].path) as temporary:
-                temporary.write_bytes(data)
-
-
-def megabytes(jobs: list[Job]) -> float:
-    """What simulations take about, MB: `BYTES` for each circle and step."""
-    return sum(BYTES * job.steps * sum(job.bodies) / 2e6 for job in jobs)
+            write_bytes(jobs[i].path, data)
 
 
 def parse(arguments=None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     add = parser.add_argument
-    add("--simulations", type=int, metavar="N", help="how many (150)")
+    add("--simulations", type=int, metavar="N", help="how many (150; 640 packings)")
     add("--steps", type=int, metavar="N", help="time steps of each (600)")
     add("--bodies", type=int, nargs=2, metavar=("LOW", "HIGH"), help="circles, both included (70 110)")
     add("--seed", type=int, default=0, help="of the whole set (0)")
@@ -167,14 +194,19 @@ def parse(arguments=None) -> argparse.Namespace:
     add("--xml", action="store_true", help="write every state as XML as well")
     add("--gzip", action="store_true", help="compress the XML files")
     add("--quick", action="store_true", help="a small set in <out>/quick, for a try")
+    add("--packings", action="store_true", help="packed piles without a past")
     add("--sample", action="store_true", help="the states of data/sample; takes no option but --out")
     args = parser.parse_args(arguments)
-    if args.sample and (args.quick or args.xml or args.simulations or args.steps or args.bodies or args.seed):
+    of_scene = args.quick or args.xml or args.steps or args.bodies or args.seed
+    if args.sample and (of_scene or args.simulations or args.packings):
         parser.error("--sample: expected no other option but --out")
-    args.out = (args.out or Path("data/sample" if args.sample else "data/generated")) / ("quick" if args.quick else "")
+    if args.packings and of_scene:
+        parser.error("--packings: expected no --steps, --bodies, --seed, --xml or --quick beside it")
+    folder = "data/sample" if args.sample else "data/generated/packings" if args.packings else "data/generated"
+    args.out = (args.out or Path(folder)) / ("quick" if args.quick else "")
     for name, value in (QUICK if args.quick else FULL).items():
         if getattr(args, name) is None:
-            setattr(args, name, value)
+            setattr(args, name, PACKINGS if args.packings and name == "simulations" else value)
     for name, least in (("simulations", 1), ("steps", 1), ("seed", 0), ("jobs", 1)):
         if getattr(args, name) < least:
             parser.error(f"--{name}: expected an integer >= {least}, got {getattr(args, name)}")
@@ -190,14 +222,12 @@ def main(arguments=None) -> int:
     if args.sample:
         make_sample(args.out)
         return 0
-    first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.gzip)
+    first = Job(0, args.seed, args.steps, tuple(args.bodies), str(args.out), args.gzip, args.packings)
     jobs = [replace(first, number=i) for i in range(args.simulations)]
     begin = time.perf_counter()
     try:
-        args.out.mkdir(parents=True, exist_ok=True)
         wanted = missing(jobs)
-        there = f", {len(jobs) - len(wanted)} are there already" if len(wanted) < len(jobs) else ""
-        print(f"{args.out}: {len(jobs)} simulations, about {megabytes(jobs):.0f} MB{there}")
+        print(f"{args.out}: {len(jobs)} simulations, {len(jobs) - len(wanted)} are there already")
         with parallel.opened(args.jobs, args.scheduler) as workers:
             run(wanted, workers)
         if args.xml:

@@ -13,7 +13,7 @@ ABOUT = {
     "coarse image of stress (`deep_contact/cnn/far_field.py`), in a box of any size, and was trained through the "
     "solver.",
     "no_past.h5": "The network of the start `learned support`, for piles whose contacts carry no impulses: it corrects "
-    "`warm_start.Support`, which the table below calls builtin. Data: `scripts/generate_packings.py`.",
+    "`warm_start.Support`, which the table below calls builtin. Data: `python scripts/generate_data.py --packings`.",
     "thesis_factored.h5": "The thesis's network, its last layer factored to fit into the repository.",
 }
 HEAD = """# Models
