@@ -7,13 +7,14 @@ each start, whose price counts. Its error is that of the velocities against the 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
+from deep_contact.cnn.inference import LearnedSupport
 from deep_contact.physics import metrics
-from deep_contact.physics.exact import solve_exactly
+from deep_contact.physics.engine import step_problem
 from deep_contact.physics.solvers import NNCG, PSOR, NesterovPGS
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
@@ -27,14 +28,7 @@ METHODS = {
     "NesterovPGS": partial(NesterovPGS, tolerance=None),
 }
 REFERENCE_SWEEPS = 20_000
-
-
-class PileWithoutPast(NamedTuple):
-    """A state whose contacts carry no impulses, solutions of its step, and the state as it was, with its impulses."""
-
-    state: StateWithContacts
-    references: list
-    past: StateWithContacts
+LEARNED = "learned support"
 
 
 def without_past(state: StateWithContacts) -> StateWithContacts:
@@ -46,8 +40,11 @@ def without_past(state: StateWithContacts) -> StateWithContacts:
     return state.replace(contacts=contacts, solved=False)
 
 
-def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> PileWithoutPast:
-    """A packed pile of radii from `smallest` to 1 m, of a kind of `piles.KINDS`."""
+def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWithContacts, list, StateWithContacts]:
+    """(State whose contacts carry no impulses, solutions of its step, the state as it was, with its impulses).
+
+    kind: of `piles.KINDS`. smallest: least radius, m; the largest is 1 m.
+    """
     make = partial(piles.packed_pile, steps=50, smallest=smallest)
     past = piles.pile(kind, n_bodies, seed, solver=piles.SETTLE, make=make)
     state, tolerance = without_past(past), 1e-9 * float(past.bodies.mass.mean())
@@ -55,26 +52,44 @@ def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> PileWithoutPas
     start = Support()(state, None)
     for name in ("PSOR 1.5", "NesterovPGS"):
         ends.append(solve_contacts(state, solver=METHODS[name](sweeps=REFERENCE_SWEEPS // 4), start=start))
-    return PileWithoutPast(state, piles.references_from(state, ends, exact=False) or ends[:1], past)
+    return state, piles.references_from(state, ends, exact=False) or ends[:1], past
 
 
-def errors(found: PileWithoutPast, starts: dict, sweeps: list[int]) -> dict:
-    """Method -> start -> velocity errors after so many sweeps. starts: name -> impulses."""
+def starts_of(state: StateWithContacts, model: str) -> dict:
+    """Start -> what makes its impulses, from rows that have been built, as a run has them."""
+    nothing, problem = np.zeros(state.contacts.count), step_problem(state)
+    given = {"support": Support(), LEARNED: LearnedSupport(model)}
+    made = {name: partial(start.from_problem, state, None, problem) for name, start in given.items()}
+    return {"zero": lambda: (nothing, nothing)} | made
 
-    def error(make, start, count):
-        solution = solve_contacts(found.state, solver=make(sweeps=count), start=start)
-        return metrics.nearest_velocity_error(found.state, solution, found.references)
 
-    return {
-        name: {start: [error(make, given, k) for k in sweeps] for start, given in starts.items()}
-        for name, make in METHODS.items()
+def measure(n_bodies: int, kind: str, radii: str, seed: int, options: Mapping, **_) -> dict:
+    """What the starts of one pile lead to. options: "radii": name -> smallest, "sweeps", "model", "first": of `jolt`.
+
+    Returns "contacts", "errors": method -> start -> velocity errors "after" so many sweeps, and "jolt": of a run from
+    each start, of the run that `simulate` makes of the state, and of that from its past.
+    """
+    state, references, past = pile(n_bodies, kind, options["radii"][radii], seed)
+    given = {name: make() for name, make in starts_of(state, options["model"]).items()}
+
+    def error(make, start, sweeps):
+        solution = solve_contacts(state, solver=make(sweeps=sweeps), start=start)
+        return metrics.nearest_velocity_error(state, solution, references)
+
+    errors = {
+        method: {name: [error(make, start, k) for k in options["sweeps"]] for name, start in given.items()}
+        for method, make in METHODS.items()
     }
+    jolts = {name: jolt(state, start, options["first"][name]) for name, start in given.items()}
+    found = {"n_bodies": n_bodies, "kind": kind, "radii": radii, "seed": seed, "after": options["sweeps"]}
+    found |= {"contacts": state.contacts.count, "errors": errors}
+    return found | {"jolt": jolts | {"simulate": jolt(state), "past": jolt(past)}}
 
 
-def times(state: StateWithContacts, starts: dict, repeats: int) -> dict:
+def times(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:
     """{"contacts", "price": start -> s, "sweeps": method -> time of none and of each sweep, s}.
 
-    starts: name -> what makes the impulses.
+    starts: of `starts_of`.
     """
     few, many, found = 20, 220, {}
     for name, make in METHODS.items():
@@ -89,8 +104,7 @@ def times(state: StateWithContacts, starts: dict, repeats: int) -> dict:
 def jolt(state: StateWithContacts, impulses=None, sweeps: int = 0) -> dict:
     """Half a second by the preset "fast", whose first step has so many sweeps of NesterovPGS from these impulses.
 
-    Returns {"speed": largest rms speed, m/s, "sinking": fall of the centre of mass, m}. Without impulses it is the run
-    that `simulate` makes of the state.
+    Returns {"speed": largest rms speed, m/s}. Without impulses it is the run that `simulate` makes of the state.
     """
     state = state.replace(step=0)
     if impulses is not None:
@@ -98,17 +112,7 @@ def jolt(state: StateWithContacts, impulses=None, sweeps: int = 0) -> dict:
         contacts = state.contacts._replace(normal_start=first.normal_impulses, tangent_start=first.tangent_impulses)
         state = state.replace(contacts=contacts)
     run = simulate(state, steps=50, record=1, accuracy="fast")
-    height = [float(np.average(one.bodies.position[:, 1], weights=one.bodies.mass)) for one in run.trajectory]
-    return {"speed": max(map(piles.rms_speed, run.trajectory)), "sinking": height[0] - min(height)}
-
-
-def exact(state: StateWithContacts, starts: dict) -> dict:
-    """Start -> {"time": of `solve_exactly` from there, s, "pivots", "converged"}. starts: name -> impulses."""
-    found = {}
-    for name, given in starts.items():
-        seconds, solution = timing.timed(partial(solve_exactly, state, *given))
-        found[name] = {"time": seconds, "pivots": solution.pivots, "converged": solution.converged}
-    return found
+    return {"speed": max(map(piles.rms_speed, run.trajectory))}
 
 
 def time_to(curve: list, error: float) -> float:
@@ -120,22 +124,13 @@ def time_to(curve: list, error: float) -> float:
     return float("inf")
 
 
-def best_time(of_pile: dict, timed: dict, start: str, error: float) -> float:
-    """Time of the fastest method from a start to an error, s, the start's included; times go by contacts.
+def curves(of_pile: Mapping, timed: Mapping, start: str) -> list[list[tuple]]:
+    """(Time, error) after each number of sweeps from a start, whose price counts: one curve for each method.
 
-    of_pile: {"contacts", "after": numbers of sweeps, "errors": of `errors`}. timed: of `times`.
+    of_pile: of `measure`. timed: of `times`, whose times go by contacts.
     """
-    return min(time_to(curve, error) for curve in _curves(of_pile, timed, start))
-
-
-def time_of_all(of_pile: dict, timed: dict, start: str) -> float:
-    """Time of the most sweeps of the slowest method, s; arguments as of `best_time`."""
-    return max(curve[-1][0] for curve in _curves(of_pile, timed, start))
-
-
-def _curves(of_pile, timed, start):
-    """(time, error) after each number of sweeps, a list for each method."""
-    scale, after = of_pile["contacts"] / timed["contacts"], np.array(of_pile["after"])
+    scale, after, found = of_pile["contacts"] / timed["contacts"], np.array(of_pile["after"]), []
     for name, by_start in of_pile["errors"].items():
         overhead, sweep = timed["sweeps"][name]
-        yield list(zip(scale * (timed["price"][start] + overhead + sweep * after), by_start[start]))
+        found.append(list(zip(scale * (timed["price"][start] + overhead + sweep * after), by_start[start])))
+    return found

@@ -45,6 +45,7 @@ GONE = {
         *("data", "network", "training", "own_bodies", "own_steps", "simulations", "steps", "bodies"),
         *("held_out", "states", "stacks", "deeper", "settings"),
     ),
+    "6.14": ("exact", "solved_exactly"),
 }
 """Id -> options of the stored run that name methods, starts or networks which are gone; their rows are left out."""
 

@@ -18,25 +18,28 @@ def pile():
 
 
 def test_the_network_corrects_the_support_within_the_cone(pile):
-    state, friction = pile.state, pile.state.world.friction
-    starts = {"support": dc.warm_start.Support()(state, None), "learned": LearnedSupport()(state, None)}
-    normal, tangent = starts["learned"]
+    state, references, _ = pile
+    starts = [dc.warm_start.Support()(state, None), LearnedSupport()(state, None)]
+    normal, tangent = starts[1]
     assert (normal >= 0).all()
-    assert (np.abs(tangent) <= friction * normal + 1e-12).all()
-    errors = no_past.errors(pile, starts, [20])
-    assert errors["NesterovPGS"]["learned"][0] < 0.9 * errors["NesterovPGS"]["support"][0]
+    assert (np.abs(tangent) <= state.world.friction * normal + 1e-12).all()
+    solver = dc.NesterovPGS(sweeps=20, tolerance=None)
+    ends = (dc.solve_contacts(state, solver=solver, start=start) for start in starts)
+    support, learned = (metrics.nearest_velocity_error(state, end, references) for end in ends)
+    assert learned < 0.9 * support
 
 
 def test_the_network_sees_the_supports_impulses_as_those_to_correct(pile):
-    normal, tangent = dc.warm_start.Support()(pile.state, None)
-    contacts = pile.state.contacts._replace(normal_start=normal, tangent_start=tangent)
-    expected = dc.load_model("no_past").predict(pile.state.replace(contacts=contacts))
-    np.testing.assert_array_equal(LearnedSupport().from_problem(pile.state, None, step_problem(pile.state)), expected)
+    state, *_ = pile
+    normal, tangent = dc.warm_start.Support()(state, None)
+    contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
+    expected = dc.load_model("no_past").predict(state.replace(contacts=contacts))
+    np.testing.assert_array_equal(LearnedSupport().from_problem(state, None, step_problem(state)), expected)
 
 
 def test_without_gravity_or_contacts_it_is_zero(pile):
-    world = pile.state.world
-    weightless = pile.state.replace(world=world.__class__(box=world.box, gravity=(0.0, 0.0)))
+    state, *_ = pile
+    weightless = state.replace(world=dc.World(box=state.world.box, gravity=(0.0, 0.0)))
     assert not np.any(LearnedSupport()(weightless, None))
     alone = dc.simulate(dc.circles_in_box(3, seed=1), steps=0).state
     assert dc.warm_start.starting_impulses("learned support", alone, dc.PGS())[0].size == 0
@@ -48,20 +51,22 @@ def test_a_network_on_images_is_refused():
 
 
 def test_the_state_that_is_judged_carries_nothing_and_its_references_solve_it(pile):
-    assert not pile.state.solved
-    assert not any(np.any(values) for values in pile.state.contacts[5:])
-    assert pile.past.contacts.normal_start.any()
-    assert all(metrics.residual(pile.state, one) < piles.ENOUGH for one in pile.references)
+    state, references, past = pile
+    assert not state.solved
+    assert not any(np.any(values) for values in state.contacts[5:])
+    assert past.contacts.normal_start.any()
+    assert all(metrics.residual(state, one) < piles.ENOUGH for one in references)
 
 
 def test_time_to_an_error_is_interpolated_between_sweeps_and_counts_the_start():
     of_pile = {"contacts": 20, "after": [10, 20], "errors": {"a": {"s": [0.4, 0.1]}, "b": {"s": [0.9, 0.3]}}}
     timed = {"contacts": 10, "price": {"s": 5.0}, "sweeps": {"a": [1.0, 1.0], "b": [0.0, 0.1]}}
-    assert no_past.best_time(of_pile, timed, "s", 0.1) == pytest.approx(2 * (5 + 1 + 20))
-    assert no_past.best_time(of_pile, timed, "s", 0.3) == pytest.approx(2 * (5 + 2))
-    half = no_past.best_time(of_pile, timed, "s", 0.2)  # halfway in the logarithm
+    one, other = no_past.curves(of_pile, timed, "s")
+    assert no_past.time_to(one, 0.1) == pytest.approx(2 * (5 + 1 + 20))
+    assert no_past.time_to(other, 0.3) == pytest.approx(2 * (5 + 2))
+    half = no_past.time_to(one, 0.2)  # halfway in the logarithm
     assert half == pytest.approx(2 * np.sqrt((5 + 1 + 10) * (5 + 1 + 20)))
-    assert no_past.best_time(of_pile, timed, "s", 0.01) == np.inf
+    assert no_past.time_to(one, 0.01) == np.inf
 
 
 def test_the_data_are_solved_states_that_start_from_the_support(tmp_path):
