@@ -124,14 +124,14 @@ ENGINES = {
 } | PEERS
 """Name -> callable that takes a state and returns an engine that can `run` and `count`."""
 
-GOALS = (
-    ("A sweep costs at most a quarter of pybox2d's", "sweep_ns", ("Box2D 2.3",), 0, 4.0),
-    ("A step is at least 2x faster than pybox2d's and pymunk's from 1,000 on", "step_us", ("Box2D 2.3", "pymunk"),
-     1000, 2.0),
-    ("The overhead is below pybox2d's and pymunk's", "overhead_us", ("Box2D 2.3", "pymunk"), 0, 1.0),
-    ("The overhead is below Box2D v3's from 1,000 on", "overhead_us", ("Box2D v3",), 1000, 1.0),
-)  # fmt: skip
-"""Claim, cost, engines, the smallest pile that counts, and the factor to reach."""
+GOALS = {
+    "A sweep costs at most a quarter of pybox2d's": ("sweep_ns", ["Box2D 2.3"], 0, 4.0),
+    "A step is at least 2x faster than pybox2d's and pymunk's from 1,000 on":
+        ("step_us", ["Box2D 2.3", "pymunk"], 1000, 2.0),
+    "The overhead is below pybox2d's and pymunk's": ("overhead_us", ["Box2D 2.3", "pymunk"], 0, 1.0),
+    "The overhead is below Box2D v3's from 1,000 on": ("overhead_us", ["Box2D v3"], 1000, 1.0),
+}  # fmt: skip
+"""Claim -> cost, engines, the smallest pile that counts, and the factor to reach."""
 
 
 def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, float]:
@@ -171,37 +171,24 @@ def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
     return {name: costs(seconds[name], contacts[name], steps) for name in ENGINES}
 
 
-def benchmark_engine(given) -> dict:
+def engine(given) -> dict:
     """Ours and the peers on settled and falling piles."""
-    sizes, repeats = given.sizes or ([100, 1000] if given.quick else [100, 1000, 10_000]), given.repeats or 5
-    cases = []
-    for n_bodies, kind in product(sizes, ("settled", "falling")):
+    cases, names = [], ("sweep_ns", "overhead_us", "step_us")
+    for n_bodies, kind in product(given.sizes, ("settled", "falling")):
         # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
         steps = int(np.clip(300_000 // n_bodies, 10, 10 if given.quick else 200 if kind == "settled" else 30))
         state = made_pile(kind, n_bodies, given.seed).replace(contacts=None, solver=None, solved=False)
-        measured = costs_of_engines(state, steps, repeats)
-        names = ("sweep_ns", "overhead_us", "step_us")
+        measured = costs_of_engines(state, steps, given.repeats)
         ratios = {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}
-        case = {"n_bodies": n_bodies, "kind": kind, "rms_speed": piles.rms_speed(state), "steps": 4 * steps}
-        cases.append(case | {"engines": measured, "ratios": ratios})
+        cases.append({"n_bodies": n_bodies, "kind": kind, "engines": measured, "ratios": ratios})
         for name, cost in measured.items():
             say(f"{n_bodies} {kind}, {name}", {key: f"{cost[key]:.4g}" for key in names})
-    versions = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
-    options = {"sweeps": [FEW, MANY], "peers": versions}
-    title = "Cost of a sweep and of a step, against other engines"
-    return record("B.1", title, given, sizes, repeats, {"cases": cases}, list(claims(cases)), **options)
-
-
-def record(id, title, given, sizes, repeats, data, claims=(), **options) -> dict:
-    """A results file of a benchmark of whole steps."""
-    options |= {"sizes": sizes, "repeats": repeats, "quick": given.quick}
-    options |= {"dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
-    return {"id": id, "title": title, "options": options, "claims": claims, "data": data}
+    return {"cases": cases}
 
 
 def claims(cases: list[dict]) -> Iterator[results.Claim]:
     """The goals of the engine, by its worst measured ratios."""
-    for text, cost, names, smallest, factor in GOALS:
+    for text, (cost, names, smallest, factor) in GOALS.items():
         met = {
             f"{name}, {case['kind']}, {case['n_bodies']}": case["ratios"][name][cost]
             for case, name in product(cases, names)
@@ -231,23 +218,21 @@ with open("/proc/self/status") as status:
 """What a process does whose largest memory is measured. (What `getrusage` tells is no less than its parent's.)"""
 
 
-def benchmark_step(given) -> dict:
+def step(given) -> dict:
     """Microseconds of a step in a run, memory of large runs, and many piles of 100 in one call."""
-    sizes = given.sizes or ([100, 1000] if given.quick else [100, 1000, 3000, 10_000, 100_000, 1_000_000])
-    repeats, runs = given.repeats or (5 if given.quick else 10), []
-    for n_bodies in sizes:
+    runs = []
+    for n_bodies in given.sizes:
         steps = max(5, min(200, 200_000 // n_bodies))
         for kind in ("packed",) if n_bodies >= LARGE else ("settled", "falling"):
             state = dc.simulate(made_pile(kind, n_bodies, given.seed), steps=WARM_UP, solver=solver_of(FEW)).state
             calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in RUNS.items()}
-            least = timing.interleaved(calls, repeats=max(2, min(repeats, 3_000_000 // n_bodies)))
+            least = timing.interleaved(calls, repeats=max(2, min(given.repeats, 3_000_000 // n_bodies)))
             us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
             runs.append({"n_bodies": n_bodies, "kind": kind, "us": us})
             say(f"{n_bodies} {kind}", {name: f"{one:,.1f} µs" for name, one in us.items()})
-    memory = {str(n): peak_memory(n) for n in sizes if n >= LARGE and Path("/proc/self/status").exists()}
-    many = many_piles(given.seed, min(repeats, 5), 20 if given.quick else 600)
-    data = {"runs": runs, "memory_mb": memory, "many": many}
-    return record("B.2", "Time of a step in a run", given, sizes, repeats, data, [], sweeps=FEW)
+    memory = {str(n): peak_memory(n) for n in given.sizes if n >= LARGE and Path("/proc/self/status").exists()}
+    many = many_piles(given.seed, min(given.repeats, 5), 20 if given.quick else 600)
+    return {"runs": runs, "memory_mb": memory, "many": many}
 
 
 def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
@@ -275,7 +260,7 @@ def peak_memory(n_bodies: int) -> float:
 # ---- transfer and state files ----
 
 
-def benchmark_transfer(given) -> dict:
+def transfer(given) -> dict:
     """The calls of a step with images: 100 bodies and 170 contacts on the thesis's grid, and a k-d tree beside."""
     rng, kernel = np.random.default_rng(given.seed), {"h": 0.5, "kernel": "poly6"}
     options, consistent = ({**kernel, "normalization": how} for how in ("particle", "consistent"))
@@ -304,7 +289,7 @@ def benchmark_transfer(given) -> dict:
         "k-d tree, splat of both": lambda: both(splat_by_tree),
         "k-d tree, all nodes in one query": lambda: both(splat_by_tree, one_query=True),
     }
-    case = {name: timing.fastest(call, 3 if "tree" in name else given.repeats or 5000) for name, call in calls.items()}
+    case = {name: timing.fastest(call, 3 if "tree" in name else given.repeats) for name, call in calls.items()}
     ratio = {
         "k-d tree / splat of both": case["k-d tree, splat of both"] / case["splat of both"],
         "k-d tree, one query / splat of both": case["k-d tree, all nodes in one query"] / case["splat of both"],
@@ -313,19 +298,16 @@ def benchmark_transfer(given) -> dict:
     return {"options": options, "spacing": 0.5, "case": case, "ratio": ratio}
 
 
-def benchmark_xml(given) -> dict:
+def xml(given) -> dict:
     """Writing and reading a state of 100 circles, plain and compressed. The goals are 4 ms and 6 ms."""
-    state, repeats = dc.simulate(dc.circles_in_box(100, seed=given.seed), steps=400).state, given.repeats or 200
-    found = {"circles": state.bodies.count, "contacts": state.contacts.count, "repeats": repeats}
+    state = dc.simulate(dc.circles_in_box(100, seed=given.seed), steps=400).state
+    found = {"circles": state.bodies.count, "contacts": state.contacts.count, "repeats": given.repeats}
     with tempfile.TemporaryDirectory() as folder:
         for suffix in (".xml", ".xml.gz"):
             path = Path(folder) / f"state{suffix}"
             runs = {"write": partial(dc.write_state, path, state), "read": partial(dc.read_state, path)}
-            seconds = timing.interleaved(runs, repeats=repeats, reduce=np.array)
-            found[suffix] = {"bytes": path.stat().st_size} | {
-                way: {"min_ms": float(1e3 * s.min()), "median_ms": float(1e3 * np.median(s))}
-                for way, s in seconds.items()
-            }
+            least = timing.interleaved(runs, repeats=given.repeats)
+            found[suffix] = {way: {"min_ms": 1e3 * seconds} for way, seconds in least.items()}
             say(suffix, found[suffix])
     return found
 
@@ -342,16 +324,15 @@ def added(given, found: dict) -> dict:
     for table in ("seconds", "error"):
         for title, row in first[table].items():
             row |= {f"{name}, again" if name in row else name: one for name, one in found[table][title].items()}
-    missing = {name: why for name, why in first["missing"].items() if name in found["missing"]}
-    return first | {"missing": missing, "second_provenance": results.provenance(seed=given.seed)}
+    return first | {"second_provenance": results.provenance(seed=given.seed)}
 
 
-def benchmark_outside(given) -> dict:
+def outside(given) -> dict:
     """Processor time of every solver on every problem, and Siconos's error of what it returned; None beyond `MOST`."""
-    solvers, missing = rivals.methods(given.tolerance)
+    solvers = rivals.methods(given.tolerance)
     solvers = {name: solve for name, solve in solvers.items() if name in (given.only or solvers)}
     problems = {Path(path).name.split(".")[0]: read_problem(path) for path in given.files}
-    for count in [100, 300] if given.sizes is None else given.sizes:
+    for count in given.sizes:
         state = piles.states_of(piles.pile("settling", count, given.seed), count=1)[0]
         problems[f"settling pile of {count}"] = check_problem(contact_problem(state))
     seconds, errors, slow = {}, {}, set()
@@ -360,50 +341,39 @@ def benchmark_outside(given) -> dict:
         first = {name: timing.timed(run, time.process_time) for name, run in runs.items()}
         slow |= {name for name, (took, _) in first.items() if took > MOST}
         rest = {name: run for name, run in runs.items() if name not in slow}
-        least = timing.interleaved(rest, repeats=given.repeats or 5, clock=time.process_time)
+        least = timing.interleaved(rest, repeats=given.repeats, clock=time.process_time)
         seconds[title] = {name: least.get(name, first[name][0] if name in first else None) for name in solvers}
         found = {name: siconos_error(problem, impulse) for name, (_, impulse) in first.items()}
         errors[title] = {name: min(found[name], 1.0) if name in found else None for name in solvers}  # NaN is 1.0
         say(f"{title}, {problem.friction.size} contacts", seconds[title])
     contacts = {title: int(problems[title].friction.size) for title in seconds}
     found = {"tolerance": given.tolerance, "contacts": contacts, "seconds": seconds, "error": errors}
-    found["missing"] = missing
     return added(given, found) if given.add else found
 
 
-def benchmark_disks(given) -> dict:
+def disks(given) -> dict:
     """Steps of ours, and Siconos's NSGS to the tolerance of its own benchmark, at states along a run."""
-    sizes, every, repeats = given.sizes or [32], 500, given.repeats or 5
-    options = {"omega": 1.5, "sweeps": [40, 800], "every": every, "repeats": repeats}
-    solvers = {
-        f"ours, {sweeps} sweeps": PSOR(omega=1.5, friction_omega=1.5, sweeps=sweeps, tolerance=None)
-        for sweeps in options["sweeps"]
-    }
-    found: dict = {"options": options, "missing": None, "sides": {}}
-    try:
-        rival = rivals.siconos("NSGS", 1e-2)
-    except ImportError as error:
-        rival, found["missing"] = None, str(error)
-    for side in sizes:
-        state, rows = dc.bench_disks(side), []
+    solvers = {f"ours, {k} sweeps": PSOR(omega=1.5, friction_omega=1.5, sweeps=k, tolerance=None) for k in (40, 800)}
+    rival, sides = rivals.methods(1e-2).get("Siconos NSGS"), {}
+    for side in given.sizes:
+        state, sides[str(side)] = dc.bench_disks(side), []
         for _ in range(1 if given.quick else 4):
-            state = dc.simulate(state, steps=every, solver=solvers["ours, 40 sweeps"]).state
-            rows.append(disks_at(ready(state), solvers, rival, repeats))
-            say(f"{side}², step {state.step}", rows[-1]["seconds"])
-        found["sides"][str(side)] = rows
-    return found
+            state = dc.simulate(state, steps=500, solver=solvers["ours, 40 sweeps"]).state
+            sides[str(side)].append(disks_at(ready(state), solvers, rival, given.repeats))
+            say(f"{side}², step {state.step}", sides[str(side)][-1]["seconds"])
+    return {"sides": sides}
 
 
 def disks_at(state: State, solvers: dict, rival, repeats: int, steps: int = 10) -> dict:
     """Seconds and errors at one state, velocities against the exact solution, or the best that was found."""
     problem = check_problem(contact_problem(state))
-    start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
     near = dc.solve_contacts(state, solver=NNCG(sweeps=20_000, tolerance=1e-12))
     exact = dc.solve_exactly(state, near.normal_impulses, near.tangent_impulses).solution
     reference = min((impulses(one) for one in (near, exact)), key=lambda found: natural_residual(problem, found))
     solved = {name: impulses(dc.solve_contacts(state, solver=solver)) for name, solver in solvers.items()}
     calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in solvers.items()}
     if rival is not None:
+        start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
         calls["Siconos"] = partial(rival, problem, start)
         solved["Siconos"] = rival(problem, start)
     seconds = timing.interleaved(calls, repeats=repeats, clock=time.process_time)
@@ -417,7 +387,6 @@ def disks_at(state: State, solvers: dict, rival, repeats: int, steps: int = 10) 
         "contacts": state.contacts.count,
         "seconds": {name: took / (steps if name in solvers else 1) for name, took in seconds.items()},
         "velocity_error": {name: float(np.sqrt(energy(one - reference) / scale)) for name, one in solved.items()},
-        "siconos_error": {name: siconos_error(problem, one) for name, one in solved.items()},
         "reference_residual": natural_residual(problem, reference),
     }
 
@@ -428,9 +397,17 @@ def impulses(solution) -> np.ndarray:
 
 
 BENCHMARKS = {
-    "engine": benchmark_engine, "step": benchmark_step, "transfer": benchmark_transfer, "xml": benchmark_xml,
-    "outside": benchmark_outside, "disks": benchmark_disks,
-}  # fmt: skip
+    "engine": (engine, [100, 1000, 10_000], 5),
+    "step": (step, [100, 1000, 3000, 10_000, 100_000, 1_000_000], 10),
+    "transfer": (transfer, [], 5000),
+    "xml": (xml, [], 200),
+    "outside": (outside, [100, 300], 5),
+    "disks": (disks, [32], 5),
+}
+"""Name -> function, sizes and repeats; of the sizes a quick run has the first two."""
+
+TITLES = {"engine": "Cost of a sweep and of a step, against other engines", "step": "Time of a step in a run"}
+"""Those whose file is a results file."""
 
 
 def say(name: str, values: dict) -> None:
@@ -452,14 +429,22 @@ def main(arguments=None) -> None:
     parser.add_argument("--add", action="store_true", help="add the solvers to the file that is there")
     parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
     given = parser.parse_args(arguments)
-    if min([*(given.sizes or [1]), given.repeats or 1]) < 1:
+    run, sizes, repeats = BENCHMARKS[given.name]
+    given.sizes = given.sizes if given.sizes is not None else sizes[:2] if given.quick else sizes
+    given.repeats = repeats if given.repeats is None else given.repeats
+    if min([*given.sizes, given.repeats]) < 1:
         parser.error(f"expected sizes and repeats of at least 1, got {given.sizes} and {given.repeats}")
     given.out = given.out or Path(f"build/results/benchmark_{'state_xml' if given.name == 'xml' else given.name}.json")
     begin = time.perf_counter()
-    found = BENCHMARKS[given.name](given)
-    provenance = results.provenance(seed=given.seed, wall_s=time.perf_counter() - begin)
-    found.setdefault("provenance", provenance)
-    write = results.write_results if "claims" in found else write_json
+    found, write = run(given), write_json
+    if given.name in TITLES:
+        options = {name: getattr(given, name) for name in ("sizes", "repeats", "quick")}
+        options |= {"sweeps": [FEW, MANY], "dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
+        about = {"id": f"B.{1 + list(TITLES).index(given.name)}", "title": TITLES[given.name], "options": options}
+        if given.name == "engine":
+            options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
+        found, write = about | {"claims": list(claims(found.get("cases", [])))} | {"data": found}, results.write_results
+    found.setdefault("provenance", results.provenance(seed=given.seed, wall_s=time.perf_counter() - begin))
     print(f"written: {write(given.out, found) or given.out}")
 
 

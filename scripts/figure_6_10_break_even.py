@@ -36,12 +36,17 @@ def cases(data):
     return {case: found[case] for case in sorted(found, key=lambda case: case[0], reverse=True)}
 
 
+def ratios(data):
+    """Case -> ratios of times on its states (`time_ratios`), for each error of `TOLERANCES`."""
+    return {case: [learned_starts.time_ratios(piles, data["sweeps"], error) for error in TOLERANCES]
+            for case, piles in cases(data).items()}  # fmt: skip
+
+
 def claims(data):
     known = []
-    for (kind, n), piles in cases(data).items():
-        for error in TOLERANCES:
-            ratios = learned_starts.time_ratios(piles, data["sweeps"], error)
-            if found := learned_starts.median_with_interval(ratios):
+    for (kind, n), of_case in ratios(data).items():
+        for error, found in zip(TOLERANCES, map(learned_starts.median_with_interval, of_case)):
+            if found:
                 known.append((*reversed(found), f"{n}, {kind}, {error}"))
     shown = [{"where": where, "ratio": middle, "from": low, "to": high} for high, low, middle, where in sorted(known)]
     wins, ties = sum(k[0] < 1 for k in known), sum(k[1] <= 1 <= k[0] for k in known)
@@ -56,11 +61,10 @@ def claims(data):
 
 
 def table(data):
-    rows = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]]
+    rows, found = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]], ratios(data)
     for (kind, n), piles in cases(data).items():
-        ratios = [learned_starts.time_ratios(piles, data["sweeps"], error) for error in TOLERANCES]
         price = learned_starts.price_of(piles)["ms"]
-        rows.append([n, kind, LEARNED, price, *(float(np.median(r)) if r.size else None for r in ratios)])
+        rows.append([n, kind, LEARNED, price, *(float(np.median(r)) if r.size else None for r in found[kind, n])])
         best = [learned_starts.best_timed(piles, data["sweeps"], CLASSICAL, error) for error in TOLERANCES]
         names = [name if seconds.size and np.isfinite(np.median(seconds)) else None for name, seconds in best]
         rows.append([n, kind, "best classical", None, *names])
@@ -72,14 +76,13 @@ def draw(data, options):
 
     Grey where there are fewer than `FEWEST` states.
     """
-    found = cases(data)
+    found = ratios(data)
     kinds = list(dict.fromkeys(kind for kind, _ in found))
     figure, axes = plotting.subplots(1, len(kinds), size=(plotting.PAGE, 3.2), squeeze=False, sharey=True)
     for ax, kind in zip(axes[0], kinds):
         counts = [n for other, n in found if other == kind]
-        ratios = [[learned_starts.time_ratios(found[kind, n], data["sweeps"], e) for e in TOLERANCES] for n in counts]
-        values = np.array([[np.median(r) if r.size else np.nan for r in row] for row in ratios])
-        enough = np.array([[r.size >= FEWEST for r in row] for row in ratios])
+        values = np.array([[np.median(r) if r.size else np.nan for r in found[kind, n]] for n in counts])
+        enough = np.array([[r.size >= FEWEST for r in found[kind, n]] for n in counts])
         coloured = np.where(enough, np.log10(np.maximum(values, 0.1)), np.nan)
         picture = ax.imshow(coloured, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(values):

@@ -17,19 +17,14 @@ def compute(options, seed, jobs, progress):
     return {"columns": options["columns"], "runs": study.measure_runs(starts, options, seed, jobs, progress)}
 
 
-def ratio(one, other):
-    """Ratio of the mean errors of two settings with its interval; three times None where there is no error."""
-    return [None] * 3 if one is None else study.ratios_of(np.array(one)[:, None], np.array(other)[:, None])[0].tolist()
-
-
 def claims(data):
     timed, swept = {}, {}
     for cell in at_equal_times(data["runs"], data["columns"]):
-        circles, sweeps, errors = cell["circles"], cell["sweeps"], cell["errors"]
-        found = dict(zip(("ratio", "from", "to"), ratio(errors[NETWORK], errors[cell["best"]])))
+        circles, sweeps = cell["circles"], cell["sweeps"]
+        found = dict(zip(("ratio", "from", "to"), cell["ratios"][NETWORK] or [None] * 3))
         timed[f"{circles} circles, time of {sweeps} sweeps"] = {"best classical": cell["best"]} | found
         curves = (data["runs"][circles][name] for name in (NETWORK, BUILTIN))
-        same = ratio(*(curve["errors"][curve["sweeps"].index(sweeps)] for curve in curves))
+        same = study.ratio_of_means(*(curve["errors"][curve["sweeps"].index(sweeps)] for curve in curves))
         swept[f"{circles} circles, {sweeps} sweeps"] = same
     wins = sum(r["ratio"] is not None and r["ratio"] <= 0.85 and r["to"] < 0.95 for r in timed.values())
     text = "along runs the network leaves at most 0.85 of the best classical error at equal time, in 4 of 9 cells"
@@ -41,11 +36,12 @@ def claims(data):
 def table(data):
     rows = [["circles", "setting", "time of, sweeps", "ms a step", "error", "over the best classical", "is best"]]
     for cell in at_equal_times(data["runs"], data["columns"]):
-        for name, errors in cell["errors"].items():
-            found = ratio(errors, cell["errors"][cell["best"]])
-            text = None if errors is None else "{:.2f} ({:.2f}–{:.2f})".format(*found)
-            error, best = None if errors is None else float(np.mean(errors)), "yes" if name == cell["best"] else ""
-            rows.append([cell["circles"], name, cell["sweeps"], 1e3 * cell["seconds"], error, text, best])
+        for name, ratio in cell["ratios"].items():
+            found = [None, None]
+            if ratio:
+                found = [float(np.mean(cell["errors"][name])), "{:.2f} ({:.2f}–{:.2f})".format(*ratio)]
+            best = "yes" if name == cell["best"] else ""
+            rows.append([cell["circles"], name, cell["sweeps"], 1e3 * cell["seconds"], *found, best])
     return rows
 
 

@@ -53,7 +53,7 @@ def compute(options, seed, jobs, progress):
 
     def loss(states, way="thesis", **start):
         transfer, method = WAYS[way]
-        return starts.transfer_loss(states, Sph(**start, transfer=transfer), method=method)["relative error"]
+        return starts.transfer_loss(states, Sph(**start, transfer=transfer), method=method)
 
     scenes = {"equal": piles(n, (1.0, 1.0)), "mixed": piles(n // 2, (0.5, 2.0))}
     states = {name: [state for pile in found for state in pile] for name, found in scenes.items()}

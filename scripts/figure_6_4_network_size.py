@@ -9,19 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.physics.solvers import PGS
+import deep_contact as dc
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import timing
 from deep_contact.studies.chapter_5 import networks_info
-from deep_contact.studies.learned_starts import (
-    cells_of,
-    errors_on_scenes,
-    mean_errors,
-    ratios_to_builtin,
-    sweep_time,
-    timing_state,
-)
+from deep_contact.studies.learned_starts import cells_of, errors_on_scenes, mean_errors, ratios_to_builtin, sweep_time
 from deep_contact.studies.starts import start_of
 
 
@@ -29,11 +22,12 @@ def compute(options, seed, jobs, progress):
     """Errors of every network on the same states of held-out scenes, and their times, one after the other."""
     networks = files(options["folder"])
     starts = {"builtin": "builtin"} | {name: {"model": path} for name, path in networks.items()}
-    (scenes,) = errors_on_scenes(starts, options, seed=seed + 10_000, jobs=jobs, progress=progress, with_all=[])
-    info, state, repeats = networks_info(networks), timing_state(), options["repeats"]
+    (scenes,) = errors_on_scenes(starts, options, seed + 10_000, jobs, progress)
+    info, repeats = networks_info(networks), options["repeats"]
+    state = dc.simulate(dc.circles_in_box(100, seed=1), steps=200, solver=dc.NNCG()).state
     found = []
     for name in networks:
-        us = 1e6 * timing.fastest(partial(start_of(starts[name]), state, PGS()), repeats)
+        us = 1e6 * timing.fastest(partial(start_of(starts[name]), state, dc.PGS()), repeats)
         found.append({"name": name, "weights": info[name]["parameters"], "us": us})
     sweep_us = 1e6 * sweep_time(state, "PGS", repeats)
     return {"after": options["after"], "networks": found, "scenes": scenes, "sweep_us": sweep_us}

@@ -11,8 +11,7 @@ from deep_contact.studies.learned_starts import CLASSICAL, FEW, LEARNED, OFF
 def compute(options, seed, jobs, progress):
     """Every start with every solver on the same states of held-out scenes."""
     starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
-    settings = {"seed": seed + 10_000, "jobs": jobs, "progress": progress, "with_all": list(starts)}
-    (scenes,) = study.errors_on_scenes(starts, options, **settings)
+    (scenes,) = study.errors_on_scenes(starts, options, seed + 10_000, jobs, progress, several=list(starts))
     return {"after": options["after"], "scenes": scenes}
 
 
@@ -36,9 +35,8 @@ def table(data):
         for name in study.settings_of([*CLASSICAL, LEARNED]):
             rows.append([name, text, *study.mean_errors(scenes, name, where).mean(axis=0).tolist()])
         rows.append(["best classical", text, *study.best_settings(scenes, CLASSICAL, where)])
-        rows.append(
-            [f"{LEARNED} / best classical", text, *study.cells_of(study.ratios_to_best(scenes, LEARNED, where))]
-        )
+        ratios = study.ratios_to_best(scenes, LEARNED, where)
+        rows.append([f"{LEARNED} / best classical", text, *study.cells_of(ratios)])
     return rows
 
 

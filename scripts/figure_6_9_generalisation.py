@@ -13,8 +13,9 @@ def compute(options, seed, jobs, progress):
     """Every start on the same states of a few scenes of each kind, whose seeds were not in the data."""
     kinds = [{}] + [{name: value} for name, values in options["beyond"].items() for value in values]
     starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
-    settings = {"seed": seed + 30_000, "jobs": jobs, "progress": progress, "with_all": list(starts), "kinds": kinds}
-    return {"after": options["after"], "kinds": kinds, "scenes": errors_on_scenes(starts, options, **settings)}
+    chosen = {"several": list(starts), "kinds": kinds}
+    scenes = errors_on_scenes(starts, options, seed + 30_000, jobs, progress, **chosen)
+    return {"after": options["after"], "kinds": kinds, "scenes": scenes}
 
 
 def label(kind):

@@ -25,7 +25,7 @@ import time
 from collections import UserDict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from contextlib import closing, contextmanager
+from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
 from functools import partial
 from html import escape
@@ -83,7 +83,8 @@ class Figure:
         if self.draw is None and not self.is_table:
             raise ValueError(f"draw: expected a function for figure {self.id}, got None")
         results.plain(self.options, where="options")
-        _known(self.quick, self.options, "quick")
+        for name in self.quick:
+            one_of("quick", name, self.options)
 
     @property
     def is_table(self) -> bool:
@@ -107,7 +108,8 @@ class Figure:
 
     def settings(self, changes: dict, quick: bool) -> dict:
         """All options of a run, as its results file stores them. Raises ValueError for changes of unknown ones."""
-        _known(changes, self.options, "options")
+        for name in changes:
+            one_of("options", name, self.options)
         return results.plain(self.options | (self.quick if quick else {}) | changes, where="options")
 
     def rows(self, data: dict) -> list[list[str]]:
@@ -127,6 +129,8 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
+    if given.jobs < 1 or (given.seed or 0) < 0:
+        parser.error(f"expected --jobs of at least 1 and no negative --seed, got {given.jobs} and {given.seed}")
     if given.replot and (given.set or given.quick or given.resume or given.seed is not None):
         parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
     try:
@@ -136,15 +140,16 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
     changes, path = dict(given.set), Path(given.out, f"{figure.stem}.json")
     seed = figure.seed if given.seed is None else given.seed
+    # An exit, so that temporary files and child processes are cleaned up.
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        with _exit_on_sigterm():
-            if given.replot:
-                _report(figure, _redrawn(figure, path), path, print)
-            elif given.resume and _is_current(figure, path, figure.settings(changes, given.quick), seed):
-                print(f"{figure.stem}: up to date")
-            else:
-                with parallel.opened(given.jobs, given.scheduler) as jobs:
-                    produce(figure, options=changes, quick=given.quick, seed=seed, out=given.out, jobs=jobs)
+        if given.replot:
+            _report(figure, _redrawn(figure, path), path, print)
+        elif given.resume and _is_current(figure, path, figure.settings(changes, given.quick), seed):
+            print(f"{figure.stem}: up to date")
+        else:
+            with parallel.opened(given.jobs, given.scheduler) as jobs:
+                produce(figure, options=changes, quick=given.quick, seed=seed, out=given.out, jobs=jobs)
         return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
@@ -288,16 +293,12 @@ def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True
     return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
 
 
-def markdown(rows: Iterable[Sequence[str]]) -> str:
-    """Rows of text, head first, as a Markdown table."""
-    head, *body = [[text.replace("|", "\\|") for text in row] for row in rows]
-    return "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *body))
-
-
 def _markdown(figure: Figure, found: dict) -> str:
     beside = figure.beside(found["options"])
+    head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(found["data"])]
+    rows = "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *body))
     claims = "".join(f"- {claim_line(claim, beside)}\n" for claim in found["claims"])
-    return f"**{figure.heading}**\n\n{markdown(figure.rows(found['data']))}" + (f"\n{claims}" if claims else "")
+    return f"**{figure.heading}**\n\n{rows}" + (f"\n{claims}" if claims else "")
 
 
 def cell(value) -> str:
@@ -325,10 +326,10 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--quick", action="store_true", help="a smaller run that ends within a minute")
-    add("--seed", type=partial(_integer, least=0), help=f"of everything random (default: {figure.seed})")
+    add("--seed", type=int, help=f"of everything random (default: {figure.seed})")
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    add("--jobs", type=partial(_integer, least=1), default=cores, help="processes (default: one for each core)")
+    add("--jobs", type=int, default=cores, help="processes (default: one for each core)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     add("--replot", action="store_true", help="judge and draw again from the stored results alone")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
@@ -337,21 +338,15 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     return parser
 
 
-def meaning(figure: str, name: str) -> str:
+def meaning(id: str, name: str) -> str:
     """What a setting of the figure with this id means, with its unit; empty where none is known."""
-    return MEANINGS.get(f"{figure} {name}", MEANINGS.get(name, ""))
+    return MEANINGS.get(f"{id} {name}", MEANINGS.get(name, ""))
 
 
 def _described(id: str, name: str, value) -> str:
     """A line of the settings in `--help`; a long value is cut."""
     text = f"{name}={value if isinstance(value, str) else json.dumps(value)}"
     return f"  {text if len(text) <= 60 else f'{text[:59]}…':<32}  {meaning(id, name)}"
-
-
-def _integer(text: str, *, least: int) -> int:
-    if not text.strip().isdecimal() or int(text) < least:
-        raise argparse.ArgumentTypeError(f"expected an integer >= {least}, got {text}")
-    return int(text)
 
 
 def assigned(options: dict, text: str) -> tuple[str, object]:
@@ -396,12 +391,6 @@ def _like(value, default):
     return value
 
 
-def _known(names: Iterable[str], known: dict, what: str) -> None:
-    """Raise ValueError naming the first of the names that is not known."""
-    for name in names:
-        one_of(what, name, known)
-
-
 def progress_bar(items: Iterable | None = None, *, total: int | None = None, text: str = ""):
     """A progress bar on standard error around `items`; without items, one to move by `.update(n)`.
 
@@ -433,17 +422,3 @@ def parallel_map(
         for i, result in progress(done, total=len(items), text=text):
             found[i] = result
     return found
-
-
-@contextmanager
-def _exit_on_sigterm():
-    """Turn SIGTERM into an exit of this process, so that temporary files and child processes are cleaned up."""
-
-    def leave(number, frame):
-        raise SystemExit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, leave)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

@@ -321,13 +321,6 @@ def readable_on(colours: np.ndarray) -> np.ndarray:
     return np.where(colours[..., :3] @ np.array([0.299, 0.587, 0.114]) > 0.5, "#222222", "white")
 
 
-def colour_bar(ax, collection, *, extend: str = "neither"):
-    """Colour bar beside `ax` for what `draw_state` returned, with its label. extend: "max" where values lie beyond."""
-    bar = ax.figure.colorbar(collection, ax=ax, shrink=0.8, pad=0.02, label=collection.get_label(), extend=extend)
-    bar.outline.set_visible(False)
-    return bar
-
-
 def convergence_plot(
     ax,
     sweeps: Sequence[int],
@@ -344,15 +337,12 @@ def convergence_plot(
     """
     for name, look in styles_of(curves).items():
         band(ax, sweeps, *(np.maximum(theta, floor) for theta in (curves[name], *bands[name])), **look)
-    # Labelled in the legend, where no curve can cross the label.
     ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
     ax.set(xscale="log", yscale="log")
     label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
     if min(map(min, curves.values())) < floor:
         note = f"θ below {floor:.0e}, zero included, is drawn there"
         ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=8, color="#555555", va="bottom")
-    outside = {"loc": "upper left", "bbox_to_anchor": (1.01, 1.0)} if len(curves) > 4 else {}  # or it would hide curves
-    ax.legend(title="band: quartiles of the scenes", **outside)
 
 
 PAGE = 8.3

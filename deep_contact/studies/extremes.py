@@ -100,15 +100,15 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
     The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
     that is 0, the kinetic energy of all circles at 1 m/s. Raises ValueError on an unknown engine.
     """
-    run, watch = {"ours": _Ours}.get(one_of("engine", engine, ENGINES), partial(_Peer, engine)), _Watch(trial)
+    run, watch = {"ours": _ours}.get(one_of("engine", engine, ENGINES), partial(_peer, engine)), _Watch(trial)
     more = max(20, trial.steps // 10)
     try:
-        world = run(trial)
+        advance, bodies = run(trial)
         for _ in range(trial.steps):
-            world.advance(1)
-            watch.see(world.bodies(), ours=engine == "ours")
+            advance(1)
+            watch.see(bodies(), ours=engine == "ours")
         with suppress(ValueError, ArithmeticError):
-            seconds, _ = timing.timed(partial(world.advance, more), time.thread_time)
+            seconds, _ = timing.timed(partial(advance, more), time.thread_time)
             watch.us = 1e6 * seconds / more
     except (ImportError, FileNotFoundError) as error:
         return _without_run(ABSENT, error)
@@ -123,32 +123,26 @@ def _without_run(verdict: str, error: Exception) -> dict:
     return {"verdict": verdict, "message": str(error).strip().splitlines()[-1], "finite": True, **nothing}
 
 
-class _Ours:
-    """Our engine, with the methods of `_Peer`."""
+def _ours(trial: Trial) -> tuple[Callable, Callable]:
+    """Functions that do so many steps of a trial, and that return the bodies after them."""
+    state = ready(trial.scene)
+    stiff = stiffness(state) if trial.recognised else None
+    options = {"solver": stiff.solver if stiff else trial.solver, "warm_start": trial.warm_start}
 
-    def __init__(self, trial: Trial):
-        self.state = ready(trial.scene)
-        stiff = stiffness(self.state) if trial.recognised else None
-        self.options = {"solver": stiff.solver if stiff else trial.solver, "warm_start": trial.warm_start}
+    def advance(steps: int) -> None:
+        nonlocal state
+        state = simulate(state, steps=steps, **options).state
 
-    def advance(self, steps: int) -> None:
-        self.state = simulate(self.state, steps=steps, **self.options).state
-
-    def bodies(self) -> Bodies:
-        return self.state.bodies
+    return advance, lambda: state.bodies
 
 
-class _Peer:
-    """Another engine: steps of a trial, and the bodies after them."""
-
-    def __init__(self, engine: str, trial: Trial):
-        if engine == "pymunk" and trial.solver.sweeps == 0:
-            raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
-        self.world, self.trial = peers.ENGINES[engine](trial.scene), trial
-        self.bodies = self.world.bodies
-
-    def advance(self, steps: int) -> None:
-        self.world.run(steps, self.trial.scene.dt, self.trial.solver.sweeps, self.trial.solver.position_sweeps)
+def _peer(engine: str, trial: Trial) -> tuple[Callable, Callable]:
+    """The same of another engine."""
+    dt, solver = trial.scene.dt, trial.solver
+    if engine == "pymunk" and solver.sweeps == 0:
+        raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
+    world = peers.ENGINES[engine](trial.scene)
+    return lambda steps: world.run(steps, dt, solver.sweeps, solver.position_sweeps), world.bodies
 
 
 class _Watch:
@@ -183,21 +177,16 @@ class _Watch:
 
     def outcome(self, error: str | None = None) -> dict:
         """What `measure` returns. error: that ended the run."""
-        slop = self.scene.scales.slop
+        slop, settled = self.scene.scales.slop, max(self.depth[-max(1, len(self.depth) // 10) :], default=0.0)
         # Rounding at the circles' coordinates is not penetration.
         allowed = min(POSITION_TOLERANCE * slop, 0.1 * float(self.scene.bodies.radius.min())) * (1 + 1e-9)
-        settled, verdict = max(self.depth[-max(1, len(self.depth) // 10) :], default=0.0), SAFE
-        message = (
-            error or self.lost or (self.energy > 1 and f"the energy rose by {self.energy:.3g} of its initial value")
-        )
-        if message:
-            verdict = FAILED
-        elif settled > allowed or self.energy > ENERGY_TOLERANCE:
-            verdict = DEGRADED
+        rose = f"the energy rose by {self.energy:.3g} of its initial value" if self.energy > 1 else ""
+        message = error or self.lost or rose
+        verdict = FAILED if message else DEGRADED if settled > allowed or self.energy > ENERGY_TOLERANCE else SAFE
         numbers = {"energy": self.energy, "correction": self.correction, "settled": settled / slop, "speed": self.speed}
         finite = error is None and bool(np.isfinite(list(numbers.values())).all())
         numbers = {name: float(value) if np.isfinite(value) else None for name, value in numbers.items()}
-        return {"verdict": verdict, "message": message or "", "finite": finite, **numbers, "us": self.us}
+        return {"verdict": verdict, "message": message, "finite": finite, **numbers, "us": self.us}
 
 
 def _inside(scene: State, bodies: Bodies) -> np.ndarray:

@@ -69,16 +69,14 @@ def fixed(solver: str, sweeps: int):
     return replace(SOLVERS[solver], sweeps=sweeps, tolerance=None)
 
 
-def errors_after(state: State, start: tuple, solver: str, sweeps: Sequence[int], references: Sequence) -> list[float]:
-    """Distances to the nearest reference after so many sweeps of a solver of `SOLVERS` from the impulses `start`."""
-    ends = [solve(state, fixed(solver, k), *start) for k in sweeps]
-    return [metrics.nearest_velocity_error(state, end, references) for end in ends]
-
-
-def errors_of(state: State, given: Mapping, settings: Iterable[str], *rest) -> dict[str, list[float]]:
-    """`errors_after` of every setting. given: start -> its impulses. rest: sweeps and references."""
-    pairs = ((name, *parts_of(name)) for name in settings)
-    return {name: errors_after(state, given[start], solver, *rest) for name, start, solver in pairs}
+def errors_of(state: State, given: Mapping, settings: Iterable[str], sweeps: Sequence, references: Sequence) -> dict:
+    """Setting -> distances to the nearest reference after so many sweeps. given: start -> its impulses."""
+    found = {}
+    for name in settings:
+        start, solver = parts_of(name)
+        ends = [solve(state, fixed(solver, k), *given[start]) for k in sweeps]
+        found[name] = [metrics.nearest_velocity_error(state, end, references) for end in ends]
+    return found
 
 
 # ---- states of held-out scenes: Figures 6.4, 6.8, 6.9 ----
@@ -94,25 +92,18 @@ TRAINED = {"circles": [70, 110], "radius": [1.0, 1.0], "friction": 0.3, "dt": 0.
 
 
 def errors_on_scenes(
-    starts: Mapping[str, object],
-    options: Mapping,
-    *,
-    seed: int,
-    jobs,
-    progress: Callable,
-    with_all: Sequence[str],
-    kinds: Sequence[Mapping] = ({},),
+    starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable, *, several: Sequence[str] = (), kinds=({},)
 ) -> list[list[dict]]:
     """Errors of settings on the same states of scenes of each kind.
 
     starts: name -> description (`starts.start_of`), among them "builtin". options: number of "scenes", "steps",
-    "every" or the number of "states" of a scene, and the numbers of sweeps "after" which errors are measured. with_all:
+    "every" or the number of "states" of a scene, and the numbers of sweeps "after" which errors are measured. several:
     starts that all of `FOLLOWING` follow; PGS follows the others. kinds: what each changes of `TRAINED`.
     Returns for each kind, scene by scene, {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
-    settings = [*starts, *settings_of((name for name in starts if name in with_all), FOLLOWING[1:])]
+    common = {**options, "starts": starts, "settings": [*starts, *settings_of(several, FOLLOWING[1:])]}
     tasks = [
-        {**options, "starts": starts, "settings": settings, "kind": {**TRAINED, **kind}, "number": i, "seed": s}
+        common | {"kind": {**TRAINED, **kind}, "number": i, "seed": s}
         for i, kind in enumerate(kinds)
         for s in seeds(seed + i, options["scenes"])
     ]
@@ -203,17 +194,12 @@ def cells_of(ratios: np.ndarray, digits: int = 3) -> list[str]:
 # ---- times of starts and sweeps ----
 
 
-def timing_state() -> State:
-    """A state of 100 circles on which starts and sweeps are timed."""
-    return simulate(circles_in_box(100, seed=1), steps=200, solver=NNCG()).state
-
-
 def start_time(start: WarmStart, state: State, repeats: int) -> float:
     """Seconds of a start on a state whose rows have been built: the least of the repeats."""
+    call = partial(start, state, PGS())
     if hasattr(start, "from_problem"):
-        problem = step_problem(state)
-        return timing.fastest(lambda: start.from_problem(state, PGS(), problem), repeats)
-    return timing.fastest(lambda: start(state, PGS()), repeats)
+        call = partial(start.from_problem, state, PGS(), step_problem(state))
+    return timing.fastest(call, repeats)
 
 
 def sweep_time(state: State, solver: str, repeats: int) -> float:
@@ -423,7 +409,7 @@ def at_equal_times(runs: Mapping, columns: Sequence[int]) -> list[dict]:
     """Errors of all settings at the time of so many sweeps of `BASE` from Builtin, for every size.
 
     Returns [{"circles": as text, "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best":
-    the classical setting of the least mean error}].
+    the classical setting of the least mean error, "ratios": {setting: `ratio_of_means` to it, or None}}].
     """
     found = []
     for circles, curves in runs.items():
@@ -432,5 +418,12 @@ def at_equal_times(runs: Mapping, columns: Sequence[int]) -> list[dict]:
             errors = {name: error_at(seconds, curve) for name, curve in curves.items()}
             means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}
             best = min(means, key=means.get)
-            found.append({"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors, "best": best})
+            ratios = {n: None if e is None else ratio_of_means(e, errors[best]) for n, e in errors.items()}
+            cell = {"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors}
+            found.append(cell | {"best": best, "ratios": ratios})
     return found
+
+
+def ratio_of_means(one: Sequence[float], other: Sequence[float]) -> list[float]:
+    """[ratio, low, high] of the mean errors of two settings, (scenes,) each."""
+    return ratios_of(np.array(one)[:, None], np.array(other)[:, None])[0].tolist()

@@ -20,18 +20,18 @@ MOST_SWEEPS = 10_000
 """As Siconos's own tests allow."""
 
 
-def methods(tolerance: float) -> tuple[dict[str, Callable], dict[str, str]]:
-    """Every solver that can be imported, by name, to an error of `tolerance`; and why the others cannot."""
+def methods(tolerance: float) -> dict[str, Callable]:
+    """Every solver that can be imported, by name, to an error of `tolerance`. Prints why the others cannot."""
     makers = {f"ours, {kind.__name__}": lambda kind=kind: ours(kind, tolerance) for kind in (PGS, NesterovPGS)}
     makers |= {f"Siconos {name}": lambda name=name: siconos(name, tolerance) for name in ("NSGS", "ADMM", "NSN_AC")}
     makers["pinocchio ADMM"] = lambda: pinocchio(tolerance)
-    found, missing = {}, {}
+    found = {}
     for name, make in makers.items():
         try:
             found[name] = make()
         except ImportError as error:
-            missing[name] = str(error)
-    return found, missing
+            print(f"{name}: {error}")
+    return found
 
 
 def ours(kind, tolerance: float) -> Callable:

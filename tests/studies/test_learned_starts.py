@@ -25,9 +25,10 @@ def test_sweeps_to_an_error_lie_between_the_counts_by_the_logarithm():
 def test_the_solution_as_a_start_has_no_error_and_sweeps_from_zero_lower_it(falling_states, solver):
     state = falling_states[6]
     exact = dc.solve_contacts(state, solver=dc.NNCG(sweeps=5000, tolerance=1e-9))
-    end = exact.normal_impulses, exact.tangent_impulses
-    assert max(learned_starts.errors_after(state, end, solver, (0, 3, 30), [exact])) < 1e-6
-    errors = learned_starts.errors_after(state, NoStart()(state, None), solver, (0, 3, 30), [exact])
+    given = {"exact": (exact.normal_impulses, exact.tangent_impulses), "none": NoStart()(state, None)}
+    names = [f"{start}, {solver}" for start in given]
+    solved, errors = learned_starts.errors_of(state, given, names, (0, 3, 30), [exact]).values()
+    assert max(solved) < 1e-6
     assert errors[0] == pytest.approx(1.0, abs=0.02)  # nothing done yet
     assert errors[2] < errors[0]
 
@@ -36,9 +37,8 @@ def test_errors_on_scenes_name_every_setting():
     options = {"scenes": 1, "steps": 60, "every": 20, "after": [0, 3]}
     starts = {"none": "none", "builtin": "builtin"}
     kinds = [{}, {"circles": [12, 12], "dt": 0.005, "columns": 3}]
-    found = learned_starts.errors_on_scenes(
-        starts, options, seed=1, jobs=1, progress=lambda items, **_: items, with_all=["builtin"], kinds=kinds
-    )
+    chosen = {"several": ["builtin"], "kinds": kinds}
+    found = learned_starts.errors_on_scenes(starts, options, 1, 1, lambda items, **_: items, **chosen)
     (few,) = found[1]
     assert few["errors"].keys() == {"none", "builtin", *(f"builtin, {name}" for name in learned_starts.FOLLOWING[1:])}
     assert all(np.shape(errors) == (len(few["step"]), 2) for errors in few["errors"].values())
