@@ -40,7 +40,7 @@ that part from them by rounding, with another hash. Those of the far-field netwo
 
 def card(path: Path) -> str:
     """One model's section. Draws its learning curve beside the file."""
-    from deep_contact.cnn.inference import gives, takes
+    from deep_contact.cnn.inference import ends
     from deep_contact.cnn.model_file import read_metadata, spec_of
     from deep_contact.cnn.training.curve import learning_curve
 
@@ -50,8 +50,7 @@ def card(path: Path) -> str:
     rows = {
         "architecture": found["architecture"],
         "weights": found["parameters"],
-        "takes": takes(spec, stored["box"]),
-        "gives": gives(spec),
+        **ends(spec, stored["box"]),
         "size": f"{path.stat().st_size / 1e6:.1f} MB",
         "command": f"`{found['command']}`",
         "trained on": f"{found['training_states']:,} states",

@@ -104,7 +104,7 @@ def run(data, out, model, quick, **given) -> None:
         data = out / "data"
         print(f"{data}: {QUICK_DATA['simulations']} short simulations, about 8 MB")
         make_states(data, **QUICK_DATA, progress=progress_bar)
-    store = Store(data or "data/generated")  # before TensorFlow, which takes seconds to load
+    data = Store(data or "data/generated").folder  # before TensorFlow, which takes seconds to load
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.training import train
     from deep_contact.cnn.training.curve import learning_curve, read_history
@@ -113,7 +113,7 @@ def run(data, out, model, quick, **given) -> None:
         learning_curve(read_history(out / "history.csv"), out / "history.png")
 
     options["callbacks"] = [keras.callbacks.LambdaCallback(on_epoch_end=draw)]
-    done = train(config, store, out, command=shlex.join(["python", "scripts/train.py", *sys.argv[1:]]), **options)
+    done = train(config, data, out, command=shlex.join(["python", "scripts/train.py", *sys.argv[1:]]), **options)
     print(f"best epoch {done.best_epoch + 1} of {len(done.history)}; {done.path}; {out / 'history.png'}")
     errors = done.model.card["held_out"]
     print("mean relative velocity error after", ", ".join(map(str, errors["sweeps"])), "sweeps, test states")

@@ -17,6 +17,7 @@ from llvmlite.binding import get_host_cpu_features
 from numba import njit, uint64
 
 from deep_contact.compiled.simd import WIDTH, doubled, load_like, most, spread, spread_like, store
+from deep_contact.validation import expect
 
 
 def layer_shapes(channels: int, outputs: int, width: int) -> dict[str, list[tuple[int, ...]]]:
@@ -86,8 +87,7 @@ class Program:
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
         found = dimensions(weights)
-        if found is None:
-            raise ValueError(f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
+        expect(found, f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
         self._of = weights
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
         image, outputs = self._image(*shape, found[0]), found[1]
@@ -105,23 +105,21 @@ class Program:
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """Coefficients (rows, columns, outputs) of an image of this shape, both float32."""
-        if image.shape != self._input.shape:
-            raise ValueError(f"image: expected shape {self._input.shape}, got {image.shape}")
+        expect(image.shape == self._input.shape, f"image: expected shape {self._input.shape}, got {image.shape}")
         self._input[:] = image
         _run(self.layers, self.nodes, self.weights, self.workspace)
         return self._output.copy()
 
     def _image(self, height, width, features) -> Image:
         """Room for an image, zero as the margin has to be."""
-        numbers = features if self._size == 0 else -(-features // WIDTH) * WIDTH
+        numbers = features if self._size == 0 else _whole(features)
         image = Image(height, width, numbers, self._size)
-        size = ((height + 2) * (width + 1) + 1) * numbers
-        self._size += -(-size // WIDTH) * WIDTH
+        self._size += _whole(((height + 2) * (width + 1) + 1) * numbers)
         return image
 
-    def _pair(self, height, width, features):
+    def _pair(self, *size):
         """Room for an image as it is and with ReLU."""
-        return self._image(height, width, features), self._image(height, width, features)
+        return self._image(*size), self._image(*size)
 
     def _down(self, name, image):
         """Every second node: a convolution with stride 2."""
@@ -132,8 +130,7 @@ class Program:
     def _block(self, name, images):
         """A residual block: x + conv(ReLU(conv(ReLU(x))))."""
         raw, positive = images
-        size = raw.height, raw.width, raw.numbers
-        between, made = self._image(*size), self._pair(*size)
+        between, made = self._image(*raw[:3]), self._pair(*raw[:3])
         self._convolution(f"{name}_1", positive, positive=between)
         self._convolution(f"{name}_2", between, *made, skip=raw)
         return made
@@ -161,28 +158,25 @@ class Program:
     def _layer(self, name, kernel, image, nodes, here, out, positive, *, skip):
         """Add a layer: what the nodes at `here` are from the taps that begin at `nodes` of the image."""
         rows, columns, channels, features = kernel.shape
-        every = -(-features // WIDTH)
+        every = _whole(features) // WIDTH
         # A row of vectors for the bias, then one for each tap and channel.
         wide = np.zeros((1 + rows * columns * image.numbers, every, WIDTH), np.float32)
         wide[0].ravel()[:features] = self._of[name][1]
         wide[1:].reshape(rows, columns, image.numbers, -1)[:, :, :channels, :features] = kernel
         # Nodes that are left in the last block do the last one again.
-        count = -(-len(nodes) // WIDTH) * WIDTH
+        count = _whole(len(nodes))
         places = np.stack([nodes + image.place, here // WIDTH], axis=1).astype(np.uint32)
         first = sum(part.shape[0] for part in self._nodes)
         self._nodes.append(np.pad(places, ((0, count - len(nodes)), (0, 0)), mode="edge"))
-        begin = 0
+        row, begin = (first, count // WIDTH, image.pitch, rows, columns * image.numbers), 0
         for vectors in (_WIDEST, 1):
-            groups = (every - begin) // vectors
-            if groups == 0:
-                continue
-            pieces = [-1 if image is None else image.place // WIDTH + begin for image in (skip, out, positive)]
-            row = (first, count // WIDTH, image.pitch, rows, columns * image.numbers)
-            self._layers.append((*row, self._filled, groups, vectors, *pieces))
-            packed = wide[:, begin : begin + groups * vectors].reshape(len(wide), groups, -1).swapaxes(0, 1)
-            self._weights.append(packed.ravel())
-            self._filled += packed.size // WIDTH
-            begin += groups * vectors
+            if groups := (every - begin) // vectors:
+                pieces = [-1 if image is None else image.place // WIDTH + begin for image in (skip, out, positive)]
+                self._layers.append((*row, self._filled, groups, vectors, *pieces))
+                packed = wide[:, begin : begin + groups * vectors].reshape(len(wide), groups, -1).swapaxes(0, 1)
+                self._weights.append(packed.ravel())
+                self._filled += packed.size // WIDTH
+                begin += groups * vectors
 
 
 def dimensions(weights: dict[str, list[np.ndarray]]) -> tuple[int, int, int] | None:
@@ -193,6 +187,11 @@ def dimensions(weights: dict[str, list[np.ndarray]]) -> tuple[int, int, int] | N
     except (KeyError, IndexError, ValueError):
         return None
     return (channels, outputs, width) if found == layer_shapes(channels, outputs, width) else None
+
+
+def _whole(count: int) -> int:
+    """The next multiple of `WIDTH`."""
+    return -(-count // WIDTH) * WIDTH
 
 
 def _aligned(size: int) -> np.ndarray:

@@ -5,22 +5,12 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import OrderedDict
-from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.io.simulation_h5 import (  # noqa: F401
-    PHASES,
-    DataFileError,
-    SimulationInfo,
-    StoredSimulation,
-    phase,
-    read_simulation,
-    simulation_info,
-    write_simulation,
-)
+from deep_contact.io.simulation_h5 import PHASES, DataFileError, StoredSimulation, read_simulation, simulation_info
 from deep_contact.state import State
 from deep_contact.validation import integer, one_of
 
@@ -34,7 +24,7 @@ def simulation_path(folder, sim: int) -> Path:
 
 
 class Store:
-    """The simulations of a folder: `sim_0000.h5`, `sim_0001.h5`, … Iterating over a store yields all states in order.
+    """The simulations of a folder: `sim_0000.h5`, `sim_0001.h5`, …
 
     A simulation is read and checked as a whole on the first access to one of its states. The last ones are kept in
     memory, up to `cache_bytes` (at least one). Raises DataFileError where there is none.
@@ -43,25 +33,20 @@ class Store:
     def __init__(self, folder, *, cache_bytes: int = CACHE_BYTES):
         self.folder = Path(folder)
         self.cache_bytes = integer("cache_bytes", cache_bytes)
-        matches = (re.fullmatch(r"sim_(\d{4,9})\.h5", path.name) for path in self.folder.glob("sim_*.h5"))
-        found = sorted(int(match[1]) for match in matches if match)
-        self.simulations = tuple(sim for sim in found if simulation_path(self.folder, sim).exists())
+        matches = (re.fullmatch(r"sim_(\d{4}|[1-9]\d{4,8})\.h5", path.name) for path in self.folder.glob("sim_*.h5"))
+        self.simulations = tuple(sorted(int(match[1]) for match in matches if match))
         """Numbers of the simulations, rising."""
         if not self.simulations:
             raise DataFileError(f"{self.folder}: expected files sim_0000.h5, …; got none: scripts/generate_data.py")
         self._cache: OrderedDict[int, StoredSimulation] = OrderedDict()
-        self._infos: dict[int, SimulationInfo] = {}
+        self._infos = {}
 
     def __len__(self) -> int:
         """Number of states in all."""
         return sum(self.info(sim).count for sim in self.simulations)
 
-    def __iter__(self) -> Iterator[State]:
-        """All states, one simulation after the other."""
-        return (self.state(sim, index) for sim, index in self.states().tolist())
-
-    def info(self, sim: int) -> SimulationInfo:
-        """Header and size of a simulation, read without its arrays. Raises KeyError on an unknown one."""
+    def info(self, sim: int):
+        """The `SimulationInfo`, read without the arrays. Raises KeyError on an unknown simulation."""
         if sim not in self.simulations:
             raise KeyError(f"sim: expected a simulation of {self.folder}, got {sim!r}")
         if sim not in self._infos:
@@ -116,11 +101,11 @@ class Split(NamedTuple):
 def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Split:
     """Simulations assigned at random to three sides, each as a whole, since states of one simulation are similar.
 
-    sims: a `Store`, or numbers of simulations. fractions: of train, validation and test, with the sum 1. A side with a
-    fraction > 0 gets at least one simulation. The split depends on the seed and the numbers only.
+    sims: their numbers. fractions: of train, validation and test, with the sum 1. A side with a fraction > 0 gets at
+    least one simulation. The split depends on the seed and the numbers only.
     Raises ValueError for other fractions or too few simulations.
     """
-    ids = np.unique(np.array(sims.simulations if isinstance(sims, Store) else list(sims), np.int64))
+    ids = np.unique(np.array(list(sims), np.int64))
     shares = np.array(fractions, float)
     if shares.shape != (3,) or not (shares >= 0).all() or not abs(shares.sum() - 1) < 1e-9:
         raise ValueError(f"fractions: expected three numbers >= 0 that sum to 1, got {fractions}")

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
-from deep_contact.cnn.dataset import PHASES, phase
+from deep_contact.io.simulation_h5 import PHASES, phase
 from deep_contact.physics.engine import solve
 from deep_contact.physics.metrics import velocity_error
 from deep_contact.physics.solvers import PGS
@@ -22,10 +21,8 @@ BASELINES = {
 """Name -> start without a network: `NoStart` and `Builtin` of `warm_start`, which is above this folder."""
 
 
-def velocity_errors(
-    state: State, start: tuple[np.ndarray, np.ndarray], sweeps: Sequence[int] = SWEEPS, *, solver=None
-) -> np.ndarray:
-    """`metrics.velocity_error` after so many sweeps of a solver, by default PGS, from a start, (len(sweeps),).
+def velocity_errors(state: State, start: tuple[np.ndarray, np.ndarray], sweeps: Sequence[int] = SWEEPS) -> np.ndarray:
+    """`metrics.velocity_error` after so many sweeps of PGS from a start, (len(sweeps),).
 
     The reference are the velocities by the impulses that the solved state holds. The error is infinite where v* = v⁻
     but v differs. Raises ValueError on a state that is not solved.
@@ -34,8 +31,7 @@ def velocity_errors(
         raise ValueError("state.solved: expected a state that holds its solution, got False")
 
     def swept(count, normal, tangent):
-        method = replace(solver or PGS(), sweeps=count, tolerance=None)
-        return solve(state, method, np.asarray(normal), np.asarray(tangent))
+        return solve(state, PGS(sweeps=count, tolerance=None), np.asarray(normal), np.asarray(tangent))
 
     reference = swept(0, state.contacts.normal_impulse, state.contacts.tangent_impulse)
     return np.array([velocity_error(state, swept(k, *start), reference) for k in sweeps])

@@ -49,7 +49,7 @@ from deep_contact.physics.contact_solver import (
 )
 from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
-from deep_contact.sph.grid import ROUNDING
+from deep_contact.sph.grid import ROUNDING, bilinear_weights
 from deep_contact.state import State
 from deep_contact.validation import number
 
@@ -209,13 +209,9 @@ def _nodes(point, geometry, shape):
     (x0, y0, d), (n_y, n_x), m = geometry, shape, point.shape[0]
     node, weight = np.empty((m, 4), np.int32), np.empty((m, 4), np.float32)
     for k in range(m):
-        x = min(max((point[k, 0] - x0) / d, 0.0), n_x - 1.0)
-        y = min(max((point[k, 1] - y0) / d, 0.0), n_y - 1.0)
-        i, j = min(int(x), n_x - 2), min(int(y), n_y - 2)
-        s, t, first = x - i, y - j, j * n_x + i
+        i, _, j, _, _ = bilinear_weights((x0, y0, d, d), n_y, n_x, point[k, 0], point[k, 1], weight[k])
+        first = j * n_x + i
         node[k, 0], node[k, 1], node[k, 2], node[k, 3] = first, first + 1, first + n_x, first + n_x + 1
-        weight[k, 0], weight[k, 1] = (1.0 - s) * (1.0 - t), s * (1.0 - t)
-        weight[k, 2], weight[k, 3] = (1.0 - s) * t, s * t
     return node, weight
 
 

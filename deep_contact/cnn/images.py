@@ -7,13 +7,11 @@ contacts is 0 where there are none.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
-from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.sph import KERNELS, Grid, gather, splat
+from deep_contact.sph import Grid, gather, splat
 from deep_contact.state import State, World, native
 from deep_contact.validation import number, one_of
 
@@ -22,57 +20,44 @@ from deep_contact.validation import number, one_of
 _REACH = {"normalization": "particle", "unreached": "nearest", "outside": "clamp"}
 
 
-class Channel(NamedTuple):
-    """of: "bodies" or "contacts", what is splatted. value: function of a state -> (k,) values."""
-
-    of: str
-    value: Callable[[State], np.ndarray]
-
-
 CHANNELS = {
-    "mass": Channel("bodies", lambda state: state.bodies.mass),
-    "velocity_x": Channel("bodies", lambda state: state.bodies.velocity[:, 0]),
-    "velocity_y": Channel("bodies", lambda state: state.bodies.velocity[:, 1]),
-    "spin": Channel("bodies", lambda state: state.bodies.spin),
-    "normal_x": Channel("contacts", lambda state: state.contacts.normal[:, 0]),
-    "normal_y": Channel("contacts", lambda state: state.contacts.normal[:, 1]),
+    "mass": ("bodies", lambda bodies: bodies.mass),
+    "velocity_x": ("bodies", lambda bodies: bodies.velocity[:, 0]),
+    "velocity_y": ("bodies", lambda bodies: bodies.velocity[:, 1]),
+    "spin": ("bodies", lambda bodies: bodies.spin),
+    "normal_x": ("contacts", lambda contacts: contacts.normal[:, 0]),
+    "normal_y": ("contacts", lambda contacts: contacts.normal[:, 1]),
 }
-"""Name of an input channel -> what it is: kg, m/s before gravity, rad/s, and the normal."""
+"""Name of an input channel -> what is splatted, and its values (k,): kg, m/s before gravity, rad/s, and the normal."""
 
 TARGETS = {
-    "normal_impulse": Channel("contacts", lambda state: state.contacts.normal_impulse),
-    "tangent_impulse": Channel("contacts", lambda state: state.contacts.tangent_impulse),
+    "normal_impulse": ("contacts", lambda contacts: contacts.normal_impulse),
+    "tangent_impulse": ("contacts", lambda contacts: contacts.tangent_impulse),
 }
-"""Name of an output channel -> what it is, N·s."""
+"""The same of the output channels, N·s."""
 
 THESIS_CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
 """The five inputs of the thesis's network, in its order."""
 
-_REMOVED = {"normalization": "particle", "scale_free": False, "scales": 1.0, "target_scales": 1.0}
+_REMOVED = {"kernel": "poly6", "transfer": "thesis", "normalization": "particle"}
+_REMOVED |= {"scale_free": False, "scales": 1.0, "target_scales": 1.0}
 """Field of a spec in files of earlier versions -> its only value that still has a meaning."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSpec:
-    """The definition of an image. The defaults are the thesis's.
+    """The definition of an image: a particle-normalised splat by poly6. The defaults are the thesis's.
 
-    spacing: d of the grid, m. support: radius h of the kernel, m. kernel: one of `sph.KERNELS`.
-    transfer: of the impulses: "thesis" (particle-normalised splat, bilinear gather) or "consistent" (the same image,
-    but the gather divides by the gathered density: see `sph.grid`).
-    channels: names of `CHANNELS`. targets: names of `TARGETS`.
-    Raises ValueError naming the field and the value.
+    spacing: d of the grid, m. support: radius h of the kernel, m. channels: names of `CHANNELS`. targets: names of
+    `TARGETS`. Raises ValueError naming the field and the value.
     """
 
     spacing: float = 0.5
     support: float = 0.5
-    kernel: str = "poly6"
-    transfer: str = "thesis"
     channels: tuple[str, ...] = THESIS_CHANNELS
     targets: tuple[str, ...] = tuple(TARGETS)
 
     def __post_init__(self):
-        one_of("kernel", self.kernel, KERNELS)
-        one_of("transfer", self.transfer, ("thesis", "consistent"))
         for name in ("spacing", "support"):
             object.__setattr__(self, name, number(name, getattr(self, name), above=0))
         for name, table in (("channels", CHANNELS), ("targets", TARGETS)):
@@ -92,8 +77,7 @@ class ImageSpec:
 
     @classmethod
     def from_dict(cls, values: dict) -> ImageSpec:
-        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields, and on those of versions before
-        that changed the values of an image."""
+        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields, also of earlier versions."""
         return cls(**stored_fields("image spec", cls, values, _REMOVED))
 
 
@@ -144,27 +128,25 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
     """Impulses at the contacts from a network's image: one array (m,) a target, N·s; by default (normal, tangent).
 
     image: (n_y, n_x, targets), N·s. Nothing is projected on the friction cone here.
-    Raises ValueError where the image does not fit the spec, or is not finite around a contact.
+    It reads bilinearly (Algorithm 4). Raises ValueError where the image does not fit the spec, or is not finite around
+    a contact.
     """
     state, given = with_contacts(state), np.asarray(image, dtype=np.float64)
     expected = (*spec.shape(state.world), len(spec.targets))
     if given.shape != expected:
         raise ValueError(f"image: expected shape {expected}, got {given.shape}")
-    options = dict(_REACH)
-    if spec.transfer == "consistent":
-        options |= {"normalization": "consistent", "h": spec.support, "kernel": spec.kernel}
-    values = gather(spec.grid(state.world), given, state.contacts.position, **options)
+    values = gather(spec.grid(state.world), given, state.contacts.position, **_REACH)
     return tuple(np.ascontiguousarray(column) for column in values.T)
 
 
-def _image(state: State, spec: ImageSpec, channels: list[Channel]) -> np.ndarray:
+def _image(state: State, spec: ImageSpec, channels: list) -> np.ndarray:
     state, grid = with_contacts(state), spec.grid(state.world)
     image = np.empty((*grid.shape, len(channels)), np.float32)
-    for of, particles in (("bodies", state.bodies), ("contacts", state.contacts)):
-        chosen = [i for i, channel in enumerate(channels) if channel.of == of]
+    for name, particles in (("bodies", state.bodies), ("contacts", state.contacts)):
+        chosen = [i for i, (of, _) in enumerate(channels) if of == name]
         if chosen:
-            values = np.column_stack([channels[i].value(state) for i in chosen])
-            image[:, :, chosen] = splat(grid, particles.position, values, h=spec.support, kernel=spec.kernel, **_REACH)
+            values = np.column_stack([channels[i][1](particles) for i in chosen])
+            image[:, :, chosen] = splat(grid, particles.position, values, h=spec.support, **_REACH)
     return image
 
 

@@ -1,12 +1,12 @@
 """A trained network at work: `load_model`, `LearnedModel.predict`, and the starts that it gives the solver.
 
 The far-field network runs in Numba (`cnn.convolution`) from the weights in its file. Keras and TensorFlow are imported
-only for networks on images, which are compiled once for each size of image, and by those who ask for `model.network`.
+only for networks on images, and for `LearnedModel.network`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from html import escape
@@ -89,7 +89,7 @@ class LearnedModel:
         shape, given = self._output_shape(image.shape), np.asarray(output, np.float32)
         if given.size != np.prod(shape):
             raise ValueError(f"output: expected shape {(1, *shape)}, got {given.shape}")
-        return self._read(state, read, given.reshape(shape), project)
+        return _cut(read(given.reshape(shape)), state, project)
 
     def predict(self, state: State | Sequence[State], *, project: bool = True):
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
@@ -102,7 +102,7 @@ class LearnedModel:
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
         image, read = self._seen(state)
-        return self._read(state, read, self.run(image), project)
+        return _cut(read(self.run(image)), state, project)
 
     def predict_image(self, state: State) -> np.ndarray:
         """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units.
@@ -124,11 +124,6 @@ class LearnedModel:
             self._compiled[image.shape] = self._compile(image.shape)
         return self._compiled[image.shape](image)
 
-    @staticmethod
-    def _read(state, read, image, project):
-        normal, tangent = (np.ascontiguousarray(row) for row in read(image))
-        return projected(normal, tangent, state.world.friction) if project else (normal, tangent)
-
     def _seen(self, state):
         """The network's input for a state, and a function of its output: (λ_n, λ_t)."""
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
@@ -143,25 +138,25 @@ class LearnedModel:
         return all(side in (None, given) for side, given in zip(self._takes(), shape))
 
     def _compile(self, shape):
-        function = compiled(self.network, shape)
-        return lambda image: function(image).reshape(self._output_shape(shape))
+        """The network for images of this shape, traced once, without the overhead of `keras.Model.predict`."""
+        from deep_contact.cnn.backend import tensorflow as tf
+
+        traced, output = tf.function(lambda image: self.network(image, training=False)), self._output_shape(shape)
+        # The concrete function skips the look-up by signature, a tenth of the time of a small network.
+        concrete = traced.get_concrete_function(tf.TensorSpec((1, *shape), tf.float32))
+        return lambda image: concrete(tf.constant(image[None])).numpy().reshape(output)
 
     def check_scene(self, state: State) -> None:
         """Raise ModelFileError naming the field unless the network can work on this scene."""
         spec, size = self.spec, self.network.input_shape[1:3]
         if len(spec.targets) != 2:
             raise ModelFileError(f"targets: expected a network for normal and tangent impulses, got {spec.targets}")
-        if None in size:
-            return
         x_min, y_min, x_max, y_max = state.world.box
-        extent = x_max - x_min, y_max - y_min
-        if self.box is not None and not np.allclose(extent, self.box, rtol=_SAME_BOX, atol=0.0):
-            raise ModelFileError(
-                f"box: expected a scene of {self.box[0]:g} m × {self.box[1]:g} m, for which the network "
-                f"was trained, got {extent[0]:g} m × {extent[1]:g} m"
-            )
-        shape = spec.shape(state.world)
-        if shape != size:
+        extent, shape = (x_max - x_min, y_max - y_min), spec.shape(state.world)
+        if None not in size and self.box and not np.allclose(extent, self.box, rtol=_SAME_BOX, atol=0.0):
+            expected = f"a scene of {self.box[0]:g} m × {self.box[1]:g} m, for which the network was trained"
+            raise ModelFileError(f"box: expected {expected}, got {extent[0]:g} m × {extent[1]:g} m")
+        if None not in size and shape != size:
             raise ModelFileError(f"shape: expected images of {size} nodes, the network's only size, got {shape}")
 
     def describe(self) -> dict[str, str]:
@@ -170,12 +165,11 @@ class LearnedModel:
             "model": "not in a file" if self.path is None else self.path.name,
             "architecture": str(self.card.get("architecture", "unknown")),
             "weights": f"{self.source.count_params():,}",
-            "takes": takes(self.spec, self.box),
-            "gives": gives(self.spec),
+            **ends(self.spec, self.box),
         }
 
     def __repr__(self):
-        return f"<{type(self).__name__} {'; '.join(f'{name}: {text}' for name, text in self.describe().items())}>"
+        return f"<{type(self).__name__} {'; '.join(map(': '.join, self.describe().items()))}>"
 
     def _repr_html_(self):
         rows = "".join(f"<tr><th>{name}</th><td>{escape(text)}</td></tr>" for name, text in self.describe().items())
@@ -206,33 +200,20 @@ class FarFieldModel(LearnedModel):
         """Accept every scene."""
 
 
-def takes(spec: ImageSpec | FarFieldSpec, box=None) -> str:
-    """What a network of this spec takes, in words."""
-    sides = "n = 8 k + 1 nodes a side" if isinstance(spec, FarFieldSpec) else "any number of nodes a side"
+def ends(spec: ImageSpec | FarFieldSpec, box=None) -> dict[str, str]:
+    """What a network of this spec takes and gives, in words."""
+    sides, gives = "any number of nodes a side", f"images of {', '.join(spec.targets)}"
+    if isinstance(spec, FarFieldSpec):
+        sides, gives = "n = 8 k + 1 nodes a side", f"{len(spec.targets)} coefficients at every second node"
     if box is not None:
         sides = f"the nodes of a box of {box[0]:g} m × {box[1]:g} m"
-    return f"float32 images of {len(spec.channels)} channels, {sides}"
+    return {"takes": f"float32 images of {len(spec.channels)} channels, {sides}", "gives": gives}
 
 
-def gives(spec: ImageSpec | FarFieldSpec) -> str:
-    """What a network of this spec gives, in words."""
-    if isinstance(spec, FarFieldSpec):
-        return f"{len(spec.targets)} coefficients at every second node"
-    return f"images of {', '.join(spec.targets)}"
-
-
-def compiled(model, shape: tuple[int, int, int]) -> Callable[[np.ndarray], np.ndarray]:
-    """A `keras.Model` for one image of this shape as a function of a NumPy array (n_y, n_x, c), float32.
-
-    It is traced once, and the overhead of `keras.Model.predict` is not paid.
-    """
-    from deep_contact.cnn.backend import tensorflow as tf
-
-    signature = [tf.TensorSpec((1, *shape), tf.float32)]
-    # The concrete function skips the look-up by signature, a tenth of the time of a small network.
-    function = tf.function(lambda image: model(image, training=False), input_signature=signature)
-    concrete = function.get_concrete_function()
-    return lambda image: concrete(tf.constant(image[None])).numpy()[0]
+def _cut(impulses, state: State, project: bool) -> tuple[np.ndarray, np.ndarray]:
+    """(λ_n, λ_t) as arrays of their own, projected on the friction cone if asked for."""
+    normal, tangent = (np.ascontiguousarray(row) for row in impulses)
+    return projected(normal, tangent, state.world.friction) if project else (normal, tangent)
 
 
 @dataclass(frozen=True)
@@ -276,11 +257,10 @@ class LearnedSupport(Cnn):
         """The start from rows that have been built."""
         impulses = np.column_stack(supported(state, problem))
         if not impulses.any():
-            return impulses[:, 0].copy(), impulses[:, 1].copy()
+            return tuple(impulses.T.copy())
         problem = problem._replace(rows=problem.rows._replace(impulse=impulses))
         description = describe(state, self.model.spec, problem=problem)
-        corrected = correct(self.model.run(description.image), description)
-        return projected(*np.ascontiguousarray(corrected.T), state.world.friction)
+        return _cut(correct(self.model.run(description.image), description).T, state, True)
 
 
 def network_start(model) -> Cnn:

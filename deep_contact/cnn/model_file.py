@@ -32,7 +32,8 @@ from deep_contact.cnn.convolution import dimensions
 from deep_contact.cnn.far_field import FarFieldSpec
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.io import hdf5
-from deep_contact.io.files import FileError, replacing
+from deep_contact.io.files import FileError, write_bytes
+from deep_contact.validation import expect
 
 FORMAT = 1
 METADATA = "deep_contact"
@@ -88,8 +89,8 @@ class StoredNetwork(NamedTuple):
             model = kind.from_config(self.config["config"])
             for layer in model.layers:
                 layer.set_weights(self.weights.get(layer.name, []))
-            if unused := set(self.weights) - {layer.name for layer in model.layers}:
-                raise ValueError(f"there are weights of {', '.join(sorted(unused))} and no such layers")
+            if unused := self.weights.keys() - {layer.name for layer in model.layers}:
+                raise ValueError(f"there are weights of {sorted(unused)} and no such layers")
         except Exception as error:
             # Keras raises what it happens to meet: TypeError, KeyError, IndexError …
             raise ModelFileError(f"{self.path}: model_config: Keras cannot build the network ({error})") from error
@@ -113,7 +114,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
     """
     from deep_contact.cnn.backend import keras
 
-    path, weights = Path(path), weights_of(model)
+    weights = weights_of(model)
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": _coarsening(spec), "box": size, "card": card}
     config = json.dumps(portable(json.loads(model.to_json())))
@@ -134,24 +135,18 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
                 stored[name] = array
         metadata["digest"] = _digest(config, _datasets(group), metadata)
         file[METADATA] = json.dumps(metadata, allow_nan=False)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with replacing(path) as temporary:
-        temporary.write_bytes(content.getbuffer())
-    return path
+    return write_bytes(path, content.getbuffer())
 
 
 def read_metadata(path) -> dict:
-    """The metadata of a model file, checked against its contents, without Keras.
-
-    Raises FileNotFoundError where there is no file, ModelFileError where it is not a complete model file of ours.
-    """
+    """The metadata of a model file, checked against its contents, without Keras. Raises as `read_model`."""
     return _read(Path(path))[1]
 
 
 def read_model(path):
-    """(network, spec, metadata) of a model file.
+    """(network, spec, metadata) of a model file. network: a `keras.Model`; of a far-field network a `StoredNetwork`.
 
-    network: a `keras.Model`, or for a far-field network a `StoredNetwork`. Raises as `read_metadata`.
+    Raises FileNotFoundError where there is no file, ModelFileError where it is not a complete model file of ours.
     """
     network, metadata = _read(Path(path))
     spec = spec_of(metadata, path)
@@ -172,8 +167,7 @@ def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
     return spec
 
 
-def _coarsening(spec: ImageSpec | FarFieldSpec) -> int:
-    """k: networks of this kind take n = 1 (mod k) nodes along an edge."""
+def _coarsening(spec) -> int:
     return 8 if isinstance(spec, FarFieldSpec) else 1
 
 
@@ -190,13 +184,11 @@ def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box, path) 
         return
     inputs, outputs = model.input_shape, model.output_shape
     if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != channels:
-        expected = f"a network of {channels} input channels ({', '.join(spec.channels)})"
-        raise ModelFileError(f"{path}: channels: expected {expected}, got one of shape {inputs}")
+        raise ModelFileError(f"{path}: channels: expected {', '.join(spec.channels)}, got a network of shape {inputs}")
     is_fixed = None not in inputs[1:3]
     flat = is_fixed and len(outputs) == 2 and outputs[-1] == inputs[1] * inputs[2] * targets
     if not flat and (len(outputs) != 4 or outputs[-1] != targets):
-        expected = f"a network that gives {targets} images ({', '.join(spec.targets)})"
-        raise ModelFileError(f"{path}: targets: expected {expected}, got outputs of shape {outputs}")
+        raise ModelFileError(f"{path}: targets: expected {', '.join(spec.targets)}, got outputs of shape {outputs}")
     if is_fixed and box is None:
         raise ModelFileError(f"{path}: box: expected [width, height] for a network of {inputs[1:3]} nodes, got none")
 
@@ -222,15 +214,15 @@ def portable(config) -> dict:
 
 def _layer(layer, i: int) -> dict:
     """A layer with only the arguments that shape it."""
-    where, is_object = f"model_config.layers[{i}]", isinstance(layer, dict)
-    name, module = (layer.get("class_name"), layer.get("module", "keras.layers")) if is_object else (layer, None)
+    where = f"model_config.layers[{i}]"
+    given = layer.get("config") if isinstance(layer, dict) else None
+    if not isinstance(given, dict):
+        raise ModelFileError(f"{where}: expected an object with a config, got {str(layer)[:200]}")
+    name, module = layer.get("class_name"), layer.get("module", "keras.layers")
     if name not in _LAYERS or module != "keras.layers" or layer.get("registered_name") not in (None, name):
         expected = "a stock Keras layer of the list, no custom or Lambda layer"
         raise ModelFileError(f"{where}: expected {expected}, got {name!r} of {module!r}")
-    given = layer.get("config")
     _check_parts([given, layer.get("inbound_nodes")], where)
-    if not isinstance(given, dict):
-        raise ModelFileError(f"{where}.config: expected an object, got {given!r}")
     kept = {"class_name": name, "config": {key: given[key] for key in given if key in _ARGUMENTS}}
     return kept | {key: layer[key] for key in ("name", "inbound_nodes") if key in layer}
 
@@ -258,16 +250,15 @@ def _read(path: Path) -> tuple[StoredNetwork, dict]:
     with hdf5.opened(path, ModelFileError) as file:
         given = hdf5.attribute(file, "model_config")
         config = portable(_parsed(given, "model_config"))
-        if not isinstance(file.get("model_weights", getlink=True), h5py.HardLink):
-            raise ValueError("model_weights: expected the network's weights, got none")
+        is_here = isinstance(file.get("model_weights", getlink=True), h5py.HardLink)
+        expect(is_here, "model_weights: expected the network's weights, got none")
         group = file["model_weights"]
         datasets, metadata = _datasets(group), _metadata(file)
-        if _digest(given, datasets, metadata) != metadata["digest"]:
-            raise ValueError("digest: expected that of the file's contents, got another; it was changed or damaged")
+        whole = _digest(given, datasets, metadata) == metadata["digest"]
+        expect(whole, "digest: expected that of the file's contents, got another; it was changed or damaged")
         for name, array in datasets.items():
-            if not np.isfinite(array).all():
-                bad = array[~np.isfinite(array)][0]
-                raise ValueError(f"model_weights/{name}: expected finite weights, got {bad}")
+            bad = array[~np.isfinite(array)]
+            expect(not bad.size, f"model_weights/{name}: expected finite weights, got {bad[:1]}")
         weights = {}
         for layer in group:
             names = [n.decode() if isinstance(n, bytes) else n for n in hdf5.attribute(group[layer], "weight_names")]
@@ -280,27 +271,21 @@ def _parsed(text, name):
     try:
         return json.loads(text)
     except (TypeError, ValueError, RecursionError) as error:
-        raise ModelFileError(f"{name}: expected JSON, got {str(text)[:60]!r}") from error
+        raise ValueError(f"{name}: expected JSON, got {str(text)[:60]!r}") from error
 
 
 def _metadata(file) -> dict:
     text = hdf5.dataset(file, METADATA)
-    if text.shape != ():
-        raise ValueError(f"{METADATA}: expected one text, our metadata, got shape {text.shape}")
+    expect(text.shape == (), f"{METADATA}: expected one text, our metadata, got shape {text.shape}")
     found = _parsed(text[()], METADATA)
-    if not isinstance(found, dict) or set(found) != set(_FIELDS):
-        got = sorted(found) if isinstance(found, dict) else type(found).__name__
-        raise ModelFileError(f"{METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
+    got = sorted(found) if isinstance(found, dict) else type(found).__name__
+    expect(got == sorted(_FIELDS), f"{METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
     box = found["box"]
     is_size = isinstance(box, list) and len(box) == 2 and all(isinstance(x, (int, float)) and x > 0 for x in box)
-    for name, good, expected in (
-        ("format", found["format"] == FORMAT, FORMAT),
-        ("spec", isinstance(found["spec"], dict), "an object"),
-        ("card", isinstance(found["card"], dict), "an object"),
-        ("box", box is None or is_size, "null or [width, height] in m"),
-    ):
-        if not good:
-            raise ModelFileError(f"{name}: expected {expected}, got {found[name]!r}")
+    expect(found["format"] == FORMAT, f"format: expected {FORMAT}, got {found['format']!r}")
+    expect(box is None or is_size, f"box: expected null or [width, height] in m, got {box!r}")
+    for name in ("spec", "card"):
+        expect(isinstance(found[name], dict), f"{name}: expected an object, got {found[name]!r}")
     return found
 
 

@@ -37,17 +37,15 @@ def network_file(model=None) -> Path:
 def path_of(name: str) -> Path:
     """The file of a registered network, "model" or "comparison/width_8", with its contents checked.
 
-    Raises FileNotFoundError naming the network, the file and the folders where none has it, ModelFileError where the
-    file is not the registered one.
+    Raises FileNotFoundError naming the network and the folders where none has it, ModelFileError where the file is not
+    the registered one.
     """
-    entries = registered()
-    entry, folders = entries[one_of("model", name, entries)], _folders()
-    path = next((folder / entry["file"] for folder in folders if (folder / entry["file"]).is_file()), None)
+    entry = registered()[one_of("model", name, registered())]
+    path = next((path for folder in _folders() if (path := folder / entry["file"]).is_file()), None)
     if path is None:
         raise FileNotFoundError(
-            f"model {name}: expected {entry['file']} in {' or '.join(map(str, folders))}, which does not exist; it is "
-            f"part of the source repository, not of every wheel; {FOLDER} names another folder, and "
-            f"`{entry['command']}` trains such a network"
+            f"model {name}: expected {entry['file']} in {' or '.join(map(str, _folders()))}, which does not exist; the "
+            f"source repository has it, {FOLDER} names another folder, and `{entry['command']}` trains such a network"
         )
     status = path.stat()
     if (found := _sha256(path, status.st_mtime_ns, status.st_size)) != entry["sha256"]:

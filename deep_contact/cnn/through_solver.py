@@ -57,10 +57,9 @@ def solved_problem(state: State) -> SolvedProblem:
 
 
 def errors_after(problem: SolvedProblem, start: np.ndarray, sweeps: Sequence[int]) -> np.ndarray:
-    """‖v − v*‖ / ‖v* − v⁻‖ in the norm of kinetic energy after so many sweeps from a start (m, 2), projected first.
+    """`evaluation.velocity_errors` on packed arrays, from a start (m, 2), projected first; sweeps increase.
 
-    It is `evaluation.velocity_errors` on packed arrays, with one run for all numbers of sweeps, which increase.
-    Returns (len(sweeps),); 0 where there is nothing to solve.
+    0 where there is nothing to solve.
     """
     return loss_and_gradient(problem, start, sweeps, np.zeros(len(sweeps)))[2]
 
@@ -84,26 +83,35 @@ def loss_and_gradient(
 def _errors_and_gradient(problem, start, sweeps, weights):
     """(errors (c,), gradient (m, 2) of Σ weight · error by a start in the cone)."""
     rows, free, solution, friction = problem
-    n = free.shape[0] - 4
-    velocities, clamped = _sweeps(rows, free, friction, start, sweeps[-1])
-    by_velocities, errors = np.zeros((len(velocities), n + 4, 3)), np.zeros(sweeps.size)
+    n, count = free.shape[0] - 4, sweeps[-1]
     # s = ω r has half the inertia of the mass.
     metric = np.array([1.0, 1.0, 0.5]) / free[:n, 3:]
-    goal = _velocities(rows, free, solution)
-    size = _norm(metric, (goal - free)[:n, :3])
+    goal, errors, by_impulse = _velocities(rows, free, solution), np.zeros(sweeps.size), np.zeros_like(start)
+    change = (goal - free)[:n, :3]
+    size = math.sqrt(np.sum(metric * change * change))
     if size < _NOTHING:
-        return errors, np.zeros_like(start)
-    for c, k in enumerate(sweeps):
-        off = (velocities[k] - goal)[:n, :3]
-        errors[c] = _norm(metric, off) / size
-        by_velocities[k, :n] = weights[c] / (size * size * max(errors[c], 1e-9)) * metric * off
-    return errors, _adjoint_sweeps(rows, free, friction, clamped, by_velocities)
-
-
-@njit(cache=True)
-def _norm(metric, off):
-    """√(Σ metric · off²)."""
-    return math.sqrt(np.sum(metric * off * off))
+        return errors, by_impulse
+    impulse, velocity = start.copy(), _velocities(rows, free, start)
+    clamped, by_velocities = np.empty((count, *start.shape), np.int8), np.zeros((sweeps.size, n + 4, 3))
+    k = 0
+    for c in range(sweeps.size):
+        while k < sweeps[c]:
+            forward_sweep(rows, friction, velocity, impulse, clamped[k])
+            k += 1
+        off = (velocity - goal)[:n, :3]
+        errors[c] = math.sqrt(np.sum(metric * off * off)) / size
+        by_velocities[c, :n] = weights[c] / (size * size * max(errors[c], 1e-9)) * metric * off
+    by_velocity = np.zeros((n + 4, 3))
+    for c in range(sweeps.size - 1, -1, -1):
+        by_velocity += by_velocities[c]
+        while k > (sweeps[c - 1] if c > 0 else 0):
+            k -= 1
+            adjoint_sweep(rows, friction, free, clamped[k], by_velocity, by_impulse)
+    for i in range(start.shape[0]):
+        by_normal, by_tangent = _by_change(rows, free, by_velocity, i)
+        by_impulse[i, 0] += by_normal
+        by_impulse[i, 1] += by_tangent
+    return errors, by_impulse
 
 
 @njit(cache=True)
@@ -124,32 +132,6 @@ def _velocities(rows, free, impulse):
     velocity = free.copy()
     apply_impulses(Rows(rows.body, rows.data, impulse), velocity, 0.0)
     return velocity
-
-
-@njit(cache=True)
-def _sweeps(rows, free, friction, start, count):
-    """Velocities (count + 1, n + 4, 4) after each number of sweeps from a start in the cone, clamped (count, m, 2)."""
-    impulse, velocities = start.copy(), np.empty((count + 1, free.shape[0], 4))
-    clamped = np.empty((count, *start.shape), np.int8)
-    velocities[0] = _velocities(rows, free, start)
-    for k in range(count):
-        velocities[k + 1] = velocities[k]
-        forward_sweep(rows, friction, velocities[k + 1], impulse, clamped[k])
-    return velocities, clamped
-
-
-@njit(cache=True)
-def _adjoint_sweeps(rows, free, friction, clamped, by_velocities):
-    """The adjoint of `_sweeps`: derivative by the start, (m, 2), of a loss of the velocities, (count + 1, n + 4, 3)."""
-    by_velocity, by_impulse = by_velocities[-1], np.zeros(clamped.shape[1:])
-    for k in range(len(clamped) - 1, -1, -1):
-        adjoint_sweep(rows, friction, free, clamped[k], by_velocity, by_impulse)
-        by_velocity += by_velocities[k]
-    for i in range(clamped.shape[1]):
-        by_normal, by_tangent = _by_change(rows, free, by_velocity, i)
-        by_impulse[i, 0] += by_normal
-        by_impulse[i, 1] += by_tangent
-    return by_impulse
 
 
 @njit(cache=True)

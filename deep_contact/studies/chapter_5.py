@@ -17,12 +17,13 @@ import numpy as np
 from scipy import stats
 
 from deep_contact.cnn.backend import one_thread
-from deep_contact.cnn.dataset import Store, evenly, simulation_path, write_simulation
+from deep_contact.cnn.dataset import Store, evenly, simulation_path
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.inference import network_start
 from deep_contact.cnn.model_file import read_metadata
 from deep_contact.cnn.registry import network_file
+from deep_contact.io.simulation_h5 import write_simulation
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve
 from deep_contact.physics.solvers import PGS

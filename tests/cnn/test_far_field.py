@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from conftest import solved_states
 from symmetry import transform_state
 
 import deep_contact as dc
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec, correct, corrected, describe, window_side
-from deep_contact.cnn.inference import Cnn, FarFieldModel, load_model
+from deep_contact.cnn.inference import Cnn, FarFieldModel
 from deep_contact.state import World
 
 SPEC = FarFieldSpec()
@@ -145,15 +146,13 @@ def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):
     from deep_contact.cnn import architectures
     from deep_contact.cnn.model_file import save_model
 
-    network = architectures.build("far field", channels=len(SPEC.channels), outputs=len(SPEC.targets), width=4)
+    network = architectures.far_field(channels=len(SPEC.channels), outputs=len(SPEC.targets), width=4)
     # Away from zero, where an untrained network starts, so that it does something.
     last = network.get_layer("coefficients")
     last.set_weights([np.full_like(w, 0.05) for w in last.get_weights()])
-    path = save_model(tmp_path / "far.h5", network, SPEC, {})
-    model = load_model(path)
-    assert isinstance(model, FarFieldModel)
-    assert model.spec == SPEC
-    normal, tangent = Cnn(model)(state, dc.PGS())
+    start = Cnn(save_model(tmp_path / "far.h5", network, SPEC, {}))
+    assert (type(start.model), start.model.spec) == (FarFieldModel, SPEC)
+    normal, tangent = start(state, dc.PGS())
     assert not np.array_equal(normal, state.contacts.normal_start)
     assert (normal >= 0).all()
     assert (np.abs(tangent) <= state.world.friction * normal + 1e-12).all()
@@ -162,14 +161,12 @@ def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):
 @pytest.mark.slow
 def test_training_resumes_and_beats_builtin_a_little(tmp_path):
     # Ten seconds of training: two epochs at once, and one and one, give the same history.
-    from deep_contact.cnn.dataset import write_simulation
+    from deep_contact.cnn import write_simulation
     from deep_contact.cnn.training import far_field_config, train
 
     for sim in range(4):
-        states = []
-        scene = dc.circles_in_box(60, seed=sim)
-        dc.simulate(scene, steps=250, solver=dc.PGS(sweeps=2000), on_step=lambda s, r, kept=states: kept.append(s))
-        write_simulation(tmp_path / f"sim_{sim:04d}.h5", [s for s in states if s.contacts.count])
+        states = solved_states(dc.circles_in_box(60, seed=sim), steps=250, solver=dc.PGS(sweeps=2000))
+        write_simulation(tmp_path / f"sim_{sim:04d}.h5", states)
     settings = {"epochs": 2, "states_per_epoch": 320, "schedule": "constant", "fractions": (0.5, 0.25, 0.25)}
     settings |= {"options": {"width": 8}, "validation_states": 60}
     through = train(far_field_config(**settings), tmp_path, tmp_path / "a", held_out=30)

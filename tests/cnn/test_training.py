@@ -6,6 +6,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import keras
 import numpy as np
@@ -14,12 +15,14 @@ from conftest import load_script, solved_states
 
 import deep_contact as dc
 from deep_contact.cnn.backend import limit_threads
-from deep_contact.cnn.dataset import Store, write_simulation
+from deep_contact.cnn.dataset import Split, Store
 from deep_contact.cnn.images import ImageSpec, input_image, label_image
 from deep_contact.cnn.inference import load_model
 from deep_contact.cnn.model_file import read_metadata, spec_of
-from deep_contact.cnn.training import ImageDataset, TrainingConfig, config, run, thesis_config, train
+from deep_contact.cnn.training import TrainingConfig, config, network, thesis_config, train
 from deep_contact.cnn.training.curve import learning_curve, read_history
+from deep_contact.cnn.training.network import ImageRun
+from deep_contact.io.simulation_h5 import write_simulation
 
 # Before TensorFlow does anything: sums go in another order on more threads.
 limit_threads(1)
@@ -57,6 +60,11 @@ def undisturbed(data, tmp_path_factory):
     return quietly(tiny(), data, tmp_path_factory.mktemp("undisturbed"))
 
 
+def assert_same_weights(first, second):
+    for ours, theirs in zip(first.network.get_weights(), second.network.get_weights()):
+        np.testing.assert_array_equal(ours, theirs)
+
+
 def test_training_lowers_the_loss_of_a_network_for_the_box_of_its_data(undisturbed):
     losses = [line["loss"] for line in undisturbed.history]
     assert losses[-1] < losses[0]
@@ -72,7 +80,7 @@ class Killed(BaseException):
 @pytest.mark.parametrize(("every", "batches"), [(0.0, 3), (20.0, 0)])
 def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path, every, batches, monkeypatch):
     """From where it was saved last: the batch before, or the end of the first epoch, which has seven batches."""
-    monkeypatch.setattr(run, "SAVE_EVERY", every)
+    monkeypatch.setattr(network, "SAVE_EVERY", every)
     seen = []
 
     def kill(batch, logs):
@@ -87,27 +95,22 @@ def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path
     assert (position["epoch"], position["batches"], position["states"]) == (1, batches, 8 * batches)
     resumed = quietly(tiny(), data, tmp_path)
     assert without_time(resumed.history) == without_time(undisturbed.history)
-    for ours, theirs in zip(resumed.model.network.get_weights(), undisturbed.model.network.get_weights()):
-        np.testing.assert_array_equal(ours, theirs)
+    assert_same_weights(resumed.model, undisturbed.model)
 
 
 def test_history_is_written_as_csv_and_the_best_epoch_is_kept(undisturbed):
     assert read_history(undisturbed.path.with_name("history.csv")) == undisturbed.history
     losses = [line["validation_loss"] for line in undisturbed.history]
     assert undisturbed.best_epoch == int(np.argmin(losses))
-    best = load_model(undisturbed.path.with_name("best.h5"))
-    for ours, theirs in zip(best.network.get_weights(), undisturbed.model.network.get_weights()):
-        np.testing.assert_array_equal(ours, theirs)
+    assert_same_weights(load_model(undisturbed.path.with_name("best.h5")), undisturbed.model)
 
 
 def test_card_says_what_a_reader_needs(undisturbed, data):
     card = undisturbed.model.card
-    assert card["data_hash"] == Store(data).data_hash()
-    assert card["seed"] == 0
+    assert (card["data_hash"], card["seed"], len(card["history"])) == (Store(data).data_hash(), 0, 4)
     assert card["parameters"] == undisturbed.model.network.count_params()
     assert {"none", "builtin", "cnn", "states"} == set(card["held_out"]["phases"]["all"])
     assert {"keras", "numpy", "python"} <= set(card["versions"])
-    assert len(card["history"]) == 4
     sides = [set(card["split"][name]) for name in ("train", "validation", "test")]
     assert sum(map(len, sides)) == len(set.union(*sides)) == len(Store(data).simulations)
 
@@ -147,34 +150,24 @@ def test_callbacks_of_keras_see_the_history_and_may_stop_the_run(data, tmp_path,
 
 
 def test_an_epoch_shows_other_states_in_full_batches_and_repeats(data):
-    store, spec = Store(data), ImageSpec()
-    images = ImageDataset(store, store.states((0, 3)), spec, batch_size=16, seed=4)
-    assert len(images) == 2
-    orders = [images.order.tolist()]
-    images.on_epoch_end()
-    orders.append(images.order.tolist())
-    assert orders[0] != orders[1]
-    assert sorted(orders[0]) == sorted(orders[1]) == store.states((0, 3)).tolist()
-    images.start(0)
-    assert images.order.tolist() == orders[0]
-    inputs, labels = images[1]
-    for image, label, (sim, index) in zip(inputs, labels, orders[0][16:32]):
-        np.testing.assert_array_equal(image, input_image(store.state(sim, index), spec))
-        np.testing.assert_array_equal(label, label_image(store.state(sim, index), spec).ravel())
-    assert (inputs.dtype, labels.dtype) == (np.float32, np.float32)
+    store, settings = Store(data), tiny(seed=4, batch_size=16)
+    images = ImageRun(settings, store, Split((0, 3), (1,), ()), None)
+    first, again, other = (list(images.batches(epoch)) for epoch in (0, 0, 1))
+    assert [len(labels) for _, labels in first] == [16, 16]
+    np.testing.assert_array_equal(first[1][0], again[1][0])
+    assert not np.array_equal(first[1][0], other[1][0])
+    expected = np.random.default_rng((4, 0)).permutation(store.states((0, 3)))[16:32].tolist()
+    for image, label, (sim, index) in zip(*first[1], expected):
+        np.testing.assert_array_equal(image, input_image(store.state(sim, index), images.spec))
+        np.testing.assert_array_equal(label, label_image(store.state(sim, index), images.spec).ravel())
+    assert {part.dtype for part in first[1]} == {np.dtype(np.float32)}
 
 
-def test_states_to_validate_on_come_in_their_order_and_from_boxes_of_one_size(data, tmp_path):
-    chosen = [[2, 5], [1, 6], [2, 4]]
-    images = ImageDataset(Store(data), chosen, ImageSpec(), batch_size=2)
-    assert [len(images[k][0]) for k in range(len(images))] == [2, 1]
-    assert images.order.tolist() == chosen
+def test_boxes_of_different_sizes_are_refused(data, tmp_path):
     shutil.copy(data / "sim_0000.h5", tmp_path)
-    state = dc.simulate(dc.single_body(), steps=1).state
-    write_simulation(tmp_path / "sim_0001.h5", [state])
-    store = Store(tmp_path)
+    write_simulation(tmp_path / "sim_0001.h5", [dc.simulate(dc.single_body(), steps=1).state])
     with pytest.raises(ValueError, match="one size"):
-        ImageDataset(store, store.states(), ImageSpec(), batch_size=2)
+        ImageRun(tiny(), Store(tmp_path), Split((0,), (1,), ()), None)
 
 
 # ---- going on from a model ----
@@ -194,8 +187,7 @@ def test_a_run_goes_on_from_a_model(undisturbed, data, tmp_path):
 
 
 def test_settings_of_the_shipped_models_are_known():
-    root = TRAIN.parents[1] / "models"
-    for path in root.glob("*.h5"):
+    for path in (TRAIN.parents[1] / "models").glob("*.h5"):
         metadata = read_metadata(path)
         assert config.config_of(metadata).spec() == spec_of(metadata, path)
 
@@ -232,21 +224,15 @@ def test_bad_settings_are_named(field, value):
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(flags, status, message, capsys):
-    script = load_script("train")
-    try:
-        found = script.main(flags)
-    except SystemExit as error:
-        found = error.code
-    assert found == status
+    with pytest.raises(SystemExit) as ended:
+        raise SystemExit(load_script("train").main(flags))
+    assert ended.value.code == status
     (line,) = capsys.readouterr().err.splitlines()
     assert message in line
 
 
 def test_ctrl_c_ends_training_with_one_line(data, tmp_path, monkeypatch, capsys):
-    def interrupted(*args, **kwargs):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("deep_contact.cnn.training.run.train", interrupted)
+    monkeypatch.setattr("deep_contact.cnn.training.run.train", Mock(side_effect=KeyboardInterrupt))
     assert load_script("train").main(["--data", str(data), "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("train: stopped; the same command goes on")
 

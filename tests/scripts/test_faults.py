@@ -122,7 +122,7 @@ def test_a_run_killed_while_it_saves_leaves_the_trajectory_before_it(tmp_path):
 
 WRITERS = {
     "xml": "dc.write_state(out / 'it.xml', big)",
-    "h5": "dataset.write_simulation(out / 'it.h5', [big], compression=None)",
+    "h5": "cnn.write_simulation(out / 'it.h5', [big], compression=None)",
     "png": "plotting.save(plotting.subplots()[0], out / 'it.png')",
     "model.h5": "model_file.save_model(out / 'it.model.h5', model, spec, {})",
 }
@@ -133,7 +133,7 @@ from pathlib import Path
 import numpy as np
 import deep_contact as dc
 from deep_contact.reporting import plotting
-from deep_contact.cnn import dataset
+from deep_contact import cnn
 from deep_contact.simulation import ready
 out = Path(sys.argv[1])
 big = ready(dc.lattice_in_box(1000))

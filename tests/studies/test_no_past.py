@@ -74,7 +74,7 @@ def test_the_data_are_solved_states_that_start_from_the_support(tmp_path):
     command = ["--packings", "--simulations", "1", "--jobs", "1", "--out", str(tmp_path)]
     assert generate.main(command) == 0
     (path,) = tmp_path.iterdir()
-    stored = dc.cnn.dataset.read_simulation(path)
+    stored = dc.cnn.read_simulation(path)
     state = stored.state(stored.count - 1)
     normal, tangent = dc.warm_start.Support()(no_past.without_past(state), None)
     np.testing.assert_array_equal(state.contacts.normal_start, normal)

@@ -9,11 +9,10 @@ from importlib import import_module
 
 from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
 
-_HOME = {"ImageDataset": "network", "Training": "run", "train": "run"}
-__all__ = [*_HOME, "TrainingConfig", "config_of", "far_field_config", "thesis_config"]
+__all__ = ["Training", "TrainingConfig", "config_of", "far_field_config", "thesis_config", "train"]
 
 
 def __getattr__(name: str):
-    if name not in _HOME:
+    if name not in ("Training", "train"):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.{_HOME[name]}"), name)
+    return getattr(import_module(f"{__name__}.run"), name)

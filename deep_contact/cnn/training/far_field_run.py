@@ -27,14 +27,11 @@ class FarFieldRun(NetworkRun):
         # Equal weight for each number of sweeps, although the errors get smaller.
         errors = self.errors(self.validation, learned=False)[:, 1:]
         self.weights = 1.0 / (errors.mean(axis=0) * len(config.sweeps))
-        of_image, of_nodes = (None, None, None, len(self.spec.channels)), (None, 4)
-        shapes = zip((of_image, of_nodes, of_nodes), (tf.float32, tf.int32, tf.float32))
-        self._coefficients = tf.function(self._read, input_signature=[tf.TensorSpec(*given) for given in shapes])
+        images = tf.TensorSpec((None, None, None, len(self.spec.channels)), tf.float32)
+        nodes = [tf.TensorSpec((None, 4), kind) for kind in (tf.int32, tf.float32)]
+        self._coefficients = tf.function(self._read, input_signature=[images, *nodes])
         # As one program: called one by one, the optimizer's small operations take as long as the network.
-        gradients = [tf.TensorSpec(v.shape, tf.float32) for v in self.model.trainable_variables]
-        self._apply = tf.function(
-            lambda given: self.optimizer.apply(given, self.model.trainable_variables), input_signature=[gradients]
-        )
+        self._apply = tf.function(lambda given: self.optimizer.apply(given, self.model.trainable_variables))
 
     def _read(self, images, node, weight):
         """Coefficients (K, 12) at the contacts, from images and the arrays of `nodes_of`; differentiable."""

@@ -1,26 +1,35 @@
-"""A network in training, and the networks on images."""
+"""A network in training, with the files of its run (`run`), and the networks on images."""
 
 from __future__ import annotations
 
+import csv
 import itertools
+import json
+import math
 import sys
+from pathlib import Path
+from time import perf_counter
 
 import numpy as np
 
-from deep_contact.cnn import architectures
+from deep_contact.cnn import architectures, schedules
 from deep_contact.cnn.backend import keras
-from deep_contact.cnn.dataset import Store, evenly
-from deep_contact.cnn.images import ImageSpec, input_image, label_image
-from deep_contact.cnn.losses import masked_squared_error
+from deep_contact.cnn.dataset import Split, Store, evenly
+from deep_contact.cnn.images import input_image, label_image
+from deep_contact.cnn.model_file import save_model
 from deep_contact.cnn.training.config import TrainingConfig
+from deep_contact.io.files import replacing
 from deep_contact.io.provenance import package_versions, processor
+
+SAVE_EVERY = 20.0
+"""Seconds from one last.npz to the next within an epoch."""
 
 
 class NetworkRun:
     """A network in training. Subclasses have `batches`, `step` and `validate`, and set `training_states`, their number.
 
     box: the world's box of a network of one size, or None. position: where the run is: the epoch, its batches and
-    states that are done, and the sum of their losses.
+    states that are done, and the sum of their losses. history: a dict an epoch, by column.
     """
 
     box = None
@@ -38,11 +47,7 @@ class NetworkRun:
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
         self.variables = {f"{kind}_{i:04d}": v for kind, found in kinds.items() for i, v in enumerate(found)}
         """All that a step changes: weights, statistics, the random states of dropout, the optimizer's."""
-        self.begin(0)
-
-    def begin(self, epoch: int) -> None:
-        """Go to the first state of an epoch."""
-        self.position = {"epoch": epoch, "batches": 0, "states": 0, "loss": 0.0}
+        self.history, self.position = [], _beginning(0)
 
     def batches_per_epoch(self) -> int:
         """Number of full batches of an epoch. Raises ValueError where there are fewer states than one batch has."""
@@ -51,10 +56,31 @@ class NetworkRun:
             raise ValueError(f"batch_size: expected at most the {states} states to train on, got {size}")
         return max(1, min(states, self.config.states_per_epoch or states) // size)
 
+    def resume(self, out: Path, about: dict) -> None:
+        """Go on from the run in the folder `out`, if there is one. about: what the card says of the run.
+
+        Raises ValueError if that run was started with other settings.
+        """
+        self.out, self.about = out, about
+        if (out / "last.npz").exists():
+            with np.load(out / "last.npz", allow_pickle=False) as file:
+                stored = json.loads(file["state"].tobytes())
+                before, settings = stored["settings"], about["config"]
+                for name in before.keys() | settings.keys():
+                    # The length of a run may change, unless the rates depend on it.
+                    fixed = name != "epochs" or settings["schedule"] in schedules.BY_LENGTH
+                    if fixed and before.get(name) != settings.get(name):
+                        expected = f"{before.get(name)!r}, with which the run in {out} was started"
+                        raise ValueError(f"{name}: expected {expected}, got {settings.get(name)!r}")
+                self.history, self.position = stored["history"], stored["position"]
+                for name, variable in self.variables.items():
+                    variable.assign(file[name])
+
     def fit(self, callbacks: list, *, verbose: int) -> None:
-        """Train from `position` on, until all epochs are done or a callback ends it.
+        """Train from `position` on, until all epochs are done or a callback ends it, and write the folder.
 
         Not `keras.Model.fit`, which takes no gradient that comes from elsewhere and goes on from no point in an epoch.
+        Keras's `BackupAndRestore` loses the optimizer's state and the random states of dropout.
         """
         epochs, per_epoch = self.config.epochs, self.batches_per_epoch() * self.config.batch_size
         called = keras.callbacks.CallbackList(callbacks, model=self.model, epochs=epochs, verbose=verbose)
@@ -65,25 +91,52 @@ class NetworkRun:
             if verbose:
                 print(f"Epoch {epoch + 1}/{epochs}")
             bar = keras.utils.Progbar(per_epoch, verbose=verbose, unit_name="state", stateful_metrics=["loss"])
-            at = self.position
+            at, start, saved = self.position, perf_counter(), perf_counter()
             for k, batch in itertools.islice(enumerate(self.batches(epoch)), at["batches"], None):
                 called.on_train_batch_begin(k)
                 loss, count = self.step(batch)
                 at.update(batches=k + 1, states=at["states"] + count, loss=at["loss"] + loss)
                 mean = at["loss"] / at["states"]
+                if perf_counter() - saved >= SAVE_EVERY and math.isfinite(mean):
+                    self.save()
+                    saved = perf_counter()
                 called.on_train_batch_end(k, {"loss": mean})
                 bar.update(at["states"], [("loss", mean)], finalize=False)
-            found = {"loss": at["loss"] / at["states"]} | self.validate()
-            shown = [(name, found[name]) for name in ("loss", "validation_loss")]
-            bar.update(at["states"], shown, finalize=True)
-            self.begin(epoch + 1)
+            mean = at["loss"] / at["states"]
+            if not math.isfinite(mean):
+                raise FloatingPointError(f"loss: expected a finite number, got {mean} in epoch {epoch}; lower the rate")
+            found = {"loss": mean} | self.validate()
+            bar.update(at["states"], [(name, found[name]) for name in ("loss", "validation_loss")], finalize=True)
+            self._end_epoch(epoch, found, perf_counter() - start)
             called.on_epoch_end(epoch, found | {"val_loss": found["validation_loss"]})
             if self.model.stop_training:
                 break
         called.on_train_end()
 
+    def _end_epoch(self, epoch: int, found: dict, seconds: float) -> None:
+        """Go to the next epoch, and write all files of the folder."""
+        rate = float(f"{float(self.optimizer.learning_rate):.7g}")
+        best = min((line["validation_loss"] for line in self.history), default=math.inf)
+        self.history.append({"epoch": epoch, "rate": rate} | found | {"seconds": round(seconds, 2)})
+        self.position = _beginning(epoch + 1)
+        # The best one first: killed between the two, the last part is repeated with the same result.
+        if found["validation_loss"] < best:
+            save_model(self.out / "best.h5", self.model, self.spec, self.card(), box=self.box)
+        self.save()
+        with replacing(self.out / "history.csv") as temporary, open(temporary, "w", newline="") as file:
+            writer = csv.DictWriter(file, self.history[0], lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(self.history)
+
+    def save(self) -> None:
+        """Write last.npz."""
+        arrays = {name: keras.ops.convert_to_numpy(variable) for name, variable in self.variables.items()}
+        state = {"settings": self.about["config"], "history": self.history, "position": self.position}
+        with replacing(self.out / "last.npz") as temporary, open(temporary, "wb") as file:
+            np.savez(file, state=np.frombuffer(json.dumps(state).encode(), np.uint8), **arrays)
+
     def card(self) -> dict:
-        """Fields of the model card about the network and its training."""
+        """The card of a model file: of the network, and of the run so far."""
         return {
             "architecture": self.config.architecture,
             "options": dict(self.config.options),
@@ -93,68 +146,54 @@ class NetworkRun:
             "seed": self.config.seed,
             "versions": {**package_versions(), "python": sys.version.split()[0], "backend": keras.backend.backend()},
             "cpu": processor(),
+            **self.about,
+            "history": self.history,
+            "seconds": round(sum(line["seconds"] for line in self.history), 1),
         }
 
 
-class ImageDataset(keras.utils.PyDataset):
-    """Batches of images as Keras takes them: item k is (inputs (b, n_y, n_x, c), labels (b, n_y · n_x · t)), float32.
+def _beginning(epoch: int) -> dict:
+    """The position before the first state of an epoch."""
+    return {"epoch": epoch, "batches": 0, "states": 0, "loss": 0.0}
 
-    store, states: (k, 2) of (simulation, index) in it. seed: they come in a random order, another one each epoch, and
-    in full batches only; None: in their order, all of them. states_per_epoch: at most so many, or None.
-    Raises ValueError where two simulations have images of different shapes.
+
+def masked_squared_error(y_true, y_pred):
+    """Loss of Appendix B (Eq 5.3): mean of (y_pred − y_true)² over the last axis, where y_true ≠ 0, else 0.
+
+    The mask is on the label: nodes without a label count in the mean, with an error of 0 for any prediction.
     """
-
-    def __init__(self, store: Store, states, spec: ImageSpec, *, batch_size: int, seed=None, states_per_epoch=None):
-        super().__init__()
-        self.store, self.spec, self.batch_size, self.seed = store, spec, batch_size, seed
-        self.states = np.asarray(states, np.int64).reshape(-1, 2)
-        count = min(len(self.states), states_per_epoch or len(self.states))
-        self.length = -(-count // batch_size) if seed is None else max(1, count // batch_size)
-        worlds = [store.info(sim).header["world"] for sim in np.unique(self.states[:, 0]).tolist()]
-        shapes = {spec.shape(world): world for world in worlds}
-        if len(shapes) > 1:
-            raise ValueError(f"states: expected boxes of one size, got {' and '.join(str(w.box) for w in worlds)}")
-        self.box = worlds[0].box if worlds else None
-        self.start(0)
-
-    def __len__(self) -> int:
-        return self.length
-
-    def start(self, epoch: int) -> None:
-        """Take the states in the order of an epoch."""
-        self.epoch, self.order = epoch, self.states
-        if self.seed is not None:
-            self.order = np.random.default_rng((self.seed, epoch)).permutation(self.states)
-
-    def on_epoch_end(self) -> None:
-        self.start(self.epoch + 1)
-
-    def __getitem__(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        chosen = self.order[k * self.batch_size : (k + 1) * self.batch_size].tolist()
-        states = [self.store.state(*state) for state in chosen]
-        labels = np.stack([label_image(state, self.spec) for state in states])
-        return np.stack([input_image(state, self.spec) for state in states]), labels.reshape(len(states), -1)
+    ops = keras.ops
+    return ops.mean(ops.where(ops.not_equal(y_true, 0.0), ops.square(y_pred - y_true), 0.0), axis=-1)
 
 
 class ImageRun(NetworkRun):
-    """A run whose network predicts images of impulses."""
+    """A run whose network predicts images of impulses. Raises ValueError where images have different shapes."""
 
-    def __init__(self, config: TrainingConfig, store: Store, split, network: keras.Model | None):
-        spec, options = config.spec(), {"batch_size": config.batch_size}
-        states, tested = store.states(split.train), evenly(store.states(split.validation), config.validation_states)
-        more = {"seed": config.seed, "states_per_epoch": config.states_per_epoch}
-        self.images = ImageDataset(store, states, spec, **options, **more)
-        self.validation_images = ImageDataset(store, tested, spec, **options)
-        self.training_states, self.box = len(states), self.images.box
-        super().__init__(config, network, shape=spec.shape(store.info(split.train[0]).header["world"]))
-        self.batches_per_epoch()
+    def __init__(self, config: TrainingConfig, store: Store, split: Split, network: keras.Model | None):
+        self.store, self.states = store, store.states(split.train)
+        self.validation = evenly(store.states(split.validation), config.validation_states)
+        self.training_states, spec = len(self.states), config.spec()
+        worlds = [store.info(sim).header["world"] for sim in split.train + split.validation]
+        boxes = {spec.shape(world): world.box for world in worlds}
+        if len(boxes) > 1:
+            raise ValueError(f"data: expected boxes of one size, got {' and '.join(map(str, boxes.values()))}")
+        self.box = worlds[0].box
+        super().__init__(config, network, shape=next(iter(boxes)))
         metrics = [masked_squared_error]  # without the weights' penalty, which the loss has
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
 
+    def _images(self, states: np.ndarray, count: int):
+        """So many batches of the states (k, 2): (inputs (b, n_y, n_x, c), labels (b, n_y · n_x · t)), float32."""
+        size = self.config.batch_size
+        for k in range(count):
+            batch = [self.store.state(*state) for state in states[k * size : (k + 1) * size].tolist()]
+            labels = [label_image(state, self.spec).ravel() for state in batch]
+            yield np.stack([input_image(state, self.spec) for state in batch]), np.stack(labels)
+
     def batches(self, epoch: int):
-        """Batches of images, in the order of the epoch."""
-        self.images.start(epoch)
-        return (self.images[k] for k in range(len(self.images)))
+        """Full batches of images, in the order of the epoch."""
+        order = np.random.default_rng((self.config.seed, epoch)).permutation(self.states)
+        return self._images(order, self.batches_per_epoch())
 
     def step(self, batch) -> tuple[float, int]:
         """One step. Returns the sum of the losses and the number of states."""
@@ -164,5 +203,6 @@ class ImageRun(NetworkRun):
 
     def validate(self) -> dict[str, float]:
         """The loss on the validation states."""
-        found = self.model.evaluate(self.validation_images, verbose=0, return_dict=True)
+        steps = -(-len(self.validation) // self.config.batch_size)
+        found = self.model.evaluate(self._images(self.validation, steps), steps=steps, verbose=0, return_dict=True)
         return {"validation_loss": float(found["masked_squared_error"])}
