@@ -90,7 +90,7 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     return parser, commands
 
 
-def _add_scene(parser: argparse.ArgumentParser, *, steps: int) -> None:
+def _add_scene(parser: argparse.ArgumentParser, *, steps: int, every: int, what: str) -> None:
     add = parser.add_argument
     add("state", nargs="?", metavar="STATE.xml", help="continue from this state (default: a scene of falling circles)")
     add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
@@ -99,33 +99,24 @@ def _add_scene(parser: argparse.ArgumentParser, *, steps: int) -> None:
     add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
     add("--steps", type=int, default=steps, metavar="N", help="time steps to run (default: %(default)s)")
     add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
+    add("--every", type=int, default=every, metavar="N", help=f"{what} (default: %(default)s)")
+    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
 
 
 def _add_simulate(parser: argparse.ArgumentParser) -> None:
-    _add_scene(parser, steps=600)
+    _add_scene(parser, steps=600, every=10, what="steps between two states of the run in an .h5")
     add = parser.add_argument
     add("--dt", type=float, metavar="S", help="time step, s (default: the state's, 0.01 s in a scene)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
-    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
     add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
-    add(
-        "--every",
-        type=int,
-        default=10,
-        metavar="N",
-        help="steps between two states of the run in an .h5 (default: %(default)s)",
-    )
     parser.set_defaults(run=_simulate)
 
 
 def _add_view(parser: argparse.ArgumentParser) -> None:
-    _add_scene(parser, steps=400)
-    add = parser.add_argument
-    add("--every", type=int, default=4, metavar="N", help="steps a frame (default: %(default)s)")
-    add("--warm-start", default="builtin", metavar="NAME", help="none, builtin, cnn, … (default: %(default)s)")
-    add("--out", metavar="FILE.gif", help="write a film instead of opening a window")
+    _add_scene(parser, steps=400, every=4, what="steps a frame")
+    parser.add_argument("--out", metavar="FILE.gif", help="write a film instead of opening a window")
     parser.set_defaults(run=_view)
 
 
@@ -135,14 +126,15 @@ def _add_view(parser: argparse.ArgumentParser) -> None:
 def _simulate(given) -> int:
     import deep_contact as dc
     from deep_contact.physics.solvers import describe
+    from deep_contact.validation import expect
 
-    out = None if given.out is None else Path(given.out)
-    if out is not None and not out.name.endswith(SUFFIXES):
-        raise ValueError(f"--out: expected a file that ends in {', '.join(SUFFIXES)}, got {given.out!r}")
-    if out is not None and not out.parent.is_dir():  # found before the run, not after it
-        raise ValueError(f"--out: expected a folder that exists, got {str(out.parent)!r}")
+    out = Path(given.out or "")
+    if given.out is not None:  # before the run, not after it
+        fits = out.name.endswith(SUFFIXES)
+        expect(fits, f"--out: expected a file that ends in {', '.join(SUFFIXES)}, got {given.out!r}")
+        expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
     scene = _scene(given)
-    record = given.every if out is not None and out.suffix == ".h5" else None
+    record = given.every if out.suffix == ".h5" else None
     run = dc.simulate(scene, steps=given.steps, dt=given.dt, record=record, **_method(given, scene))
     state = run.state
     what = f"{state.bodies.count} circles, {given.steps} steps of {state.dt:g} s, {describe(state.solver)}"
@@ -150,11 +142,11 @@ def _simulate(given) -> int:
     if given.steps:
         ended = f"last θ: {run.theta[-1]:.3g} N·s ({run.status[-1].replace('_', ' ')})"
         print(f"contacts: {state.contacts.count}; sweeps a step: {run.sweeps.mean():.1f}; {ended}")
-    if record is not None:
-        run.trajectory.save(out)
-    elif out is not None:
-        dc.write_state(out, state)
-    if out is not None:
+    if given.out is not None:
+        if record is None:
+            dc.write_state(out, state)
+        else:
+            run.trajectory.save(out)
         print(out)
     return 0
 
@@ -172,13 +164,10 @@ def _method(given, scene) -> dict:
         if options or given.solver is not None or given.warm_start is not None:
             raise ValueError("--accuracy: expected no --solver, --sweeps, --tolerance or --warm-start beside it")
         return {"accuracy": given.accuracy}
-    if given.solver is not None:
-        one_of("--solver", given.solver, METHODS)
     start = {"warm_start": given.warm_start or "builtin"}
-    if given.solver is None and not options:
-        return start
-    solver = scene.solver or dc.PGS() if given.solver is None else METHODS[given.solver]()
-    return {"solver": replace(solver, **options), **start}
+    if given.solver is not None:
+        return {"solver": METHODS[one_of("--solver", given.solver, METHODS)](**options), **start}
+    return {"solver": replace(scene.solver or dc.PGS(), **options), **start} if options else start
 
 
 def _view(given) -> int:
@@ -188,11 +177,12 @@ def _view(given) -> int:
 
     scene = _scene(given)
     solver = None if given.sweeps is None else dc.PGS(sweeps=given.sweeps)
-    found = viewer.frames(scene, steps=given.steps, every=given.every, solver=solver, warm_start=given.warm_start)
-    if given.out is None and viewer.has_display():
-        viewer.play(found)
-        return 0
+    start = given.warm_start or "builtin"
+    found = viewer.frames(scene, steps=given.steps, every=given.every, solver=solver, warm_start=start)
     if given.out is None:
+        if viewer.has_display():
+            viewer.play(found)
+            return 0
         print("no display: writing a film instead", file=sys.stderr)
     fps = min(50, max(1, round(1 / (given.every * scene.dt))))
     total = -(-given.steps // given.every)

@@ -1,7 +1,6 @@
 """Constants of the contact model, as Box2D 2.3 has them, and of the thesis's scene. SI units.
 
-Lengths, speeds and times hold for circles with a mean radius of 1 m under 9.81 m/s²; `scales` makes them follow the
-scene. `scales.BOX2D` has them as they are here.
+Lengths hold for circles with a mean radius of 1 m under 9.81 m/s²; `state.scales` makes them follow the scene.
 """
 
 VERSION = "0.1.0"
@@ -16,26 +15,8 @@ WALL_SKIN = 0.01
 BAUMGARTE = 0.2
 """Share of the penetration beyond the slop that one sweep of position correction removes."""
 
-MAX_CORRECTION = 0.2
-"""Largest displacement of one row in one sweep of position correction, m."""
-
 POSITION_TOLERANCE = 3.0
 """Position correction stops once no contact penetrates deeper, in slops."""
-
-RESTITUTION_THRESHOLD = 1.0
-"""Approach speed above which a contact bounces, m/s."""
-
-MAX_TRANSLATION = 2.0
-"""Largest displacement of a body in one step, m."""
-
-SLEEP_SPEED = 0.01
-"""A circle is still up to this speed, m/s (`b2_linearSleepTolerance`)."""
-
-SLEEP_SPIN = 2.0 / 180.0 * 3.141592653589793
-"""And up to this angular velocity, rad/s (`b2_angularSleepTolerance`)."""
-
-SLEEP_TIME = 0.5
-"""An island falls asleep once it has been still for so long, s (`b2_timeToSleep`)."""
 
 MAX_ROTATION = 0.5 * 3.141592653589793
 """Largest rotation of a body in one step, rad."""

@@ -35,11 +35,11 @@ from deep_contact.io import provenance
 TIMEOUT = 10.0
 """Seconds within which a scheduler has to answer."""
 
-SCHEDULER_HELP = "a Dask cluster, such as tcp://10.0.0.1:8786, in place of local processes"
-"""Of the option `--scheduler`."""
-
 _PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow")
 """Packages on whose versions results depend."""
+
+SCHEDULER_HELP = "a Dask cluster, such as tcp://10.0.0.1:8786, in place of local processes"
+"""Of the option `--scheduler`."""
 
 _CLOSING = 5.0
 """Seconds for which the end of a pool is waited for."""
@@ -107,17 +107,16 @@ def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
             f"scheduler: expected the package `distributed` to be installed for {address}, got none: "
             "it comes with the extra `cluster`, pip install 'deep-contact[cluster]'"
         ) from None
-    client = None
+    client, expected = None, f"a Dask scheduler that answers at {address} within {timeout:g} s"
     try:
         client = Client(address, timeout=timeout, set_as_default=False)
     except Exception as error:  # OSError, ValueError, TypeError and others, depending on what is wrong with the address
-        got = f"got none: {str(error) or type(error).__name__}"
+        got = str(error) or type(error).__name__
     if client is None:
         # The client that came to nothing closes itself here. Left to the garbage collector it may do so while another
         # one starts, and both wait for each other for ever.
         gc.collect()
-        expected = f"a Dask scheduler that answers at {address} within {timeout:g} s"
-        raise ClusterError(f"scheduler: expected {expected}, {got}")
+        raise ClusterError(f"scheduler: expected {expected}, got none: {got}")
     with client:
         try:
             yield _Cluster(client)

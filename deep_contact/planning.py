@@ -86,33 +86,28 @@ def plan(scene: State, *, solver=None, warm_start: Start = "builtin", sleep: boo
     Steps(solver, scene.bodies.count, sleep=sleep)  # raises ValueError where the solver cannot sleep
     found = installed_results()
     name = warm_start if isinstance(warm_start, str) else type(start).__name__
-    left = {part: _share(one) for part, one in found["data"]["savings"].items()}
+    left = {
+        part: f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
+        for part, one in found["data"]["savings"].items()
+    }
     choices = (
         *_of_the_scene(scene, solver, left),
         *_of_the_solver(scene, solver, left),
         *_between_steps(start, name, sleep, left, found["data"]["jobs"]),
         _stiffness(scene, solver),
     )
-    cpu = found["provenance"]["cpu"]
-    return Plan(
-        scene=scene.name, n_bodies=scene.bodies.count, solver=solver, warm_start=name, choices=choices, cpu=cpu
-    )  # fmt: skip
+    of_scene = {"scene": scene.name, "n_bodies": scene.bodies.count, "warm_start": name}
+    return Plan(**of_scene, solver=solver, choices=choices, cpu=found["provenance"]["cpu"])
 
 
 @functools.cache
 def installed_results() -> dict:
     """The results file in the package, checked. Raises FileNotFoundError saying how it is made."""
     if not TABLE.exists():
-        raise FileNotFoundError(
-            f"{TABLE.parent.name}/{TABLE.name}: expected the results of Figure 6.7 in the package, got no file; run "
-            f"scripts/figure_6_7_scene_requirements.py and copy its results there"
-        )
+        got = "expected the results of Figure 6.7 in the package, got no file; run"
+        script = "scripts/figure_6_7_scene_requirements.py"
+        raise FileNotFoundError(f"reference/{TABLE.name}: {got} {script} and copy its results there")
     return results.read_results(TABLE)
-
-
-def _share(one: Mapping) -> str:
-    """What is left of the cost, with its quartiles, "51 % (50 to 53 %)"."""
-    return f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
 
 
 def _of_the_scene(scene: State, solver, left: Mapping) -> Iterator[Choice]:
@@ -149,9 +144,9 @@ def _of_the_solver(scene: State, solver, left: Mapping) -> Iterator[Choice]:
     n, in_batches = scene.bodies.count, isinstance(solver, BatchedPGS)
     saving = "eight contacts at a time, in another order than PGS's: sooner at some thousand circles"
     yield Choice("batches of contacts", in_batches, f"{describe(solver)} for {n:,} circles", saving)
-    threads, asked = threads_of(solver, n), getattr(solver, "threads", None)
-    if asked is not None:
-        why = f"threads={asked} was asked for"
+    threads, given = threads_of(solver, n), getattr(solver, "threads", None)
+    if given is not None:
+        why = f"threads={given} was asked for"
     elif in_batches:
         why = f"{threads} for {n:,} circles, one for every {CIRCLES_A_THREAD:,}, and {cores()} cores"
     else:
@@ -164,7 +159,7 @@ def _between_steps(start, name: str, sleep: bool, left: Mapping, jobs: Mapping) 
     saving = f"asleep a step costs {left['asleep']}, with one circle awake {left['asleep but for one']}"
     yield Choice("sleeping", bool(sleep), "asked for" if sleep else "not asked for", saving)
     used = not isinstance(start, (Builtin, NoStart))
-    why = "the start is asked at every step" if used else "the start needs none, unless on_step does"
+    why = "every step calls the start" if used else "the start needs none, unless on_step does"
     yield Choice("calls between steps", used, why, f"without them a step costs {left['no call between steps']}")
     used = name == "cnn"
     why = "the start predicts" if used else "nothing is predicted by name, so TensorFlow is not loaded"

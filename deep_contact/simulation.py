@@ -13,18 +13,9 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 import numpy as np
 
 from deep_contact.compiled.team import cores
+from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.engine import (
-    ContactSolution,
-    Steps,
-    contacts_of,
-    is_valid,
-    motion_parts,
-    scales_of,
-    solve,
-    step_input,
-    step_problem,
-)
+from deep_contact.physics.engine import ContactSolution, Steps, step_input
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.physics.step import StepLog, make_log
@@ -39,23 +30,22 @@ from deep_contact.state import (
     check_limits,
     check_state,
     check_types,
+    make_bodies,
+    no_contacts,
     notebook,
 )
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import integer, number
+from deep_contact.validation import expect, integer, number
 from deep_contact.warm_start import Builtin, NoStart, Start, starting_impulses, warm_start_of
 
 if TYPE_CHECKING:
     from deep_contact.presets import Accuracy
 
-_FLOAT, _INT = np.dtype(np.float64), np.dtype(np.int64)
-_NUMBERS, _PAIRS, _INDICES = (_FLOAT, 1), (_FLOAT, 2), (_INT, 1)
-_KINDS = (*(_PAIRS,) * 2, *(_NUMBERS,) * 4, *(_INDICES,) * 2, *(_PAIRS,) * 2, *(_NUMBERS,) * 5)
+_KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
 """Type and dimensions of the arrays of bodies and contacts."""
 
 _WORK, _SECONDS = 20_000_000, 0.2
 """Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
-
 
 COINCIDENT = 0.1
 """Distance of two centres, in the smaller radius, below which `simulate` warns."""
@@ -134,7 +124,7 @@ def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndar
     """
     state = ready(state)
     solver = checked_solver(solver, state)
-    return solve(state, solver, *starting_impulses(start, state, solver))
+    return engine.solve(state, solver, *starting_impulses(start, state, solver))
 
 
 def step(state: State, *, solver=None, warm_start: Start = "builtin") -> StateWithContacts:
@@ -196,7 +186,7 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     substeps = solver.substeps if isinstance(solver, PGS) else 1
     advance = Steps(solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
     if substeps > 1:
-        state = _in_substeps(state, substeps, motion_parts(solver))
+        state = _in_substeps(state, substeps, engine.motion_parts(solver))
     kept = None if record is None else every * substeps
     state, log, frames = _advance(state, steps * substeps, advance, start, kept, on_step, stopped)
     if substeps > 1:
@@ -226,14 +216,12 @@ def simulate_many(
     """
     threads = cores() if threads is None else integer("threads", threads, least=1)
     start = warm_start_of(warm_start)
-    if not isinstance(start, (Builtin, NoStart)):
-        raise ValueError(f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
-    states = list(states)
+    fits, states = isinstance(start, (Builtin, NoStart)), list(states)
+    expect(fits, f"warm_start: expected 'builtin', 'none' or None for many scenes, got {warm_start!r}")
     for one in (solver, *(getattr(state, "solver", None) for state in states)):
-        if (getattr(one, "threads", None) or 1) > 1:
-            # Teams beside one thread a core would wait for each other.
-            raise ValueError(f"solver: expected one with threads=1 for many scenes, got {one!r}")
-
+        # Teams beside one thread a core would wait for each other.
+        fits = (getattr(one, "threads", None) or 1) == 1
+        expect(fits, f"solver: expected one with threads=1 for many scenes, got {one!r}")
     stopped = threading.Event()
 
     def run(number: int) -> Simulation:
@@ -259,11 +247,11 @@ def _advance(
     solver = state.solver
     # Builtin and NoStart need nothing from Python between two steps.
     by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
-    if by_step and motion_parts(solver) > 1:
+    if by_step and engine.motion_parts(solver) > 1:
         return _advance_by_parts(state, steps, advance, start, record, on_step, stopped)
     every = record or steps + 1
     log = make_log(steps)
-    scales = scales_of(state, solver)  # of radii that do not change in a run
+    scales = engine.scales_of(state, solver)  # of radii that do not change in a run
     # Before the arrays of the result, so that its release leaves no gap on top of the heap, which would be given back.
     advance.memory(step_input(state, solver, scales))
     frames = [] if record is None else [state]
@@ -278,7 +266,7 @@ def _advance(
         if isinstance(start, Builtin):
             normal, tangent = contacts.normal_start, contacts.tangent_start  # which no step writes into
         else:
-            problem = step_problem(state, solver, scales) if by_step else None
+            problem = engine.step_problem(state, solver, scales) if by_step else None
             normal, tangent = starting_impulses(start, state, solver, problem)
         state = state.replace(contacts=contacts._replace(normal_start=normal, tangent_start=tangent))
         if not is_own:
@@ -298,8 +286,7 @@ def _advance(
         if on_step is not None:
             theta = advance.memory(given).theta[: chunk.sweeps[0]]
             convergence = convergence_record(theta, solver, int(chunk.contacts[0]))
-            solved = Contacts(*(field.copy() for field in solved))
-            on_step(before.replace(contacts=solved, solved=True), convergence)
+            on_step(before.replace(contacts=Contacts(*map(np.copy, solved)), solved=True), convergence)
         done += count
         number = state.step + count
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
@@ -352,11 +339,9 @@ def _with_a_past(state: StateWithContacts) -> StateWithContacts:
 
 def _with_own_arrays(state: State) -> State:
     """The state with copies of what steps write into."""
-    bodies, contacts = Bodies(*(field.copy() for field in state.bodies)), state.contacts
-    names = ("normal_impulse", "tangent_impulse", "normal_start", "tangent_start")
-    return state.replace(
-        bodies=bodies, contacts=contacts._replace(**{name: getattr(contacts, name).copy() for name in names})
-    )
+    contacts = state.contacts
+    impulses = {name: getattr(contacts, name).copy() for name in Contacts._fields[5:]}
+    return state.replace(bodies=Bodies(*map(np.copy, state.bodies)), contacts=contacts._replace(**impulses))
 
 
 def _in_substeps(state: State, substeps: int, most: int | None = None) -> State:
@@ -411,14 +396,13 @@ def ready(state: State) -> StateWithContacts:
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
     """
     check_types(state)
-    if not (_has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
+    if not (_has_engine_arrays(state) and engine.is_valid(state.bodies, state.contacts, len(state.world.segments))):
         state = check_limits(check_state(state))
     elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
-    if state.contacts is not None:
-        return state
-    state = state.replace(contacts=contacts_of(state))
-    _warn_of_coincidence(state)
+    if state.contacts is None:
+        state = state.replace(contacts=engine.contacts_of(state))
+        _warn_of_coincidence(state)
     return state
 
 
@@ -459,7 +443,7 @@ def method_of(state: State, solver=None, start="builtin", accuracy: str | None =
 
 def checked_solver(solver, state: State):
     """The solver, or the state's, or PGS, for this state. Raises ValueError where it does not fit the state."""
-    solver = next(found for found in (solver, state.solver, PGS()) if found is not None)
+    solver = next(one for one in (solver, state.solver, PGS()) if one is not None)
     entry_of(solver)
     if solver.precision == "single":
         check_limits(state, SINGLE_LIMITS)

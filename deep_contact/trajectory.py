@@ -82,7 +82,7 @@ class Trajectory:
         return self.stored.state(range(len(self))[index])
 
     def __iter__(self) -> Iterator[StateWithContacts]:
-        return (self[i] for i in range(len(self)))
+        return map(self.stored.state, range(len(self)))
 
     def __repr__(self) -> str:
         t = self.times
@@ -106,8 +106,7 @@ class Trajectory:
     @property
     def energies(self) -> np.ndarray:
         mass, radius = self.stored.arrays["mass"], self.stored.arrays["radius"]
-        linear = (self.velocities**2).sum(axis=2) @ mass
-        turning = self.spins**2 @ (0.5 * mass * radius**2)
+        linear, turning = (self.velocities**2).sum(axis=2) @ mass, self.spins**2 @ (0.5 * mass * radius**2)
         potential = -(self.positions @ np.array(self.world.gravity)) @ mass
         return np.column_stack([0.5 * (linear + turning), potential])
 

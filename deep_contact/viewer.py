@@ -1,7 +1,4 @@
-"""A running simulation in a window or as a film: circles, contacts as wide as their impulses, and θ by sweep.
-
-The command line is `python -m deep_contact view`, see `deep_contact.__main__`.
-"""
+"""A running simulation in a window or as a film (`python -m deep_contact view`): circles, impulses, and θ by sweep."""
 
 from __future__ import annotations
 
@@ -42,14 +39,9 @@ def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start:
 
     def run(state: State) -> Iterator[Frame]:
         last: deque[Frame] = deque(maxlen=1)
+        options = {"solver": solver, "warm_start": warm_start, "on_step": lambda *solved: last.append(Frame(*solved))}
         for done in range(0, steps, every):
-            state = simulate(
-                state,
-                steps=min(every, steps - done),
-                solver=solver,
-                warm_start=warm_start,
-                on_step=lambda *solved: last.append(Frame(*solved)),
-            ).state
+            state = simulate(state, steps=min(every, steps - done), **options).state
             yield last[0]
 
     return run(scene)
@@ -62,25 +54,18 @@ class Painter:
     """
 
     def __init__(self, speed: float = 12.0):
-        self._speed = speed
-        self._impulse = 0.0
+        self._speed, self._impulse, self._sweeps = speed, 0.0, 10
         self._theta = (np.inf, 0.0)  # smallest and largest so far
-        self._sweeps = 10
 
     def __call__(self, axes, frame: Frame) -> None:
         """Draw a frame; axes: of the scene and of θ, empty."""
-        scene, rates = axes
-        state, record = frame
+        (scene, ax), (state, record), count = axes, frame, frame.record.theta.size
         largest = float(state.contacts.normal_impulse.max(initial=0.0))
         self._impulse = max(self._impulse, largest)
         self._speed = max(self._speed, float(np.hypot(*state.bodies.velocity.T).max(initial=0.0)))
         plotting.draw_state(scene, state, limits=(0.0, self._speed), largest_impulse=self._impulse or None)
         text = f"t = {state.time:.2f} s, {state.contacts.count} contacts, largest λ$_n$ = {largest:.3g} N·s"
         scene.set_title(text, loc="left")
-        self._draw_theta(rates, record, getattr(state.solver, "tolerance", None))
-
-    def _draw_theta(self, ax, record: ConvergenceRecord, tolerance: float | None) -> None:
-        count = record.theta.size
         ax.set_title(f"{count} sweep{'' if count == 1 else 's'}, {record.status.replace('_', ' ')}", loc="left")
         ax.set(xscale="log", yscale="log")
         if count:
@@ -88,7 +73,7 @@ class Painter:
             self._sweeps = max(self._sweeps, count)
             self._theta = min(self._theta[0], theta.min()), max(self._theta[1], theta.max())
             ax.plot(np.arange(1, count + 1), theta, "o-" if count < 30 else "-", markersize=3)
-        if tolerance:
+        if tolerance := getattr(state.solver, "tolerance", None):
             ax.axhline(tolerance, color=plotting.GREY, linewidth=1.0, linestyle="--")
         if self._theta[1]:
             ax.set_ylim(0.5 * self._theta[0], 2 * self._theta[1])

@@ -18,7 +18,7 @@ from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.line_search import best_share
 from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_SINGLE_START, LARGEST_START, State, StateWithContacts
-from deep_contact.validation import integer, one_of
+from deep_contact.validation import expect, integer, one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Name = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad", "sph", "cnn", "learned support"]
@@ -38,15 +38,22 @@ class NoStart:
 class Builtin:
     """What the same pair of bodies had solved the step before, 0 for a new pair (the thesis's Builtin-Model).
 
-    The engine carries these impulses along as it steps, so they are the start that the state holds.
+    The engine carries them along as it steps, so they are the start that the state holds.
     """
 
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return state.contacts.normal_start.copy(), state.contacts.tangent_start.copy()
 
 
+class FromProblem:
+    """A start that is made from the rows of a step: `from_problem(state, solver, problem)`, where they are built."""
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        return self.from_problem(state, solver, step_problem(state))
+
+
 @dataclass(frozen=True)
-class Scaled:
+class Scaled(FromProblem):
     """Builtin's impulses times one number α between 0 and 1: the exact line search along them (`best_share`).
 
     An impact makes what was carried too large or wrong, and α small; at rest α is 1. It costs one pass over the
@@ -54,27 +61,19 @@ class Scaled:
     (docs/starts.md); from states of well solved runs it saves sweeps in impacts.
     """
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        return self.from_problem(state, solver, step_problem(state))
-
     def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
-        """The start from rows that have been built."""
         share = best_share(problem.rows, problem.solver_bodies)
         return share * problem.rows.impulse[:, NORMAL], share * problem.rows.impulse[:, TANGENT]
 
 
 @dataclass(frozen=True)
-class Support:
+class Support(FromProblem):
     """What carries each circle's load down, from positions alone (`physics.support`): for piles without a past.
 
     Where contacts carry impulses of a step before, Builtin is better.
     """
 
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        return self.from_problem(state, solver, step_problem(state))
-
     def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
-        """The start from rows that have been built."""
         return supported(state, problem)
 
 
@@ -142,13 +141,8 @@ class Sph:
     def __call__(self, state: StateWithContacts, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.round_trip(state, np.column_stack(solved_impulses(state, solver)))
 
-    def round_trip(
-        self, state: State, impulses: np.ndarray, *, method: str = "bilinear"
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """(λ_n, λ_t) after splat and gather, (m,) each, of the given impulses, (m, 2), N·s.
-
-        method: how the thesis's transfer reads back, see `sph.gather`.
-        """
+    def round_trip(self, state: State, impulses: np.ndarray, *, method="bilinear") -> tuple[np.ndarray, np.ndarray]:
+        """(λ_n, λ_t) after splat and gather, (m,) each, of impulses (m, 2), N·s. method: see `sph.gather`."""
         return self.gather(state, self.splat(state, impulses), method=method)
 
     def splat(self, state: State, impulses: np.ndarray) -> np.ndarray:
@@ -254,11 +248,8 @@ def starting_impulses(start, state: State, solver, problem: StepProblem | None =
         raise ValueError(f"start: expected two arrays of impulses (normal, tangent), got {start!r}") from error
     m, largest = state.contacts.count, LARGEST_SINGLE_START if solver.precision == "single" else LARGEST_START
     for name, values in (("normal", normal), ("tangent", tangent)):
-        if values.shape != (m,):
-            raise ValueError(f"start: expected {name} impulses of shape ({m},), one a contact, got {values.shape}")
-        bad = np.flatnonzero(~(np.abs(values) <= largest))
-        if bad.size:
-            raise ValueError(
-                f"start: expected {name} impulses of at most {largest:g} N·s, got {values[bad[0]]} at contact {bad[0]}"
-            )
+        expected = f"start: expected {name} impulses of"
+        expect(values.shape == (m,), f"{expected} shape ({m},), one a contact, got {values.shape}")
+        for bad in np.flatnonzero(~(np.abs(values) <= largest))[:1]:
+            raise ValueError(f"{expected} at most {largest:g} N·s, got {values[bad]} at contact {bad}")
     return normal, tangent

@@ -58,14 +58,6 @@ def test_help_names_the_program_as_it_was_called(program, named, monkeypatch, ca
     assert sys.argv == [program]
 
 
-@pytest.mark.parametrize("argument", ["--version", "--help", "figure"])
-def test_what_computes_nothing_imports_nothing_heavy(argument):
-    code = f"import sys, atexit; atexit.register(lambda: print(*sys.modules)); sys.argv[1:] = ['{argument}']\n"
-    code += "from deep_contact.__main__ import main; main()"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not set(done.stdout.split()) & {"numpy", "numba", "scipy", "matplotlib", "tensorflow", "keras", "h5py"}
-
-
 # ---- figures and tables ----
 
 
@@ -107,16 +99,14 @@ def test_a_script_runs_as_the_main_program_with_its_arguments_and_status(probe, 
     assert (sys.argv, sys.modules["__main__"]) == (["deep-contact"], before)
 
 
-def test_the_error_of_a_script_is_not_taken_for_an_argument(probe):
-    Path("scripts/figure_9_1_probe.py").write_text("raise ValueError('inside')", encoding="utf-8")
+def test_the_error_of_a_script_is_not_taken_for_an_argument(probe, capsys):
+    script = Path("scripts/figure_9_1_probe.py")
+    script.write_text("raise ValueError('inside')", encoding="utf-8")
     with pytest.raises(ValueError, match="inside"):
         main(["figure", "9.1"])
-
-
-def test_a_table_is_made(tmp_path, capsys):
-    assert main(["table", "5.2", "--quick", "--out", str(tmp_path)]) == 0
-    assert capsys.readouterr().out.startswith("Table 5.2: ")
-    assert {path.name for path in tmp_path.iterdir()} == {f"table_5_2.{suffix}" for suffix in ("json", "md", "png")}
+    script.write_text("import keras_of_old", encoding="utf-8")
+    assert main(["figure", "9.1"]) == 4
+    assert "figure 9.1: No module named 'keras_of_old'" in capsys.readouterr().err
 
 
 def test_a_figure_of_a_stored_study_is_drawn_in_any_folder(tmp_path, monkeypatch):
@@ -222,12 +212,6 @@ def test_what_ends_a_run_is_its_exit_status(error, status, message, monkeypatch,
     assert message in capsys.readouterr().err
     assert main(["simulate", "none.xml"]) == 3
     assert f"{status} " in command_line.STATUS
-
-
-def test_a_script_that_lacks_a_package_says_so(probe, capsys):
-    Path("scripts/figure_9_1_probe.py").write_text("import keras_of_old", encoding="utf-8")
-    assert main(["figure", "9.1"]) == 4
-    assert "figure 9.1: No module named 'keras_of_old'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("command", "settings"), [("simulate", 13), ("view", 9)])

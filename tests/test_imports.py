@@ -11,21 +11,27 @@ import deep_contact as dc
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def modules_after(code):
-    out = subprocess.run(
-        [sys.executable, "-c", f"{code}\nimport sys; print(*sys.modules)"], capture_output=True, text=True, check=True
-    )
-    return set(out.stdout.split())
+HEAVY = {"numpy", "numba", "scipy", "matplotlib", "tensorflow", "keras", "h5py", "lxml"}
+MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}']; main()"
 
 
-def test_import_alone_loads_nothing_heavy():
-    assert not modules_after("import deep_contact") & {"numba", "numpy", "scipy", "tensorflow", "keras", "matplotlib"}
-
-
-def test_a_simulation_loads_no_network_no_plotting_and_no_scipy():
-    """Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `prepare_numba`."""
-    loaded = modules_after("import deep_contact as dc; dc.simulate(dc.column(2), steps=1)")
-    assert not loaded & {"tensorflow", "keras", "matplotlib", "h5py", "scipy.linalg", "scipy.spatial"}
+@pytest.mark.parametrize(
+    ("code", "unused"),
+    [
+        ("import deep_contact", HEAVY),
+        ("from deep_contact.io import provenance; assert provenance.provenance()['packages']", HEAVY),
+        *((MAIN.format(argument), HEAVY) for argument in ("--version", "--help", "figure")),
+        # Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `prepare_numba`.
+        (
+            "import deep_contact as dc; dc.simulate(dc.column(2), steps=1)",
+            {"tensorflow", "keras", "matplotlib", "h5py", "scipy.linalg", "scipy.spatial"},
+        ),
+    ],
+)
+def test_nothing_is_loaded_that_the_job_does_not_need(code, unused):
+    code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & unused
 
 
 def test_imports_point_down_and_make_no_circle():

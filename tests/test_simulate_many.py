@@ -15,11 +15,8 @@ SCENES = [dc.lattice_in_box(20 + 7 * k, seed=k, gap=0.05) for k in range(6)] + [
 def test_each_run_is_what_it_is_alone(threads):
     options = {"steps": 60, "solver": dc.PGS(sweeps=15)}
     assert dc.simulate_many([], threads=threads, **options) == []
-    for one, many in zip(
-        (dc.simulate(scene, **options) for scene in SCENES),
-        dc.simulate_many(SCENES, threads=threads, **options),
-        strict=True,
-    ):
+    for scene, many in zip(SCENES, dc.simulate_many(SCENES, threads=threads, **options), strict=True):
+        one = dc.simulate(scene, **options)
         assert one.state == many.state
         assert one.contacts.max() > 0
         for name in ("contacts", "sweeps", "theta", "relaxations"):
@@ -49,11 +46,7 @@ def test_options_are_those_of_simulate(options):
 @pytest.mark.parametrize(
     ("scenes", "options", "message"),
     [
-        (
-            SCENES[:2],
-            {"warm_start": "sph"},
-            "warm_start: expected 'builtin', 'none' or None .*, got 'sph'",
-        ),
+        (SCENES[:2], {"warm_start": "sph"}, "warm_start: expected 'builtin', 'none' or None .*, got 'sph'"),
         (SCENES[:2], {"threads": 0}, "threads: expected an integer >= 1, got 0"),
         (SCENES[:2], {"steps": -1}, r"states\[0\]: steps: expected an integer >= 0, got -1"),
         (SCENES[:2], {"solver": dc.BatchedPGS(threads=2)}, "solver: expected one with threads=1 for many scenes"),

@@ -6,9 +6,10 @@ import pytest
 from deep_contact.validation import flag, integer, number, one_of
 
 
-@pytest.mark.parametrize("value", [1, np.int32(1), np.uint8(1)])
-def test_an_integer_of_any_width_comes_back_as_an_int(value):
+@pytest.mark.parametrize("value", [1, np.int32(1), np.uint8(1), np.int64(1)])
+def test_integers_and_numbers_of_any_width_come_back_as_pythons(value):
     assert type(integer("n", value, 1)) is int
+    assert type(number("x", value)) is type(number("x", np.float32(0.5))) is float
 
 
 @pytest.mark.parametrize("value", [0, -1, 1.0, True, np.float64(1), "1", None, np.ones(2, int), float("nan")])
@@ -17,20 +18,7 @@ def test_what_is_no_integer_or_too_small_is_refused(value):
         integer("n", value, 1)
 
 
-def test_the_largest_integer_is_named():
-    assert integer("n", 5, most=5) == 5
-    with pytest.raises(ValueError, match="n: expected an integer <= 5, got 6"):
-        integer("n", 6, most=5)
-
-
-@pytest.mark.parametrize("value", [1, 0.5, np.float32(0.5), np.int64(1)])
-def test_a_number_comes_back_as_a_float(value):
-    assert type(number("x", value)) is float
-
-
-@pytest.mark.parametrize(
-    "value", [float("nan"), float("inf"), True, "1", None, 1j, np.ones(1), pytest.param(10**400, id="10**400")]
-)
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), True, "1", None, 1j, np.ones(1), 10**400], ids=str)
 def test_what_is_no_finite_number_is_refused(value):
     with pytest.raises(ValueError, match="x: expected a finite number, got "):
         number("x", value)
@@ -52,6 +40,9 @@ def test_limits_are_kept_and_named(limits, least, too_small, expected):
     assert number("x", least, **limits) == least
     with pytest.raises(ValueError, match=f"x: expected {expected}, got {too_small}"):
         number("x", too_small, **limits)
+    assert integer("n", 5, most=5) == 5
+    with pytest.raises(ValueError, match="n: expected an integer <= 5, got 6"):
+        integer("n", 6, most=5)
 
 
 def test_a_flag_is_a_bool_and_not_a_number():
@@ -70,6 +61,5 @@ def test_a_choice_suggests_the_nearest_name(value, meant):
 
 @pytest.mark.parametrize("value", ["c", 1, None, [], np.array(["a", "b"])])
 def test_a_choice_names_what_is_known(value):
-    assert one_of("k", "a", {"a": 1, "b": 2}) == "a"
     with pytest.raises(ValueError, match="k: expected one of a, b, got "):
         one_of("k", value, {"a": 1, "b": 2})

@@ -19,6 +19,8 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from deep_contact.validation import expect
+
 MOST_PACKED = 1032
 """Bytes that gzip packs into one at best: an array of more bytes for each stored one is not in its file."""
 
@@ -55,10 +57,10 @@ def dataset(group, name: str) -> h5py.Dataset:
     for part in name.split("/"):
         link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
         found = found[part] if isinstance(link, h5py.HardLink) else link
-    if not isinstance(found, h5py.Dataset) or found.is_virtual or found.external:
-        raise ValueError(f"{where}: expected an array in this file, got {found}")
-    if found.nbytes > MOST_PACKED * found.id.get_storage_size():
-        raise ValueError(f"{where}: expected what the file holds, got {found.nbytes} bytes that are not in it")
+    is_here = isinstance(found, h5py.Dataset) and not (found.is_virtual or found.external)
+    expect(is_here, f"{where}: expected an array in this file, got {found}")
+    is_held = found.nbytes <= MOST_PACKED * found.id.get_storage_size()
+    expect(is_held, f"{where}: expected what the file holds, got {found.nbytes} bytes that are not in it")
     _check_chunks(found, where)
     return found
 
@@ -71,8 +73,7 @@ def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> di
         item = group[name] if isinstance(link, h5py.HardLink) else link
         if isinstance(item, (h5py.Group, h5py.Dataset)):
             place = h5py.h5o.get_info(item.id).addr
-            if place in seen:
-                raise ValueError(f"{group.name}/{name}: expected every object once, got a second link to one")
+            expect(place not in seen, f"{group.name}/{name}: expected every object once, got a second link to one")
             seen.add(place)
         if isinstance(item, h5py.Group):
             found |= datasets(item, f"{prefix}{name}/", seen)
@@ -84,23 +85,20 @@ def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> di
 def read(found: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]:
     """The arrays, of numbers. Raises ValueError where they have more than `most` bytes together."""
     for name, data in found.items():
-        if data.dtype.kind not in "iuf":
-            raise ValueError(f"{name}: expected numbers, got {data.dtype}")
+        expect(data.dtype.kind in "iuf", f"{name}: expected numbers, got {data.dtype}")
     size = sum(data.nbytes for data in found.values())
-    if size > most:
-        raise ValueError(f"{', '.join(found)[:80]}: expected at most {most} bytes unpacked, got {size}")
+    expect(size <= most, f"{', '.join(found)[:80]}: expected at most {most} bytes unpacked, got {size}")
     return {name: data[()] for name, data in found.items()}
 
 
 def attribute(item, name: str):
     """An attribute of a group or file. Raises ValueError where there is none, or one larger than the file."""
-    if name not in item.attrs:
-        raise ValueError(f"{name}: expected this attribute, got none")
+    expect(name in item.attrs, f"{name}: expected this attribute, got none")
     found = item.attrs.get_id(name)
     count = math.prod(found.shape or ())
     is_long = h5py.check_vlen_dtype(found.dtype) or h5py.check_string_dtype(found.dtype)
-    if count * found.dtype.itemsize > item.file.id.get_filesize() or (is_long and count > _MOST_TEXTS):
-        raise ValueError(f"{name}: expected an attribute that lies in the file, got shape {found.shape}")
+    is_held = count * found.dtype.itemsize <= item.file.id.get_filesize() and not (is_long and count > _MOST_TEXTS)
+    expect(is_held, f"{name}: expected an attribute that lies in the file, got shape {found.shape}")
     return item.attrs[name]
 
 
@@ -110,8 +108,8 @@ def _check_chunks(data: h5py.Dataset, name: str) -> None:
         return
     packing = data.id.get_create_plist()
     filters = [packing.get_filter(k)[0] for k in range(packing.get_nfilters())]
-    if len(set(filters)) != len(filters) or not set(filters) <= _FILTERS:
-        raise ValueError(f"{name}: expected gzip or LZF, shuffled or not, got filters {filters}")
+    are_ours = len(set(filters)) == len(filters) and set(filters) <= _FILTERS
+    expect(are_ours, f"{name}: expected gzip or LZF, shuffled or not, got filters {filters}")
     if h5py.h5z.FILTER_DEFLATE not in filters or data.id.get_storage_size() * MOST_PACKED <= _HARMLESS:
         return
     size = math.prod(data.chunks) * data.dtype.itemsize + 4  # and a checksum

@@ -60,9 +60,8 @@ def modernise(root, source: str) -> None:
                 element.set(new, element.attrib.pop(old))
     is_flat = root.find("bodies") is None
     for container, tag in (("bodies", "body"), ("contacts", "contact")):
-        elements = root.findall(tag)
-        if root.find(container) is None and (elements or is_flat):
-            _add(root, container).extend(elements)
+        if root.find(container) is None and (is_flat or root.find(tag) is not None):
+            _add(root, container).extend(root.findall(tag))
     contacts = root.findall("contacts/contact")
     by_index(contacts)  # so that a file of nothing but contacts is refused at once
     _complete_settings(root, source)
@@ -80,15 +79,14 @@ def _add(parent, tag: str, **attributes):
 
 
 def _complete_settings(root, source: str) -> None:
-    sweeps, tolerance, position_sweeps = (root.attrib.pop(name, None) for name in _OF_SOLVER[:3])
-    root.attrib.pop(_OF_SOLVER[3], None)
+    sweeps, tolerance, position_sweeps, _ = (root.attrib.pop(name, None) for name in _OF_SOLVER)
     if None not in (sweeps, tolerance, position_sweeps):
         options = {"sweeps": sweeps, "tolerance": repr(to_float(tolerance)), "position_sweeps": position_sweeps}
         _add(root, "solver", method="PGS", **options)
     number = re.search(r"(?:^|[_/\\])([0-9]{1,18})\.xml(?:\.gz)?$", source)
     settings = {"step": int(number[1]) if number else 0, "dt": constants.TIME_STEP, "friction": constants.FRICTION}
-    settings |= {"restitution": constants.RESTITUTION, "gravity_x": constants.GRAVITY[0]}
-    for name, value in (settings | {"gravity_y": constants.GRAVITY[1]}).items():
+    settings |= {"restitution": constants.RESTITUTION} | dict(zip(("gravity_x", "gravity_y"), constants.GRAVITY))
+    for name, value in settings.items():
         root.set(name, root.get(name, repr(value)))
 
 
@@ -148,8 +146,7 @@ def _complete_contacts(contacts: list) -> None:
         if normal is not None and "normal" in normal.attrib:
             match = _VECTOR.fullmatch(_compact(normal, normal.get("normal")))
             expect(match, normal, "normal: expected b2Vec2(x, y)", normal.get("normal"))
-            normal.set("x", match[1])
-            normal.set("y", match[2])
+            normal.attrib.update({"x": match[1], "y": match[2]})
     for tag in ("start", "impulse"):
         for contact in contacts if _none_has(tag, contacts) else ():
             start = contact.find("start")

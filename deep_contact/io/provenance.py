@@ -60,10 +60,9 @@ def digests(options) -> dict[str, str]:
         options = list(options.values())
     if isinstance(options, (list, tuple)):
         return {name: digest for item in options for name, digest in digests(item).items()}
-    if not isinstance(options, str) or not re.search(r"\.\w+$", options):
-        return {}
     with suppress(OSError):
-        return {options: hashlib.sha256(find(options).read_bytes()).hexdigest()}
+        if isinstance(options, str) and re.search(r"\.\w+$", options):
+            return {options: hashlib.sha256(find(options).read_bytes()).hexdigest()}
     return {}
 
 

@@ -1,16 +1,9 @@
 """Simulations as HDF5 files: `write_simulation`, `read_simulation`, `simulation_info`.
 
 One file a simulation, `<folder>/sim_0000.h5`, holds every solved state exactly (float64), so that any image can be made
-of it later, for any grid, kernel and set of channels. With T states, n circles and M contacts in all:
-
-* attributes: format, version, name, dt, box, gravity, friction, restitution, solver, seed, options (the last three as
-  JSON), digest; and scales (8,), the fields of `ContactScales`, segments (4 S,) and surface_speeds (S,), where the
-  world has any;
-* of states: step, time, solved, sweeps, theta, each (T,); contact_offset (T + 1,): the contacts of state i are
-  contact_offset[i] to contact_offset[i + 1];
-* of bodies: mass, radius (n,); position, velocity (T, n, 2); angle, spin (T, n);
-* of contacts: body_a, body_b, separation, normal_impulse, tangent_impulse, normal_start, tangent_start (M,);
-  contact_position, normal (M, 2).
+of it later, for any grid, kernel and set of channels. data/README.md has the meaning of its attributes and arrays
+(`_ARRAYS`); beside those a file has the attributes scales (8,), the fields of `ContactScales`, segments (4 S,) and
+surface_speeds (S,), where the world has any.
 
 `digest` is the SHA-256 of the attributes and the unpacked arrays in a fixed order, the same for every compression; it
 is checked on reading. Files are written whole or not at all. Every fault of a file is a `DataFileError`.
@@ -71,12 +64,16 @@ _ARRAYS = {
     "normal_start": ("<f8", "M"),
     "tangent_start": ("<f8", "M"),
 }
-"""Name -> type in the file, and the sizes of the dimensions: T, E = T + 1, n, M of the table above, 2 for x and y."""
+"""Name -> type in the file, and its dimensions: T states, E = T + 1, n circles, M contacts in all, 2 for x and y."""
 
 _BODIES, _CONTACTS = tuple(_ARRAYS)[8:12], tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
-_NUMBERS = ("version", "dt", "box", "gravity", "friction", "restitution")
+_WORLD = ("box", "gravity", "friction", "restitution")
+_NUMBERS = ("version", "dt", *_WORLD)
 _OPTIONAL = ("scales", "segments", "surface_speeds")
+
+_SHARED = ("name", "world", "dt", "solver")
+"""Fields that all states of a simulation have in common."""
 
 _MOST_SEGMENTS = 2000
 """An attribute of an HDF5 file has room for 64 KiB."""
@@ -119,19 +116,13 @@ class StoredSimulation:
             index = integer("index", index, most=self.count - 1)
         except ValueError as error:
             raise IndexError(str(error)) from None
-        a, head = self.arrays, self.header
-        of_contacts = slice(*a["contact_offset"][index : index + 2])
-        motion = [a[name][index].copy() for name in _BODIES]
-        contacts = [a[name][of_contacts].copy() for name in _CONTACTS]
+        a, of_contacts = self.arrays, slice(*self.arrays["contact_offset"][index : index + 2])
         return State(
-            name=head["name"],
-            world=head["world"],
-            bodies=Bodies(*motion, a["mass"].copy(), a["radius"].copy()),
-            contacts=Contacts(*contacts),
+            **{name: self.header[name] for name in _SHARED},
+            bodies=Bodies(*(a[name][index].copy() for name in _BODIES), a["mass"].copy(), a["radius"].copy()),
+            contacts=Contacts(*(a[name][of_contacts].copy() for name in _CONTACTS)),
             time=float(a["time"][index]),
             step=int(a["step"][index]),
-            dt=head["dt"],
-            solver=head["solver"],
             solved=bool(a["solved"][index]),
         )
 
@@ -167,16 +158,15 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
     first = states[0]
     for i, state in enumerate(states):
         expect(state.contacts is not None, f"states[{i}].contacts: expected contacts, got None")
-        for name in ("name", "world", "dt", "solver"):
-            if getattr(state, name) != getattr(first, name):
-                expected, got = getattr(first, name), getattr(state, name)
+        for name in _SHARED:
+            expected, got = getattr(first, name), getattr(state, name)
+            if got != expected:
                 raise ValueError(f"states[{i}].{name}: expected that of the first state, {expected!r}, got {got!r}")
         for name in ("mass", "radius"):
             same = np.array_equal(getattr(state.bodies, name), getattr(first.bodies, name))
             expect(same, f"states[{i}].bodies.{name}: expected that of the first state, got another")
-    solver = first.solver
-    known = solver is None or type(solver) in METHODS.values()
-    expect(known, f"states[0].solver: expected None or one of {', '.join(METHODS)}, got {solver!r}")
+    known = first.solver is None or type(first.solver) in METHODS.values()
+    expect(known, f"states[0].solver: expected None or one of {', '.join(METHODS)}, got {first.solver!r}")
     expect("\0" not in first.name, f"states[0].name: expected text without NUL, got {first.name!r}")
     arrays = {
         "step": np.array([s.step for s in states], np.int64),
@@ -191,9 +181,8 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
     }
     for name, field in zip(_CONTACTS, Contacts._fields):
         arrays[name] = np.concatenate([getattr(s.contacts, field) for s in states])
-    header = {"name": first.name, "dt": float(first.dt), "world": first.world, "solver": first.solver}
-    header["seed"] = _json_value("seed", seed)
-    header["options"] = _json_value("options", {} if options is None else options)
+    header = {name: getattr(first, name) for name in _SHARED} | {"dt": float(first.dt)}
+    header |= {"seed": _json_value("seed", seed), "options": _json_value("options", {} if options is None else options)}
     return StoredSimulation(header=header, arrays=arrays, digest=_digest(_attributes(header), arrays))
 
 
@@ -286,8 +275,8 @@ def _per_state(name: str, given, count: int, dtype, missing) -> np.ndarray:
     if given is None:
         return np.full(count, missing, dtype)
     array = np.asarray(given)
-    if array.shape != (count,) or array.dtype.kind not in ("iu" if dtype is np.int32 else "iuf"):
-        raise ValueError(f"{name}: expected {count} numbers, one a state, got {array.dtype}, shape {array.shape}")
+    fits = array.shape == (count,) and array.dtype.kind in ("iu" if dtype is np.int32 else "iuf")
+    expect(fits, f"{name}: expected {count} numbers, one a state, got {array.dtype}, shape {array.shape}")
     return array.astype(dtype)
 
 
@@ -297,8 +286,7 @@ def _json_value(name: str, value):
         text = json.dumps(value, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name}: expected what JSON can hold, got {value!r}: {error}") from None
-    if len(text) > _MAX_TEXT:
-        raise ValueError(f"{name}: expected at most {_MAX_TEXT} characters of JSON, got {len(text)}")
+    expect(len(text) <= _MAX_TEXT, f"{name}: expected at most {_MAX_TEXT} characters of JSON, got {len(text)}")
     return json.loads(text)
 
 
@@ -313,7 +301,7 @@ def _attributes(header: dict) -> dict:
         "version": VERSION,
         "name": header["name"],
         "dt": header["dt"],
-        **{name: getattr(world, name) for name in ("box", "gravity", "friction", "restitution")},
+        **{name: getattr(world, name) for name in _WORLD},
         **{name: value for name, value in optional.items() if value},
         "solver": json.dumps(settings, sort_keys=True, default=lambda value: value.item()),
         **{name: json.dumps(header[name], sort_keys=True) for name in ("seed", "options")},
@@ -348,7 +336,7 @@ def _header(attributes: dict) -> dict:
     for name, expected in (("format", FORMAT), ("version", VERSION)):
         expect(attributes[name] == expected, f"{name}: expected {expected!r}, got {attributes[name]!r}")
     header = {"name": attributes["name"], "dt": number("dt", attributes["dt"], above=0)}
-    world = {name: attributes[name] for name in ("box", "gravity", "friction", "restitution")}
+    world = {name: attributes[name] for name in _WORLD}
     scales, segments = attributes.get("scales"), attributes.get("segments", ())
     if scales is not None:
         count = len(ContactScales._fields)

@@ -44,29 +44,10 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.constants import WALL_SKIN
+from deep_contact.io import xml_tree
 from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
-from deep_contact.io.xml_tree import (
-    INTEGER,
-    MAX_BYTES,
-    Rows,
-    StateFileError,
-    by_index,
-    children,
-    elements_of,
-    expect,
-    fault,
-    fill,
-    parse_tree,
-    quoted_attribute,
-    read_integer,
-    read_number,
-    read_text,
-    refuse_attributes,
-    refuse_too_large,
-    text_of,
-    to_float,
-)
+from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.state.scales import ContactScales, mean
@@ -79,14 +60,13 @@ _UNIT_TOLERANCE = 1e-4
 
 _SETTINGS = ("step", "gravity_x", "gravity_y", "friction", "restitution", "solved")
 _PARTS = ("solver", "scales", "bodies", "segments", "contacts")
-_MOTION = (("velocity", "x"), ("velocity", "y"), ("orientation", "theta"), ("spin", "omega"))
 _ENDS = ("x_0", "y_0", "x_1", "y_1")
 
 _CORNERS = '<shape value="box">\n' + 4 * '        <corner x="%r" y="%r"/>\n' + "      </shape>"
-_BODY_TEXT = text_of('body index="%d" type="free"', BODY, '<shape value="circle" radius="%r"/>')
-_BOX_TEXT = text_of('body index="%d" type="fixed"', BODY, _CORNERS)
+_BODY_TEXT = xml_tree.text_of('body index="%d" type="free"', BODY, '<shape value="circle" radius="%r"/>')
+_BOX_TEXT = xml_tree.text_of('body index="%d" type="fixed"', BODY, _CORNERS)
 _SEGMENT_TEXT = '    <segment index="%d" x_0="%r" y_0="%r" x_1="%r" y_1="%r"%s/>\n'
-_CONTACT_TEXT = text_of('contact index="%d" master="%d" slave="%d" separation="%r"', CONTACT)
+_CONTACT_TEXT = xml_tree.text_of('contact index="%d" master="%d" slave="%d" separation="%r"', CONTACT)
 
 
 def read_state(path) -> State:
@@ -94,7 +74,7 @@ def read_state(path) -> State:
 
     Raises StateFileError naming file, line, element and value, and OSError where the file cannot be opened.
     """
-    return parse_state(read_bytes(path, MAX_BYTES, StateFileError), path)
+    return parse_state(read_bytes(path, xml_tree.MAX_BYTES, StateFileError), path)
 
 
 def write_state(path, state: State) -> None:
@@ -108,7 +88,7 @@ def write_state(path, state: State) -> None:
         raise StateFileError(f"{path}: not written: expected a name that ends in .xml or .xml.gz, got {path.name!r}")
     try:
         data = format_state(state)
-        refuse_too_large(data)
+        xml_tree.refuse_too_large(data)
     except ValueError as error:
         raise StateFileError(f"{path}: not written: {error}") from None
     if path.suffix == ".gz":
@@ -125,7 +105,7 @@ def format_state(state: State) -> bytes:
     return "".join(
         (
             '<?xml version="1.0" encoding="UTF-8"?>\n',
-            f'<configuration name={quoted_attribute("name", state.name)} time="{float(state.time)!r}"',
+            f'<configuration name={xml_tree.quoted_attribute("name", state.name)} time="{float(state.time)!r}"',
             f' step="{step}" dt="{float(state.dt)!r}"',
             f' gravity_x="{world.gravity[0]!r}" gravity_y="{world.gravity[1]!r}"',
             f' friction="{world.friction!r}" restitution="{world.restitution!r}"',
@@ -146,7 +126,7 @@ def parse_state(data: bytes, source) -> State:
     Raises StateFileError naming source, line, element and value.
     """
     try:
-        return _read_tree(parse_tree(data), str(source))
+        return _read_tree(xml_tree.parse_tree(data), str(source))
     except StateFileError as error:
         raise StateFileError(f"{source}, {error}") from None
 
@@ -157,15 +137,15 @@ def _read_tree(root, source: str) -> State:
     is_old = not any(name in root.attrib for name in _SETTINGS)
     if is_old:
         modernise(root, source)
-    parts = children(root, _PARTS)
+    parts = xml_tree.children(root, _PARTS)
     settings, world = _read_settings(root, parts)
-    circles, box_body, rank = _number_bodies(elements_of(parts.get("bodies"), "body"))
-    world |= _read_segments(elements_of(parts.get("segments"), "segment"), rank)
+    circles, box_body, rank = _number_bodies(xml_tree.elements_of(parts.get("bodies"), "body"))
+    world |= _read_segments(xml_tree.elements_of(parts.get("segments"), "segment"), rank)
     bodies = _read_bodies(Rows(circles, {*BODY, "shape"}))
     box = _read_box(root, box_body, bodies, is_old)
     contacts = None
     if "contacts" in parts:
-        rows = Rows(elements_of(parts["contacts"], "contact"), CONTACT)
+        rows = Rows(xml_tree.elements_of(parts["contacts"], "contact"), CONTACT)
         contacts = _read_contacts(rows, bodies, box, rank, is_old)
     try:
         return check_state(State(world=World(box=box, **world), bodies=bodies, contacts=contacts, **settings))
@@ -178,17 +158,17 @@ def _read_tree(root, source: str) -> State:
 
 def _read_settings(root, parts: dict) -> tuple[dict, dict]:
     """Fields of the state, and of its world."""
-    refuse_attributes(root, {"name", "time", "dt", *_SETTINGS})
+    xml_tree.refuse_attributes(root, {"name", "time", "dt", *_SETTINGS})
     solved = read_text(root, "solved")
     expect(solved in ("true", "false"), root, "solved: expected true or false", solved)
     settings = {"name": read_text(root, "name"), "solved": solved == "true", "step": read_integer(root, "step")}
     settings |= {name: read_number(root, name) for name in ("time", "dt")}
     world = {name: read_number(root, name) for name in ("friction", "restitution")}
-    world["gravity"] = read_number(root, "gravity_x"), read_number(root, "gravity_y")
+    world["gravity"] = tuple(read_number(root, name) for name in ("gravity_x", "gravity_y"))
     if "solver" in parts:
         settings["solver"] = _read_solver(parts["solver"])
     if "scales" in parts:
-        refuse_attributes(parts["scales"], ContactScales._fields)
+        xml_tree.refuse_attributes(parts["scales"], ContactScales._fields)
         world["scales"] = ContactScales(*(read_number(parts["scales"], name) for name in ContactScales._fields))
     return settings, world
 
@@ -206,17 +186,17 @@ def _option_value(text: str):
     """None, a bool, an int, a float or a str, by how it looks; `_option_text` makes sure of the inverse."""
     if text in ("none", "true", "false"):
         return {"none": None, "true": True, "false": False}[text]
-    if INTEGER.fullmatch(text):
+    if xml_tree.INTEGER.fullmatch(text):
         return int(text)
-    number = to_float(text)
+    number = xml_tree.to_float(text)
     return number if math.isfinite(number) else text
 
 
 def _read_segments(elements, rank: dict) -> dict:
     """Segments and speeds of a world, by index; the indices are added to `rank`, behind circles and box."""
     segments, speeds, start = [], [], len(rank)
-    for index, segment in sorted(by_index(elements).items()):
-        refuse_attributes(segment, {"index", *_ENDS, "speed"})
+    for index, segment in sorted(xml_tree.by_index(elements).items()):
+        xml_tree.refuse_attributes(segment, {"index", *_ENDS, "speed"})
         expect(index not in rank, segment, "index: expected each once, got that of a body,", str(index))
         rank[index] = start + len(segments)
         segments.append([read_number(segment, name) for name in _ENDS])
@@ -230,8 +210,8 @@ def _read_segments(elements, rank: dict) -> dict:
 def _number_bodies(bodies):
     """Circles in the order of their indices, the fixed body or None, {index in the file: index in memory}."""
     free, fixed = {}, {}
-    for index, body in sorted(by_index(bodies).items()):
-        refuse_attributes(body, {"index", "type"})
+    for index, body in sorted(xml_tree.by_index(bodies).items()):
+        xml_tree.refuse_attributes(body, {"index", "type"})
         kind = read_text(body, "type")
         expect(kind in ("free", "fixed"), body, "type: expected free or fixed", kind)
         expect(kind == "free" or not fixed, body, "expected one fixed body, the box, got a second")
@@ -251,7 +231,8 @@ def _read_bodies(rows: Rows) -> Bodies:
     motion = [rows.numbers(tag, BODY[tag]) for tag in ("position", "velocity", "orientation", "spin")]
     bodies = Bodies(*motion, mass, radius)
     # m r²/2 of a disc may overflow where m and r do not; "inf" is then what was written.
-    inertia = np.array([math.inf if text == "inf" else to_float(text) for text in rows.texts("inertia", "value")])
+    texts = rows.texts("inertia", "value")
+    inertia = np.array([math.inf if text == "inf" else xml_tree.to_float(text) for text in texts])
     with np.errstate(all="ignore"):
         disc = bodies.inertia
         wrong = ~((inertia == disc) | (np.abs(inertia - disc) <= _INERTIA_TOLERANCE * disc))
@@ -262,9 +243,9 @@ def _read_bodies(rows: Rows) -> Bodies:
 
 def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
     """(x_min, y_min, x_max, y_max)"""
-    parts = {} if body is None else children(body, {*BODY, "shape"})
-    for tag, name in _MOTION:
-        if tag in parts and name in parts[tag].attrib:
+    parts = {} if body is None else xml_tree.children(body, {*BODY, "shape"})
+    for tag in ("velocity", "orientation", "spin"):
+        for name in (name for name in BODY[tag].split() if tag in parts and name in parts[tag].attrib):
             still = read_number(parts[tag], name) == 0
             expect(still, parts[tag], f"{name}: expected 0, the box neither moves nor turns", parts[tag].get(name))
     shape = parts.get("shape")
@@ -276,7 +257,8 @@ def _read_box(root, body, bodies: Bodies, is_old: bool) -> tuple:
         return box
     expect(shape is not None, root, "expected a fixed body, the box, with a shape")
     expect(shape.get("value") == "box", shape, "shape: expected box, with four corners", shape.get("value", ""))
-    corners = [(read_number(each, "x"), read_number(each, "y")) for each in elements_of(shape, "corner", {"value"})]
+    elements = xml_tree.elements_of(shape, "corner", {"value"})
+    corners = [(read_number(corner, "x"), read_number(corner, "y")) for corner in elements]
     if "position" in parts:
         x, y = (read_number(parts["position"], name) for name in ("x", "y"))
         # Adding 0.0 would turn -0.0 into 0.0.
@@ -325,8 +307,8 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
 def _read_pairs(elements, rank: dict) -> np.ndarray:
     """Memory indices of master and slave, (2, m), the box as n."""
     pairs = []
-    for element in by_index(elements).values():
-        refuse_attributes(element, {"index", "master", "slave", "separation"})
+    for element in xml_tree.by_index(elements).values():
+        xml_tree.refuse_attributes(element, {"index", "master", "slave", "separation"})
         pairs.append([rank.get(read_integer(element, role)) for role in ("master", "slave")])
         for role, body in zip(("master", "slave"), pairs[-1]):
             expect(body is not None, element, f"{role}: expected the index of a body in the file", element.get(role))
@@ -345,12 +327,10 @@ def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
     For old files, which set no scales and have no segments; the canonical form has separations.
     """
     position, radius, n = bodies.position, bodies.radius, bodies.count
-    x, y = position[a].T
-    other = np.minimum(b, n - 1)
+    other, x, y = np.minimum(b, n - 1), *position[a].T
     with np.errstate(all="ignore"):
-        skin = WALL_SKIN * mean(radius)
-        to_walls = np.stack([y - box[1], box[2] - x, box[3] - y, x - box[0]])  # in the order BOTTOM … LEFT
-        to_wall = to_walls[np.clip(b - n, 0, 3), np.arange(a.size)] - radius[a] - skin
+        to_walls = y - box[1], box[2] - x, box[3] - y, x - box[0]  # in the order BOTTOM … LEFT
+        to_wall = np.choose(np.clip(b - n, 0, 3), to_walls) - radius[a] - WALL_SKIN * mean(radius)
         to_circle = np.hypot(*(position[other] - position[a]).T) - radius[a] - radius[other]
     return np.where(b < n, to_circle, to_wall)
 
@@ -365,7 +345,7 @@ def _option_text(name: str, value) -> str:
     if type(back) is not type(value) or back != value:
         expected = "None, a bool, an integer of at most 18 digits, a finite number or a word"
         raise ValueError(f"solver.{name}: expected {expected}, got {value!r}")
-    return quoted_attribute(f"solver.{name}", text)
+    return xml_tree.quoted_attribute(f"solver.{name}", text)
 
 
 def _format_solver(solver) -> str:
@@ -374,8 +354,8 @@ def _format_solver(solver) -> str:
     method = next((name for name, cls in METHODS.items() if cls is type(solver)), None)
     if method is None:
         raise ValueError(f"solver: expected None or one of {', '.join(sorted(METHODS))}, got {solver!r}")
-    names = [field.name for field in dataclasses.fields(solver)]
-    text = "".join(f" {name}={_option_text(name, getattr(solver, name))}" for name in names)
+    options = ((field.name, getattr(solver, field.name)) for field in dataclasses.fields(solver))
+    text = "".join(f" {name}={_option_text(name, value)}" for name, value in options)
     return f'  <solver method="{method}"{text}/>\n'
 
 
@@ -390,16 +370,14 @@ def _format_bodies(bodies: Bodies, box) -> str:
     position, velocity, angle, spin, mass, radius = bodies
     columns = range(bodies.count), mass, *position.T, *velocity.T, angle, inertia, spin, radius
     box_body = _BOX_TEXT % (bodies.count, *(0.0,) * 8, *itertools.chain(*_corners(box)))
-    return f"  <bodies>\n{fill(_BODY_TEXT, bodies.count, columns)}{box_body}  </bodies>\n"
+    return f"  <bodies>\n{xml_tree.fill(_BODY_TEXT, bodies.count, columns)}{box_body}  </bodies>\n"
 
 
 def _format_segments(world: World, n: int) -> str:
-    if not world.segments:
-        return ""
     speeds = [f' speed="{v!r}"' if v else "" for v in world.surface_speeds] or [""] * len(world.segments)
     both = enumerate(zip(world.segments, speeds), n + 1)
     lines = "".join(_SEGMENT_TEXT % (index, *segment, speed) for index, (segment, speed) in both)
-    return f"  <segments>\n{lines}  </segments>\n"
+    return f"  <segments>\n{lines}  </segments>\n" if lines else ""
 
 
 def _format_contacts(contacts: Contacts, n: int) -> str:
@@ -412,4 +390,4 @@ def _format_contacts(contacts: Contacts, n: int) -> str:
     a, b, position, normal, separation, *impulses = contacts
     slave = np.where(behind < len(WALLS), np.minimum(b, n), b - len(WALLS) + 1)
     columns = (range(contacts.count), a, slave, separation, *position.T, *normal.T, *impulses)
-    return f"  <contacts>\n{fill(_CONTACT_TEXT, contacts.count, columns)}  </contacts>\n"
+    return f"  <contacts>\n{xml_tree.fill(_CONTACT_TEXT, contacts.count, columns)}  </contacts>\n"

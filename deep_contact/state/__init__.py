@@ -189,12 +189,11 @@ class World:
     surface_speeds: Sequence = ()
 
     def __post_init__(self):
-        box, gravity = _numbers(self.box), _numbers(self.gravity)
+        box, gravity, segments = _numbers(self.box), _numbers(self.gravity), _checked_segments(self.segments)
         fits = len(box) == 4 and np.isfinite(box).all() and box[0] < box[2] and box[1] < box[3]
         expect(fits, f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {self.box}")
         fits = len(gravity) == 2 and np.isfinite(gravity).all()
         expect(fits, f"gravity: expected two finite numbers, such as (0, -9.81), got {self.gravity}")
-        segments = _checked_segments(self.segments)
         # Past the dataclass, which is frozen.
         vars(self).update(
             box=box, gravity=gravity, segments=segments, scales=_checked_scales(self.scales),
@@ -295,9 +294,8 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
     radius = _for_each("radius", radius, (n,))
     if mass is None:
         mass = _for_each("density", density, (n,)) * np.pi * radius**2
-    velocity = _for_each("velocity", velocity, (n, 2))
     angle, spin, mass = (_for_each(*given, (n,)) for given in (("angle", angle), ("spin", spin), ("mass", mass)))
-    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius))
+    return check_bodies(Bodies(position, _for_each("velocity", velocity, (n, 2)), angle, spin, mass, radius))
 
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -338,8 +336,7 @@ def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Con
     """
     m, n = _length("contacts.body_a", contacts.body_a), bodies.count
     fields = {name: _checked_array("contacts", name, value, m) for name, value in contacts._asdict().items()}
-    a, b, end = fields["body_a"], fields["body_b"], n + 4 + segments
-    fixed = "walls, segments" if segments else "walls"
+    a, b, end, fixed = fields["body_a"], fields["body_b"], n + 4 + segments, "walls, segments" if segments else "walls"
     # A touching pair may carry no tensile impulse; starts are not judged here, they are hints.
     for name, bad, expected in (
         ("body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}"),
@@ -423,8 +420,8 @@ def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
         raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {segments!r}")
     checked = tuple(map(_numbers, segments))
     for index, ends in enumerate(checked):
-        # The squared length is what the engine divides by.
         fits = len(ends) == 4 and np.isfinite(ends).all()
+        # The squared length is what the engine divides by.
         if not fits or (ends[2] - ends[0]) ** 2 + (ends[3] - ends[1]) ** 2 == 0.0:
             expected = "two different points, ((x, y), (x, y)), of finite numbers"
             raise ValueError(f"segments[{index}]: expected {expected}, got {segments[index]!r}")
@@ -432,11 +429,10 @@ def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
 
 
 def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
-    if not _is_list(speeds):
-        raise ValueError(f"surface_speeds: expected a number for each segment, m/s, got {speeds!r}")
-    checked = _numbers(speeds) if all(isinstance(v, Real) for v in speeds) else None
-    if checked is None or len(checked) not in (0, count) or not np.isfinite(checked).all():
-        raise ValueError(f"surface_speeds: expected {count} finite numbers, one for each segment, got {speeds!r}")
+    are_numbers = _is_list(speeds) and all(isinstance(v, Real) for v in speeds)
+    checked = _numbers(speeds) if are_numbers else ()
+    if not are_numbers or len(checked) not in (0, count) or not np.isfinite(checked).all():
+        raise ValueError(f"surface_speeds: expected {count} finite numbers, m/s, one a segment, got {speeds!r}")
     return checked if any(checked) else ()
 
 
@@ -466,8 +462,8 @@ def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
     shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
     if name in ("body_a", "body_b"):
         index = np.asarray(value)
-        if index.shape != shape or not (np.issubdtype(index.dtype, np.integer) or index.size == 0):
-            raise ValueError(f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
+        fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
+        expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
         return index.astype(np.int64)
     try:
         if np.iscomplexobj(value):

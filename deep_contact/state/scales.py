@@ -55,12 +55,12 @@ class ContactScales(NamedTuple):
 BOX2D = ContactScales(
     slop=constants.LINEAR_SLOP,
     wall_skin=constants.WALL_SKIN,
-    max_correction=constants.MAX_CORRECTION,
-    max_translation=constants.MAX_TRANSLATION,
-    restitution_threshold=constants.RESTITUTION_THRESHOLD,
-    sleep_speed=constants.SLEEP_SPEED,
-    sleep_spin=constants.SLEEP_SPIN,
-    sleep_time=constants.SLEEP_TIME,
+    max_correction=0.2,
+    max_translation=2.0,
+    restitution_threshold=1.0,
+    sleep_speed=0.01,
+    sleep_spin=2.0 / 180.0 * math.pi,
+    sleep_time=0.5,
 )
 """The absolute values of Box2D 2.3, whatever the size of the circles: `World(scales=BOX2D)`."""
 

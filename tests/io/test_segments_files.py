@@ -60,9 +60,7 @@ def test_a_damaged_file_is_refused(run, old, new, message):
 def test_a_trajectory_survives_hdf5(run, tmp_path):
     run.trajectory.save(tmp_path / "funnel.h5")
     again = dc.load_trajectory(tmp_path / "funnel.h5")
-    assert again.world == run.state.world
-    assert all(one == other for one, other in zip(run.trajectory, again, strict=True))
-    assert again[-1].contacts == run.state.contacts
+    assert list(again) == list(run.trajectory)
     many = [((x, 0.0), (x, 1.0)) for x in range(2001)]
     state = run.state.replace(world=replace(run.state.world, segments=many))
     with pytest.raises(ValueError, match="segments: expected at most 2,000 in a file, got 2,001"):

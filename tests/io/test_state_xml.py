@@ -18,25 +18,9 @@ from hypothesis import strategies as st
 
 from deep_contact import constants
 from deep_contact.io import state_xml, xml_tree
-from deep_contact.io.state_xml import (
-    StateFileError,
-    format_state,
-    parse_state,
-    read_state,
-    write_state,
-)
+from deep_contact.io.state_xml import StateFileError, format_state, parse_state, read_state, write_state
 from deep_contact.physics.solvers import METHODS, PGS
-from deep_contact.state import (
-    BOTTOM,
-    LEFT,
-    WALL_NORMALS,
-    Bodies,
-    Contacts,
-    State,
-    World,
-    make_bodies,
-    no_contacts,
-)
+from deep_contact.state import BOTTOM, LEFT, WALL_NORMALS, Bodies, Contacts, State, World, make_bodies, no_contacts
 from deep_contact.state.scales import BOX2D, ContactScales
 
 DATA = Path(__file__).parent / "data"
@@ -79,48 +63,38 @@ NOT_NEGATIVE = st.floats(min_value=0, allow_infinity=False) | st.sampled_from((0
 
 
 @st.composite
-def worlds(draw):
-    (x_min, x_max), (y_min, y_max) = (
-        sorted(draw(st.lists(FINITE, min_size=2, max_size=2, unique=True))) for _ in range(2)
-    )
-    return World(
-        box=(x_min, y_min, x_max, y_max),
-        gravity=(draw(FINITE), draw(FINITE)),
-        friction=draw(NOT_NEGATIVE),
-        restitution=draw(st.floats(0, 1)),
-        scales=draw(st.none() | st.builds(ContactScales, *[NOT_NEGATIVE] * 3, POSITIVE, *[NOT_NEGATIVE] * 4)),
-    )
-
-
-@st.composite
 def states(draw):
     """Any state that `check_state` lets pass, physical or not."""
 
     def column(elements, rows):
         return np.array(draw(st.lists(elements, min_size=rows, max_size=rows)), dtype=np.float64)
 
+    (x_min, x_max), (y_min, y_max) = (sorted(draw(st.sets(FINITE, min_size=2, max_size=2))) for _ in range(2))
+    world = World(
+        box=(x_min, y_min, x_max, y_max),
+        gravity=(draw(FINITE), draw(FINITE)),
+        friction=draw(NOT_NEGATIVE),
+        restitution=draw(st.floats(0, 1)),
+        scales=draw(st.none() | st.builds(ContactScales, *[NOT_NEGATIVE] * 3, POSITIVE, *[NOT_NEGATIVE] * 4)),
+    )
     n = draw(st.integers(1, 5))
     fields = [column(FINITE, 2 * n).reshape(n, 2) for _ in range(2)]
     bodies = Bodies(*fields, column(FINITE, n), column(FINITE, n), column(POSITIVE, n), column(POSITIVE, n))
-    pairs = [(a, b) for a in range(n) for b in range(a + 1, n + 4) if b < n or a < n]
-    pairs = sorted(draw(st.sets(st.sampled_from(pairs))))
+    pairs = sorted(draw(st.sets(st.sampled_from([(a, b) for a in range(n) for b in range(a + 1, n + 4)]))))
     m = len(pairs)
     contacts = None if not m and draw(st.booleans()) else no_contacts()
     if m:
         a, b = np.array(pairs).T
         angle = column(st.floats(-np.pi, np.pi), m)
         # A wall is known from its normal; off by 1e-5 at most, as in old files.
-        wall = np.arctan2(*WALL_NORMALS[(b - n) % 4][:, ::-1].T) + 1e-6 * angle
-        angle = np.where(b >= n, wall, angle)
+        angle = np.where(b >= n, np.arctan2(*WALL_NORMALS[(b - n) % 4][:, ::-1].T) + 1e-6 * angle, angle)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])
-        position = column(FINITE, 2 * m).reshape(m, 2)
         rest = column(FINITE, m), column(NOT_NEGATIVE, m), *(column(FINITE, m) for _ in range(3))
-        contacts = Contacts(a, b, position, normal, *rest)
+        contacts = Contacts(a, b, column(FINITE, 2 * m).reshape(m, 2), normal, *rest)
+    letters = st.characters(codec="utf-8", categories=("L", "N", "P", "S", "Z")) | st.sampled_from("\t\n\r<")
     return State(
-        name=draw(
-            st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "S", "Z")) | st.sampled_from("\t\n\r<"))
-        ),
-        world=draw(worlds()),
+        name=draw(st.text(letters)),
+        world=world,
         bodies=bodies,
         contacts=contacts,
         time=draw(FINITE),
@@ -165,31 +139,24 @@ def test_a_method_that_is_gone_is_read_with_a_warning():
         assert parse_state(text, "s.xml").solver is None
 
 
-def test_options_of_every_kind_are_stored(monkeypatch):
-    @dataclass(frozen=True, kw_only=True)
-    class Other:
-        a: object = None
-        b: bool = True
-        c: int = -7
-        d: float = 1e-310
-        e: str = 'for"ward'
-        f: float = 3.0
+@dataclass(frozen=True, kw_only=True)
+class Other:
+    a: object = None
+    b: bool = True
+    c: int = -7
+    d: float = 1e-310
+    e: str = 'for"ward'
+    f: float = 3.0
 
+
+def test_options_of_every_kind_are_stored_and_what_would_not_come_back_is_refused(monkeypatch):
     monkeypatch.setitem(state_xml.METHODS, "Other", Other)
     again = parse_state(format_state(example(solver=Other())), "s.xml").solver
     assert again == Other()
     assert [type(v) for v in vars(again).values()] == [type(v) for v in vars(Other()).values()]
-
-
-@pytest.mark.parametrize("option", ["none", "5", (1, 2), float("inf"), 10**20])
-def test_an_option_that_would_not_come_back_is_refused(monkeypatch, option):
-    @dataclass(frozen=True, kw_only=True)
-    class Other:
-        a: object = option
-
-    monkeypatch.setitem(state_xml.METHODS, "Other", Other)
-    with pytest.raises(ValueError, match=r"solver\.a"):
-        format_state(example(solver=Other()))
+    for option in ("none", "5", (1, 2), float("inf"), 10**20):
+        with pytest.raises(ValueError, match=r"solver\.a"):
+            format_state(example(solver=Other(a=option)))
 
 
 def test_the_text_has_the_elements_of_the_listing():
@@ -241,20 +208,17 @@ def test_dialect_a_contacts_with_the_box_in_a_corner():
 @pytest.mark.parametrize("path", [OLD_A, OLD_B])
 def test_turning_a_contact_keeps_the_impulse_that_each_body_feels(path):
     """λ_n n + λ_t t acts on the slave and its opposite on the master, t = (n_y, -n_x), whoever comes first."""
-    state = read_state(path)
-    root = ElementTree.fromstring(path.read_text())
+    state, root = read_state(path), ElementTree.fromstring(path.read_text())
     free = [body.get("index") for body in root.iter("body") if body.get("type") == "free"]
     felt = np.zeros((len(free), 2))
     for contact in root.iter("contact"):
-        normal, impulse = contact.find("normal"), contact.find("impulse")
-        n = np.array(re.findall(r"[-+.0-9e]+(?=[,)]|$)", ",".join(normal.attrib.values())), float)
-        ni, ti = (float(value) for value in impulse.attrib.values())
+        x, y = (float(v) for v in re.findall(r"[-+.0-9e]+(?=[,)]|$)", ",".join(contact.find("normal").attrib.values())))
+        n, t = (float(value) for value in contact.find("impulse").attrib.values())
         for role, sign in (("slave", 1), ("master", -1)):
             if contact.get(role) in free:
-                felt[free.index(contact.get(role))] += sign * (ni * n + ti * np.array([n[1], -n[0]]))
+                felt[free.index(contact.get(role))] += sign * np.array([n * x + t * y, n * y - t * x])
     ours, c = np.zeros((len(free) + 4, 2)), state.contacts
-    impulse = c.normal_impulse[:, None] * c.normal
-    impulse += c.tangent_impulse[:, None] * np.column_stack([c.normal[:, 1], -c.normal[:, 0]])
+    impulse = c.normal_impulse[:, None] * c.normal + c.tangent_impulse[:, None] * c.normal[:, ::-1] * (1, -1)
     np.add.at(ours, c.body_b, impulse)
     np.add.at(ours, c.body_a, -impulse)
     np.testing.assert_allclose(ours[: len(free)], felt, rtol=1e-15)
@@ -310,10 +274,8 @@ def test_old_box_is_placed_by_its_body():
 
 BAD = [
     ("ours", '<spin omega="0.25"/>', '<spin omega="nan"/>', "<spin>.*'nan'"),
-    ("ours", '<velocity x="0.5"', '<velocity x="inf"', "<velocity>.*'inf'"),
     ("ours", '<velocity x="0.5"', '<velocity x="1e999"', "<velocity>.*'1e999'"),
     ("ours", '<velocity x="0.5"', '<velocity x="1_0"', "<velocity>.*'1_0'"),
-    ("ours", '<velocity x="0.5"', '<velocity x=""', "<velocity>.*''"),
     ("ours", 'radius="1.0"', 'radius="-1.0"', "<shape>.*'-1.0'"),
     ("ours", '<mass value="3.', '<mass value="-3.', "<mass>.*'-3.14"),
     ("ours", '<inertia value="1.5', '<inertia value="2.5', "<inertia>.*'2.57"),
@@ -326,15 +288,12 @@ BAD = [
     ("ours", '<mass value="3.141592653589793"/>', "<mass/>", "<mass>.*value: .*missing"),
     ("ours", '<spin omega="0.25"/>', "", "<body> '0'.*<spin> is missing"),
     ("ours", '<spin omega="0.25"/>', '<spin omega="0"/><spin omega="1"/>', "<spin>.*second"),
-    ("ours", '<spin omega="0.25"/>', '<torque value="0"/>', "<torque>.*'torque'"),
     ("ours", ' dt="', ' dT="', "<configuration>.*dT"),
     ("ours", 'method="PGS"', 'method="os.system"', "<solver>.*'os.system'"),
     ("ours", ' sweeps="', ' sweep="', "<solver>.*unexpected keyword argument 'sweep'"),
     ("ours", ' sweeps="3000"', ' sweeps="-3"', "<solver>.*sweeps: .*-3"),
     ("ours", ' slop="0.005"', "", "<scales>.*slop: .*missing"),
-    ("ours", ' wall_skin="', ' wall_skim="', "<scales>.*wall_skim"),
     ("ours", ' slop="0.005"', ' slop="-1.0"', "<configuration>.*scales.slop: .*-1.0"),
-    ("ours", ' friction="0.5"', "", "<configuration>.*friction: .*missing"),
     ("ours", 'restitution="0.0"', 'restitution="2.0"', "<configuration>.*restitution: .*2.0"),
     ("ours", 'type="free"', 'type="flying"', "<body> '0'.*type: .*'flying'"),
     ("ours", 'value="circle"', 'value="square"', "<shape>.*'square'"),
@@ -347,15 +306,11 @@ BAD = [
     ("a", "<bodies>", '<scales slop="0.1"/><bodies>', "<scales>: expected no 'scales' in an old file"),
     ("a", '<impulse ni="0.5" ti="-0.125"/>', "", "<contact> '1': element <impulse> is missing"),
     ("a", "dcCircleShape(radius=1)", "dcCircleShape(radius=__import__('os'))", "<shape>.*__import__"),
-    ("a", "dcCircleShape(radius=1)", "dcCircleShape(radius=-1)", "<shape>.*radius: .*-1"),
     ("a", '"dcCircleShape(radius=1)"', '""', "<shape> of body '1'.*expected circle"),
     ("a", "dcLoopShape(vertices=[(30, 0), (30, 30), (0, 30), (0, 0)])", "", "<shape> of body '0'.*expected box"),
     ("a", "(30, 30), ", "", "<shape>.*four corners"),
-    ("a", "(30, 30)", "(30, nan)", "<shape>.*vertices"),
     ("a", "(30, 30)", "(31, 30)", "<shape>.*corners"),
-    ("a", 'vel_iter="5000"', 'vel_iter="-5"', "sweeps: "),
     ("a", 'vel_iter="5000"', 'vel_iter="99999999999"', "sweeps: "),
-    ("a", 'vel_thres="6e-05"', 'vel_thres="-1"', "tolerance: "),
     ("a", 'pos_iter="2500"', 'pos_iter="x"', "position_sweeps: "),
     ("b", "b2Vec2(-1,-2.9638e-05)", "b2Vec2(-1,__import__('os'))", "<normal> of contact '0'.*__import__"),
 ]
@@ -375,11 +330,9 @@ def test_bad_value_is_named_with_file_line_and_element(tmp_path, source, old, ne
     assert f", line {line}, " in str(error.value) or of_parent
 
 
-@pytest.mark.parametrize("share", [0.0005, 0.1, 0.5, 0.9, 0.999])
-def test_truncated_file(share):
-    data = format_state(example())
-    with pytest.raises(StateFileError, match=r"^pile_3\.xml, line \d+: "):
-        parse_state(data[: int(share * len(data)) or 1], "pile_3.xml")
+BOMB = '<?xml version="1.0"?>\n<!DOCTYPE b [<!ENTITY a0 "ha">'
+BOMB += "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
+OURS = format_state(example())
 
 
 @pytest.mark.parametrize(
@@ -387,39 +340,36 @@ def test_truncated_file(share):
     [
         (b"", "empty"),
         (b" \n\n", "empty"),
+        *((OURS[: int(share * len(OURS)) or 1], "") for share in (0.0005, 0.1, 0.5, 0.9, 0.999)),
         (b"index,mass\n0,1\n", "not well-formed"),
+        (b"<configuration>" + b"<a>" * 100_000, "not well-formed"),
         (b"\x89PNG\r\n\x1a\n", "UTF-8"),
         ("<configuration/>".encode("utf-16"), "UTF-8"),
         ("<configuration/>".encode("utf-16-le"), "NUL"),
         (b'<?xml version="1.0" encoding="UTF-7"?>\n<configuration/>', "encoding: .*'UTF-7'"),
-        (b'<configuration name="caf\xe9"/>', "UTF-8"),
         (b"<scene/>", "root <configuration>, got 'scene'"),
         (b'<configuration xmlns="urn:x"/>', "root <configuration>"),
         (b"<configuration/>", "name: attribute is missing"),
         (b'<configuration name="a" time="0">&bomb;</configuration>', "bomb"),
+        (f'{BOMB}]>\n<configuration name="&a11;" time="0"/>'.encode(), "DOCTYPE"),
+        # libxml2 needs some 120 bytes for an element of 4, so the limit on bytes alone would not bound the memory.
+        (b"<configuration>" + b"<a/>" * 760_000 + b"</configuration>", r"expected at most \d+ '<'"),
+        (b"<configuration>" + b'<a b="" c="" d=""/>' * 510_000 + b"</configuration>", r"expected at most \d+ '='"),
     ],
+    ids=lambda value: "" if isinstance(value, bytes) else value,
 )
 def test_what_is_no_state_file(data, words):
-    with pytest.raises(StateFileError, match=rf"^x\.xml, line 1.*: .*{words}"):
+    with pytest.raises(StateFileError, match=rf"^x\.xml, line \d+.*: .*{words}"):
         parse_state(data, "x.xml")
-
-
-def test_entity_bomb_is_refused_at_its_line():
-    bomb = '<?xml version="1.0"?>\n<!DOCTYPE b [<!ENTITY a0 "ha">'
-    bomb += "".join(f'<!ENTITY a{i} "{f"&a{i - 1};" * 10}">' for i in range(1, 12))
-    with pytest.raises(StateFileError, match=r"b\.xml, line 2: .*DOCTYPE"):
-        parse_state(f'{bomb}]>\n<configuration name="&a11;" time="0"/>'.encode(), "b.xml")
 
 
 @pytest.mark.parametrize("kind", ['SYSTEM "{}"', 'PUBLIC "x" "{}"'])
 def test_external_entities_are_never_opened(tmp_path, kind):
     """The entity is a pipe without a writer: opening it would hang."""
-    pipe = tmp_path / "secret"
-    os.mkfifo(pipe)
-    for declaration in (f"<!ENTITY s {kind}>", f"<!ENTITY % s {kind}> %s;"):
-        text = (
-            f'<!DOCTYPE c [{declaration.format(pipe.as_uri())}]>\n<configuration name="n" time="0">&s;</configuration>'
-        )
+    os.mkfifo(tmp_path / "secret")
+    place = kind.format((tmp_path / "secret").as_uri())
+    for declaration in (f"<!ENTITY s {place}>", f"<!ENTITY % s {place}> %s;"):
+        text = f'<!DOCTYPE c [{declaration}]>\n<configuration name="n" time="0">&s;</configuration>'
         with pytest.raises(StateFileError, match=r"line 1: .*DOCTYPE"):
             parse_state(text.encode(), "x.xml")
 
@@ -472,47 +422,31 @@ def test_damaged_gzip(tmp_path, damage):
         read_state(path)
 
 
-@pytest.mark.parametrize(("piece", "what"), [(b"<a/>", "'<'"), (b'<a b="" c="" d=""/>', "'='")])
-def test_too_many_elements_are_refused_before_they_are_parsed(piece, what):
-    """libxml2 needs some 120 bytes for an element of 4, so the limit on bytes alone would not bound the memory."""
-    with pytest.raises(StateFileError, match=rf"many\.xml, line 1: expected at most \d+ {what}"):
-        parse_state(
-            b"<configuration>" + piece * (760_000 if what == "'<'" else 510_000) + b"</configuration>", "many.xml"
-        )
-
-
-def test_deep_nesting_is_refused():
-    with pytest.raises(StateFileError, match="not well-formed"):
-        parse_state(b"<configuration>" + b"<a>" * 100_000, "deep.xml")
-
-
 # Writing
 
 
-@pytest.mark.parametrize("name", ["a.h5", "a.gz", "xml"])
-def test_a_name_that_is_none_of_an_xml_file_is_refused(tmp_path, name):
-    with pytest.raises(StateFileError, match=rf"expected a name that ends in \.xml or \.xml\.gz, got '{name}'"):
-        write_state(tmp_path / name, example())
+BODIES, CONTACTS = example().bodies, example().contacts
 
 
 @pytest.mark.parametrize(
-    ("change", "words"),
+    ("name", "change", "words"),
     [
-        (
-            {"bodies": example().bodies._replace(mass=np.array([1.0, np.nan]))},
-            r"s\.xml: not written: bodies\.mass\[1\]",
+        ("s.xml", {"bodies": BODIES._replace(mass=np.array([1.0, np.nan]))}, r"s\.xml: not written: bodies\.mass\[1\]"),
+        ("s.xml", {"name": "bell\a"}, "name"),
+        ("s.xml", {"name": "\ud800"}, "name"),
+        ("s.xml", {"solver": object()}, "solver"),
+        ("s.xml", {"step": 1.5}, "step"),
+        ("s.xml", {"step": 10**20}, "step"),
+        ("s.xml", {"contacts": CONTACTS._replace(normal=-CONTACTS.normal)}, "bottom wall"),
+        *(
+            (name, {}, rf"expected a name that ends in \.xml or \.xml\.gz, got '{name}'")
+            for name in ("a.h5", "a.gz", "xml")
         ),
-        ({"name": "bell\a"}, "name"),
-        ({"name": "\ud800"}, "name"),
-        ({"solver": object()}, "solver"),
-        ({"step": 1.5}, "step"),
-        ({"step": 10**20}, "step"),
-        ({"contacts": example().contacts._replace(normal=-example().contacts.normal)}, "bottom wall"),
     ],
 )
-def test_what_would_not_come_back_is_not_written(tmp_path, change, words):
+def test_what_would_not_come_back_is_not_written(tmp_path, name, change, words):
     with pytest.raises(StateFileError, match=words):
-        write_state(tmp_path / "s.xml", example(**change))
+        write_state(tmp_path / name, example(**change))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -5,7 +5,7 @@ import pytest
 from conftest import assert_same_bits
 
 import deep_contact as dc
-from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, MAX_TRANSLATION, WALL_SKIN
+from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, WALL_SKIN
 from deep_contact.physics.engine import is_valid
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.scenes import single_body
@@ -56,7 +56,7 @@ def test_a_body_moves_at_most_two_metres_a_step():
     scene = single_body(height=10.0)
     scene = scene.replace(bodies=scene.bodies._replace(velocity=np.array([[-1e5, 0.0]]), spin=np.array([1e5])))
     bodies = dc.step(scene, solver=dc.PGS()).bodies
-    np.testing.assert_allclose(np.hypot(*(bodies.position - scene.bodies.position)[0]), MAX_TRANSLATION)
+    np.testing.assert_allclose(np.hypot(*(bodies.position - scene.bodies.position)[0]), dc.BOX2D.max_translation)
     np.testing.assert_allclose(bodies.angle[0], MAX_ROTATION)
 
 

@@ -11,7 +11,7 @@ from conftest import load_script
 
 import deep_contact as dc
 from deep_contact import warm_start
-from deep_contact.constants import LINEAR_SLOP, MAX_CORRECTION
+from deep_contact.constants import LINEAR_SLOP
 from deep_contact.physics.engine import contacts_of, solve
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.solvers import METHODS
@@ -122,12 +122,12 @@ def test_a_column_of_50_in_a_silo_rests_and_ten_sweeps_do_not_carry_a_thousandfo
 
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.9, 1.0])
 def test_overlapping_circles_part_without_speed(share):
-    # "Bounded as in Box2D": a pair moves by at most MAX_CORRECTION a sweep of position correction, without a velocity.
+    # "Bounded as in Box2D": a pair moves by at most max_correction a sweep of position correction, without a velocity.
     state = extremes.overlapping(share)
     for _ in range(5):
         moved = dc.step(state, solver=TEN)
         gap = np.diff(moved.bodies.position[:, 0]) - np.diff(state.bodies.position[:, 0])
-        assert 0 <= gap[0] <= MAX_CORRECTION * TEN.position_sweeps * (1 + 1e-12)
+        assert 0 <= gap[0] <= dc.BOX2D.max_correction * TEN.position_sweeps * (1 + 1e-12)
         np.testing.assert_array_equal(moved.bodies.velocity, 0.0)
         state = moved
     assert -state.contacts.separation.min(initial=0.0) <= 3 * LINEAR_SLOP
