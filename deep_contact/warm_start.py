@@ -13,9 +13,8 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 
-from deep_contact.physics.contact_solver import NORMAL, TANGENT
+from deep_contact.physics.contact_solver import NORMAL, TANGENT, best_share
 from deep_contact.physics.engine import StepProblem, solve, step_problem
-from deep_contact.physics.line_search import best_share
 from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_SINGLE_START, LARGEST_START, State, StateWithContacts
 from deep_contact.validation import expect, integer, one_of
@@ -127,7 +126,7 @@ class Sph:
     each impulse by weights that sum to one (Appendix A). "thesis" reads it back bilinearly (Algorithm 4), which returns
     only a part of it, and nothing of a contact that reaches no node; "consistent" divides what is read back by what a
     field of ones returns. The thesis's authors programmed "spline" for this start and "shared" for that of their
-    network (`sph.read_back`). Raises ValueError on an unknown transfer; the rest is checked by `deep_contact.sph`.
+    network (`sph.thesis`). Raises ValueError on an unknown transfer; the rest is checked by `deep_contact.sph`.
     """
 
     spacing: float = 0.5

@@ -37,7 +37,7 @@ from deep_contact.physics.lcp import check_problem, contact_problem, natural_res
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
 from deep_contact.reporting import results
 from deep_contact.simulation import ready
-from deep_contact.sph.neighbours import splat_by_tree
+from deep_contact.sph.thesis import splat_by_tree
 from deep_contact.state import State
 from deep_contact.studies import peers, piles, rivals, timing
 

@@ -7,6 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact import constants
+from deep_contact.physics.collision import make_contacts, write_geometry
+from deep_contact.physics.engine import ContactSolution, solve
+from deep_contact.physics.segments import segments_of
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.studies import peers
@@ -24,6 +27,14 @@ class RecordedStep(NamedTuple):
     order: np.ndarray
 
 
+def solved_in_order(recorded: RecordedStep, sweeps: int) -> tuple[Contacts, ContactSolution]:
+    """The contacts in Box2D's order, and what as many sweeps of ours make of its start in that order."""
+    state, order = recorded
+    contacts = Contacts(*(np.ascontiguousarray(field[order]) for field in state.contacts))
+    solver = PGS(sweeps=sweeps, tolerance=None)
+    return contacts, solve(state.replace(contacts=contacts), solver, contacts.normal_start, contacts.tangent_start)
+
+
 class RecordingBox2D(peers.Box2D23):
     """`peers.Box2D23` that can record a step."""
 
@@ -32,7 +43,6 @@ class RecordingBox2D(peers.Box2D23):
         self._steps, self._last_dt = 0, 0.0
 
     def step(self, dt: float, sweeps: int, position_sweeps: int) -> None:
-        """As `peers.Box2D23.step`."""
         super().step(dt, sweeps, position_sweeps)
         self._steps += 1
         self._last_dt = dt
@@ -112,42 +122,18 @@ def _pair(contact, n: int) -> tuple[tuple[int, int], float]:
 
 def _sorted_contacts(bodies: Bodies, world: World, listener, ratio: float) -> tuple[Contacts, np.ndarray]:
     pairs = sorted(listener.found)
-    body_a, body_b = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     found = np.array([listener.found[pair] for pair in pairs], dtype=np.float64).reshape(-1, 6)
     solved = np.array([listener.solved[pair] for pair in pairs], dtype=np.float64).reshape(-1, 2)
-    index = {pair: k for k, pair in enumerate(pairs)}
-    contacts = Contacts(
-        body_a=body_a,
-        body_b=body_b,
+    contacts = make_contacts(len(pairs))
+    contacts.body_a[:], contacts.body_b[:] = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
+    # Of Box2D's geometry all but the separations is known.
+    write_geometry(bodies.position, bodies.radius, world.box, segments_of(world), constants.WALL_SKIN, contacts)
+    contacts = contacts._replace(
         position=found[:, 0:2],
         normal=found[:, 2:4],
-        separation=_separations(bodies, world, body_a, body_b),
         normal_impulse=solved[:, 0],
         tangent_impulse=solved[:, 1],
         normal_start=found[:, 4] * ratio,
         tangent_start=found[:, 5] * ratio,
     )
-    return contacts, np.array([index[pair] for pair in listener.order], dtype=np.int64)
-
-
-def _separations(bodies: Bodies, world: World, body_a: np.ndarray, body_b: np.ndarray) -> np.ndarray:
-    """Gaps of the pairs, (m,): between surfaces of circles, or from a circle to the skin of a wall."""
-    n = bodies.count
-    to_walls = _wall_distances(bodies.position, world)
-    is_wall = body_b >= n
-    other = np.where(is_wall, body_a, body_b)
-    between = np.hypot(*(bodies.position[other] - bodies.position[body_a]).T) - bodies.radius[other]
-    to_wall = to_walls[body_a, np.where(is_wall, body_b - n, 0)] - constants.WALL_SKIN
-    return np.where(is_wall, to_wall, between) - bodies.radius[body_a]
-
-
-def _wall_distances(position: np.ndarray, world: World) -> np.ndarray:
-    """Distance of the centres from the four walls and the segments, (n, 4 + S)."""
-    x_min, y_min, x_max, y_max = world.box
-    x, y = position[:, 0], position[:, 1]
-    found = [y - y_min, x_max - x, y_max - y, x - x_min]
-    for ends in np.reshape(world.segments, (-1, 2, 2)):
-        along = ends[1] - ends[0]
-        share = np.clip((position - ends[0]) @ along / (along @ along), 0.0, 1.0)
-        found.append(np.hypot(*(ends[0] + share[:, None] * along - position).T))
-    return np.stack(found, axis=1)
+    return contacts, np.array([pairs.index(pair) for pair in listener.order], dtype=np.int64)

@@ -8,7 +8,6 @@ import numpy as np
 from deep_contact.state import State, check_contacts
 
 SYMMETRIES = tuple(range(8))
-"""k >= 4 mirrors x first, then k mod 4 quarter turns counter-clockwise."""
 
 
 def transform_state(state: State, k: int) -> State:
@@ -16,10 +15,11 @@ def transform_state(state: State, k: int) -> State:
 
     k ≥ 4 mirrors x, then k mod 4 quarter turns counter-clockwise follow. The box keeps its lower left corner.
     """
-    mirrored, turns = _symmetry(k)
+    mirrored, turns = k >= 4, k % 4
     x_min, y_min, x_max, y_max = state.world.box
     width, height = x_max - x_min, y_max - y_min
-    m = _matrix(k)
+    quarter, mirror = np.array([[0.0, -1.0], [1.0, 0.0]]), np.diag([-1.0 if mirrored else 1.0, 1.0])
+    m = np.linalg.matrix_power(quarter, turns) @ mirror
 
     def moved(points):
         # As distances from the walls: x_max - x is exact near the wall.
@@ -53,14 +53,3 @@ def transform_state(state: State, k: int) -> State:
         tangent_start=sign * contacts.tangent_start,
     )
     return state.replace(world=world, bodies=bodies, contacts=check_contacts(found, bodies, len(segments)))
-
-
-def _symmetry(k) -> tuple[bool, int]:
-    k = int(k)
-    return k >= 4, k % 4
-
-
-def _matrix(k: int) -> np.ndarray:
-    mirrored, turns = _symmetry(k)
-    turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    return np.linalg.matrix_power(turn, turns) @ np.diag([-1.0 if mirrored else 1.0, 1.0])

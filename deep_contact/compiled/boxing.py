@@ -1,11 +1,9 @@
 """Let compiled code hand its results over without running Python.
 
-Numba turns a result into Python objects by code that reads classes through a function of Python, and looks at no error
-there. A Ctrl-C that came while the compiled code ran is raised by the first line of Python, which is in the middle of
-this: the process ends with a segmentation fault. Here the classes are constants that C reads, and Ctrl-C is raised
-behind the call.
-
-This replaces details of `numba.core.pythonapi`, and holds for everything that the process compiles.
+Numba turns a result into Python objects by code that calls Python, where a Ctrl-C that came while the compiled code
+ran is raised, and looks at no error: the process ends with a segmentation fault. Here the classes are constants that C
+reads, and Ctrl-C is raised behind the call. This replaces details of `numba.core.pythonapi`, and holds for everything
+that the process compiles.
 """
 
 from __future__ import annotations

@@ -1,14 +1,11 @@
 """Keep Numba's cache of machine code true to the sources, and whole.
 
-Numba compiles a function again when its own file has changed, but not when a function or a constant has changed that
-was compiled into it from another file. Here cached code is stale once any file of this package has changed that its
-file imports, directly or not. A file that must not import what is compiled into it names that in a comment,
-`# compiled in: deep_contact.…`. Numba also trusts the bytes of its cache, and damaged ones end the process; here they
-carry a checksum, and what is damaged is compiled again. And it keeps code by the names of the argument types: code for
-a class of another package would outlive a change of that class, and no process without that class could read what lies
-beside it. Here such code is not kept. Where no folder can be written, Numba raises; here nothing is kept then.
-
-All replace details of `numba.core.caching`, and hold for everything that the process compiles.
+Numba compiles a function again when its own file has changed, but not when something has changed that was compiled into
+it from another file. Here cached code is stale once any file of this package has changed that its file imports,
+directly or not. A file that must not import what is compiled into it names that in a comment, `# compiled in:
+deep_contact.…`. Cached bytes carry a checksum: damaged ones, which would end the process, are compiled again. Code for
+classes of other packages is not kept, since it would outlive a change of them. Where no folder can be written, nothing
+is kept. All replace details of `numba.core.caching`, and hold for everything that the process compiles.
 """
 
 from __future__ import annotations

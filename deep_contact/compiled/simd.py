@@ -1,11 +1,8 @@
 """Eight numbers at once: a Numba type for a SIMD vector, so that a kernel for eight contacts reads like one for one.
 
-`+ - * /` and the functions below act lane by lane. LLVM splits the eight lanes over what registers there are (one of
-AVX-512, two of AVX2, four of SSE or NEON), so that nothing here depends on the processor. Operations carry the flag
-"contract": a * b + c may be one fused operation, as in the scalar sweep, and nothing else is relaxed.
-
-All are for compiled callers only; without the compiler `simd_numpy` takes their place. Reading the velocities of eight
-bodies is eight loads of a row and a transposition, which was measured to be faster than the processor's gather.
+`+ - * /` and the functions below act lane by lane. LLVM splits the lanes over what registers there are, so nothing here
+depends on the processor. Operations carry the flag "contract": a * b + c may be one fused operation, as in the scalar
+sweep. All are for compiled callers only; without the compiler `simd_numpy` takes their place.
 """
 
 from __future__ import annotations
@@ -20,7 +17,6 @@ WIDTH = 8
 """Numbers in `Lanes`, unless it says otherwise."""
 
 _INT32, _INT64 = ir.IntType(32), ir.IntType(64)
-_CONTRACT = ("contract",)
 
 
 class Lanes(types.Type):
@@ -37,10 +33,13 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, lanes, ir.VectorType(manager.lookup(lanes.dtype).get_value_type(), lanes.width))
 
 
-def _arithmetic(symbol, emit):
+def _arithmetic(symbol, instruction):
     @intrinsic
     def apply(context, x, y):
-        return x(x, y), lambda context, builder, signature, values: emit(builder, *values)
+        def emit(context, builder, signature, values):
+            return getattr(builder, instruction)(*values, flags=("contract",))
+
+        return x(x, y), emit
 
     @overload(symbol)
     def apply_to_lanes(x, y):
@@ -48,10 +47,10 @@ def _arithmetic(symbol, emit):
             return lambda x, y: apply(x, y)
 
 
-_arithmetic(operator.add, lambda builder, x, y: builder.fadd(x, y, flags=_CONTRACT))
-_arithmetic(operator.sub, lambda builder, x, y: builder.fsub(x, y, flags=_CONTRACT))
-_arithmetic(operator.mul, lambda builder, x, y: builder.fmul(x, y, flags=_CONTRACT))
-_arithmetic(operator.truediv, lambda builder, x, y: builder.fdiv(x, y, flags=_CONTRACT))
+_arithmetic(operator.add, "fadd")
+_arithmetic(operator.sub, "fsub")
+_arithmetic(operator.mul, "fmul")
+_arithmetic(operator.truediv, "fdiv")
 
 
 @intrinsic
@@ -187,8 +186,8 @@ def load_rows(context, rows, index, i):
         kind = ir.VectorType(context.get_value_type(rows.dtype), 4)
         pointers = _row_pointers(context, builder, rows, index, values)
         row = [_load(builder, pointer, kind, rows) for pointer in pointers]
-        # Two rows side by side, then two pairs interleaved: 0x 1x 0s 1s 2x 3x 2s 3s, then x and s parted. These are
-        # shuffles that AVX-512 does in one operation each, 16 in all.
+        # Two rows side by side, then two pairs interleaved: 0x 1x 0s 1s 2x 3x 2s 3s, then x and s parted. AVX-512 does
+        # each shuffle in one operation.
         pair = [_shuffle(builder, row[k], row[k + 2], range(8)) for k in (0, 1, 4, 5)]
         low = [_shuffle(builder, pair[k], pair[k + 1], (0, 8, 2, 10, 4, 12, 6, 14)) for k in (0, 2)]
         high = [_shuffle(builder, pair[k], pair[k + 1], (1, 9, 3, 11, 5, 13, 7, 15)) for k in (0, 2)]

@@ -1,8 +1,7 @@
 """Several threads that go through the same compiled function side by side, and wait for each other at barriers.
 
-A parallel loop of Numba takes longer to start, on the layer that survives a fork, than a sweep over a few thousand
-contacts takes in all. A barrier between threads that run already is a few cache misses. So each thread of a team calls
-the same function with its own `Team`; what cannot be shared is done by the one of rank 0, between barriers.
+A parallel loop of Numba takes longer to start than a sweep over a few thousand contacts; a barrier is a few cache
+misses. Each thread calls the function with its own `Team`; what cannot be shared rank 0 does between barriers.
 """
 
 from __future__ import annotations
@@ -19,8 +18,7 @@ from numba import config, njit, types
 from numba.extending import intrinsic
 
 ARRIVED, ROUND, BROKEN = 0, 8, 16
-"""Elements of `Team.board`, in cache lines of their own: threads at the barrier, barriers passed, whether one is lost.
-"""
+"""Elements of `Team.board`, in cache lines of their own: threads at the barrier, barriers passed, a thread is lost."""
 
 PATIENCE = 2000
 """Looks at the board before a thread lets others have its core: some microseconds."""

@@ -1,16 +1,15 @@
 """Batches of contacts that share no circle, in tiles of eight: the data structure of `solvers.batched`.
 
 A sweep of `contact_solver` waits: the next contact needs the velocities that this one writes. In a batch no circle
-occurs twice, so nothing waits, and eight contacts are one vector operation (`compiled.simd`). Walls never move, so
-contacts of a batch may share them.
+occurs twice, so eight contacts are one vector operation (`compiled.simd`). Walls never move, so contacts of a batch may
+share them.
 
 The list of contacts is cut into blocks of `BLOCK`, and each block is coloured greedily: a batch is a colour of a block.
-The order of the sweep is not that of the list, then, and convergence differs. Blocks that share no circle form a phase,
-which several threads relax at the same time. None reads what another writes, so the number of threads changes no bit.
+Blocks that share no circle form a phase, which several threads relax at the same time. None reads what another writes,
+so the number of threads changes no bit.
 
-A batch is stored as tiles of eight contacts, so that the rows of a tile are runs of memory. The last tile of a batch
-is padded with contacts between the idle body and itself. A block has five bodies of its own beside the circles: the
-four walls, and the idle one.
+A batch is stored as tiles of eight contacts; the last one is padded with contacts between the idle body and itself. A
+block has five bodies of its own beside the circles: the four walls, and the idle one.
 """
 
 from __future__ import annotations
@@ -42,7 +41,7 @@ from deep_contact.physics.position_correction import IDLE
 from deep_contact.physics.segments import surface_velocity
 
 BLOCK = 1024
-"""Contacts coloured together. Measured: smaller blocks fill fewer tiles; larger ones leave the nearest cache."""
+"""Contacts coloured together: smaller blocks fill fewer tiles, larger ones leave the nearest cache."""
 
 COLOURS = 64
 """Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own; so are phases."""
@@ -128,10 +127,9 @@ def make_tiles(n, blocks, tiles, dtype):
 
 @njit(cache=True)
 def plan_batches(body_a, body_b, n, plan):
-    """Put all contacts into batches. Returns the plan, a larger one if needed.
+    """Put all contacts, (m,) each, into batches: greedily, the first colour that neither circle has in its block.
 
-    body_a, body_b: (m,), as in `Contacts`. Greedy: the first colour that neither circle has in this block (Welsh and
-    Powell 1967, in the order of the list).
+    Welsh and Powell 1967, in the order of the list. Returns the plan, a larger one if needed.
     """
     m = body_a.shape[0]
     if m > plan.batch.shape[0]:

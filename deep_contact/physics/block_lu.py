@@ -1,8 +1,8 @@
 """LU factors of sparse matrices of 3 × 3 blocks, one row and column of blocks for every body, without pivoting.
 
-The pattern is symmetric, the values need not be. Bodies are ordered by minimum degree once a problem; the pattern of
-the factors follows from the elimination tree (Davis, Direct Methods for Sparse Linear Systems, 2006, chapters 4, 6).
-A right side at two bodies that touch is non-zero, after the forward solve, on one path of the tree only.
+The pattern is symmetric, the values need not be. Bodies are ordered by minimum degree once a problem. A right side at
+two bodies that touch is non-zero, after the forward solve, on one path of the elimination tree only (Davis, Direct
+Methods for Sparse Linear Systems, 2006, chapter 4).
 """
 
 from __future__ import annotations
@@ -49,76 +49,27 @@ def pattern_of(n: int, one: np.ndarray, other: np.ndarray) -> Pattern:
     ends = np.concatenate([one, other]), np.concatenate([other, one])
     graph = sparse.csc_array(sparse.coo_array((np.ones(ends[0].size), ends), shape=(n, n)))
     graph.data[:] = -1.0
-    dominant = sparse.csc_array(graph + sparse.diags_array(np.full(n, n + 1.0)))
-    place = splu(
-        dominant, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    ).perm_c.astype(np.int64)
-    i, j = place[ends[0]], place[ends[1]]
-    below = sparse.csc_array(sparse.coo_array((np.ones((i > j).sum()), (i[i > j], j[i > j])), shape=(n, n)))
-    first, row = _fill(n, below.indptr.astype(np.int64), below.indices.astype(np.int64))
+    # SuperLU's factors of the graph's Laplacian: none of their entries vanishes.
+    laplacian = sparse.csc_array(graph + sparse.diags_array(1e-6 - graph.sum(axis=0)))
+    factors = splu(laplacian, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    below = sparse.csc_array(sparse.tril(factors.L, -1))
+    below.sort_indices()
+    first, row = below.indptr.astype(np.int64), below.indices.astype(np.int64)
     order = np.argsort(row, kind="stable")
     updates_first = np.concatenate([[0], np.cumsum(np.bincount(row, minlength=n))]).astype(np.int64)
     column = np.repeat(np.arange(n), np.diff(first))[order]
-    return Pattern(place, first, row, updates_first, order.astype(np.int64), column)
+    return Pattern(factors.perm_c.astype(np.int64), first, row, updates_first, order.astype(np.int64), column)
 
 
-@njit(cache=True)
-def _fill(n, indptr, indices):
-    """Columns of L: those of the matrix, and those of the columns whose first block lies in this row."""
-    first = np.zeros(n + 1, np.int64)
-    row = np.empty(4 * indices.shape[0] + 16, np.int64)
-    seen = np.full(n, -1, np.int64)
-    child, sibling = np.full(n, -1, np.int64), np.full(n, -1, np.int64)
-    count = 0
-    for j in range(n):
-        if count + n - j > row.shape[0]:
-            grown = np.empty(2 * row.shape[0] + n, np.int64)
-            grown[:count] = row[:count]
-            row = grown
-        seen[j] = j
-        begin = count
-        for p in range(indptr[j], indptr[j + 1]):
-            if seen[indices[p]] != j:
-                seen[indices[p]] = j
-                row[count] = indices[p]
-                count += 1
-        k = child[j]
-        while k >= 0:
-            for p in range(first[k], first[k + 1]):
-                if seen[row[p]] != j:
-                    seen[row[p]] = j
-                    row[count] = row[p]
-                    count += 1
-            k = sibling[k]
-        row[begin:count] = np.sort(row[begin:count])
-        first[j + 1] = count
-        if count > begin:
-            parent = row[begin]
-            sibling[j] = child[parent]
-            child[parent] = j
-    return first, row[:count].copy()
-
-
-@njit(cache=True)
-def make_factors(pattern):
+def make_factors(pattern: Pattern) -> Factors:
     """Uninitialised blocks for the pattern."""
-    n, count = pattern.place.shape[0], pattern.row.shape[0]
+    n, count = pattern.place.size, pattern.row.size
     return Factors(np.empty((n, 9)), np.empty((count, 9)), np.empty((count, 9)))
-
-
-@njit(cache=True)
-def find_block(pattern, upper, lower):
-    """Index of the block below the diagonal in row `upper` and column `lower`."""
-    begin, end = pattern.first[lower], pattern.first[lower + 1]
-    return begin + np.searchsorted(pattern.row[begin:end], upper)
 
 
 @njit(cache=True, fastmath={"contract"})
 def _subtract_product(target, q, a, p, b, s):
-    """target[q] ← target[q] − a[p] b[s], blocks of 9 numbers by rows, in place.
-
-    Indices instead of views and no loops: three times as fast, and nearly all of the time of a factorisation is here.
-    """
+    """target[q] ← target[q] − a[p] b[s], blocks of 9 numbers by rows, in place; by indices, views are slower."""
     b_0, b_1, b_2 = b[s, 0], b[s, 1], b[s, 2]
     b_3, b_4, b_5 = b[s, 3], b[s, 4], b[s, 5]
     b_6, b_7, b_8 = b[s, 6], b[s, 7], b[s, 8]

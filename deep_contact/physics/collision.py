@@ -1,7 +1,6 @@
 """Collision detection: which circles touch which, and which walls (broad phase, narrow phase, matching).
 
-Everything here is compiled and works on plain arrays; what a function fills is handed to it, so that a run of many
-steps allocates its memory once. Conventions: `deep_contact.state`.
+What a function fills is handed to it, so that a run allocates its memory once. Conventions: `deep_contact.state`.
 """
 
 from __future__ import annotations
@@ -18,28 +17,25 @@ from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 SMALLEST_DISTANCE = 5e-13
 """Centres closer than this, in sums of their radii, have no direction between them: `parting` gives one."""
 
-
 GOLDEN_ANGLE = math.pi * (3.0 - math.sqrt(5.0))
 """rad"""
 
 LEAST_NEAR, MOST_NEAR = 0.1, 1.0
-"""Gap below which pairs are kept as near, in smallest radii. At the most, a packing has few second neighbours there,
-and the list takes a tenth longer to read than at the least."""
+"""Gap below which pairs are kept as near, in smallest radii; at the most a packing has few second neighbours there."""
 
 NEAR_BY_MOTION = 5.0
 """Gap by the root of what circles move apart in a step, both in smallest radii. A wider one lasts for more steps, and
-takes longer to make and to read: measured at 1,000 to 100,000 circles."""
+takes longer to make and to read."""
 
 LASTING = 3
-"""Steps from which on a list pays. To make one takes 1.1 to 1.6 times a search, and to read it a quarter."""
-
+"""Steps from which on a list pays: to make one takes longer than a search, and to read it a quarter of that."""
 
 TRY_AGAIN = 20
 """Searches after a list that did not fit: only a heap of overlapping circles has so many near pairs."""
 
 CROWDED = 8
-"""Circles in the cell of a circle, on average, from which on circles are sorted into levels by their size. Equal ones
-have one or two; where one is large, cells are as wide as it is, and the others crowd in them."""
+"""Circles in the cell of a circle, on average, from which on circles are sorted into levels by their size: where one is
+large, cells are as wide as it is, and the others crowd in them."""
 
 LEVELS, STEP = 16, 8.0
 """Levels of size: each holds circles down to an eighth of its largest radius, the last all that are left."""
@@ -55,8 +51,7 @@ class Cells(NamedTuple):
     """Buffers of the broad phase over n circles, and the pairs that it found near each other (Verlet's neighbour list).
 
     As long as no circle has moved by more than half of what near means, apart from the motion common to all, pairs that
-    touch are among those. A pile at rest, or one that falls as a whole, is sorted into cells once, then, and a list is
-    not made where it would not last.
+    touch are among those. A list is not made where it would not last.
 
     | field  | meaning                                                                       | shape        |
     |--------|-------------------------------------------------------------------------------|--------------|
@@ -305,14 +300,8 @@ def circles_around(a, position, reach, levels, cells, found, m):
 
     Returns m after them, or -1 if they may not fit.
     """
-    x, y, grid, circle, order, first = (
-        position[a, 0],
-        position[a, 1],
-        cells.grid,
-        cells.circle,
-        cells.order,
-        np.int64(m),
-    )
+    x, y, first = position[a, 0], position[a, 1], np.int64(m)
+    grid, circle, order = cells.grid, cells.circle, cells.order
     for level in range(levels):
         columns, per_metre = int(grid[level, COLUMNS]), grid[level, PER_METRE]
         column, row = (x - grid[level, X]) * per_metre, (y - grid[level, Y]) * per_metre
@@ -417,8 +406,7 @@ def write_walls(x, y, reach, box, n, body_b, m):
 
 @njit(cache=True, error_model="numpy")
 def _sort_run(values, start, stop):
-    """Sort values[start:stop], in place: insertion sort, since a circle has few neighbours, after coarse ones with
-    growing strides where it has many (Shell 1959)."""
+    """Sort values[start:stop], in place, by insertion; first with larger strides where there are many (Shell 1959)."""
     stride = 1
     while 9 * stride < stop - start:
         stride = 3 * stride + 1
@@ -463,10 +451,7 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer):
 
 @njit(cache=True, error_model="numpy")
 def write_geometry(position, radius, box, segments, skin, contacts):
-    """Narrow phase's geometry: normal, separation and point of every contact, in place.
-
-    The point lies in the middle of the overlap. Coinciding centres have the normal of `parting`.
-    """
+    """Narrow phase: normal, separation and point (the middle of the overlap) of every contact, in place."""
     n = position.shape[0]
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]

@@ -7,13 +7,12 @@ turns nothing, an arm is one number instead of a vector, and the two rows of a c
 With the arm l of a body of radius r, its surface moves tangentially at ω l = (l / r) s, where s = ω r is kept in
 place of ω: for a disc (I = m r² / 2) an impulse λ_t changes s by 2 (l / r) λ_t / m, whatever its radius.
 
-Without friction nothing turns and there are no tangent rows: where `friction` is None instead of a number, every stage
-here leaves them out. None is a type of its own, so the choice falls when the caller is compiled. What is left computes
-the same bits as μ = 0 does, since adding zeros changes none; a start with tangent impulses needs the general rows.
+Without friction nothing turns: where `friction` is None instead of a number, every stage here leaves the tangent rows
+out. None is a type of its own, so the choice falls when the caller is compiled, and changes no bit of what μ = 0 gives;
+a start with tangent impulses needs the general rows.
 
-A contact is relaxed here by numbers (`sweep`), eight contacts at a time (`solvers.batched.sweep_tiles`), and backwards,
-for the gradient of what sweeps leave (`cnn.through_solver`). They are three because the first waits for memory, the
-second needs vectors, and the third walks the list from its end. All methods but the batches call the first.
+A contact is relaxed by numbers here (`sweep`), eight contacts at a time in `solvers.batched.sweep_tiles`, and
+backwards, for the gradient of what sweeps leave, in `cnn.through_solver`.
 """
 
 from __future__ import annotations
@@ -61,7 +60,7 @@ class Rows(NamedTuple):
 
 
 CONTRACT = {"contract"}
-"""Fast-math flag: a * b + c may be one fused operation. A fifth faster; nothing else is relaxed."""
+"""Fast-math flag: a * b + c may be one fused operation; nothing else is relaxed."""
 
 SUMS = {"contract", "reassoc"}
 """Fast-math flags of sums over all rows: several partial sums at once, in an order fixed at compile time."""
@@ -69,9 +68,9 @@ SUMS = {"contract", "reassoc"}
 
 def make_rows(capacity, dtype, friction):
     """Uninitialised rows for `capacity` contacts, in the precision of the solver bodies."""
-    if friction is None:
-        return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 3), dtype), np.empty((capacity, 1), dtype))
-    return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, 6), dtype), np.empty((capacity, 2), dtype))
+    columns, kinds = (3, 1) if friction is None else (6, 2)
+    body, data = np.empty((capacity, 2), np.uint32), np.empty((capacity, columns), dtype)
+    return Rows(body, data, np.empty((capacity, kinds), dtype))
 
 
 more_rows = njit(cache=True)(make_rows)
@@ -291,10 +290,41 @@ def move(bodies, solver_bodies, given):
     return any_fast
 
 
-def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:
-    """Impulses (m,) with the normal ones cut at 0 and the tangent ones at the friction cone, as a sweep would.
+@njit(cache=True, error_model="numpy")
+def best_share(rows, solver_bodies):
+    """α = clip(−b·λ / λ·A λ, 0, 1) for the impulses λ of the rows; 1 where these change no velocity.
 
-    friction: one number, or one a contact.
+    α λ has the least energy ½ α² λ·A λ + α b·λ, with A = J M⁻¹ Jᵀ and b = J v⁻. rows: `Rows` with
+    tangents. solver_bodies: velocities v⁻ before impulses, (n + 4, 4). One pass over the contacts, for λ·A λ is the
+    kinetic energy, times 2, of what λ does to the bodies: Σ m |Δv|² + ½ m Δs², s = ω r.
     """
+    v = solver_bodies
+    change = np.zeros((v.shape[0], 3))
+    along = 0.0
+    for i in range(rows.body.shape[0]):
+        a, b = rows.body[i, BODY_A], rows.body[i, BODY_B]
+        n_x, n_y = rows.data[i, N_X], rows.data[i, N_Y]
+        arm_a, arm_b = rows.data[i, ARM_A], rows.data[i, ARM_B]
+        p_n, p_t = rows.impulse[i, NORMAL], rows.impulse[i, TANGENT]
+        p_x, p_y = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x
+        v_x, v_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
+        turn = arm_a * v[a, V_S] + arm_b * v[b, V_S]
+        along += v_x * p_x + v_y * p_y + turn * p_t
+        change[a, 0] -= p_x
+        change[a, 1] -= p_y
+        change[a, 2] += 2.0 * arm_a * p_t
+        change[b, 0] += p_x
+        change[b, 1] += p_y
+        change[b, 2] += 2.0 * arm_b * p_t
+    energy = 0.0
+    for i in range(v.shape[0]):
+        # Δv = w p: m |Δv|² = w |p|². Walls have w = 0.
+        p_x, p_y, p_s = change[i, 0], change[i, 1], change[i, 2]
+        energy += v[i, INVERSE_MASS] * (p_x * p_x + p_y * p_y + 0.5 * p_s * p_s)
+    return min(1.0, max(0.0, -along / energy)) if energy > 0.0 else 1.0
+
+
+def projected(normal: np.ndarray, tangent: np.ndarray, friction) -> tuple[np.ndarray, np.ndarray]:
+    """Impulses (m,) cut to the friction cone, as a sweep would. friction: one number, or one a contact."""
     p_n = np.maximum(normal, 0.0)
     return p_n, np.clip(tangent, -friction * p_n, friction * p_n).astype(tangent.dtype, copy=False)

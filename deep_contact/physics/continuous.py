@@ -6,8 +6,8 @@ line until it touches, both circles stay there for the rest of the step, and the
 is half a slop of overlap; a pair that is deeper already may halve its distance but never pass. Stops are made in the
 order of time, so that a circle also meets those that have stopped before it.
 
-Circles slower than that are left alone, so a scene without fast ones keeps its bits, at the cost of one comparison a
-circle. (Box2D 2.3 does this for walls and bullets, `b2World::SolveTOI`, and solves the velocities there and then.)
+Circles slower than that are left alone. (Box2D 2.3 does this for walls and bullets, `b2World::SolveTOI`, and solves the
+velocities there and then.)
 """
 
 from __future__ import annotations

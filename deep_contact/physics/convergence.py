@@ -9,6 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from deep_contact.validation import expect
+
 
 class ConvergenceRecord(NamedTuple):
     """How one solve went.
@@ -50,11 +52,8 @@ def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
     Returns (sweeps,), N·s. Raises ValueError if there is no step, or one without sweeps.
     """
     rows = [theta[:sweeps] for theta in thetas]
-    if not rows:
-        raise ValueError("thetas: expected at least one step, got none")
-    for k, row in enumerate(rows):
-        if len(row) == 0:
-            raise ValueError(f"thetas[{k}]: expected at least one sweep, got none")
+    expect(rows, "thetas: expected at least one step, got none")
+    expect(all(map(len, rows)), "thetas: expected at least one sweep a step, got none")
     return np.mean([np.pad(row, (0, sweeps - len(row)), mode="edge") for row in rows], axis=0)
 
 

@@ -1,7 +1,6 @@
-"""The engine: what a step does.
+"""The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0, but for its own continuous collision.
 
-`advance` is the algorithm, which behaves as Box2D 2.3 does for circles at e = 0, but for its own continuous collision.
-`solvers.batched.advance_by_team` has the same stages for several threads. `deep_contact.simulation` is the validated
+`solvers.batched.advance_by_team` has the same stages for several threads; `deep_contact.simulation` is the validated
 interface.
 """
 
@@ -192,31 +191,23 @@ def build_rows(given, solver_bodies):
 
 @njit(cache=True)
 def is_valid(bodies, contacts, segments=0):
-    """Whether arrays of the right kind pass `check_state` and `check_limits`; those say what is wrong.
-
-    segments: how many the world has.
-    """
-    n = bodies.mass.shape[0]
+    """Whether arrays of the right kind pass `check_state` and `check_limits`. segments: how many the world has."""
+    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
     end = n + 4 + segments
-    for values, limits in ((bodies.position, _POSITION), (bodies.velocity, _VELOCITY)):
-        if values.shape[0] != n or values.shape[1] != 2 or not _within(values.reshape(-1), limits):
+    for values, count, limits in (
+        (bodies.position, n, _POSITION), (bodies.velocity, n, _VELOCITY),
+        (contacts.position, m, _FINITE), (contacts.normal, m, _FINITE),
+    ):  # fmt: skip
+        if values.shape[0] != count or values.shape[1] != 2 or not _within(values.reshape(-1), limits):
             return False
-    for values, limits in ((bodies.spin, _SPIN), (bodies.mass, _MASS), (bodies.radius, _RADIUS)):
-        if values.shape[0] != n or not _within(values, limits):
+    for values, count, limits in (
+        (bodies.angle, n, _FINITE), (bodies.spin, n, _SPIN), (bodies.mass, n, _MASS), (bodies.radius, n, _RADIUS),
+        (contacts.separation, m, _SEPARATION), (contacts.normal_impulse, m, (0.0, _IMPULSE[1])),
+        (contacts.tangent_impulse, m, _IMPULSE), (contacts.normal_start, m, _IMPULSE),
+        (contacts.tangent_start, m, _IMPULSE),
+    ):  # fmt: skip
+        if values.shape[0] != count or not _within(values, limits):
             return False
-    if bodies.angle.shape[0] != n or not _within(bodies.angle, _FINITE):
-        return False
-    m = contacts.body_a.shape[0]
-    for values in (contacts.position, contacts.normal):
-        if values.shape[0] != m or values.shape[1] != 2 or not _within(values.reshape(-1), _FINITE):
-            return False
-    if contacts.separation.shape[0] != m or not _within(contacts.separation, _SEPARATION):
-        return False
-    for values in (contacts.tangent_impulse, contacts.normal_start, contacts.tangent_start):
-        if values.shape[0] != m or not _within(values, _IMPULSE):
-            return False
-    if contacts.normal_impulse.shape[0] != m or not _within(contacts.normal_impulse, (0.0, _IMPULSE[1])):
-        return False
     if contacts.body_b.shape[0] != m:
         return False
     # Without branches, and in loops of one kind, so that they vectorise: what is valid is looked at to the end anyway.
@@ -286,9 +277,7 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
     world = state.world
     friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
     scales = scales_of(state, solver) if scales is None else scales
-    given = StepInput(
-        state.bodies, state.contacts, world.box, None, world.gravity, friction, None, state.dt, scales
-    )  # fmt: skip
+    given = StepInput(state.bodies, state.contacts, world.box, None, world.gravity, friction, None, state.dt, scales)
     most = motion_parts(solver)
     if most == 1 and not world.segments and world.restitution == 0.0:
         return given
@@ -319,10 +308,7 @@ def after_impacts(state: State) -> State:
 
 
 def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
-    """The contact problem of the state's next step, in the solver's precision; by default with tangents, in float64.
-
-    scales: the state's, if they are at hand.
-    """
+    """The contact problem of the next step; by default with tangents, in float64. scales: the state's, if at hand."""
     state = after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision if solver else "double"])
     given = step_input(state, solver, scales)
@@ -346,7 +332,6 @@ def solve(
     """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is.
 
     Where e > 0 the velocities are those after its impacts as well, whose impulses are not among the solution's.
-
     problem: of `step_problem` for the same state and solver, if it is at hand; it stays as it is.
     """
     solver = for_state(solver, state)
@@ -356,8 +341,10 @@ def solve(
         problem = step_problem(state, solver)
         rows, solver_bodies = problem.rows, problem.solver_bodies
     else:
-        rows, solver_bodies = copy_rows(problem.rows), problem.solver_bodies.copy()
-        set_impulses(rows, normal_start, tangent_start)
+        rows = Rows(problem.rows.body, problem.rows.data.copy(), problem.rows.impulse.copy())
+        solver_bodies = problem.solver_bodies.copy()
+        with np.errstate(over="ignore"):  # in float32 the largest become infinite
+            rows.impulse[:] = np.column_stack([normal_start, tangent_start])[:, : rows.impulse.shape[1]]
     theta = np.empty(solver.sweeps)
     sweeps = solve_velocities(rows, problem.friction, settings, solver_bodies, theta)
     impulse = rows.impulse.astype(np.float64)
@@ -368,16 +355,3 @@ def solve(
         angular_velocities=solver_bodies[:n, V_S] / state.bodies.radius,
         record=convergence_record(theta[:sweeps], solver, len(impulse)),
     )
-
-
-def set_impulses(rows: Rows, normal: np.ndarray, tangent: np.ndarray) -> None:
-    """Let the rows start from these impulses, (m,) each, N·s, in place. In float32 the largest become infinite."""
-    with np.errstate(over="ignore"):
-        rows.impulse[:, NORMAL] = normal
-        if rows.impulse.shape[1] > 1:
-            rows.impulse[:, TANGENT] = tangent
-
-
-def copy_rows(rows: Rows) -> Rows:
-    """The rows with impulses and masses of their own; loops change those in place."""
-    return Rows(rows.body, rows.data.copy(), rows.impulse.copy())

@@ -1,9 +1,8 @@
 """Exact solutions of the contact problem with friction, where sweeps do not come to one: Lemke's pivots.
 
 A pile has more impulses than it needs (it is hyperstatic): λ may move along the null space of A = J M⁻¹ Jᵀ at no change
-of the velocities. Sweeps let λ drift there until a contact opens or starts to slip. The remaining problem, which with
-friction is neither symmetric nor monotone, may have a mode that sweeps make grow: the residual jumps, and the drift
-starts anew elsewhere.
+of the velocities. Sweeps let λ drift there until a contact opens or starts to slip. With friction what is left is
+neither symmetric nor monotone, and may have a mode that sweeps make grow.
 
 A proximal step (Rockafellar 1976) adds ε diag(A) (λ − c) to the velocities, c being the last impulses: it takes the
 null space away and has the solutions of the contact problem as its fixed points. Each step is solved by the parametric
@@ -18,10 +17,9 @@ block a body and touching pair is factorised once a step, and a pivot is a solve
 alone has a system of 2 m rows, which SuperLU factorises at every pivot. Either is for references, not
 for the steps of a run.
 
-A path is sure to lead to a solution where the problem is monotone, as it is without friction. With friction ε may be
-too small against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε.
-Settling piles of 1,000 have been solved, those of 10,000 have not. Where solutions are many, which is found depends on
-the path, so on the start and these constants.
+A path is sure to lead to a solution without friction, where the problem is monotone. With friction ε may be too small
+against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε. Settling piles
+of 1,000 have been solved, those of 10,000 have not. Of many solutions, the start and these constants choose one.
 """
 
 from __future__ import annotations
@@ -38,12 +36,12 @@ from deep_contact.physics import metrics, proximal_path
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
-from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
+from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite, natural_residual
 from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
 from deep_contact.physics.proximal_path import MOST_TURNS, OPEN, SLIP_DOWN, SLIP_UP, STICK, first_change, slack
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.state import LARGEST_START, State, check_limits, check_state
-from deep_contact.validation import integer, number
+from deep_contact.validation import expect, integer, number
 
 FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-6, 0.1
 """ε to start with, and its bounds. A drift of λ costs a residual of ε times it, so ε has to be small; but a pivot
@@ -193,13 +191,8 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
 def _solution(problem: ContactProblem, impulse: np.ndarray) -> ContactSolution:
     """A problem's impulses as a solution, with the velocities of the bodies where there are any."""
     velocity = np.empty((0, 3)) if problem.jacobian is None else problem.velocities(impulse).reshape(-1, 3)
-    return ContactSolution(
-        impulse[::2].copy(),
-        impulse[1::2].copy(),
-        velocity[:, :2].copy(),
-        velocity[:, 2].copy(),
-        ConvergenceRecord(np.empty(0), 0, "max_sweeps"),
-    )
+    parts = impulse[::2], impulse[1::2], velocity[:, :2], velocity[:, 2]
+    return ContactSolution(*(part.copy() for part in parts), ConvergenceRecord(np.empty(0), 0, "max_sweeps"))
 
 
 def _start_of_problem(problem: ContactProblem) -> np.ndarray:
@@ -218,14 +211,11 @@ def _start_of_state(state: State) -> np.ndarray:
 
 def _given(problem: ContactProblem, normal, tangent) -> np.ndarray:
     """The impulses in the cone, (2 m,)."""
-    start, count = [], problem.friction.size
+    start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
-        array = np.array(np.nan if value is None else value, dtype=np.float64)
-        bad = array[~(np.abs(array) <= LARGEST_START)]
-        if array.shape != (count,) or bad.size:
-            got = "None" if value is None else f"shape {array.shape}" if not bad.size else f"{bad[0]}"
-            raise ValueError(f"{name}: expected {count} numbers, one a contact, up to {LARGEST_START:g} N·s, got {got}")
-        start.append(array)
+        start.append(finite(name, value, problem.friction.shape))
+        largest = np.abs(start[-1]).max(initial=0.0)
+        expect(largest <= LARGEST_START, f"{name}: expected numbers up to {LARGEST_START:g} N·s, got {largest:g}")
     return np.column_stack(projected(*start, problem.friction)).ravel()
 
 

@@ -4,8 +4,7 @@ A step with e > 0 first lets every contact that approaches fast rebound by Newto
 friction, again and again until none approaches any more (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with
 Stacking, 2003). Gravity and the contact problem come after that, without restitution.
 
-Symplectic Euler leaves velocities half a step behind the positions, so circles rebound with those after Δt / 2 of
-gravity. To each other they fall alike; to them walls and segments rise, at −Δt g / 2.
+Symplectic Euler leaves velocities half a step behind the positions, so walls and segments rise at −Δt g / 2.
 
 Each rebound changes the energy by −½ k (1 − e²) v_n² and by what friction takes: never upwards, whatever the solver,
 its sweeps, friction and masses; by 0 for e = 1 without friction. Newton's law for all contacts at once (Moreau 1988)

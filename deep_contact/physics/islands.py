@@ -1,8 +1,7 @@
 """Islands: circles that touch each other, directly or through others. Walls connect nothing, for they never move.
 
 What happens in one island leaves every other as it is, so each can be solved, and stopped, on its own
-(`PGS(islands=True)`), or put to sleep (`sleeping`). They save next to nothing in the thesis's
-scene, where nearly all sweeps are done after the circles have landed in one pile (Figure 6.7).
+(`PGS(islands=True)`; Figure 6.7), or put to sleep (`sleeping`).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The contact problem as matrices, which the engine never builds.
 
-It is the form of the textbook, to hold the sweeps against, and the form in which problems come from other programs
-(`io.fc2d`), where nothing is known of bodies. `matrix_solvers` and `exact` solve it.
+It is the form of the textbook, and that of problems from other programs (`io.fc2d`), where nothing is known of bodies.
+`matrix_solvers` and `exact` solve it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from scipy import sparse
 from deep_contact.physics.engine import after_impacts
 from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import State
+from deep_contact.validation import expect
 
 
 class ContactProblem(NamedTuple):
@@ -30,9 +31,8 @@ class ContactProblem(NamedTuple):
     | free_velocity | v + Δt M⁻¹ F, likewise                                                  | (3n,)    |      |
     | friction      | μ of every contact                                                      | (m,)     |      |
 
-    With friction r = 2 m and the rows of contact i are 2 i (normal) and 2 i + 1 (tangent); without, r = m and
-    `friction` is None. Where the bodies are not known, as in problems that were read from a file of matrices,
-    jacobian, inverse_mass and free_velocity are None.
+    r = 2 m; the rows of contact i are 2 i (normal) and 2 i + 1 (tangent). Where the bodies are not known, as in
+    problems that were read from a file of matrices, jacobian, inverse_mass and free_velocity are None.
     The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; ours is an impulse.
     """
 
@@ -61,11 +61,9 @@ def check_problem(problem: ContactProblem) -> ContactProblem:
     if not np.isfinite(A.data).all():
         raise ValueError(f"A: expected finite entries, got {A.data[~np.isfinite(A.data)][0]}")
     diagonal = A.diagonal()
-    if not (diagonal > 0).all():
-        i = np.flatnonzero(~(diagonal > 0))[0]
+    for i in np.flatnonzero(~(diagonal > 0)):
         raise ValueError(f"A[{i}, {i}]: expected a number > 0, got {diagonal[i]}")
-    if friction.min(initial=0.0) < 0:
-        i = int(np.argmin(friction))
+    for i in np.flatnonzero(friction < 0):
         raise ValueError(f"friction[{i}]: expected a number >= 0, got {friction[i]}")
     jacobian = problem.jacobian
     if jacobian is None:
@@ -75,11 +73,10 @@ def check_problem(problem: ContactProblem) -> ContactProblem:
     if jacobian.shape[0] != size or columns % 3:
         raise ValueError(f"jacobian: expected {size} rows and three columns a body, got shape {jacobian.shape}")
     inverse_mass = finite("inverse_mass", problem.inverse_mass, (columns,))
-    if inverse_mass.min(initial=0.0) < 0:
-        raise ValueError(f"inverse_mass: expected numbers >= 0, got {inverse_mass.min()}")
-    return ContactProblem(
-        A, b, jacobian, inverse_mass, finite("free_velocity", problem.free_velocity, (columns,)), friction
-    )
+    least = inverse_mass.min(initial=0.0)
+    expect(least >= 0, f"inverse_mass: expected numbers >= 0, got {least}")
+    free_velocity = finite("free_velocity", problem.free_velocity, (columns,))
+    return ContactProblem(A, b, jacobian, inverse_mass, free_velocity, friction)
 
 
 def finite(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -136,8 +133,8 @@ def _cone_distance(impulse, u, friction):
     return math.sqrt(total)
 
 
-def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
-    """Assemble A and b of a state that has contacts. friction: with tangent rows, or normal rows only."""
+def contact_problem(state: State) -> ContactProblem:
+    """Assemble A and b of a state that has contacts."""
     if state.contacts is None:
         raise ValueError("state.contacts: expected the contacts to have been found, got None (see dc.step)")
     bodies, contacts = after_impacts(state).bodies, state.contacts
@@ -148,28 +145,24 @@ def contact_problem(state: State, *, friction: bool = True) -> ContactProblem:
 
     rows, columns, entries = [], [], []
     tangent = np.column_stack([contacts.normal[:, 1], -contacts.normal[:, 0]])
-    contact = np.arange(m)
-    directions = (contacts.normal, tangent) if friction else (contacts.normal,)
     for body, side in ((contacts.body_a, -1.0), (contacts.body_b, 1.0)):
-        moves = body < n
-        i, k = contact[moves], body[moves]
+        i = np.flatnonzero(body < n)
+        k = body[i]
         arm = contacts.position[i] - bodies.position[k]
         if side > 0:
             # The arm of b as the engine has it: positions are exact to rounding, separations define the overlap.
             arm = -(bodies.radius[k] + 0.5 * contacts.separation[i])[:, None] * contacts.normal[i]
-        for kind, direction in enumerate(directions):
+        for kind, direction in enumerate((contacts.normal, tangent)):
             turn = arm[:, 0] * direction[i, 1] - arm[:, 1] * direction[i, 0]
             for axis, value in enumerate((direction[i, 0], direction[i, 1], turn)):
-                rows.append(len(directions) * i + kind)
+                rows.append(2 * i + kind)
                 columns.append(3 * k + axis)
                 entries.append(side * value)
-    shape = (len(directions) * m, 3 * n)
     index = (np.concatenate(rows), np.concatenate(columns))
-    jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=shape))
+    jacobian = sparse.csr_array(sparse.coo_array((np.concatenate(entries), index), shape=(2 * m, 3 * n)))
     b = jacobian @ free
-    if friction and state.world.surface_speeds:
+    if state.world.surface_speeds:
         b[1::2] += surface_velocities(contacts, segments_of(state.world), n)
     A = sparse.csr_array(jacobian @ sparse.diags_array(inverse_mass) @ jacobian.T)
     A.sort_indices()
-    mu = np.full(m, state.world.friction) if friction else None
-    return ContactProblem(A, b, jacobian, inverse_mass, free, mu)
+    return ContactProblem(A, b, jacobian, inverse_mass, free, np.full(m, state.world.friction))

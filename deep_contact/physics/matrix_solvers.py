@@ -1,9 +1,8 @@
 """PGS and NesterovPGS on a contact problem of matrices, A λ + b: for problems of which no bodies are known.
 
-The engine's sweeps walk from contact to body and back and never see A. Here a sweep gathers the velocities of a
-contact's two rows from A's blocks of 2 × 2, one for every contact with which it shares a body. The blocks on the
-diagonal may couple normal and tangent, as they do for shapes other than circles, and μ may differ from contact to
-contact. In exact arithmetic the sweeps are the engine's.
+A sweep gathers the velocities of a contact's two rows from A's blocks of 2 × 2, one for every contact with which it
+shares a body. The blocks on the diagonal may couple normal and tangent, as they do for shapes other than circles, and μ
+may differ from contact to contact. In exact arithmetic the sweeps are the engine's.
 """
 
 from __future__ import annotations
@@ -19,10 +18,10 @@ from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record, is_over
 from deep_contact.physics.lcp import ContactProblem, _cone_distance, check_problem, finite
 from deep_contact.physics.solvers import PGS, NesterovPGS, nesterov
-from deep_contact.validation import integer, number
+from deep_contact.validation import expect, integer, number
 
 CHECK_EVERY = 10
-"""Sweeps between two looks at Siconos's error, which costs about as much as two sweeps."""
+"""Sweeps between two looks at Siconos's error."""
 
 
 class Blocks(NamedTuple):
@@ -56,21 +55,9 @@ def blocks_of(problem: ContactProblem) -> Blocks:
     own = entry[~beside]
     first = np.concatenate([[0], np.cumsum(np.bincount(row[beside], minlength=m))])
     diagonal = np.ascontiguousarray(np.column_stack([own, 1 / own[:, 0], 1 / own[:, 3]]))
-    return Blocks(
-        first.astype(np.uint32),
-        A.indices[beside].astype(np.uint32),
-        np.ascontiguousarray(entry[beside]),
-        diagonal,
-        np.ascontiguousarray(problem.b.reshape(m, 2)),
-        problem.friction.copy(),
-    )
-
-
-class Stop(NamedTuple):
-    """When sweeping ends: θ within the tolerance (negative: never), or Siconos's error within `error` (likewise)."""
-
-    tolerance: float
-    error: float
+    b, mu = np.ascontiguousarray(problem.b.reshape(m, 2)), problem.friction.copy()
+    contact = A.indices[beside].astype(np.uint32)
+    return Blocks(first.astype(np.uint32), contact, np.ascontiguousarray(entry[beside]), diagonal, b, mu)
 
 
 def solve_problem(
@@ -84,22 +71,17 @@ def solve_problem(
     ValueError naming the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
-    loop = _LOOPS.get(type(solver))
-    if loop is None or solver.precision != "double" or solver.islands:
-        known = ", ".join(kind.__name__ for kind in _LOOPS)
-        raise ValueError(f"solver: expected one of {known}, in double precision and without islands, got {solver!r}")
+    known = "one of PGS, NesterovPGS, in double precision and without islands"
+    fits = type(solver) in (PGS, NesterovPGS) and solver.precision == "double" and not solver.islands
+    expect(fits, f"solver: expected {known}, got {solver!r}")
     problem = check_problem(problem)
     impulse = np.zeros(problem.b.size) if start is None else finite("start", start, problem.b.shape)
-    if solver.tolerance is not None:
-        number("tolerance", solver.tolerance, low=0)
-    stop = Stop(
-        -1.0 if solver.tolerance is None else float(solver.tolerance),
-        -1.0 if error is None else number("error", error, above=0),
-    )
+    tolerance = -1.0 if solver.tolerance is None else number("tolerance", solver.tolerance, low=0)
+    error = -1.0 if error is None else number("error", error, above=0)
     theta = np.empty(integer("sweeps", solver.sweeps))
     blocks = blocks_of(problem)
     pairs = impulse.reshape(-1, 2)
-    done, met = loop(blocks, pairs, stop, theta)
+    done, met = _relax(blocks, pairs, tolerance, error, theta, isinstance(solver, NesterovPGS))
     record = convergence_record(theta[:done], solver, blocks.mu.size)
     if met and record.status == "max_sweeps":
         record = record._replace(status="converged")
@@ -146,9 +128,9 @@ def velocities(blocks, impulse, u):
 
 
 @njit(cache=True)
-def is_met(blocks, impulse, stop, k):
-    """Whether Siconos's error is within the bound after the k-th sweep, counted from 0, if it is looked at there."""
-    if stop.error < 0.0 or (k + 1) % CHECK_EVERY:
+def is_met(blocks, impulse, error, k):
+    """Whether Siconos's error is within this one after the k-th sweep, counted from 0, if it is looked at there."""
+    if error < 0.0 or (k + 1) % CHECK_EVERY:
         return False
     u = np.empty_like(impulse)
     inside = impulse.copy()
@@ -158,34 +140,22 @@ def is_met(blocks, impulse, stop, k):
         inside[i, 1] = max(-largest, min(inside[i, 1], largest))
     velocities(blocks, inside, u)
     scale = math.sqrt(max((inside**2).sum(), max((u**2).sum(), (blocks.b**2).sum())))
-    return _cone_distance(inside.reshape(inside.size), u.reshape(u.size), blocks.mu) <= stop.error * scale
+    return _cone_distance(inside.reshape(inside.size), u.reshape(u.size), blocks.mu) <= error * scale
 
 
 @njit(cache=True)
-def _relax_plain(blocks, impulse, stop, theta):
-    """PGS."""
-    for k in range(theta.shape[0]):
-        theta[k] = sweep(blocks, impulse)
-        met = is_met(blocks, impulse, stop, k)
-        if is_over(theta[k], stop.tolerance) or met:
-            return k + 1, met
-    return theta.shape[0], False
-
-
-@njit(cache=True)
-def _relax_momentum(blocks, impulse, stop, theta):
-    """NesterovPGS: see `solvers.nesterov.relax_nesterov`."""
+def _relax(blocks, impulse, tolerance, error, theta, has_momentum):
+    """Sweep, with the momentum of `solvers.nesterov` or without, to a tolerance or an error, of which a negative one is
+    never met. Returns (sweeps, `is_met`)."""
     flat = impulse.reshape(impulse.size)
     last, swept_from, memory = flat.copy(), flat.copy(), nesterov.FIRST_MEMORY
     for k in range(theta.shape[0]):
         theta[k] = sweep(blocks, impulse)
-        met = is_met(blocks, impulse, stop, k)
-        if is_over(theta[k], stop.tolerance) or met or k + 1 == theta.shape[0]:
+        met = is_met(blocks, impulse, error, k)
+        if is_over(theta[k], tolerance) or met or k + 1 == theta.shape[0]:
             return k + 1, met
-        momentum, memory = nesterov.next_momentum(k, flat, swept_from, last, memory)
-        nesterov.extrapolate(flat, last, momentum)
-        swept_from[:] = flat
+        if has_momentum:
+            momentum, memory = nesterov.next_momentum(k, flat, swept_from, last, memory)
+            nesterov.extrapolate(flat, last, momentum)
+            swept_from[:] = flat
     return theta.shape[0], False
-
-
-_LOOPS = {PGS: _relax_plain, NesterovPGS: _relax_momentum}

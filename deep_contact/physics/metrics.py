@@ -1,9 +1,8 @@
 """How wrong the solution of a step is: every error defined once, with its unit and source.
 
-θ is a stopping rule, not an error: it is the size of the last step, and a method that creeps takes small steps far
-from the solution. Below, a solution is held against the contact problem itself (`residual`: what is left unsolved) and
-against a solution, as `physics.exact` finds them (`velocity_error`). Impulses are not compared: with friction a pile
-has many that give the same velocities.
+θ is no error: a method that creeps takes small steps far from the solution. A solution is held against the contact
+problem itself (`residual`: what is left unsolved) and against a solution, as `physics.exact` finds them
+(`velocity_error`). Impulses are not compared: with friction a pile has many that give the same velocities.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 from deep_contact.physics.engine import ContactSolution, after_impacts, contacts_of
 from deep_contact.physics.segments import segments_of, surface_velocities
 from deep_contact.state import Bodies, State
+from deep_contact.validation import expect
 
 
 def free_velocity(state: State) -> tuple[np.ndarray, np.ndarray]:
@@ -32,8 +32,7 @@ def kinetic_energy(bodies: Bodies) -> float:
 def energy_norm(bodies: Bodies, velocity: np.ndarray, spin: np.ndarray) -> float:
     """‖(v, ω)‖_M = √(Σ m |v|² + I ω²), √J: √2 times the root of the kinetic energy.
 
-    It is the norm in which the frictionless contact problem is a projection (Moreau 1966), so the one its error
-    is naturally measured in. velocity: (n, 2), m/s. spin: (n,), rad/s.
+    In this norm the frictionless contact problem is a projection (Moreau 1966). velocity: (n, 2), m/s. spin: (n,).
     """
     return float(np.sqrt(bodies.mass @ (velocity**2).sum(axis=1) + bodies.inertia @ spin**2))
 
@@ -45,11 +44,8 @@ def velocity_error(state: State, solution: ContactSolution, reference: ContactSo
     0 if v = v* and infinite if not.
     """
     free, spin = free_velocity(state)
-    error = energy_norm(
-        state.bodies,
-        solution.velocities - reference.velocities,
-        solution.angular_velocities - reference.angular_velocities,
-    )
+    spinning = solution.angular_velocities - reference.angular_velocities
+    error = energy_norm(state.bodies, solution.velocities - reference.velocities, spinning)
     change = energy_norm(state.bodies, reference.velocities - free, reference.angular_velocities - spin)
     if change == 0.0:
         return 0.0 if error == 0.0 else np.inf
@@ -59,12 +55,10 @@ def velocity_error(state: State, solution: ContactSolution, reference: ContactSo
 def nearest_velocity_error(state: State, solution: ContactSolution, references: Sequence[ContactSolution]) -> float:
     """`velocity_error` against the nearest of several references.
 
-    With friction a large pile has many solutions, and each method comes near to its own (`physics.exact` tells how far
-    they lie apart). What is to be known of a solution is how far it is from one, not from a certain one.
+    With friction a large pile has many solutions, and each method comes near to its own.
     Raises ValueError without references.
     """
-    if not references:
-        raise ValueError("references: expected at least one, got none")
+    expect(references, "references: expected at least one, got none")
     return min(velocity_error(state, solution, reference) for reference in references)
 
 

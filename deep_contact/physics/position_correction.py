@@ -3,11 +3,10 @@
 Nonlinear Gauss-Seidel as in Box2D 2.3: each contact, at the positions as they are by then, moves its bodies by a share
 of the penetration beyond the slop, by their inverse masses. For circles nothing turns.
 
-A sweep contact by contact waits: for a square root and two divisions of the contact before, and for a branch that
-nobody can predict. `correct_tiles` does eight contacts at a time that share no circle. Contacts are put into levels for
-it, each after all contacts before it that share a circle with it, so that every circle meets its contacts in the order
-of the list; and no product is fused with a sum. Both ways therefore compute the same bits, and `correct_positions`
-takes the one that costs less.
+`correct_tiles` does eight contacts at a time that share no circle. Contacts are put into levels for it, each after all
+contacts before it that share a circle with it, so that every circle meets its contacts in the order of the list; and no
+product is fused with a sum. So it computes the same bits as contact by contact, and `correct_positions` takes the way
+that costs less.
 """
 
 from __future__ import annotations
@@ -32,8 +31,7 @@ _IDLE_RADIUS = 1e-200
 """Of the idle body, m: not 0, so that it is found to coincide with itself, and never beyond a slop."""
 
 _FEW = 3
-"""Sweeps for which levels do not pay: they cost about as much as three sweeps contact by contact, most of which correct
-nothing in a pile that falls."""
+"""Sweeps for which levels do not pay: they cost about as much as three sweeps contact by contact."""
 
 _FILLED = 8
 """Mean number of contacts in a level from which on tiles cost less: in a column each level is one contact."""
@@ -164,8 +162,7 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
 def correct_tiles(body, normal, stride, centre, first, last, scales):
     """`correct_in_turn` over the tiles from `first` to before `last`, in place: the same bits, eight at a time.
 
-    body: (T, 2, 8), rows of `centre`. normal: (T, stride, 8), the first two as they were found.
-    centre: see `fill_ground`.
+    body: (T, 2, 8), rows of `centre` (`fill_ground`). normal: (T, stride, 8), the first two as they were found.
     """
     none, tiny = spread(0.0), spread(SMALLEST_DISTANCE)
     slop, share, longest = spread(scales.slop), spread(BAUMGARTE), spread(scales.max_correction)

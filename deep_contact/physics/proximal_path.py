@@ -76,14 +76,9 @@ def make_inverse(bodies: Bodies) -> Inverse:
     """An inverse that stands for nothing yet."""
     n, m = bodies.pattern.place.size, bodies.end.shape[0]
     return Inverse(
-        block_lu.make_factors(bodies.pattern),
-        np.zeros(m, np.int64),
-        np.empty((REFRESH, n + 1, 3)),
-        np.empty((REFRESH, 2)),
-        np.empty(REFRESH, np.int64),
-        np.full(1, -1),
-        np.zeros(1),
-    )
+        block_lu.make_factors(bodies.pattern), np.zeros(m, np.int64), np.empty((REFRESH, n + 1, 3)),
+        np.empty((REFRESH, 2)), np.empty(REFRESH, np.int64), np.full(1, -1), np.zeros(1),
+    )  # fmt: skip
 
 
 def bodies_of(problem: ContactProblem) -> Bodies | None:
@@ -99,29 +94,21 @@ def bodies_of(problem: ContactProblem) -> Bodies | None:
     touched, body = np.unique(body, return_inverse=True)
     n = touched.size
     pair, which = np.unique(contact * max(n, 1) + body, return_inverse=True)
-    count = np.bincount(pair // max(n, 1), minlength=m)
-    if count.max(initial=0) > 2:
+    contact_of, body_of = np.divmod(pair, max(n, 1))
+    if np.bincount(contact_of).max(initial=0) > 2:
         return None
-    rank = np.arange(pair.size) - np.concatenate([[0], np.cumsum(count)])[pair // max(n, 1)]
+    rank = (np.diff(contact_of, prepend=-1) == 0).astype(np.int64)
     end = np.full((m, 2), n)
-    end[pair // max(n, 1), rank] = pair % max(n, 1)
+    end[contact_of, rank] = body_of
     jacobian = np.zeros((m, 2, 2, 3))
     jacobian[contact, side, rank[which], axis] = entry
     both = end.max(axis=1) < n
     pattern = block_lu.pattern_of(n, end[both, 0], end[both, 1])
     place = np.append(pattern.place, n)[end]
-    return Bodies(pattern, place, _blocks(pattern, place), jacobian.reshape(m, 12))
-
-
-@njit(cache=True)
-def _blocks(pattern, place):
-    n = pattern.place.shape[0]
-    block = np.full(place.shape[0], -1)
-    for i in range(place.shape[0]):
-        a, b = place[i, 0], place[i, 1]
-        if max(a, b) < n:
-            block[i] = block_lu.find_block(pattern, max(a, b), min(a, b))
-    return block
+    upper, lower = place.max(axis=1), place.min(axis=1)
+    blocks = np.repeat(np.arange(n), np.diff(pattern.first)) * n + pattern.row  # rising
+    block = np.where(upper < n, np.searchsorted(blocks, lower * n + upper), -1)
+    return Bodies(pattern, place, block, jacobian.reshape(m, 12))
 
 
 @njit(cache=True)
@@ -386,7 +373,6 @@ def follow(bodies, diagonal, friction, epsilon, states, x, u, q, limit, inverse)
                 return False, pivots, factorizations
             k = inverse.used[0] - 1
             g_n, g_t = _product(bodies.jacobian, bodies.end, dv, contact)
-            share = inverse.coefficient[k, 0] * (g_n + q[contact, 0]) + inverse.coefficient[k, 1] * (
-                g_t + q[contact, 1]
-            )
+            r_n, r_t = inverse.coefficient[k, 0], inverse.coefficient[k, 1]
+            share = r_n * (g_n + q[contact, 0]) + r_t * (g_t + q[contact, 1])
             _subtract(dv, inverse.column[k], share)

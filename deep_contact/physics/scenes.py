@@ -15,7 +15,7 @@ from deep_contact import constants
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state import State, World, make_bodies
 from deep_contact.state.scales import mean
-from deep_contact.validation import integer, number
+from deep_contact.validation import expect, integer, number
 
 _TRIES = 20_000
 """Draws in a row for one circle before the scene is taken to be full."""
@@ -41,7 +41,7 @@ def circles_in_box(
     """
     rng = _generator(seed)
     n = integer("n_bodies", n_bodies, least=1)
-    extent = _checked_size(size)
+    extent = np.broadcast_to(_positive("size", size, [(), (2,)], "finite numbers > 0"), 2)
     low, high = _checked_radius(radius)
     number("sigma_coef", sigma_coef, above=0)
     radii = np.full(n, low) if low == high else rng.uniform(low, high, n)
@@ -101,14 +101,7 @@ def lattice_in_box(
     return State(name=f"lattice_{n}", world=World(box=box, **world), bodies=bodies)
 
 
-def column(
-    n_bodies: int = 10,
-    *,
-    radius: float = 1.0,
-    width: float = 30.0,
-    density: float = 1.0,
-    **world,
-) -> State:
+def column(n_bodies: int = 10, *, radius: float = 1.0, width: float = 30.0, density: float = 1.0, **world) -> State:
     """Circles exactly above one another in the middle of the box, just touching. A silo is 2.02 radii wide.
 
     world: friction, restitution and gravity of the `World`.
@@ -205,8 +198,7 @@ def drum(n_bodies: int = 300, *, froude: float = 0.05, filling: float = 0.4, sid
     sides = integer("sides", sides, least=8)
     heap = lattice_in_box(n_bodies, **options)
     gravity = math.hypot(*heap.world.gravity)
-    if froude > 0 and gravity == 0:
-        raise ValueError(f"froude: expected 0 without gravity, which it is measured by, got {froude}")
+    expect(froude == 0 or gravity > 0, f"froude: expected 0 without gravity, which it is measured by, got {froude}")
     half = 0.5 * math.hypot(*heap.world.box[2:])  # so that the corners of the lattice lie within
     area = 2.0 * math.sqrt(3.0) * float((heap.bodies.radius**2).sum())
     outer = max(math.sqrt(area / (math.pi * filling)), half / math.cos(math.pi / sides))
@@ -239,12 +231,7 @@ def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generato
 
 
 def two_bodies(
-    *,
-    speed: float = 2.0,
-    radius: tuple[float, float] = (1.0, 1.0),
-    density: float = 1.0,
-    offset: float = 0.0,
-    **world,
+    *, speed: float = 2.0, radius: tuple[float, float] = (1.0, 1.0), density: float = 1.0, offset: float = 0.0, **world
 ) -> State:
     """Two circles that touch and run into each other without gravity, each at half the closing `speed`, m/s.
 
@@ -253,8 +240,7 @@ def two_bodies(
     """
     first, second = (float(r) for r in radius)
     reach = first + second
-    if not abs(offset) < reach:
-        raise ValueError(f"offset: expected less than the sum of the radii {reach}, got {offset}")
+    expect(abs(offset) < reach, f"offset: expected less than the sum of the radii {reach}, got {offset}")
     centres = 15.0 + np.array([[0.0, 0.0], [math.sqrt(reach**2 - offset**2), offset]])
     bodies = make_bodies(centres, radius=[first, second], velocity=[[speed / 2, 0], [-speed / 2, 0]], density=density)
     return State(name="two_bodies", world=World(gravity=(0, 0), **world), bodies=bodies)
@@ -280,21 +266,6 @@ def drifting_circles(
     return scene.replace(name=f"drifting_{n_bodies}", bodies=scene.bodies._replace(velocity=velocity))
 
 
-def _checked_size(size) -> np.ndarray:
-    extent = _floats(size)
-    if extent.shape not in ((), (2,)) or not (np.isfinite(extent).all() and (extent > 0).all()):
-        raise ValueError(f"size: expected finite numbers > 0, got {size!r}")
-    return np.broadcast_to(extent, 2)
-
-
-def _floats(values) -> np.ndarray:
-    """As float64; NaN where they are no real numbers."""
-    try:
-        return np.full((), np.nan) if np.iscomplexobj(values) else np.asarray(values, dtype=np.float64)
-    except (ValueError, TypeError, OverflowError):
-        return np.full((), np.nan)
-
-
 def _generator(seed) -> np.random.Generator:
     # NumPy takes sequences, too, and ends the process on a matrix.
     if isinstance(seed, np.random.Generator):
@@ -304,11 +275,22 @@ def _generator(seed) -> np.random.Generator:
     return np.random.default_rng(seed)
 
 
+def _positive(name: str, values, shapes, expected: str) -> np.ndarray:
+    """As float64. Raises ValueError unless they are finite numbers > 0 of one of these shapes."""
+    try:
+        array = np.array(np.nan if np.iscomplexobj(values) else values, np.float64)
+    except (ValueError, TypeError, OverflowError):
+        array = np.array(np.nan)
+    fits = array.shape in shapes and np.isfinite(array).all() and (array > 0).all()
+    expect(fits, f"{name}: expected {expected}, got {values!r}")
+    return array
+
+
 def _checked_radius(radius) -> tuple[float, float]:
-    pair = _floats(radius)
-    if pair.shape != (2,) or not (np.isfinite(pair).all() and 0 < pair[0] <= pair[1]):
-        raise ValueError(f"radius: expected finite 0 < smallest <= largest, such as (1.0, 1.0), got {radius!r}")
-    return float(pair[0]), float(pair[1])
+    expected = "finite 0 < smallest <= largest, such as (1.0, 1.0)"
+    low, high = _positive("radius", radius, [(2,)], expected).tolist()
+    expect(low <= high, f"radius: expected {expected}, got {radius!r}")
+    return low, high
 
 
 def _roomy_size(radii: np.ndarray, sigma_coef: float) -> float:

@@ -6,8 +6,7 @@ their own: of those that meet there, the one that the centre lies beside keeps t
 vertices do in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles).
 
 No centre ever crosses a segment: fast circles stop at it (`continuous`), and what sweeps or position correction would
-still push through is held on its side (`hold_beside`), so the side that is felt is the one that the circle came from.
-Each costs every circle one comparison a step or more; no grid is made of them.
+still push through is held on its side (`hold_beside`). No grid is made of them.
 """
 
 from __future__ import annotations
@@ -44,15 +43,10 @@ def surface_velocity(segment, n_x, n_y):
     return segment[4] * (e_x * n_y - e_y * n_x) / math.sqrt(e_x * e_x + e_y * e_y)
 
 
-@njit(cache=True, error_model="numpy")
 def surface_velocities(contacts, segments, n):
     """`surface_velocity` of every contact of n circles, (m,), m/s; 0 where there is no segment."""
-    found = np.zeros(contacts.body_a.shape[0])
-    for i in range(found.shape[0]):
-        s = contacts.body_b[i] - n - 4
-        if s >= 0:
-            found[i] = surface_velocity(segments[s], contacts.normal[i, 0], contacts.normal[i, 1])
-    return found
+    pairs = zip(contacts.body_b - n - 4, contacts.normal)
+    return np.array([surface_velocity(segments[s], *normal) if s >= 0 else 0.0 for s, normal in pairs])
 
 
 @njit(cache=True, error_model="numpy")
@@ -123,10 +117,7 @@ def shared_end(segments, s, end, k):
 
 @njit(cache=True)
 def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
-    """Insert the circles and segments that touch among m pairs, sorted by (body_a, body_b), in place.
-
-    Returns the number of pairs then, or -1 if they do not fit.
-    """
+    """Insert the circles and segments that touch among m sorted pairs, in place. Returns their number, -1 if full."""
     n, found = position.shape[0], m
     for i in range(n):
         for s in range(segments.shape[0]):

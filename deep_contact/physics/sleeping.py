@@ -3,10 +3,7 @@
 A circle is still while its speed and spin are at most `sleep_speed` and `sleep_spin` of the `ContactScales`. An island
 falls asleep once all of its circles have been still for `sleep_time` and none of its contacts is left to be corrected:
 their velocities become 0, and their impulses are kept to wake up with. It wakes as a whole when a circle that is awake
-touches it. Nothing else can wake it within a run, for what is asleep does not move and so neither finds nor loses a
-contact by itself; new velocities, an impulse, another world come with a new run, which starts awake.
-
-Contacts are still looked for among all circles, unless all are asleep, when a step is nothing at all.
+touches it. Contacts are looked for among all circles, unless all are asleep. A new run starts awake.
 
 Every stage takes a `SleepMemory`, or None where nothing may sleep; then it does nothing and is not compiled.
 """
@@ -101,10 +98,7 @@ def hold_sleeping(solver_bodies, sleep):
 
 @njit(cache=True)
 def wake_and_put_to_sleep(given, contacts, sleep):
-    """Let Δt pass, in place, for the stillness of circles and islands. given: `StepInput`.
-
-    contacts: those at the bodies' positions. What touches a moving surface stays awake.
-    """
+    """Let Δt pass, in place, for the stillness of circles and islands. contacts: those at the bodies' positions."""
     if sleep is None:
         return
     bodies, segments, scales = given.bodies, given.segments, given.scales

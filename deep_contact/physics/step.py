@@ -119,10 +119,7 @@ def make_log(steps: int) -> StepLog:
 
 @njit(cache=True)
 def log_step(log, k, contacts, sweeps, theta, relaxations):
-    """Add a part of the k-th step to the log. contacts: number of them. theta: of the part's sweeps.
-
-    Returns whether the call ends here, its work being done.
-    """
+    """Add a part of the k-th step to the log. Returns whether the call ends here, its work being done."""
     log.contacts[k] = contacts
     log.sweeps[k] += sweeps
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf

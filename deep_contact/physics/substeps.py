@@ -2,8 +2,7 @@
 
 With v the fastest approach that closes its gap within Δt, the step takes the least power of two of parts with
 v Δt / parts ≤ reach, so that nothing that hits has gone farther than the reach into the other before a contact stops
-it. This is the condition that particle codes put on a time step by velocity, "a share of a radius a step" (a Courant
-number of motion), in place of the one by stiffness, which rigid contacts do not have.
+it: a Courant number of motion.
 
 The choice depends on positions, velocities and Δt alone, so a run that is read back goes on bit for bit; a power of two
 scales impulses exactly. Weakness: the fastest pair decides for the whole scene, and what contacts accelerate within the

@@ -1,10 +1,8 @@
 """Impulses of a pile from its positions alone: loads are handed down from the top, circle by circle.
 
 For states whose contacts carry no impulses. Circles are visited from the highest to the lowest against gravity. Each
-solves the contacts on which it lies as if what lies below did not give way, and its reaction is load on that. It is the
-force half of shock propagation (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with Stacking, SIGGRAPH 2003),
-taken in the direction of the load, and what a hydrostatic model of a granular packing does with the contacts that are
-there.
+solves the contacts on which it lies as if what lies below did not give way, and its reaction is load on that: the force
+half of shock propagation (Guendelman, Bridson and Fedkiw, Nonconvex Rigid Bodies with Stacking, SIGGRAPH 2003).
 
 Weakness: nothing goes up again. What an arch holds sideways, and what a circle's own supports cannot hold, is lost.
 """
@@ -34,10 +32,7 @@ LOCAL_SWEEPS = 3
 
 
 def supported(state, problem) -> tuple[np.ndarray, np.ndarray]:
-    """(λ_n, λ_t), (m,) each, N·s, that carry the load of each circle down. problem: `engine.StepProblem` with tangents.
-
-    Without gravity they are zero.
-    """
+    """(λ_n, λ_t), (m,) each, N·s, that carry loads down; 0 without gravity. problem: `StepProblem` with tangents."""
     gravity, m = np.array(state.world.gravity), state.contacts.count
     if not gravity.any():
         return np.zeros(m), np.zeros(m)
@@ -80,16 +75,8 @@ def hand_down(body, data, friction, v, still, height, order, impulse):
             impulse[i, TANGENT] = max(-bound, min(impulse[i, TANGENT], bound))
             is_a = body[i, BODY_A] == a
             b, sign = (body[i, BODY_B], 1.0) if is_a else (body[i, BODY_A], -1.0)
-            push(
-                v,
-                b,
-                sign,
-                data[i, N_X],
-                data[i, N_Y],
-                data[i, ARM_B if is_a else ARM_A],
-                impulse[i, NORMAL],
-                impulse[i, TANGENT],
-            )
+            arm = data[i, ARM_B if is_a else ARM_A]
+            push(v, b, sign, data[i, N_X], data[i, N_Y], arm, impulse[i, NORMAL], impulse[i, TANGENT])
 
 
 @njit(cache=True)

@@ -1,8 +1,7 @@
 """Smoothed particle hydrodynamics as a transfer between particles and grid images (the thesis's chapter 3).
 
 Kernels: `value`, `derivative`, `gradient`, `laplacian`; their names are in `KERNELS`.
-Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' ways back, `read_by_spline` and
-`share_out`. `deep_contact.sph.neighbours` has the slow reference, by k-d tree.
+Transfer: `Grid`, `splat`, `density`, `gather`, and the authors' ways back, `read_by_spline` and `share_out`.
 """
 
 from deep_contact.compiled import prepare_numba
@@ -11,18 +10,9 @@ prepare_numba()
 
 from deep_contact.sph.grid import Grid, density, gather, splat  # noqa: E402
 from deep_contact.sph.kernels import KERNELS, derivative, gradient, laplacian, value  # noqa: E402
-from deep_contact.sph.read_back import read_by_spline, share_out  # noqa: E402
+from deep_contact.sph.thesis import read_by_spline, share_out  # noqa: E402
 
 __all__ = [
-    "KERNELS",
-    "Grid",
-    "density",
-    "derivative",
-    "gather",
-    "gradient",
-    "laplacian",
-    "read_by_spline",
-    "share_out",
-    "splat",
-    "value",
-]
+    "KERNELS", "Grid", "density", "derivative", "gather", "gradient", "laplacian", "read_by_spline", "share_out",
+    "splat", "value",
+]  # fmt: skip

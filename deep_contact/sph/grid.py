@@ -5,14 +5,12 @@ particles carry. A transfer is a splat followed by a gather with the same `norma
 
 * "raw": node j holds Σ_k W(|x_j - x_k|, h) S_k (Algorithms 2 and 3; Eq 3.6 where the values are V_k S_k).
 * "particle": the weights of every particle are divided by their sum over the nodes (Appendix A), so the sum of an image
-  is the sum of the values. The thesis reads it back bilinearly (Algorithm 4), which returns between a quarter and all
-  of the value of an isolated particle if h is the spacing.
+  is the sum of the values. Read back bilinearly (Algorithm 4), as in the thesis, an isolated particle gets a quarter to
+  all of its value if h is the spacing.
 * "consistent": the image is that of "particle", and the gather divides by the gathered density D, the image of ones.
-  The value of an isolated particle comes back exactly, and so does a constant field. D needs positions only: a network
-  that predicts an image need not predict D.
+  The value of an isolated particle comes back exactly, and so does a constant field. D needs positions only.
 
-Only the nodes within reach of a particle are visited, so the cost grows with the particles, not with the nodes. A node
-is within reach if r < h; W(h) is 0.
+Only the nodes within reach of a particle, r < h, are visited.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.sph.kernels import as_floats, check_support_radius, kernel_number, profile
-from deep_contact.validation import integer, number, one_of
+from deep_contact.validation import expect, integer, number, one_of
 
 ROUNDING = 1e-9
 """In spacings: a point that lies beyond the last node by no more is taken to lie on it, and an extent that exceeds a
@@ -82,8 +80,7 @@ class Grid:
             raise ValueError(f"box: expected (x_min, y_min, x_max, y_max) of finite extent > 0, got {box}")
         dx, dy = _spacing(spacing)
         cells = (y_max - y_min) / dy, (x_max - x_min) / dx
-        if max(cells) >= _MOST_NODES:
-            raise ValueError(f"spacing: expected at most {_MOST_NODES} nodes along an edge, got {spacing}")
+        expect(max(cells) < _MOST_NODES, f"spacing: expected at most {_MOST_NODES} nodes along an edge, got {spacing}")
         shape = tuple(max(math.ceil(n - ROUNDING), 1) + 1 for n in cells)
         return cls(origin=(x_min, y_min), spacing=(dx, dy), shape=shape)
 
@@ -309,10 +306,7 @@ def splat(
 def density(
     grid: Grid, position, *, h: float, kernel: str = "poly6", unreached: str = "error", outside: str = "error"
 ) -> np.ndarray:
-    """The density image D_j = Σ_k w_jk, shape (n_y, n_x): the splat of ones, by which to divide.
-
-    Needs positions only. Arguments and errors as for `splat`, with the same values as the splat of the image.
-    """
+    """The density image D_j = Σ_k w_jk, (n_y, n_x): the splat of ones, with the arguments and errors of `splat`."""
     options = {"normalization": "consistent", "unreached": unreached, "outside": outside}
     return splat(grid, position, np.ones(len(position)), h=h, kernel=kernel, **options)
 
@@ -354,16 +348,14 @@ def gather(
     position = positions(position)
     layers = image_of(grid, image)
     if not consistent:
-        if density is not None:
-            raise ValueError(f"density: only for the normalization 'consistent', not {normalization!r}")
+        expect(density is None, f"density: only for the normalization 'consistent', not {normalization!r}")
         divisor = _NO_DENSITY
     elif density is None:
         options = {"normalization": normalization, "unreached": unreached, "outside": outside}
         divisor = splat(grid, position, np.ones(len(position)), h=h, kernel=kernel, **options)
     else:
         divisor = as_floats("density", density)
-        if divisor.shape != grid.shape:
-            raise ValueError(f"density: expected shape {grid.shape}, got {divisor.shape}")
+        expect(divisor.shape == grid.shape, f"density: expected shape {grid.shape}, got {divisor.shape}")
     out = np.empty((position.shape[0], layers.shape[2]))
     code, k = _gather_core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
     if code != _DONE:
@@ -376,15 +368,13 @@ def _several(name, given, count=2, *, check=number, expected="finite numbers"):
         found = tuple(check(name, value) for value in given)
     except (TypeError, ValueError):
         found = ()
-    if len(found) != count:
-        raise ValueError(f"{name}: expected {count} {expected}, got {given}")
+    expect(len(found) == count, f"{name}: expected {count} {expected}, got {given}")
     return found
 
 
 def _spacing(given):
     spacing = _several("spacing", (given,) * 2 if np.ndim(given) == 0 else given)
-    if not min(spacing) > 0:
-        raise ValueError(f"spacing: expected numbers > 0, got {given}")
+    expect(min(spacing) > 0, f"spacing: expected numbers > 0, got {given}")
     return spacing
 
 
@@ -401,8 +391,7 @@ def positions(given) -> np.ndarray:
     position = as_floats("position", given)
     if position.size == 0 and position.ndim == 1:
         position = position.reshape(0, 2)
-    if position.ndim != 2 or position.shape[1] != 2:
-        raise ValueError(f"position: expected shape (k, 2), got {position.shape}")
+    expect(position.ndim == 2 and position.shape[1] == 2, f"position: expected shape (k, 2), got {position.shape}")
     return _finite("position", position)
 
 

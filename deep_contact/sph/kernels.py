@@ -156,9 +156,9 @@ def gradient(kernel: str, displacement, h: float, dim: int = 2) -> np.ndarray:
 
 
 def laplacian(kernel: str, r, h: float, dim: int = 2):
-    """∇²W = W'' + (dim - 1)/r W', float64 in the shape of r, m^-(dim + 2).
+    """∇²W = W'' + (dim - 1)/r W', float64 in the shape of r, m^-(dim + 2). Arguments and errors as for `value`.
 
-    Arguments and errors as for `value`. (The thesis's Eq 3.10 has the wrong factor, Eq 3.13 is W'' alone.)
+    (The thesis's Eq 3.10 has the wrong factor, Eq 3.13 is W'' alone.)
     """
     return _radial(2, kernel, r, h, dim)
 
@@ -185,10 +185,9 @@ def check_support_radius(h) -> float:
 
 
 def as_floats(name: str, array) -> np.ndarray:
-    """A C-contiguous float64 array, the same object if it is one already.
+    """A C-contiguous float64 array, the same object if it is one. Raises ValueError without real numbers.
 
     A read-only one is copied: Numba would take it for another type, and compile anew.
-    Raises ValueError unless it holds real numbers.
     """
     if type(array) is np.ndarray and array.dtype == np.float64 and array.flags.carray:
         return array

@@ -225,7 +225,7 @@ def time_to_threshold(
 
 def time_by_tree(state: State, *, repeats: int) -> float:
     """Median seconds of the splat of the bodies by k-d tree (the thesis's Algorithm 2, d = h = 0.5 m)."""
-    from deep_contact.sph.neighbours import splat_by_tree
+    from deep_contact.sph.thesis import splat_by_tree
 
     spec, bodies = ImageSpec(), state.bodies
     values = np.column_stack([bodies.mass, bodies.velocity, bodies.spin])

@@ -112,8 +112,6 @@ def test_code_for_classes_of_other_packages_is_not_kept(tmp_path, monkeypatch):
 
 
 def test_numba_compiles_what_needs_blas_without_importing_it_before():
-    from numba import njit
-
     compiled.prepare_numba()
     assert njit(lambda a: np.dot(a, a))(np.full((2, 2), 2.0)).tolist() == [[8.0, 8.0], [8.0, 8.0]]
 

@@ -4,10 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from box2d_recorder import RecordingBox2D
+from box2d_recorder import RecordingBox2D, solved_in_order
 
 import deep_contact as dc
-from deep_contact.physics.engine import solve
 
 pytest.importorskip("Box2D")
 pytestmark = pytest.mark.peers
@@ -33,10 +32,8 @@ def test_impulses_equal_box2d(radius):
     # Same start, same order, same number of sweeps; Box2D works in float32, hence 1e-4 of the largest impulse.
     compared = 0
     for seed in range(3):
-        for state, order in recorded_steps(seed, radius, sweeps=60):
-            contacts = dc.Contacts(*(np.ascontiguousarray(field[order]) for field in state.contacts))
-            solver = dc.PGS(sweeps=60, tolerance=None)
-            ours = solve(state.replace(contacts=contacts), solver, contacts.normal_start, contacts.tangent_start)
+        for recorded in recorded_steps(seed, radius, sweeps=60):
+            contacts, ours = solved_in_order(recorded, sweeps=60)
             largest = contacts.normal_impulse.max()
             np.testing.assert_allclose(ours.normal_impulses, contacts.normal_impulse, atol=1e-4 * largest)
             np.testing.assert_allclose(ours.tangent_impulses, contacts.tangent_impulse, atol=1e-4 * largest)

@@ -19,6 +19,15 @@ from deep_contact.physics.engine import contacts_of
 from deep_contact.state import World, make_bodies
 
 
+def pairs_of(contacts):
+    return list(zip(contacts.body_a, contacts.body_b))
+
+
+def search(position, radius, box, cells, skin=0.01):
+    """`find_contacts` in a box without segments."""
+    return find_contacts(position, radius, box, None, skin, cells, make_contacts(4000))
+
+
 def state_of(position, radius, box=(0, 0, 30, 30)):
     return dc.State(name="test", world=World(box=box), bodies=make_bodies(position, radius=radius))
 
@@ -46,17 +55,14 @@ def brute_force_pairs(state):
 def test_pairs_equal_brute_force(seed, n, spread, ratio):
     rng = np.random.default_rng(seed)
     state = state_of(rng.normal(15, spread, (n, 2)), np.exp(rng.uniform(np.log(1 / ratio), 0, n)))
-    contacts = contacts_of(state)
-    assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
+    assert pairs_of(contacts_of(state)) == brute_force_pairs(state)
 
 
 @pytest.mark.parametrize("height", np.random.default_rng(0).uniform(0.0, 10.0, 8))
 def test_circles_that_just_touch_are_found(height):
     # As far apart as the cells are wide: rounding may put them two cells apart.
     state = state_of(np.column_stack([np.full(12, 15.0), height + 2.0 * np.arange(12)]), 1.0)
-    contacts = contacts_of(state)
-    pairs = [(a, b) for a, b in zip(contacts.body_a, contacts.body_b) if b < 12]
-    assert pairs == [(a, a + 1) for a in range(11)]
+    assert [(a, b) for a, b in pairs_of(contacts_of(state)) if b < 12] == [(a, a + 1) for a in range(11)]
 
 
 def crowd(n, seed, *, smallest, side=30.0):
@@ -70,21 +76,12 @@ def crowd(n, seed, *, smallest, side=30.0):
 @pytest.mark.parametrize("smallest", [1e-5, 1e-3, 0.01])
 @pytest.mark.parametrize("seed", range(2))
 def test_pairs_of_all_sizes_equal_brute_force(seed, smallest):
-    n = 400
-    state = crowd(n, seed, smallest=smallest)
-    bodies, cells = state.bodies, make_cells(n)
-    found = find_contacts(
-        bodies.position,
-        bodies.radius,
-        state.world.box,
-        None,
-        state.scales.wall_skin,
-        cells,
-        make_contacts(8 * n),
-    )
+    state, cells = crowd(400, seed, smallest=smallest), make_cells(400)
+    bodies = state.bodies
+    found = search(bodies.position, bodies.radius, state.world.box, cells, state.scales.wall_skin)
     assert len(np.unique(cells.level)) > 1  # sorted by size
     assert (found.body_a == 0).sum() > 40  # a long list of one circle is sorted as well
-    assert list(zip(found.body_a, found.body_b)) == brute_force_pairs(state)
+    assert pairs_of(found) == brute_force_pairs(state)
 
 
 def test_pairs_of_all_sizes_that_fit_no_list_are_found():
@@ -92,27 +89,22 @@ def test_pairs_of_all_sizes_that_fit_no_list_are_found():
     state = state_of(rng.normal(15, 0.2, (200, 2)), np.exp(rng.uniform(np.log(0.01), 0, 200)))
     contacts = contacts_of(state)
     assert contacts.count > 8 * 200 + 40
-    assert list(zip(contacts.body_a, contacts.body_b)) == brute_force_pairs(state)
+    assert pairs_of(contacts) == brute_force_pairs(state)
 
 
 def test_one_large_circle_crowds_no_cells():
     # In one grid of cells as wide as it, every small circle would be compared with hundreds of others.
-    n = 2000
-    side = 80.0
-    position = np.random.default_rng(0).uniform(1, side - 1, (n, 2))
-    radius = np.full(n, 0.5)
-    radius[n // 2] = 30.0
-    cells = make_cells(n)
-    find_contacts(position, radius, (0, 0, side, side), None, 0.01, cells, make_contacts(8 * n))
+    position, radius, cells = np.random.default_rng(0).uniform(1, 79, (2000, 2)), np.full(2000, 0.5), make_cells(2000)
+    radius[1000] = 30.0
+    search(position, radius, (0, 0, 80, 80), cells)
     columns, rows = cells.grid[1, 3:5]
-    assert columns * rows > n
-    np.testing.assert_array_equal(np.flatnonzero(cells.level == 0), [n // 2])
+    assert columns * rows > 2000
+    np.testing.assert_array_equal(np.flatnonzero(cells.level == 0), [1000])
 
 
 def test_far_outlier_does_not_cost_a_cell_a_metre():
     state = state_of([[0.0, 0.0], [1.5, 0.0], [1e9, 1e9]], 1.0, box=(-10, -10, 2e9, 2e9))
-    contacts = contacts_of(state)
-    assert list(zip(contacts.body_a, contacts.body_b)) == [(0, 1)]
+    assert pairs_of(contacts_of(state)) == [(0, 1)]
 
 
 @pytest.mark.parametrize("stretch", [(1.0, 1.0), (1.0, 0.0), (1.0, 0.2), (1.0, 0.01)])
@@ -130,6 +122,8 @@ def test_cells_have_room_however_small_and_scattered_the_circles_are(n, stretch)
 
 
 def test_geometry_of_a_pair():
+    coinciding = contacts_of(state_of([[5.0, 5.0], [5.0, 5.0]], 1.0))
+    np.testing.assert_array_equal(coinciding.normal, [[1.0, 0.0]])
     contacts = contacts_of(state_of([[10.0, 10.0], [11.2, 11.6]], [1.0, 1.1]))
     # Centres 2 apart along (0.6, 0.8), radii 1 and 1.1: overlap 0.1, whose middle is 0.95 from the first centre.
     np.testing.assert_allclose(contacts.normal, [[0.6, 0.8]], atol=1e-14)
@@ -147,11 +141,6 @@ def test_every_wall_is_felt_at_its_own_side_of_the_box(centre, wall, gap):
     assert list(contacts.body_b) == [1 + wall]
     np.testing.assert_array_equal(contacts.normal[0], [[0, -1], [1, 0], [0, 1], [-1, 0]][wall])
     np.testing.assert_allclose(contacts.separation, gap - 1.0 - WALL_SKIN, rtol=1e-14)
-
-
-def test_coinciding_centres_have_a_normal():
-    contacts = contacts_of(state_of([[5.0, 5.0], [5.0, 5.0]], 1.0))
-    np.testing.assert_array_equal(contacts.normal, [[1.0, 0.0]])
 
 
 def test_impulses_are_carried_by_pair():
@@ -181,10 +170,7 @@ def test_pairs_are_those_of_a_fresh_search_however_circles_move(move, smallest, 
         position += move * way / np.linalg.norm(way, axis=1).max() + (drift, -drift)
         if step % 20 == 0:
             way = rng.normal(size=position.shape)
-        found, fresh = (
-            find_contacts(position, radius, (0, 0, 22, 22), None, 0.01, of, make_contacts(4000))
-            for of in (cells, make_cells(120))
-        )
+        found, fresh = (search(position, radius, (0, 0, 22, 22), of) for of in (cells, make_cells(120)))
         made += cells.memory[0] == 0
         for one, other in zip(found[:5], fresh[:5]):
             np.testing.assert_array_equal(one, other)
@@ -197,10 +183,7 @@ def test_a_heap_whose_list_does_not_fit_is_searched_without_one_for_a_while():
     position = rng.uniform(0, 1, (60, 2))
     for _ in range(45):
         position += rng.normal(0, 1e-4, position.shape)
-        found, fresh = (
-            find_contacts(position, np.ones(60), (-5, -5, 5, 5), None, 0.01, of, make_contacts(4000))
-            for of in (cells, make_cells(60))
-        )
+        found, fresh = (search(position, np.ones(60), (-5, -5, 5, 5), of) for of in (cells, make_cells(60)))
         assert found.body_a.size > 8 * 60 + 40
         np.testing.assert_array_equal(found.body_b, fresh.body_b)
         waits.append(cells.memory[2])
@@ -214,6 +197,5 @@ def test_what_a_search_by_size_remembers_changes_no_pair():
     for step in range(25):
         bodies.position[:] += rng.normal(0, 1e-4 if step % 10 else 1e-2, bodies.position.shape)
         lasted += cells.memory[0] >= 0
-        found = find_contacts(bodies.position, bodies.radius, box, None, skin, cells, make_contacts(4000))
-        assert list(zip(found.body_a, found.body_b)) == brute_force_pairs(state)
+        assert pairs_of(search(bodies.position, bodies.radius, box, cells, skin)) == brute_force_pairs(state)
     assert lasted > 15

@@ -78,14 +78,10 @@ def test_circle_on_the_floor_slips_or_sticks(speed, friction_speed, solved):
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    seed=st.integers(0, 10_000), law=st.sampled_from([(0, 0), (0.3, 0), (1, 0), (0.3, 0.5), (1, 0.5), (0, 1), (0.5, 1)])
-)
-def test_collisions_keep_momentum_and_make_no_energy(seed, law):
-    friction, restitution = law
-    scene = dc.drifting_circles(
-        25, size=14.0, radius=(0.4, 1.2), speed=3.0, friction=friction, restitution=restitution, seed=seed
-    )
+@given(seed=st.integers(0, 10_000), friction=st.sampled_from([0, 0.3, 1]), restitution=st.sampled_from([0, 0.5, 1]))
+def test_collisions_keep_momentum_and_make_no_energy(seed, friction, restitution):
+    law = {"friction": friction, "restitution": restitution}
+    scene = dc.drifting_circles(25, size=14.0, radius=(0.4, 1.2), speed=3.0, seed=seed, **law)
     solver = dc.PGS(sweeps=5000, tolerance=1e-12)
     for state in solved_states(scene, steps=25, solver=solver):
         if (state.contacts.body_b >= state.bodies.count).any():

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.physics.continuous import FAST
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World, make_bodies
 from deep_contact.studies.extremes import loaded_silo
 
 NO_GRAVITY = World(box=(0, 0, 60, 40), gravity=(0, 0))
+ELASTIC = replace(NO_GRAVITY, restitution=1.0, friction=0.0)
 SOLVERS = {name: METHODS[name]() for name in METHODS}
 
 
@@ -21,9 +21,8 @@ def scene(position, velocity, *, radius=1.0, world=NO_GRAVITY, **options):
 
 
 def inside(state):
-    x_min, y_min, x_max, y_max = state.world.box
-    position = state.bodies.position
-    return bool(((position > (x_min, y_min)) & (position < (x_max, y_max))).all())
+    box, position = np.array(state.world.box), state.bodies.position
+    return bool(((position > box[:2]) & (position < box[2:])).all())
 
 
 LINE, END = ((8.51, 15.0), (8.51, 25.0)), ((8.51, 20.0), (15.0, 20.0))
@@ -88,7 +87,6 @@ def test_small_circles_do_not_slip_between_or_through():
 @pytest.mark.parametrize("speed", [1.0, 24.0, 49.0])
 def test_what_moves_less_than_half_a_radius_is_left_alone(speed):
     # To the last bit it moves by Δt v.
-    assert speed * 0.01 < FAST
     state = scene([[30.0, 20.0], [40.0, 20.0]], [[speed, 0.0], [0.0, 0.0]])
     after = dc.simulate(state, steps=1, solver=dc.PGS()).state
     np.testing.assert_array_equal(after.bodies.position, state.bodies.position + 0.01 * state.bodies.velocity)
@@ -110,7 +108,7 @@ def test_fast_circles_do_not_change_their_order_in_a_channel():
     # 15 circles at random speeds in a channel that is one circle wide: none passes another.
     rng = np.random.default_rng(8)
     x = np.cumsum(rng.uniform(2.0, 4.0, 15))
-    world = World(box=(0, 0, x[-1] + 3, 2.02), gravity=(0, 0), restitution=1.0, friction=0.0)
+    world = replace(ELASTIC, box=(0, 0, x[-1] + 3, 2.02))
     velocity = np.column_stack([rng.normal(0, 1e3, 15), np.zeros(15)])
     state = scene(np.column_stack([x, np.full(15, 1.01)]), velocity, world=world)
     for _ in range(300):
@@ -138,9 +136,8 @@ def test_what_begins_outside_comes_in_by_its_contact():
 
 
 def test_restitution_1_keeps_the_energy_of_ten_thousand_bounces_between_walls():
-    # One circle, without gravity and friction, across a box of 4 m on both axes.
-    world = World(box=(0, 0, 4, 4), gravity=(0, 0), restitution=1.0, friction=0.0)
-    state = scene([[1.7, 2.2]], [[47.0, 31.0]], world=world)
+    # One circle across a box of 4 m on both axes.
+    state = scene([[1.7, 2.2]], [[47.0, 31.0]], world=replace(ELASTIC, box=(0, 0, 4, 4)))
     run = dc.simulate(state, steps=40_000, solver=dc.PGS(sweeps=20, tolerance=None))
     assert (run.contacts > 0).sum() > 10_000
     assert abs(kinetic_energy(run.state.bodies) / kinetic_energy(state.bodies) - 1) < 1e-6
@@ -161,10 +158,8 @@ def test_restitution_1_keeps_the_energy_of_ten_thousand_bounces_under_gravity():
 
 def test_a_circle_that_leaves_a_wall_is_struck_back_to_it_and_rebounds():
     # They swap ±1 and ∓3 m/s, and the wall returns the 3: momentum and energy of each blow alone.
-    world = World(box=(0, 0, 30, 30), gravity=(0, 0), restitution=1.0, friction=0.0)
-    solution = dc.solve_contacts(
-        scene([[1.0, 15.0], [3.0, 15.0]], [[1.0, 0.0], [-3.0, 0.0]], world=world), solver=dc.PGS(sweeps=200)
-    )
+    state = scene([[1.0, 15.0], [3.0, 15.0]], [[1.0, 0.0], [-3.0, 0.0]], world=ELASTIC)
+    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=200))
     np.testing.assert_allclose(solution.velocities[:, 0], [1.0, 3.0], atol=1e-12)
 
 
@@ -172,8 +167,6 @@ def test_a_circle_that_leaves_a_wall_is_struck_back_to_it_and_rebounds():
 def test_newtons_cradle_hands_its_speed_on(gap):
     # Blows follow one another, with gaps between the balls over steps, without gaps in one step.
     x = 5.0 + np.array([0.0, *(6.0 + (2.0 + gap) * np.arange(4))])
-    world = World(box=(0, 0, 60, 40), gravity=(0, 0), restitution=1.0, friction=0.0)
-    state = scene(np.column_stack([x, np.full(5, 20.0)]), [[5.0, 0.0]] + [[0.0, 0.0]] * 4, world=world)
+    state = scene(np.column_stack([x, np.full(5, 20.0)]), [[5.0, 0.0]] + [[0.0, 0.0]] * 4, world=ELASTIC)
     state = dc.simulate(state, steps=150, solver=dc.PGS(sweeps=1000, tolerance=None)).state
-    speed = state.bodies.velocity[:, 0]
-    np.testing.assert_allclose(speed, [0, 0, 0, 0, 5], atol=1e-9)
+    np.testing.assert_allclose(state.bodies.velocity[:, 0], [0, 0, 0, 0, 5], atol=1e-9)

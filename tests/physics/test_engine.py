@@ -117,7 +117,6 @@ def test_simulate_records_every_step():
     run = dc.simulate(dc.circles_in_box(30, seed=11), steps=80, solver=dc.PGS(sweeps=20))
     assert run.contacts.shape == run.sweeps.shape == run.theta.shape == run.status.shape == (80,)
     assert set(run.status) <= {"converged", "max_sweeps", "no_contacts"}
-    assert run.sweeps.max() <= 20
     assert (run.theta[run.status == "converged"] <= run.state.solver.tolerance).all()
 
 
@@ -125,9 +124,11 @@ def test_a_state_of_the_engine_passes_the_quick_check():
     """The slow check would accept it, too, but costs more than a step."""
     state = dc.simulate(dc.circles_in_box(30, seed=1), steps=160, solver=dc.PGS(sweeps=20)).state
     assert is_valid(state.bodies, state.contacts)
-    shorter = state.bodies._replace(velocity=state.bodies.velocity[:-1])
-    assert not is_valid(shorter, state.contacts)
-    weightless = state.bodies._replace(mass=0 * state.bodies.mass)
-    assert not is_valid(weightless, state.contacts)
-    backwards = state.contacts._replace(normal_impulse=state.contacts.normal_impulse - 1e9)
-    assert not is_valid(state.bodies, backwards)
+    bodies, contacts = state.bodies, state.contacts
+    for change in ({"velocity": bodies.velocity[:-1]}, {"mass": 0 * bodies.mass}, {"angle": bodies.angle + np.nan}):
+        assert not is_valid(bodies._replace(**change), contacts)
+    m = contacts.count
+    for name, value in (("normal_impulse", -1.0), ("tangent_start", np.inf), ("separation", np.nan), ("body_b", 2**40)):
+        spoiled = np.full(m, value, getattr(contacts, name).dtype)
+        assert not is_valid(bodies, contacts._replace(**{name: spoiled}))
+    assert not is_valid(bodies, contacts._replace(normal=2 * contacts.normal))

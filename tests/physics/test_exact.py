@@ -12,7 +12,6 @@ from deep_contact.physics import exact, metrics, proximal_path
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
 from deep_contact.physics.matrix_solvers import blocks_of
-from deep_contact.physics.proximal_path import OPEN, SLIP_DOWN, SLIP_UP, STICK
 from deep_contact.physics.scenes import single_body
 from deep_contact.simulation import ready
 from deep_contact.state import State, World, make_bodies
@@ -41,12 +40,10 @@ def check_solution(state, found, residual=1e-8):
 
 
 def test_every_state_of_a_fall_is_solved(falling_states):
-    pivots = 0
-    for state in falling_states:
-        found = from_nothing(state)
-        check_solution(state, found)
-        pivots += found.pivots
-    assert pivots > 1000
+    found = [from_nothing(state) for state in falling_states]
+    for state, one in zip(falling_states, found):
+        check_solution(state, one)
+    assert sum(one.pivots for one in found) > 1000
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 1.0, 1000.0])
@@ -54,7 +51,6 @@ def test_circles_of_all_sizes_with_any_friction(friction):
     scene = dc.lattice_in_box(40, radius=(0.2, 1.0), density=3.0, friction=friction, seed=2)
     for state in solved_states(scene, steps=200, every=20):
         check_solution(state, from_nothing(state))
-        assert max(principles(state).values()) < 1e-7
 
 
 def test_frictionless_velocities_equal_nnls(frictionless_states, nnls_velocities):
@@ -108,47 +104,40 @@ def test_a_settling_pile_that_sweeps_do_not_solve():
     assert found.factorizations > 0
 
 
+def bare(problem):
+    """The problem without its bodies."""
+    return ContactProblem(problem.A, problem.b, friction=problem.friction)
+
+
 def proximal_step(problem, kind):
     """A proximal step of the problem in the space of velocities or in that of impulses, and its blocks."""
-    problem = check_problem(
-        problem if kind == "bodies" else ContactProblem(problem.A, problem.b, friction=problem.friction)
-    )
+    problem = check_problem(problem if kind == "bodies" else bare(problem))
     bodies = proximal_path.bodies_of(problem)
     assert (bodies is None) == (kind == "matrices")
     step = exact._step_of_matrices(problem) if bodies is None else exact._step_of_bodies(problem, bodies)
     return step, blocks_of(problem)
 
 
-@pytest.mark.parametrize("kind", ["bodies", "matrices"])
 @pytest.mark.parametrize("friction", [0.5, 0.0])
-def test_a_proximal_step_solves_its_problem(falling_states, kind, friction):
+@pytest.mark.parametrize("k", [3, 7, 9, 11])
+def test_a_proximal_step_solves_its_problem_on_one_path_in_both_spaces(falling_states, k, friction):
     # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices.
-    state = falling_states[9]
+    state = falling_states[k]
     state = state.replace(world=replace(state.world, friction=friction))
-    problem, mu, epsilon = contact_problem(state), state.world.friction, 1e-2
-    A, c = problem.A.toarray(), np.zeros(problem.b.size)
-    step, blocks = proximal_step(problem, kind)
-    found, pivots, _ = step(blocks, c.reshape(-1, 2), epsilon, 1000)
-    impulse = found.ravel()
-    u = A @ impulse + problem.b + epsilon * np.diag(A) * (impulse - c)
-    free = impulse - u / np.diag(A)
-    normal, bound = np.maximum(free[::2], 0.0), mu * impulse[::2]
-    np.testing.assert_allclose(impulse[::2], normal, atol=1e-10)
-    np.testing.assert_allclose(impulse[1::2], np.clip(free[1::2], -bound, bound), atol=1e-10)
-    assert pivots > 20
-    assert step(blocks, c.reshape(-1, 2), epsilon, 5)[:2] == (None, 5)
-
-
-def test_both_spaces_take_the_same_path(falling_states):
-    for state in falling_states[3:12:4]:
-        problem = contact_problem(state)
-        start = np.zeros((state.contacts.count, 2))
-        found = [
-            step(blocks, start, 1e-2, 1000)
-            for step, blocks in (proximal_step(problem, k) for k in ("bodies", "matrices"))
-        ]
-        assert found[0][1] == found[1][1] > 0
-        np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-9)
+    problem, start, epsilon, taken = contact_problem(state), np.zeros((state.contacts.count, 2)), 1e-2, []
+    A = problem.A.toarray()
+    for kind in ("bodies", "matrices"):
+        step, blocks = proximal_step(problem, kind)
+        found, pivots, _ = step(blocks, start, epsilon, 1000)
+        impulse = found.ravel()
+        u = A @ impulse + problem.b + epsilon * np.diag(A) * impulse
+        free = impulse - u / np.diag(A)
+        normal, bound = np.maximum(free[::2], 0.0), friction * impulse[::2]
+        np.testing.assert_allclose(impulse[::2], normal, atol=1e-10)
+        np.testing.assert_allclose(impulse[1::2], np.clip(free[1::2], -bound, bound), atol=1e-10)
+        taken.append(pivots)
+        assert step(blocks, start, epsilon, 5)[:2] == (None, 5)
+    assert taken[0] == taken[1] > 5
 
 
 def test_an_inverse_taken_over_is_that_of_new_factors(falling_states):
@@ -177,7 +166,7 @@ def test_an_inverse_taken_over_is_that_of_new_factors(falling_states):
 def test_a_problem_of_matrices_is_solved_as_its_state(falling_states, with_bodies):
     state = falling_states[9]
     problem, zero = contact_problem(state), np.zeros(state.contacts.count)
-    problem = problem if with_bodies else ContactProblem(problem.A, problem.b, friction=problem.friction)
+    problem = problem if with_bodies else bare(problem)
     found, expected = solve_exactly(problem, zero, zero, residual=1e-10), from_nothing(state, residual=1e-10)
     assert found.converged
     assert found.residual == pytest.approx(natural_residual(check_problem(problem), stacked(found.solution)), abs=1e-14)
@@ -185,44 +174,25 @@ def test_a_problem_of_matrices_is_solved_as_its_state(falling_states, with_bodie
         np.testing.assert_allclose(found.solution.velocities, expected.solution.velocities, atol=1e-9)
     else:
         assert found.solution.velocities.shape == (0, 2)
-    default = solve_exactly(problem)
-    assert default.converged
-    assert default.residual <= 1e-8
-
-
-def principles(state):
-    """The worst violation of each first principle by the exact solution, m/s or N·s, from positions and velocities."""
-    solution, mu = solve_exactly(state).solution, state.world.friction
-    normal, tangent = metrics.row_velocities(state, solution.velocities, solution.angular_velocities)
-    p_n, p_t = solution.normal_impulses, solution.tangent_impulses
-    slides = np.abs(tangent) > 1e-6
-    return {
-        "pull": -p_n.min(initial=0.0),
-        "cone": (np.abs(p_t) - mu * p_n).max(initial=0.0),
-        "approach": -normal.min(initial=0.0),
-        "apart": np.minimum(p_n, np.maximum(normal, 0.0)).max(initial=0.0),
-        "slip": np.abs(p_t + mu * p_n * np.sign(tangent))[slides].max(initial=0.0),
-    }
+    assert solve_exactly(problem).converged
 
 
 def packings():
     """States whose matrices have dependent rows: columns, hexagonal packings, walls that touch on both sides."""
-    for friction in (0.0, 0.5, 1.0, 10.0):
+    for friction in (0.0, 0.5, 10.0):
         for gravity in ((0.0, -9.81), (0.0, 0.0), (3.0, -9.81)):
             world = {"friction": friction, "gravity": gravity}
-            for n in (1, 4, 12):
+            for n in (1, 12):
                 yield touching([(1.009, 1.01 + 2 * k) for k in range(n)], box=(0, 0, 2.018, 100), **world)
-            for rows in (2, 3, 5):
+            for rows in (2, 5):
                 hexagonal = [(10 + 2 * i + k % 2, 1.01 + np.sqrt(3) * k) for k in range(rows) for i in range(5 - k % 2)]
                 yield touching(hexagonal, **world)
                 yield touching([(10 + 2 * i, 1.01 + 2 * k) for k in range(rows) for i in range(3)], **world)
 
 
-def test_first_principles_where_rows_depend_on_each_other():
-    states = list(packings())
-    assert len(states) == 108
-    for state in states:
-        assert max(principles(state).values()) < 1e-7
+def test_packings_whose_rows_depend_on_each_other_are_solved():
+    for state in packings():
+        check_solution(state, solve_exactly(state))
 
 
 def test_epsilon_falls_while_steps_are_easy(falling_states, monkeypatch):
@@ -256,23 +226,6 @@ def test_a_drift_ends_where_a_contact_reaches_its_bound(tangent):
     np.testing.assert_allclose(found, [[least, tangent], [4 - least, -tangent]], atol=1e-12)
 
 
-def test_rates_are_those_of_the_dense_matrix():
-    # Some circles lie alone on the floor: their normal rows are the same whether open or not, but for the right side.
-    rng = np.random.default_rng(1)
-    state = ready(dc.simulate(dc.circles_in_box(30, seed=3), steps=200).state)
-    A, m, mu = contact_problem(state).A, state.contacts.count, 0.4
-    A = A + exact.sparse.diags_array(0.1 * A.diagonal(), format="csr")
-    states, q = rng.integers(0, 4, m), rng.normal(size=2 * m)
-    B, y = np.eye(2 * m), np.zeros(2 * m)
-    for i, s in enumerate(states):
-        still = [2 * i, 2 * i + 1] if s == STICK else [] if s == OPEN else [2 * i]
-        B[still], y[still] = A.toarray()[still], -q[still]
-        if s in (SLIP_UP, SLIP_DOWN):
-            B[2 * i + 1, 2 * i] = -mu if s == SLIP_UP else mu
-    expected = np.linalg.solve(B, y)
-    np.testing.assert_allclose(exact._rates(A, q, np.full(m, mu), states), expected, atol=1e-9 * np.abs(expected).max())
-
-
 def test_a_solution_is_left_as_it_is(falling_states):
     state = falling_states[-1]
     first = from_nothing(state).solution
@@ -282,26 +235,21 @@ def test_a_solution_is_left_as_it_is(falling_states):
     np.testing.assert_array_equal(again.solution.tangent_impulses, first.tangent_impulses)
 
 
-@pytest.mark.parametrize("most_pivots", [0, 1, 7])
-def test_too_few_pivots_give_the_best_so_far(falling_states, most_pivots):
-    state = falling_states[-1]
-    found = from_nothing(state, most_pivots=most_pivots)
-    assert not found.converged
-    assert found.solution.record.status == "max_sweeps"
-    assert found.pivots + found.factorizations <= most_pivots + 1
-    none = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=None)
-    assert found.residual == metrics.residual(state, found.solution) <= metrics.residual(state, none)
-    assert (np.abs(found.solution.tangent_impulses) <= state.world.friction * found.solution.normal_impulses).all()
-
-
-def test_the_best_solution_is_kept(falling_states):
+def test_too_few_pivots_give_the_best_so_far(falling_states):
     # Another limit cuts the same path elsewhere, or its last step short, so no smaller one can come to more.
-    limits = (0, 1, 2, 4, 8, 16, 32, 64, 128, 256)
     for state in falling_states[-3:]:
-        found = [from_nothing(state, residual=1e-14, most_pivots=limit) for limit in limits]
-        assert all(f.pivots + f.factorizations <= limit + 1 for f, limit in zip(found, limits))
-        residuals = [f.residual for f in found]
+        none, residuals = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=None), []
+        for limit in (0, 1, 2, 4, 8, 16, 32, 64, 128, 256):
+            found = from_nothing(state, residual=1e-14, most_pivots=limit)
+            assert not found.converged
+            assert found.solution.record.status == "max_sweeps"
+            assert found.pivots + found.factorizations <= limit + 1
+            assert found.residual == metrics.residual(state, found.solution)
+            residuals.append(found.residual)
+            p_n, p_t = found.solution.normal_impulses, found.solution.tangent_impulses
+            assert (np.abs(p_t) <= state.world.friction * p_n).all()
         assert residuals == sorted(residuals, reverse=True)
+        assert residuals[0] <= metrics.residual(state, none)
 
 
 def test_a_singular_step_is_given_up():
@@ -328,9 +276,8 @@ def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
 def test_what_it_cannot_solve_does_not_raise():
     # Masses that differ by more than numbers have digits, and impulses to start from that swamp all others.
     masses = np.array([1e-30, 1e30, 1.0, 1e30, 1e-30])
-    state = ready(
-        State(name="masses", world=World(), bodies=make_bodies([(9, 1 + 2 * k) for k in range(5)], mass=masses))
-    )
+    bodies = make_bodies([(9, 1 + 2 * k) for k in range(5)], mass=masses)
+    state = ready(State(name="masses", world=World(), bodies=bodies))
     huge = np.full(state.contacts.count, 1e50)
     for start in ((), (huge, -huge)):
         found = solve_exactly(state, *start, most_pivots=500)
@@ -353,27 +300,21 @@ def test_nothing_to_solve():
     np.testing.assert_allclose(found.solution.velocities, [[0.0, -0.0981]], rtol=1e-12)
 
 
-def state_with(owner=None, **changes):
-    """A circle on the floor, some fields of which are changed."""
-    state = ready(single_body())
-    return state.replace(**({owner: getattr(state, owner)._replace(**changes)} if owner else changes))
+ONE = ready(single_body())
+LOST = ONE.replace(bodies=ONE.bodies._replace(velocity=np.array([[np.nan, 0.0]])))
 
 
 @pytest.mark.parametrize(
     ("state", "arguments", "options", "message"),
     [
         (None, (), {}, "state: expected a State or a ContactProblem, got None"),
-        (state_with(contacts=None), (), {}, r"state\.contacts: expected the contacts to have been found, got None"),
-        (state_with("bodies", velocity=np.array([[np.nan, 0.0]])), (), {}, r"bodies.velocity\[0\]: expected a finite"),
-        (state_with(dt=np.nan), (), {}, "dt: expected a finite number > 0, got nan"),
-        (state_with("contacts", body_b=np.array([9])), (), {}, r"body_b\[0\]: expected a body after body_a, up to 4"),
-        (state_with(), (), {"residual": 0.0}, "residual: expected a finite number > 0, got 0.0"),
-        (state_with(), (), {"residual": "1"}, "residual: expected a finite number > 0, got '1'"),
-        (state_with(), (), {"most_pivots": -1}, "most_pivots: expected an integer >= 0, got -1"),
-        (state_with(), (), {"most_pivots": 2.5}, "most_pivots: expected an integer >= 0, got 2.5"),
-        (state_with(), ([0.0], None), {}, "tangent_start: expected 1 numbers, one a contact, .* got None"),
-        (state_with(), ([0.0, 1.0], [0.0]), {}, r"normal_start: expected 1 numbers, .* got shape \(2,\)"),
-        (state_with(), ([np.nan], [0.0]), {}, "normal_start: expected 1 numbers, .* got nan"),
+        (ONE.replace(contacts=None), (), {}, r"state\.contacts: expected the contacts to have been found, got None"),
+        (LOST, (), {}, r"bodies.velocity\[0\]: expected a finite"),
+        (ONE, (), {"residual": 0.0}, "residual: expected a finite number > 0, got 0.0"),
+        (ONE, (), {"most_pivots": -1}, "most_pivots: expected an integer >= 0, got -1"),
+        (ONE, ([0.0], None), {}, r"tangent_start: expected finite numbers of shape \(1,\), got None"),
+        (ONE, ([0.0, 1.0], [0.0]), {}, r"normal_start: expected finite numbers of shape \(1,\), got shape \(2,\)"),
+        (ONE, ([1e300], [0.0]), {}, r"normal_start: expected numbers up to .* N·s, got 1e\+300"),
     ],
 )
 def test_bad_arguments_are_refused(state, arguments, options, message):

@@ -8,7 +8,6 @@ import pytest
 import deep_contact as dc
 from deep_contact.physics.continuous import take_back_fall
 from deep_contact.presets import PRESETS
-from deep_contact.simulation import ready
 from deep_contact.state import State, World
 from deep_contact.studies.extremes import mechanical_energy
 
@@ -29,26 +28,10 @@ def with_masses(scene, ratio, seed=1):
     return scene.replace(bodies=scene.bodies._replace(mass=scene.bodies.mass * factor))
 
 
-def lattices(restitution, speed=10.0):
-    """Two blocks of 16 circles that run into each other, without gravity."""
-    block = np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(-1, 2) * 2.02
-    position = np.concatenate([block + np.array([3.0, 11.0]), block + np.array([18.0, 11.5])])
-    velocity = np.repeat([[0.5 * speed, 0.0], [-0.5 * speed, 0.0]], 16, axis=0)
-    world = World(box=BOX, gravity=(0, 0), restitution=restitution)
-    return State(name="lattices", world=world, bodies=dc.make_bodies(position, velocity=velocity))
-
-
 @pytest.mark.parametrize("accuracy", PRESETS)
 def test_three_elastic_circles_keep_their_energy_with_every_preset(accuracy):
     scene = dc.circles_in_box(3, friction=0.0, restitution=1.0, seed=0)
     assert np.abs(energies(scene, 1000, every=100, accuracy=accuracy) - 1).max() < 0.02
-
-
-@pytest.mark.parametrize("restitution", [0.3, 0.8, 1.0])
-def test_lattices_that_collide_gain_no_energy(restitution):
-    found = energies(lattices(restitution), 200, every=20)
-    assert found.max() < 1 + 1e-9
-    assert np.diff(found).max() < 1e-3
 
 
 @pytest.mark.parametrize("solver", [None, dc.PGS(), dc.PSOR(sweeps=2, omega=1.9, tolerance=None), dc.NNCG(sweeps=3)])
@@ -76,14 +59,8 @@ def test_a_circle_that_slides_along_the_floor_rebounds_by_coulomb():
 
 
 def test_a_surface_that_moves_drags_what_rebounds_from_it():
-    world = World(
-        box=BOX,
-        gravity=(0, 0),
-        restitution=1.0,
-        friction=9.0,
-        segments=(((25.0, 5.0), (5.0, 5.0)),),
-        surface_speeds=(2.0,),
-    )
+    belt = {"segments": (((25.0, 5.0), (5.0, 5.0)),), "surface_speeds": (2.0,)}
+    world = World(box=BOX, gravity=(0, 0), restitution=1.0, friction=9.0, **belt)
     bodies = dc.make_bodies([[15.0, 6.0]], velocity=[[0.0, -4.0]])
     state = dc.simulate(State(name="belt", world=world, bodies=bodies), steps=1, solver=dc.PGS()).state
     # A disc that sticks takes a third of the surface's speed, and turns with the rest.
@@ -109,20 +86,18 @@ def test_what_stops_early_keeps_the_energy_of_its_height(speed):
 
 def test_angular_momentum_changes_by_position_correction_alone():
     # Both circles get their impulses at one point. Correction moves centres along the normal, which changes Σ m x × v.
-    state = ready(lattices(0.0))
+    # Two blocks of 16 circles run into each other, without gravity.
+    block = np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(-1, 2) * 2.02
+    position = np.concatenate([block + np.array([3.0, 11.0]), block + np.array([18.0, 11.5])])
+    bodies = dc.make_bodies(position, velocity=np.repeat([[5.0, 0.0], [-5.0, 0.0]], 16, axis=0))
+    state = State(name="blocks", world=World(box=BOX, gravity=(0, 0)), bodies=bodies)
 
     def angular(bodies):
         x, v = bodies.position - 15.0, bodies.velocity
         return bodies.inertia @ bodies.spin + bodies.mass @ (x[:, 0] * v[:, 1] - x[:, 1] * v[:, 0])
 
-    scale = state.bodies.mass @ np.abs(state.bodies.velocity[:, 0]) * 10.0
-    change = {
-        sweeps: abs(
-            angular(dc.simulate(state, steps=80, solver=dc.PGS(sweeps=20, position_sweeps=sweeps)).state.bodies)
-            - angular(state.bodies)
-        )
-        / scale
-        for sweeps in (0, 10)
-    }
-    assert change[0] < 1e-13
-    assert 1e-6 < change[10] < 1e-2
+    solvers = [dc.PGS(sweeps=20, position_sweeps=sweeps) for sweeps in (0, 10)]
+    ends = [angular(dc.simulate(state, steps=80, solver=solver).state.bodies) for solver in solvers]
+    without, corrected = np.abs(np.array(ends) - angular(bodies)) / (bodies.mass.sum() * 5.0 * 10.0)
+    assert without < 1e-13
+    assert 1e-6 < corrected < 1e-2

@@ -15,15 +15,6 @@ WIDE = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""
 
 
-def components(state):
-    """Number of components, and that of each circle, by SciPy."""
-    n = state.bodies.count
-    a, b = state.contacts.body_a, state.contacts.body_b
-    circles = b < n
-    graph = coo_array((np.ones(circles.sum()), (a[circles], b[circles])), (n, n))
-    return connected_components(graph, directed=False)
-
-
 @pytest.mark.parametrize("seed", range(8))
 def test_islands_are_the_components_of_the_contact_graph(seed):
     rng = np.random.default_rng(seed)
@@ -31,7 +22,9 @@ def test_islands_are_the_components_of_the_contact_graph(seed):
     side = rng.choice([10.0, 30.0, 100.0])
     state = dc.single_body().replace(bodies=make_bodies(rng.uniform(0, side, (n, 2)), radius=rng.uniform(0.2, 1.5, n)))
     state = state.replace(contacts=contacts_of(state))
-    count, label = components(state)
+    pairs = np.column_stack(state.contacts[:2])
+    pairs = pairs[pairs[:, 1] < n]
+    count, label = connected_components(coo_array((np.ones(len(pairs)), pairs.T), (n, n)), directed=False)
     island = islands_of(state)
     assert len(set(island)) == count == len(set(zip(island, label)))
     for number in set(island):
@@ -50,7 +43,8 @@ def test_without_a_tolerance_islands_change_not_a_bit(friction):
     np.testing.assert_array_equal(one.relaxations, other.relaxations)
 
 
-def islands_of_a_fall():
+@pytest.fixture(scope="module")
+def fall():
     return solved_states(dc.circles_in_box(60, seed=3, **WIDE), steps=400, every=10)
 
 
@@ -66,10 +60,9 @@ def alone(state, island, number):
     return state.replace(bodies=bodies, contacts=contacts._replace(body_a=np.searchsorted(keep, a), body_b=moved)), mine
 
 
-def test_an_island_is_solved_as_if_it_were_alone():
-    solver = dc.PGS(islands=True)
-    for state in islands_of_a_fall()[::4]:
-        found = dc.solve_contacts(state, solver=solver)
+def test_an_island_is_solved_as_if_it_were_alone(fall):
+    for state in fall[::4]:
+        found = dc.solve_contacts(state, solver=dc.PGS(islands=True))
         island = islands_of(state)
         longest = 0
         for number in set(island[state.contacts.body_a]):
@@ -81,10 +74,10 @@ def test_an_island_is_solved_as_if_it_were_alone():
         assert found.record.sweeps == longest
 
 
-def test_islands_reach_the_tolerance_with_less_work():
+def test_islands_reach_the_tolerance_with_less_work(fall):
     # 6e-5 N·s is the change that a sweep may still make; what is left after it, slower, is no more than ten of those.
     less = 0
-    for state in islands_of_a_fall():
+    for state in fall:
         one, other = (dc.simulate(state, steps=1, solver=dc.PGS(islands=islands)) for islands in (False, True))
         assert other.theta[0] <= 6e-5 or other.sweeps[0] == 3000
         assert other.relaxations[0] <= one.relaxations[0]
@@ -93,10 +86,11 @@ def test_islands_reach_the_tolerance_with_less_work():
     assert less > 5
 
 
-def test_theta_is_the_largest_of_the_islands_still_swept():
-    state = islands_of_a_fall()[-1]
-    found = dc.solve_contacts(state, solver=dc.PGS(islands=True, tolerance=1e-9), start="none").record
-    together = dc.solve_contacts(state, solver=dc.PGS(tolerance=1e-9), start="none").record
+def test_theta_is_the_largest_of_the_islands_still_swept(fall):
+    together, found = (
+        dc.solve_contacts(fall[-1], solver=dc.PGS(islands=islands, tolerance=1e-9), start="none").record
+        for islands in (False, True)
+    )
     assert (found.status, found.sweeps) == ("converged", together.sweeps)
     assert found.theta[0] == together.theta[0]
     np.testing.assert_array_equal(found.theta <= together.theta, True)

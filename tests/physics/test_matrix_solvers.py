@@ -2,21 +2,17 @@
 
 import numpy as np
 import pytest
-from conftest import carried, stacked
+from conftest import carried
 from scipy import sparse
 
 import deep_contact as dc
-from deep_contact.physics import metrics
-from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual, siconos_error
-from deep_contact.physics.matrix_solvers import CHECK_EVERY, Stop, blocks_of, is_met, solve_problem
+from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, siconos_error
+from deep_contact.physics.matrix_solvers import CHECK_EVERY, blocks_of, is_met, solve_problem
 from deep_contact.physics.scenes import single_body
 from deep_contact.simulation import ready
 
-
-def of_circle(speed=0.0, friction=0.3):
-    """One circle on the floor, by hand: d_n = 1 / m, d_t = 3 / m."""
-    scene = single_body(friction=friction)
-    return contact_problem(ready(scene.replace(bodies=scene.bodies._replace(velocity=np.array([[speed, 0.0]])))))
+OF_CIRCLE = contact_problem(ready(single_body(friction=0.3)))
+"""One circle on the floor: d_n = 1 / m, d_t = 3 / m."""
 
 
 @pytest.mark.parametrize("solver", [dc.PGS, dc.NesterovPGS])
@@ -32,37 +28,12 @@ def test_sweeps_of_matrices_are_those_of_the_engine(falling_states, solver):
         np.testing.assert_allclose(record.theta, expected.record.theta, atol=tolerance)
 
 
-@pytest.mark.parametrize("solver", [dc.PGS, dc.NesterovPGS])
-def test_impulses_scale_with_the_velocities_to_the_last_bit(falling_states, solver):
-    problem, scale = contact_problem(falling_states[10]), 2.0**30
-    options = solver(sweeps=100, tolerance=None)
-    expected, _ = solve_problem(problem, options)
-    found, _ = solve_problem(problem._replace(b=scale * problem.b), options)
-    np.testing.assert_array_equal(found, scale * expected)
-
-
-def test_the_natural_residual_is_that_of_the_state(falling_states):
-    state = falling_states[7]
-    found = dc.solve_contacts(state, solver=dc.PGS(sweeps=3, tolerance=None))
-    residual = natural_residual(contact_problem(state), stacked(found))
-    assert residual == pytest.approx(metrics.residual(state, found), rel=1e-9)
-
-
 @pytest.mark.parametrize(("b", "error"), [((-1.0, 0.0), 1.0), ((-1.0, -2.0), np.hypot(0.8, 0.4) / np.sqrt(5))])
 def test_siconos_error_by_hand(b, error):
     # λ = 0 and u = b, μ = ½. (−1, 0): z = (1, 0) is in the cone, so the distance is 1, over max(0, 1, 1).
     # (−1, −2): z = (1 − 1, 2), whose projection on the edge (1, ½) is (0.8, 0.4).
     problem = ContactProblem(sparse.csr_array(np.eye(2)), np.array(b), friction=np.array([0.5]))
     assert siconos_error(problem, np.zeros(2)) == pytest.approx(error, rel=1e-14)
-
-
-@pytest.mark.parametrize("speed", [0.0, 5.0, 0.01])
-def test_siconos_error_vanishes_at_a_solution(speed):
-    problem = of_circle(speed)
-    impulse, record = solve_problem(problem, dc.PGS(sweeps=100, tolerance=1e-15))
-    assert record.status == "converged"
-    assert siconos_error(problem, impulse) < 1e-13
-    assert siconos_error(problem, 0.9 * impulse) > 1e-3
 
 
 def test_a_block_that_couples_normal_and_tangent():
@@ -78,9 +49,8 @@ def test_a_block_that_couples_normal_and_tangent():
 
 def test_mu_of_each_contact():
     # Two contacts that do not meet, both pushed sideways beyond their cones.
-    problem = ContactProblem(
-        sparse.csr_array(np.eye(4)), np.array([-1.0, 3.0, -1.0, 3.0]), friction=np.array([0.2, 0.7])
-    )
+    b = np.array([-1.0, 3.0, -1.0, 3.0])
+    problem = ContactProblem(sparse.csr_array(np.eye(4)), b, friction=np.array([0.2, 0.7]))
     impulse, _ = solve_problem(problem, dc.PGS(sweeps=5, tolerance=0.0))
     np.testing.assert_allclose(impulse, [1.0, -0.2, 1.0, -0.7], atol=1e-15)
 
@@ -104,7 +74,7 @@ def test_the_error_that_sweeps_are_asked_for_is_siconos_error(stiffness, b):
     impulse = np.array([[4.0, 1.5]])
     error = siconos_error(problem, impulse.ravel())
     for factor, met in ((1 - 1e-9, False), (1 + 1e-9, True)):
-        assert is_met(blocks_of(problem), impulse, Stop(-1.0, factor * error), CHECK_EVERY - 1) == met
+        assert is_met(blocks_of(problem), impulse, factor * error, CHECK_EVERY - 1) == met
 
 
 @pytest.mark.parametrize(
@@ -123,14 +93,13 @@ def test_the_error_that_sweeps_are_asked_for_is_siconos_error(stiffness, b):
 )
 def test_bad_problems_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
-        check_problem(of_circle()._replace(**changes))
+        check_problem(OF_CIRCLE._replace(**changes))
 
 
 @pytest.mark.parametrize(
     ("solver", "options", "message"),
     [
         (dc.PGS(islands=True), {}, "solver: expected one of PGS, .* got PGS"),
-        (dc.PGS(precision="single"), {}, "solver: expected one of PGS, .* got PGS"),
         (dc.BatchedPGS(), {}, "solver: expected one of PGS, .* got BatchedPGS"),
         (dc.PGS(), {}, "tolerance: expected a finite number >= 0, got 'scene'"),
         (dc.PGS(tolerance=None), {"error": 0.0}, "error: expected a finite number > 0, got 0.0"),
@@ -139,4 +108,4 @@ def test_bad_problems_are_refused(changes, message):
 )
 def test_bad_arguments_are_refused(solver, options, message):
     with pytest.raises(ValueError, match=message):
-        solve_problem(of_circle(), solver, **options)
+        solve_problem(OF_CIRCLE, solver, **options)

@@ -4,15 +4,9 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact.physics import position_correction
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.position_correction import (
-    SWEEPS,
-    WAIT,
-    correct_in_turn,
-    correct_positions,
-    fill_levels,
-    make_correction_room,
-)
+from deep_contact.physics.position_correction import SWEEPS, WAIT, fill_levels, make_correction_room
 from deep_contact.physics.segments import NO_SEGMENTS
 from deep_contact.state import World, make_bodies
 
@@ -33,7 +27,9 @@ def heap(n, seed, *, ratio=3.0):
 def corrected(state, sweeps, room):
     """Positions after a correction."""
     bodies = state.bodies._replace(position=state.bodies.position.copy())
-    correct_positions(bodies, state.contacts, state.world.box, NO_SEGMENTS, state.scales, sweeps, room)
+    position_correction.correct_positions(
+        bodies, state.contacts, state.world.box, NO_SEGMENTS, state.scales, sweeps, room
+    )
     return bodies.position
 
 
@@ -41,8 +37,8 @@ def in_turn(state, sweeps):
     """The same by sweeps contact by contact, with the rule for the end written out."""
     bodies = state.bodies._replace(position=state.bodies.position.copy())
     for _ in range(sweeps):
-        deepest = correct_in_turn(bodies, state.contacts, state.world.box, NO_SEGMENTS, state.scales)
-        if deepest >= -3 * state.scales.slop:
+        where = state.contacts, state.world.box, NO_SEGMENTS, state.scales
+        if position_correction.correct_in_turn(bodies, *where) >= -3 * state.scales.slop:
             break
     return bodies.position
 
@@ -66,8 +62,7 @@ def test_the_end_is_the_same():
     state = dc.simulate(dc.lattice_in_box(400, radius=(0.5, 1.0), gap=0.05, seed=1), steps=300).state
     ends = set()
     for share in (1.0, 0.996, 0.995):
-        squeezed = state.bodies._replace(position=share * state.bodies.position)
-        squeezed = state.replace(bodies=squeezed, contacts=None)
+        squeezed = state.replace(bodies=state.bodies._replace(position=share * state.bodies.position))
         squeezed = squeezed.replace(contacts=contacts_of(squeezed))
         room = make_correction_room(400, squeezed.contacts.count)
         room.memory[SWEEPS] = 10

@@ -47,9 +47,8 @@ def relax_toy(settings, rows, friction, solver_bodies, theta, workspace):
 
 @pytest.fixture(scope="module", autouse=True)
 def toy():
-    register(
-        ToyPGS, lambda solver: ToySettings(tolerance_argument(solver)), (Loop(ToySettings, relax_toy, make_counter),)
-    )
+    loop = Loop(ToySettings, relax_toy, make_counter)
+    register(ToyPGS, lambda solver: ToySettings(tolerance_argument(solver)), (loop,))
 
 
 def test_a_solver_from_outside_runs_sleeps_solves_and_is_written_to_files(tmp_path):
@@ -76,13 +75,10 @@ def test_another_solver_of_the_same_name_is_refused():
         register(PGS, lambda solver: ToySettings(0.0), ())
 
 
-@pytest.mark.parametrize(
-    ("method", "options"),
-    [
-        *(("SoftSteps", {"substeps": 4}), ("APGD", {})),
-        *(("BatchedPGS", {"order": "levels"}), ("PSOR", {"adaptive": True})),
-    ],
-)
+GONE = [("SoftSteps", {"substeps": 4}), ("BatchedPGS", {"order": "levels"}), ("PSOR", {"adaptive": True})]
+
+
+@pytest.mark.parametrize(("method", "options"), GONE)
 def test_a_solver_that_is_gone_is_read_as_none(method, options):
     with pytest.warns(UserWarning, match=rf"solver: {method}.* is no longer part of Deep Contact; the default is"):
         assert solver_from(method, options) is None

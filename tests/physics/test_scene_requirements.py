@@ -7,7 +7,6 @@ from conftest import assert_same_bits
 import deep_contact as dc
 from deep_contact import simulation
 from deep_contact.physics import engine
-from deep_contact.physics.contact_solver import sweep
 from deep_contact.physics.step import with_rare
 
 
@@ -37,14 +36,6 @@ def test_frictionless_runs_are_those_of_the_general_rows_bit_for_bit(solver, gen
     np.testing.assert_array_equal(one.theta, other.theta)
 
 
-def test_frictionless_nncg_solves_the_same_problem(frictionless_states):
-    # Its β are sums over all rows, which round differently, so that runs part; both reach the solution.
-    for state in frictionless_states:
-        found = dc.solve_contacts(state, solver=dc.NNCG(sweeps=20_000, tolerance=1e-12), start="none")
-        expected = dc.solve_contacts(state, solver=dc.PGS(sweeps=200_000, tolerance=1e-13), start="none")
-        np.testing.assert_allclose(found.velocities, expected.velocities, atol=1e-8)
-
-
 @pytest.mark.parametrize(("friction", "start"), [(0.5, 0.0), (1e-9, 0.0), (0.0, 1e-3), (0.0, 0.0)])
 def test_friction_or_a_start_with_tangents_requires_them(friction, start):
     state = simulation.ready(dc.column(3, friction=friction))
@@ -70,16 +61,6 @@ def test_nothing_turns_without_friction():
     # ω r and back by r rounds once a step.
     np.testing.assert_allclose(run.state.bodies.spin, scene.bodies.spin, rtol=150 * 2**-52)
     np.testing.assert_array_equal(run.state.contacts.tangent_impulse, 0.0)
-
-
-def test_a_frictionless_sweep_relaxes_each_normal_row():
-    # One contact: λ_n = max(0, −k v_n), Eq 2.29, with k = m / 2 for two equal circles.
-    state = simulation.ready(dc.two_bodies(speed=2.0, friction=0.0))
-    state = state.replace(world=dc.World(gravity=(0.0, 0.0), friction=0.0))
-    rows, solver_bodies, friction = engine.step_problem(state, dc.PGS())
-    theta = sweep(rows, friction, solver_bodies)
-    np.testing.assert_allclose([theta, rows.impulse[0, 0]], np.pi * 2.0 / 2, rtol=1e-15)
-    np.testing.assert_allclose(solver_bodies[:2, :2], 0.0, atol=1e-15)
 
 
 def test_the_first_fast_circle_of_a_run_stops_as_if_it_had_been_waited_for(monkeypatch):

@@ -5,22 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import stacked
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
-from deep_contact.physics import metrics
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.lcp import contact_problem, natural_residual
 from deep_contact.physics.segments import END, START, time_to_touch, touches
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World, make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)
-SOLVERS = {name: METHODS[name]() for name in METHODS} | {
-    "islands": dc.PGS(islands=True),
-}
+SOLVERS = {name: METHODS[name]() for name in METHODS} | {"islands": dc.PGS(islands=True)}
 
 
 def scene(position, *segments, gravity=(0.0, -9.81), friction=0.3, restitution=0.0, dt=0.01, **bodies):
@@ -35,33 +30,20 @@ def frames(state, steps, **options):
     return found
 
 
-def corners_as_segments(box):
-    x_min, y_min, x_max, y_max = box
-    corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
-    return list(zip(corners, corners[1:] + corners[:1]))
-
-
-def on_slope(theta, along=20.0, height=1.0):
-    """A slope that falls by θ to the right, and a point so far along it and above it."""
-    down, up = np.array([math.cos(theta), -math.sin(theta)]), np.array([math.sin(theta), math.cos(theta)])
-    top = np.array([2.0, 35.0])
-    return (tuple(top), tuple(top + 50 * down)), top + along * down + height * up, down
-
-
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize(("friction", "slides"), [(0.5, False), (0.1, True)])
 def test_a_disc_on_a_slope_rolls_or_slides_as_in_closed_form(friction, slides, mirrored):
     # Rolling: a = g sin θ l² / (l² + r² / 2), 2/3 g sin θ for the arm l = r. It sticks while μ >= tan θ / 3.
-    theta, g = math.radians(25), 9.81
-    slope, position, down = on_slope(theta, along=5.0, height=1.005)
-    slope = slope[::-1] if mirrored else slope  # neither side is the front
-    run = frames(scene([position], slope, friction=friction), 100, solver=dc.PGS(sweeps=400, tolerance=0.0))
+    theta, g, top = math.radians(25), 9.81, np.array([2.0, 35.0])
+    down, up = np.array([math.cos(theta), -math.sin(theta)]), np.array([math.sin(theta), math.cos(theta)])
+    slope = (top, top + 50 * down)[:: -1 if mirrored else 1]  # neither side is the front
+    state = scene([top + 5.0 * down + 1.005 * up], slope, friction=friction)
+    run = frames(state, 100, solver=dc.PGS(sweeps=400, tolerance=0.0))
     arm = 1 + 0.5 * run[-1].contacts.separation[0]
     velocity = np.array([state.bodies.velocity[0] @ down for state in run[-40:]])
     rolling, sliding = g * math.sin(theta) / (1 + 0.5 / arm**2), g * (math.sin(theta) - friction * math.cos(theta))
     expected = sliding if slides else rolling
     np.testing.assert_allclose(np.diff(velocity) / 0.01, expected, rtol=1e-6)
-    assert abs(rolling / (2 / 3 * g * math.sin(theta)) - 1) < 0.005
     spin = np.array([state.bodies.spin[0] for state in run[-40:]])
     turning = 2 * friction * g * math.cos(theta) * arm if slides else expected / arm
     np.testing.assert_allclose(np.diff(spin) / 0.01, -turning, rtol=1e-6)
@@ -101,17 +83,9 @@ def test_a_disc_bounces_off_an_end_as_off_a_point(name):
     assert 0.3 < normal @ [-1.0, 0.0] < 0.6
 
 
-def funnel_scene(n=40, **options):
-    rng = np.random.default_rng(3)
-    x, y = np.meshgrid(np.arange(8) * 2.2, np.arange(-(-n // 8)) * 2.2)
-    position = np.column_stack([22.0 + x.ravel(), 26.0 + y.ravel()])[:n] + rng.uniform(-0.05, 0.05, (n, 2))
-    sides = ((15.0, 30.0), (27.0, 15.0)), ((45.0, 30.0), (32.0, 15.0)), ((20.0, 8.0), (38.0, 6.0))
-    return scene(position, *sides, radius=rng.uniform(0.7, 1.0, n), **options)
-
-
 def test_impulses_of_segments_are_what_the_circles_lose():
     # m (v⁺ − v) = Δt m g − Σ λ_n n + λ_t t over walls and segments: what circles give each other cancels.
-    run = frames(funnel_scene(), 200)
+    run = frames(dc.hopper(40, radius=(0.7, 1.0), seed=3), 200)
     felt = 0
     for before, after in zip(run, run[1:]):
         contacts, mass = before.contacts, before.bodies.mass
@@ -128,16 +102,17 @@ def test_impulses_of_segments_are_what_the_circles_lose():
 @pytest.mark.parametrize("name", sorted(SOLVERS.keys() - {"BatchedPGS"}))  # which corrects positions in its own order
 def test_a_box_of_four_segments_is_the_box_to_the_last_bit(name):
     inner = dc.lattice_in_box(60, radius=(0.6, 1.0), gap=0.2, seed=2, restitution=0.4)
-    x_min, y_min, x_max, y_max = box = inner.world.box
-    outer = replace(inner.world, box=(x_min - 9, y_min - 5, x_max + 7, y_max + 8), segments=corners_as_segments(box))
+    x_min, y_min, x_max, y_max = inner.world.box
+    corners = [(x_min, y_min), (x_max, y_min), (x_max, y_max), (x_min, y_max)]
+    segments = list(zip(corners, corners[1:] + corners[:1]))
+    outer = replace(inner.world, box=(x_min - 9, y_min - 5, x_max + 7, y_max + 8), segments=segments)
     runs = [
         dc.simulate(inner.replace(world=world), steps=150, solver=SOLVERS[name], sleep=name == "PGS", record=10)
         for world in (inner.world, outer)
     ]
     walls, segments = runs
     assert (walls.state.contacts.body_b >= 60).sum() > 5
-    for one, other in zip(walls.state.bodies, segments.state.bodies):
-        np.testing.assert_array_equal(one, other)
+    np.testing.assert_array_equal(walls.state.bodies.velocity, segments.state.bodies.velocity)
     np.testing.assert_array_equal(walls.trajectory.positions, segments.trajectory.positions)
     np.testing.assert_array_equal(walls.trajectory.impulses, segments.trajectory.impulses)
     np.testing.assert_array_equal(walls.theta, segments.theta)
@@ -161,32 +136,23 @@ def test_a_joint_is_not_felt(speed):
     assert one.positions[-1, 0, 0] > 45
 
 
-def nearest(segment, point):
-    """Distance of a point from a segment, m, by minimising over the segment."""
-    a, b = np.reshape(segment, (2, 2))
-    share = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
-    return np.linalg.norm(a + share * (b - a) - point)
-
-
 def test_touching_segments_equal_brute_force():
     # Free segments: all within reach are found, sorted, with the distance.
     rng = np.random.default_rng(5)
     position, radius = rng.uniform(5, 35, (80, 2)), rng.uniform(0.3, 3.0, 80)
     segments = rng.uniform(5, 35, (25, 4))
     state = scene(position, *segments, radius=radius)
-    contacts, skin = contacts_of(state), state.scales.wall_skin
-    expected = {
-        (i, 84 + s): nearest(segment, position[i]) - radius[i] - skin
-        for i in range(80)
-        for s, segment in enumerate(segments)
-        if nearest(segment, position[i]) <= radius[i] + skin
-    }
+    contacts = contacts_of(state)
+    a, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
+    share = np.clip(((position[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1), 0, 1)
+    distance = np.linalg.norm(a + share[..., None] * along - position[:, None], axis=2)
+    gap = distance - radius[:, None] - state.scales.wall_skin
     found = contacts.body_b >= 84
-    pairs = list(zip(contacts.body_a[found].tolist(), contacts.body_b[found].tolist()))
-    assert pairs == sorted(expected)
-    assert len(pairs) > 100
-    np.testing.assert_allclose(contacts.separation[found], [expected[pair] for pair in pairs], atol=1e-12)
-    order = list(zip(contacts.body_a.tolist(), contacts.body_b.tolist()))
+    expected = np.argwhere(gap <= 0)
+    assert len(expected) > 100
+    np.testing.assert_array_equal(np.column_stack(contacts[:2])[found] - [0, 84], expected)
+    np.testing.assert_allclose(contacts.separation[found], gap[tuple(expected.T)], atol=1e-12)
+    order = list(zip(contacts.body_a, contacts.body_b))
     assert order == sorted(order)
 
 
@@ -270,22 +236,3 @@ def test_a_crowd_pressed_against_a_segment_stays_on_its_side():
     )  # fmt: skip
     after = dc.simulate(state, steps=300, solver=dc.PGS(sweeps=1)).state
     assert (after.bodies.position[:, 1] > 10).all()
-
-
-def test_a_heap_on_segments_sleeps_until_it_is_hit():
-    # The third falls 18 m, for 1.9 s, onto the two that rest.
-    state = scene([[15.0, 11.005], [17.0, 11.005], [16.0, 31.0]], ((5.0, 10.0), (25.0, 10.0)), friction=0.5)
-    run = dc.simulate(state, steps=250, solver=dc.PGS(), sleep=True)
-    assert (run.contacts[:40] == 3).all()
-    assert (run.contacts[80:180] == 0).all()
-    assert run.contacts[180:].max() >= 4
-
-
-def test_matrices_and_solvers_agree_on_segments():
-    state = dc.simulate(funnel_scene(), steps=150).state
-    assert (state.contacts.body_b >= 44).sum() >= 3
-    solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=20_000, tolerance=1e-12))
-    assert metrics.residual(state, solution) < 1e-8
-    assert natural_residual(contact_problem(state), stacked(solution)) < 1e-8
-    exact = dc.solve_exactly(state)
-    assert metrics.residual(state, exact.solution) < 1e-8

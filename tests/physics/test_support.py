@@ -5,7 +5,8 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics import metrics
-from deep_contact.state import Contacts, make_bodies
+from deep_contact.physics.engine import contacts_of
+from deep_contact.state import make_bodies
 from deep_contact.warm_start import Support
 
 WEIGHT = np.pi * 9.81 * 0.01  # of a step, N·s
@@ -13,8 +14,7 @@ WEIGHT = np.pi * 9.81 * 0.01  # of a step, N·s
 
 def without_past(state):
     """The state with contacts that carry nothing."""
-    return state.replace(contacts=Contacts(*state.contacts[:5], *(np.zeros(state.contacts.count) for _ in range(4))),
-                         solved=False)  # fmt: skip
+    return state.replace(contacts=contacts_of(state), solved=False)
 
 
 def supported(scene):
@@ -61,8 +61,8 @@ def test_the_impulses_of_a_pile_are_admissible_and_a_better_start_than_none(fric
     assert (normal >= 0).all()
     assert (np.abs(tangent) <= friction * normal + 1e-12).all()
     solver = dc.NesterovPGS(sweeps=20, tolerance=None)
-    none, ours = (metrics.velocity_error(state, dc.solve_contacts(state, solver=solver, start=start), exact)
-                  for start in (None, (normal, tangent)))  # fmt: skip
+    none, ours = (dc.solve_contacts(state, solver=solver, start=start) for start in (None, (normal, tangent)))
+    none, ours = (metrics.velocity_error(state, solution, exact) for solution in (none, ours))
     assert ours < 0.6 * none
 
 

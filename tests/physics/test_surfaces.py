@@ -44,14 +44,12 @@ def turning():
 def test_a_belt_drags_a_disc_as_in_closed_form(name, speed, reverse):
     # It slides at μ g until its rim has the belt's speed, which is when its centre has a third of it: I = m r² / 2.
     scene = on_belt(-speed, LEVEL[::-1]) if reverse else on_belt(speed)
-    until = abs(speed) / (3 * 0.3 * G)
-    for steps in (15, 60):
+    for steps in (15, 60):  # while it slides, and after that
         end = dc.simulate(scene, steps=steps, solver=SOLVERS[name]).state.bodies
         expected = math.copysign(min(0.3 * G * 0.01 * steps, abs(speed) / 3), speed)
         # Arms end in the middle of the overlap.
         np.testing.assert_allclose(end.velocity[0], (expected, 0.0), atol=1e-3 * abs(speed))
         np.testing.assert_allclose(end.spin, 2 * expected, atol=2e-3 * abs(speed))
-    assert 0.15 < until < 0.6
 
 
 def test_an_end_drags_by_what_of_its_motion_is_tangential():
@@ -88,10 +86,7 @@ def test_matrices_and_solvers_agree_in_a_drum(turning, name):
     np.testing.assert_allclose(metrics.residual(turning, solution), error, atol=1e-9)
     still = contact_problem(turning.replace(world=replace(turning.world, surface_speeds=())))
     assert natural_residual(still, stacked(solution)) > 0.1
-
-
-def test_an_exact_solution_knows_the_surfaces(turning):
-    assert metrics.residual(turning, dc.solve_exactly(turning).solution) < 1e-8
+    assert name != "PGS" or metrics.residual(turning, dc.solve_exactly(turning).solution) < 1e-8
 
 
 def test_surfaces_at_rest_and_without_friction_change_no_bit(turning):
@@ -153,20 +148,9 @@ def test_presets_know_that_a_surface_is_fast():
     calm, fast = dc.drum(60, froude=0.05), dc.drum(60, froude=400.0)
     assert dc.recommend(calm).outside == () != dc.recommend(fast).outside
     assert dc.recommend(fast).solver.substeps > dc.recommend(calm).solver.substeps
-    assert longest_step(replace_friction(fast, 0.0), 0.01) == longest_step(replace_friction(calm, 0.0), 0.01)
-
-
-def replace_friction(scene, friction):
-    return scene.replace(world=replace(scene.world, friction=friction))
-
-
-def test_a_drum_that_turns_fast_holds_its_circles_at_the_wall():
-    scene = dc.drum(40, froude=4.0, filling=0.1, seed=1, friction=1.0)
-    end = dc.simulate(scene, steps=3000).state.bodies
-    middle = 0.5 * scene.world.box[2]
-    above = end.position[:, 1] > middle
-    assert above.sum() > 8
-    assert np.hypot(*(end.position - middle).T)[above].min() > 0.7 * middle
+    assert "the world has 60, and 60 surfaces move" in dc.plan(fast)["static segments"].why
+    smooth = [dc.drum(60, froude=froude, friction=0.0) for froude in (0.05, 400.0)]
+    assert longest_step(smooth[0], 0.01) == longest_step(smooth[1], 0.01)
 
 
 def test_a_barrel_leaves_its_columns_room_to_fall_apart():
@@ -202,7 +186,3 @@ def test_a_damaged_speed_is_refused(turning, tmp_path):
         file.attrs["surface_speeds"] = np.ones(59)
     with pytest.raises(DataFileError, match="surface_speeds: expected 60 finite numbers"):
         simulation_info(path)
-
-
-def test_the_plan_says_that_surfaces_move(turning):
-    assert "the world has 60, and 60 surfaces move" in dc.plan(turning)["static segments"].why

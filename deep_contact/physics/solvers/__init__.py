@@ -1,7 +1,4 @@
-"""The solvers, one file each: options with their weakness and source, the compiled loop, the registration.
-
-How many sweeps each needs, and what a sweep costs, is measured by `scripts/run_tradeoff.py`.
-"""
+"""The solvers, one file each: options with their weakness and source, the compiled loop, the registration."""
 
 # The order of the imports is the order of `METHODS`.
 # isort: off
@@ -14,15 +11,6 @@ from deep_contact.physics.solvers.nesterov import NesterovPGS
 # isort: on
 
 __all__ = [
-    "METHODS",
-    "NNCG",
-    "PGS",
-    "PRECISIONS",
-    "PSOR",
-    "BatchedPGS",
-    "Loop",
-    "NesterovPGS",
-    "describe",
-    "register",
+    "METHODS", "NNCG", "PGS", "PRECISIONS", "PSOR", "BatchedPGS", "Loop", "NesterovPGS", "describe", "register",
     "solver_from",
-]
+]  # fmt: skip

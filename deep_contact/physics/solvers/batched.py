@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass
-from typing import NamedTuple
+from types import SimpleNamespace
 
 import numpy as np
 from numba import config, njit, types
@@ -70,10 +71,7 @@ CIRCLES_A_THREAD = 1500
 """Circles for which a thread of its own pays: two threads break even at 3,000, and gain from there on."""
 
 
-class BatchSettings(NamedTuple):
-    """Settings of `BatchedPGS`."""
-
-    tolerance: float
+BatchSettings = namedtuple("BatchSettings", ["tolerance"])
 
 
 @njit(cache=True, fastmath=CONTRACT)
@@ -138,10 +136,7 @@ def end_phase(plan, p, team):
 
 @njit(cache=True)
 def sweep_blocks(plan, tiles, friction, turn, team):
-    """One sweep over all tiles, in place, by a team. Returns θ. turn: 0 and 1 alternate.
-
-    Blocks of a phase share no circle, so that it does not matter which thread does which.
-    """
+    """One sweep over all tiles, in place, by a team. Returns θ. turn: 0 and 1 alternate."""
     for p in range(plan.count[PHASES]):
         first, last = share_of_phase(plan, p, team)
         for q in range(first, last):
@@ -194,10 +189,7 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, error_model="numpy")
 def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps, team):
-    """`position_correction.correct_positions` over the tiles of the plan, with the same stop.
-
-    mine: `Bodies` of this thread's share, which are moved in place.
-    """
+    """`position_correction.correct_positions` over the tiles of the plan. mine: `Bodies` of this thread, moved."""
     n, (first, last) = plan.count[CIRCLES], share_of(plan.count[CIRCLES], team)
     fill_centres(mine, tiles.centre[first:last])
     for k in range(team.rank, plan.count[BLOCKS], team.size):
@@ -213,24 +205,17 @@ PAIRS_FOUND, PARTS = range(2)
 """Columns of `Shared.counts`."""
 
 _FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "flags", "counts")
+"""What a team shares of a run, in a `Shared`. Rank 0 alone replaces it, between barriers, where it is too small.
 
-
-class _Shared:
-    """What a team shares of a run. Rank 0 alone replaces it, between barriers, where it has become too small.
-
-    plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. memory: `StepMemory`.
-    flags: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite,
-    whether there is a list of near pairs, whether the call ends. counts: pairs of its share that touch, and parts of a
-    step, (size, 8).
-    """
-
-    def __init__(self, *values):
-        for name, value in zip(_FIELDS, values):
-            setattr(self, name, value)
-
+plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. memory: `StepMemory`.
+flags: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite, whether
+there is a list of near pairs, whether the call ends. counts: pairs of its share that touch, parts of a step, (size, 8).
+"""
 
 if config.DISABLE_JIT:
-    Shared = _Shared
+
+    def Shared(*values):
+        return SimpleNamespace(**dict(zip(_FIELDS, values)))
 else:
 
     @structref.register
@@ -241,7 +226,7 @@ else:
             return tuple((name, types.unliteral(kind)) for name, kind in fields)
 
     class Shared(structref.StructRefProxy):
-        """`_Shared` for compiled code."""
+        """The fields for compiled code."""
 
     structref.define_proxy(Shared, _SharedType, list(_FIELDS))
 
@@ -438,9 +423,5 @@ def threads_of(solver, n_bodies: int) -> int:
     return team_size(solver.threads, n_bodies, CIRCLES_A_THREAD)
 
 
-register(
-    BatchedPGS,
-    lambda solver: BatchSettings(tolerance_argument(solver)),
-    (Loop(BatchSettings, relax_in_batches),),
-    advance=_Run,
-)
+_LOOP = Loop(BatchSettings, relax_in_batches)
+register(BatchedPGS, lambda solver: BatchSettings(tolerance_argument(solver)), (_LOOP,), advance=_Run)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import namedtuple
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -30,18 +30,13 @@ class NesterovPGS(PGS):
     """Projected Gauss-Seidel with Nesterov's momentum (Soviet Mathematics Doklady 27, 1983), restarted by the gradient
     scheme of O'Donoghue and Candès (Foundations of Computational Mathematics 15, 2015), with a bound on the momentum.
 
-    Options of `PGS`. Each sweep starts from an extrapolation of the last two.
-
-    Weakness: the bound adapts to what the last sweeps did, so it lags where contacts open and slip, and the error may
-    grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven, and θ does not
-    fall with every sweep.
+    Options of `PGS`. Weakness: the bound adapts to what the last sweeps did, so it lags where contacts open and slip,
+    and the error may grow for some sweeps. Fewer than ten sweeps gain little. With friction convergence is not proven,
+    and θ does not fall with every sweep.
     """
 
 
-class NesterovSettings(NamedTuple):
-    """Settings of `NesterovPGS`."""
-
-    tolerance: float
+NesterovSettings = namedtuple("NesterovSettings", ["tolerance"])
 
 
 @njit(cache=True)
@@ -57,12 +52,8 @@ def relax_nesterov(settings, rows, friction, solver_bodies, theta, workspace):
     impulse, velocity = rows.impulse.reshape(rows.impulse.size), solver_bodies.reshape(solver_bodies.size)
     if impulse.size > workspace.last_impulse.size:
         workspace = make_directions(rows, solver_bodies)
-    last_impulse, swept_from, last_velocity = (
-        workspace.last_impulse[: impulse.size],
-        workspace.along,
-        workspace.last_velocity,
-    )
-    swept_from = swept_from[: impulse.size]
+    last_impulse, swept_from = workspace.last_impulse[: impulse.size], workspace.along[: impulse.size]
+    last_velocity = workspace.last_velocity
     last_impulse[:] = impulse
     swept_from[:] = impulse
     last_velocity[:] = velocity

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,18 +20,13 @@ class NNCG(PGS):
     """Nonsmooth nonlinear conjugate gradient on PGS (Silcowitz, Niebe and Erleben, The Visual Computer 26, 2010).
 
     Options of `PGS`. Each sweep's change is taken for a descent direction, and the directions are combined as by
-    Fletcher and Reeves.
-
-    Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is the safer choice. The combination
-    assumes that the sets of sticking, slipping and open contacts do not change; while they change it restarts often
-    and is PGS at a higher cost. With friction convergence is not proven.
+    Fletcher and Reeves. Weakness: θ does not fall with every sweep, so with fewer than ten sweeps PGS is the safer
+    choice. The combination assumes that the sets of sticking, slipping and open contacts do not change; while they
+    change it restarts often and is PGS at a higher cost. With friction convergence is not proven.
     """
 
 
-class NNCGSettings(NamedTuple):
-    """Settings of `NNCG`."""
-
-    tolerance: float
+NNCGSettings = namedtuple("NNCGSettings", ["tolerance"])
 
 
 class Directions(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -42,10 +43,8 @@ class PGS:
 
     Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
     a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
-    With islands, groups of touching circles are swept and stopped separately, so that an impact does not keep piles
-    at rest elsewhere iterating. This saves nothing for one pile, or without a tolerance. Only PGS has it.
-    Single precision saves little: a sweep waits for the result that the next contact needs, not for memory (Figure
-    6.7). It never meets a tight tolerance.
+    Islands are stopped separately, which saves nothing for one pile, or without a tolerance. Only PGS has them. Single
+    precision saves little (Figure 6.7), and never meets a tight tolerance.
     """
 
     sweeps: int = 3000
@@ -84,16 +83,8 @@ class PGS:
         return replace(self, tolerance=found / self.substeps)
 
 
-class PGSSettings(NamedTuple):
-    """Settings of `PGS`. tolerance: θ at which to stop, N·s; a negative one is never met."""
-
-    tolerance: float
-
-
-class IslandsSettings(NamedTuple):
-    """Settings of `PGS(islands=True)`."""
-
-    tolerance: float
+PGSSettings = namedtuple("PGSSettings", ["tolerance"])
+IslandsSettings = namedtuple("IslandsSettings", ["tolerance"])
 
 
 @njit(cache=True)
@@ -137,11 +128,5 @@ def _settings(solver: PGS) -> NamedTuple:
     return (IslandsSettings if solver.islands else PGSSettings)(tolerance_argument(solver))
 
 
-register(
-    PGS,
-    _settings,
-    (
-        Loop(PGSSettings, relax_pgs),
-        Loop(IslandsSettings, relax_islands, make_islands_workspace, counts_relaxations=True),
-    ),
-)
+_ISLANDS = Loop(IslandsSettings, relax_islands, make_islands_workspace, counts_relaxations=True)
+register(PGS, _settings, (Loop(PGSSettings, relax_pgs), _ISLANDS))

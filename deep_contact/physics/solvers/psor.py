@@ -48,10 +48,9 @@ class PSORSettings(NamedTuple):
 
 @njit(cache=True)
 def relax_psor(settings, rows, friction, solver_bodies, theta, workspace):
-    """Projected successive over-relaxation: every change of an impulse is ω times what would solve its row.
+    """Every change of an impulse is ω times what would solve its row: a sweep with ω times the effective masses.
 
-    This is a sweep with ω times the effective masses. θ is divided by the smaller ω, so that it is at least the largest
-    change of a plain sweep.
+    θ is divided by the smaller ω, so that it is at least the largest change of a plain sweep.
     """
     for i in range(rows.data.shape[0]):
         rows.data[i, NORMAL_MASS] *= settings.omega

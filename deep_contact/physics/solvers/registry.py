@@ -61,12 +61,11 @@ _LOOPS: dict[type, Loop] = {}
 
 
 def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, advance: Callable | None = None) -> None:
-    """Make a solver known, under the name of its options.
+    """Make a solver known, under the name of its options. Raises ValueError if another solver has that name.
 
     options: frozen dataclass with `sweeps`, `tolerance`, `position_sweeps` and `precision`. settings: function of the
     options -> NamedTuple of a type that one of the loops has. advance: function of the options -> function in place of
     `engine.advance`, for a step by several threads, which always has tangent rows and puts nothing to sleep.
-    Raises ValueError if another solver has that name.
     """
     if METHODS.setdefault(options.__name__, options) is not options:
         raise ValueError(f"options: expected a new name, got {options.__name__}, which is {METHODS[options.__name__]}")
@@ -86,10 +85,7 @@ def entry_of(solver) -> Entry:
 
 
 def for_state(solver, state: State):
-    """The options with numbers in place of those that follow the scene: what the steps of this state solve with.
-
-    Options that do not follow a scene have no method `for_state`, and stay as they are.
-    """
+    """The options with numbers in place of those that follow the scene, for those that have a `for_state`."""
     return solver.for_state(state) if hasattr(solver, "for_state") else solver
 
 
@@ -140,8 +136,7 @@ def relax(settings, rows, friction, solver_bodies, theta, workspace):
     """Relax all contacts, in place, by the loop of the settings. Returns (sweeps, relaxations).
 
     rows: `Rows`. friction: μ, or None for rows without tangents. solver_bodies: (n + 4, 4). theta: buffer for the θ of
-    each sweep; its length is the largest number of sweeps. workspace: of `make_workspace`. A relaxation is one contact
-    in one sweep.
+    each sweep; its length is the largest number of sweeps. workspace: of `make_workspace`.
     """
     return _relax(type(settings))(settings, rows, friction, solver_bodies, theta, workspace)
 

@@ -37,12 +37,10 @@ def test_a_spline_needs_four_nodes():
 @pytest.mark.parametrize(
     ("image", "position", "message"),
     [
-        (np.zeros((9, 7, 1)), [[0.5, 0.5]], r"image: expected shape \(7, 9, 'channels'\), got \(9, 7, 1\)"),
         (np.zeros((7, 9)), [[0.5, 0.5]], r"image: expected shape \(7, 9, 'channels'\), got \(7, 9\)"),
         (np.full((7, 9, 1), np.nan), [[0.5, 0.5]], "image: expected finite numbers, got nan"),
         (np.zeros((7, 9, 1)), [0.5, 0.5], r"position: expected shape \(k, 2\), got \(2,\)"),
         (np.zeros((7, 9, 1)), [[0.5, np.inf]], r"position\[0\]: expected finite numbers, got .*inf"),
-        (np.zeros((7, 9, 1)), [["a", "b"]], "position: expected an array of real numbers"),
     ],
 )
 def test_what_cannot_be_read_is_named(read, image, position, message):
@@ -81,9 +79,8 @@ def test_transfers_by_name():
     given = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     found = {name: np.column_stack(Sph(transfer=name).round_trip(state, given)) for name in TRANSFERS}
     grid = sph.Grid.over_box(state.world.box, 0.5)
-    image = sph.splat(
-        grid, state.contacts.position, given, h=0.5, normalization="particle", outside="clamp", unreached="zero"
-    )
+    options = {"h": 0.5, "normalization": "particle", "outside": "clamp", "unreached": "zero"}
+    image = sph.splat(grid, state.contacts.position, given, **options)
     np.testing.assert_array_equal(found["spline"], sph.read_by_spline(grid, image, state.contacts.position))
     np.testing.assert_array_equal(found["shared"], sph.share_out(grid, image, state.contacts.position, h=0.5))
     with pytest.raises(ValueError, match="transfer: expected one of thesis, consistent, spline, shared, got 'cubic'"):
