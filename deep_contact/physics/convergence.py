@@ -53,7 +53,8 @@ def mean_theta(thetas: Iterable[np.ndarray], sweeps: int) -> np.ndarray:
     """
     rows = [theta[:sweeps] for theta in thetas]
     expect(rows, "thetas: expected at least one step, got none")
-    expect(all(map(len, rows)), "thetas: expected at least one sweep a step, got none")
+    empty = [k for k, row in enumerate(rows) if len(row) == 0]
+    expect(not empty, f"thetas{empty[:1]}: expected at least one sweep, got none")
     return np.mean([np.pad(row, (0, sweeps - len(row)), mode="edge") for row in rows], axis=0)
 
 

@@ -1,5 +1,4 @@
-"""Bit for bit: the same run in this process, in others, with any number of jobs, with compiled code cold or
-warm, and from any kind of array.
+"""Bit for bit: the same run in this process, in others, with compiled code cold or warm, from any kind of array.
 
 Not promised, and not tested: other processors (fused operations and vector widths differ), other versions of Numba or
 LLVM, and `precision="single"` against "double".
@@ -17,7 +16,6 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
-from deep_contact.reporting import figures
 from deep_contact.state import make_bodies
 
 PACKAGE = Path(dc.__file__).parent
@@ -54,10 +52,6 @@ def test_a_second_run_is_the_first(method):
 def test_another_process_with_other_threads_and_hash_seeds_computes_the_same(method):
     environment = {"NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "3"}
     assert in_another_process(5, method=method, **environment) == run(5, method=method)
-
-
-def test_the_number_of_jobs_changes_nothing():
-    assert figures.parallel_map(run, [1, 2, 3], jobs=2) == [run(1), run(2), run(3)]
 
 
 @pytest.mark.parametrize("kind", ["strided", "big-endian", "list", "read-only", "Fortran"])

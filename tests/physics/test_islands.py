@@ -34,10 +34,8 @@ def test_islands_are_the_components_of_the_contact_graph(seed):
 @pytest.mark.parametrize("friction", [0.5, 0.0])
 def test_without_a_tolerance_islands_change_not_a_bit(friction):
     scene = dc.circles_in_box(60, seed=2, friction=friction, **WIDE)
-    one, other = (
-        dc.simulate(scene, steps=300, solver=dc.PGS(sweeps=20, tolerance=None, islands=islands))
-        for islands in (False, True)
-    )
+    solvers = (dc.PGS(sweeps=20, tolerance=None, islands=islands) for islands in (False, True))
+    one, other = (dc.simulate(scene, steps=300, solver=solver) for solver in solvers)
     assert len(set(islands_of(one.state))) > 5
     assert_same_bits(one.state, other.state)
     np.testing.assert_array_equal(one.relaxations, other.relaxations)
@@ -99,10 +97,8 @@ def test_theta_is_the_largest_of_the_islands_still_swept(fall):
 def test_islands_of_more_contacts_than_the_room_are_solved():
     # Forty circles in one place: 780 pairs, where there is room for 224.
     state = dc.single_body().replace(bodies=make_bodies(np.full((40, 2), 15.0) + 1e-3 * np.arange(80).reshape(40, 2)))
-    one, other = (
-        dc.simulate(state, steps=2, solver=dc.PGS(sweeps=5, tolerance=None, islands=islands))
-        for islands in (False, True)
-    )
+    solvers = (dc.PGS(sweeps=5, tolerance=None, islands=islands) for islands in (False, True))
+    one, other = (dc.simulate(state, steps=2, solver=solver) for solver in solvers)
     assert one.contacts[0] == 780
     np.testing.assert_array_equal(one.state.bodies.position, other.state.bodies.position)
 

@@ -174,10 +174,8 @@ def shuffled(state):
 def test_threads_change_no_bit(scene, on_step, pile):
     state = {"pile": lambda: pile, "shuffled": lambda: shuffled(pile), "gas": gas, "terrain": terrain}[scene]()
     assert scene in ("gas", "terrain") or batched.phases_are_shared(plan_of(state)) == (scene == "pile")
-    one, two = (
-        dc.simulate(state, steps=20, on_step=on_step, solver=dc.BatchedPGS(sweeps=15, threads=threads))
-        for threads in (1, 2)
-    )
+    solvers = (dc.BatchedPGS(sweeps=15, threads=threads) for threads in (1, 2))
+    one, two = (dc.simulate(state, steps=20, on_step=on_step, solver=solver) for solver in solvers)
     assert (one.contacts > 0).any()
     assert_same_bits(one.state, two.state)
     np.testing.assert_array_equal(one.theta, two.theta)
