@@ -56,7 +56,7 @@ def on_files(files, config):
         for path in pictures:
             files.append(File.generated(config, f"gallery/{name}/{path.name}", abs_src_path=str(path)))
     for page, names in NAMES.items():
-        blocks = "".join(f"\n::: {place}\n" for place in names.values())
+        blocks = "".join(f"\n::: {place}\n{_parameters(public)}" for public, place in names.items())
         files.append(File.generated(config, f"api/{page}.md", content=f"# {page}\n{blocks}"))
     files.append(File.generated(config, "api/index.md", content=_public_names()))
     made = [sys.executable, ROOT / "docs" / "tables.py", "--appendix"]
@@ -76,7 +76,7 @@ def on_page_markdown(markdown, page, config, files):
     """Turn links that are right in the repository into links of the site, and add the pictures to the gallery."""
     if page.file.src_uri == "gallery/index.md":
         shown = [(name, found[0].name) for name, found in _pictures.items() if found]
-        markdown += "\n".join(f"[![{name}]({name}/{file}){{ width=300 }}]({name}.md)" for name, file in shown)
+        markdown += "\n\n" + "\n".join(f"[![{name}]({name}/{file}){{ width=300 }}]({name}.md)" for name, file in shown)
     if page.file.src_uri == "results.md":
         small = rf"[![\1](thumbnails/\2){{ width={THUMBNAIL} }}<br>\1](reference/\2)"
         markdown = re.sub(r"\[(T?[ .\d]+)\]\(\.\./data/reference/(\w+\.png)\)", small, markdown)
@@ -103,6 +103,21 @@ def _public_names() -> str:
             first = inspect.getdoc(described).partition("\n")[0].replace("*", r"\*")
             rows.append(f"| [`dc.{public}`]({page}.md#{place}) | {first} |\n")
     return f"# Public names\n\nAfter `import deep_contact as dc`:\n\n| Name | |\n| --- | --- |\n{''.join(rows)}"
+
+
+def _parameters(public: str) -> str:
+    """A table of the parameters of a public function, or of the fields of a class; empty for modules and constants."""
+    found = getattr(deep_contact, public)
+    if not (inspect.isfunction(found) or inspect.isclass(found)):
+        return ""
+    rows = []
+    for given in inspect.signature(found).parameters.values():
+        name = given.replace(annotation=given.empty, default=given.empty)  # with its stars
+        kind = getattr(given.annotation, "__forward_arg__", given.annotation)  # as written: a string
+        kind = "" if kind is given.empty else f"`{kind}`"
+        default = "" if given.default is given.empty else f"`{given.default!r}`"
+        rows.append(f"| `{name}` | {kind} | {default} |\n")
+    return f"\n| Parameter | Type | Default |\n| --- | --- | --- |\n{''.join(rows)}" if rows else ""
 
 
 def _example(name: str) -> tuple[str, list[Path]]:

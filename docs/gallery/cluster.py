@@ -2,6 +2,7 @@
 
 For cluster users: what takes `jobs` takes a number of local processes or the workers of a Dask cluster, and the
 numbers are the same bits. Here the cluster is one of two workers on this machine; yours has an address of its own.
+Dask comes with the extra `cluster`: `python -m pip install ".[cluster]"`.
 """
 
 import numpy as np
