@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from conftest import SCRIPTS, load_script
+from conftest import load_script
 
 import deep_contact as dc
 from deep_contact import parallel
@@ -92,29 +92,17 @@ def test_a_worker_that_dies_in_the_middle_loses_nothing(workers, tmp_path):
     assert found == [simulated((seed, None)) for seed in range(6)]
 
 
-def test_generated_files_are_the_same_though_a_worker_dies(cluster, tmp_path):
-    """Through the command line; the worker is killed once a file is there, while it is at another simulation."""
-    command = [sys.executable, str(SCRIPTS / "generate_data.py"), *SMALL, "--out", str(tmp_path / "far")]
-    process = subprocess.Popen([*command, "--scheduler", cluster.scheduler_address], stderr=subprocess.PIPE, text=True)
-    state = cluster.scheduler.workers
-    assert settled(lambda: any((tmp_path / "far").glob("sim_*.h5")) or process.poll() is not None)
-    at_work = [nanny for nanny in cluster.workers.values() if state[nanny.worker_address].processing]
-    os.kill(at_work[0].pid, signal.SIGKILL)
-    _, errors = process.communicate(timeout=100)
-    assert process.returncode == 0, errors
-    assert load_script("generate_data").main([*SMALL, "--out", str(tmp_path / "near"), "--jobs", "1"]) == 0
-    far, near = ({path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} for name in ("far", "near"))
-    assert len(near) == 8
-    assert far == near
-
-
-def test_a_figure_computes_the_same(cluster, tmp_path):
+def test_data_and_figures_are_the_same(cluster, tmp_path):
+    """Through the command lines."""
     figure = load_script("figure_3_7_baselines").FIGURE
     small = [item for name in ("n_bodies=20", "steps=150", "sweeps=60", "scenes=1") for item in ("--set", name)]
-    assert figures.main(figure, [*small, "--out", str(tmp_path / "near"), "--jobs", "1"]) == 0
-    far = ["--out", str(tmp_path / "far"), "--scheduler", cluster.scheduler_address]
-    assert figures.main(figure, [*small, *far]) == 0
-    near, far = (dc.results.read_results(tmp_path / name / "figure_3_7.json") for name in ("near", "far"))
+    for name, where in (("near", ["--jobs", "1"]), ("far", ["--scheduler", cluster.scheduler_address])):
+        assert load_script("generate_data").main([*SMALL, "--out", str(tmp_path / name), *where]) == 0
+        assert figures.main(figure, [*small, "--out", str(tmp_path / f"{name} figure"), *where]) == 0
+    near, far = ({path.name: path.read_bytes() for path in (tmp_path / k).iterdir()} for k in ("near", "far"))
+    assert len(near) == 8
+    assert far == near
+    near, far = (dc.results.read_results(tmp_path / f"{k} figure" / "figure_3_7.json") for k in ("near", "far"))
     assert far["data"] == near["data"]
 
 

@@ -15,7 +15,6 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 from conftest import SCRIPTS, load_script
 from lxml import etree
@@ -94,28 +93,6 @@ def test_a_killed_study_loses_the_part_in_flight(tmp_path):
     first, second = (run(KILLED_STUDY, tmp_path, k) for k in (2, -1))
     assert (first.returncode, second.returncode) == (-signal.SIGKILL, 0), first.stderr + second.stderr
     assert (first.stdout.split(), second.stdout.split()) == (["0", "1", "2"], ["2", "3"])
-
-
-SAVED_RUN = """
-import os, signal, sys
-import deep_contact as dc
-found = dc.simulate(dc.column(3), steps=int(sys.argv[2]), record=1).trajectory
-if sys.argv[3:]:  # the file is written, but does not have its name yet
-    os.replace = lambda *paths: os.kill(os.getpid(), signal.SIGKILL)
-found.save(sys.argv[1])
-"""
-
-
-@POSIX
-def test_a_run_killed_while_it_saves_leaves_the_trajectory_before_it(tmp_path):
-    path = tmp_path / "run.h5"
-    assert run(SAVED_RUN, path, 3).returncode == 0
-    whole = path.read_bytes()
-    assert run(SAVED_RUN, path, 4, "die").returncode == -signal.SIGKILL
-    assert path.read_bytes() == whole
-    assert visible(tmp_path) == ["run.h5"]
-    assert run(SAVED_RUN, path, 4).returncode == 0
-    assert dc.load_trajectory(path)[-1].step == 4
 
 
 # ---- no room, no rights ----
@@ -308,30 +285,3 @@ def test_the_fuzzer_notices_files_and_connections_above_and_below_python(tmp_pat
     with pytest.raises(etree.XMLSyntaxError):
         etree.parse(str(watch.bait))  # libxml2 opens files itself, and tells Python nothing
     assert "opening of the bait" in watch.caught()
-
-
-@pytest.mark.slow
-def test_a_damaged_model_file_is_a_model_file_error(tmp_path):
-    """One byte changed or the end cut off, a thousand times: read as before, or refused; nothing else."""
-    from deep_contact.cnn.model_file import ModelFileError, read_metadata
-    from deep_contact.cnn.registry import path_of
-
-    try:
-        whole = path_of("model").read_bytes()
-    except FileNotFoundError:
-        pytest.skip("there is no shipped model")
-    rng = np.random.default_rng(0)
-    damaged = tmp_path / "model.h5"
-    for _ in range(1000):
-        data = bytearray(whole)
-        if rng.random() < 0.2:
-            data = data[: rng.integers(0, len(data))]
-        else:
-            # Half of the damage where the structure is, half among the weights.
-            at = rng.integers(0, len(data) if rng.random() < 0.5 else 4096)
-            data[at] ^= 1 << rng.integers(0, 8)
-        damaged.write_bytes(data)
-        try:
-            read_metadata(damaged)
-        except ModelFileError as error:
-            assert "model.h5" in str(error)  # noqa: PT017 (some damage lies in unused bytes and raises nothing)

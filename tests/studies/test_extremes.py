@@ -15,6 +15,7 @@ from deep_contact.constants import LINEAR_SLOP
 from deep_contact.physics.engine import contacts_of, solve
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.solvers import METHODS
+from deep_contact.reporting import figures
 from deep_contact.simulation import ready
 from deep_contact.state import LIMITS, Bodies, Contacts, State, World, make_bodies
 from deep_contact.studies import extremes
@@ -131,21 +132,6 @@ def test_overlapping_circles_part_without_speed(share):
         np.testing.assert_array_equal(moved.bodies.velocity, 0.0)
         state = moved
     assert -state.contacts.separation.min(initial=0.0) <= 3 * LINEAR_SLOP
-
-
-@pytest.mark.peers
-@pytest.mark.parametrize("share", [0.1, 0.5, 0.9])
-def test_overlapping_circles_part_as_in_box2d(share):
-    peers = pytest.importorskip("deep_contact.studies.peers")
-    pytest.importorskip("Box2D")
-    scene = extremes.overlapping(share)
-    box2d = peers.Box2D23(scene)
-    state = scene
-    for _ in range(20):
-        box2d.step(scene.dt, 10, 10)
-        state = dc.step(state, solver=TEN)
-    # float32 at 15 m: a rounding is 1e-6, a position sweep makes a few.
-    np.testing.assert_allclose(state.bodies.position, box2d.bodies().position, atol=2e-5)
 
 
 @pytest.mark.parametrize("kind", ["huge", "pulling", "outside"])
@@ -275,27 +261,22 @@ def test_a_scene_is_safe_degraded_failed_or_refused(trial, verdict, message):
 
 
 @pytest.mark.parametrize(
-    ("quantity", "value", "steps"),
+    ("quantity", "values", "steps"),
     [
-        ("speed", 400.0, 300),
-        ("speed", 1e6, 300),
-        ("gravity", 1e6, 100),
-        ("radius", 1e-4, 100),
-        ("radius", 1e10, 100),
-        ("coinciding circles", 50, 100),
-        ("mass ratio, heavy on light", 1e4, 100),
-        ("mass ratio, heavy on light", 1e6, 100),
-        ("column height", 200, 20),
-        ("coordinate", 1e-6, 100),
-        ("coordinate", 9e8, 100),
-        ("coordinate", 1e10, 100),
-        ("friction", 1e12, 150),
+        ("speed", (400.0, 1e6), 300),
+        ("gravity", (1e6,), 100),
+        ("radius", (1e-4, 1e10), 100),
+        ("coinciding circles", (50,), 100),
+        ("mass ratio, heavy on light", (1e4, 1e6), 100),
+        ("column height", (200,), 20),
+        ("coordinate", (1e-6, 9e8, 1e10), 100),
+        ("friction", (1e12,), 150),
     ],
 )
-def test_what_others_do_not_survive_is_safe(quantity, value, steps):
-    case = {"quantity": quantity, "value": value, "engine": "ours", "steps": steps}
-    outcome = extremes.run_case(case)
-    assert outcome["verdict"] == SAFE, outcome["message"]
+def test_what_others_do_not_survive_is_safe(quantity, values, steps):
+    for value in values:
+        outcome = extremes.run_case({"quantity": quantity, "value": value, "engine": "ours", "steps": steps})
+        assert outcome["verdict"] == SAFE, (value, outcome["message"])
 
 
 def test_lifting_by_position_correction_is_counted_apart():
@@ -320,26 +301,18 @@ def test_chipmunk_is_not_asked_for_what_ends_the_process():
     assert measure(trial, "pymunk")["verdict"] == REFUSED
 
 
-# ---- the figure ----
+script = load_script("figure_6_6_stability")
 
 
-@pytest.fixture(scope="module")
-def script():
-    return load_script("figure_6_6_stability")
-
-
-def test_the_figure_holds_its_claims_on_a_few_quantities(script, tmp_path):
-    from deep_contact.reporting import figures
-
+def test_the_figure_holds_its_claims_on_a_few_quantities(tmp_path):
     options = {"quantities": ["mass", "overlap", "time step"], "few": True, "steps": 60}
     found = figures.produce(script.FIGURE, options=options, out=tmp_path, echo=lambda line: None)
     assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
-    rows = {row[0]: row for row in script.table(found["data"])}
-    assert rows["mass"][2] == "1e-20 to 1e+20"
-    assert rows["mass"][5] == "1e-40; 1e+40"
+    (mass,) = (row for row in script.table(found["data"]) if row[0] == "mass")
+    assert (mass[2], mass[5]) == ("1e-20 to 1e+20", "1e-40; 1e+40")
 
 
-def test_the_figure_reports_a_rise_of_the_energy(script):
+def test_the_figure_reports_a_rise_of_the_energy():
     cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
     cell |= {"energy": 0.1, "correction": 0.02, "speed": 0.0}
     (rise,) = (claim.measured for claim in script.claims({"cells": [cell]}) if not claim.holds)

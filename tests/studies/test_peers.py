@@ -62,40 +62,28 @@ def test_world_holds_the_bodies_of_the_state(engine):
         np.testing.assert_allclose(getattr(theirs, field), value, rtol=FLOAT32, atol=FLOAT32, err_msg=field)
 
 
-def test_free_fall_is_symplectic_euler(engine):
-    """v = -k g Δt exactly, and a height between the explicit and the symplectic sum of v Δt (v3 substeps)."""
-    world = engine(scene([[10, 20]]))
-    for _ in range(10):
-        world.step(0.01, 10, 3)
-    bodies = world.bodies()
-    assert bodies.velocity[0, 1] == pytest.approx(-0.981, abs=1e-5)
-    fallen = 20 - bodies.position[0, 1]
-    assert 9.81e-4 * 45 - 1e-5 <= fallen <= 9.81e-4 * 55 + 1e-5
+MOTIONS = {
+    # v = -k g Δt exactly, and a height between the explicit and the symplectic sum of v Δt (v3 substeps).
+    "free fall": (
+        {"position": [[10, 20]]}, 10, {"velocity": ([0, -0.981], 1e-5), "position": ([10, 20 - 0.04905], 5e-3)},
+    ),
+    # Height r + skin within twice the slop of 0.005 m, which all three leave uncorrected.
+    "rest": ({"position": [[10, 1 + WALL_SKIN]]}, 100, {"position": ([10, 1 + WALL_SKIN], 0.01)}),
+    # Coulomb: v = v0 - μ g t while it slides; mixed as μ² (Chipmunk's product) it is off by half.
+    "sliding": ({"position": [[3, 1 + WALL_SKIN]], "velocity": (8, 0)}, 30, {"velocity": ([6.5285, 0], 0.065)}),
+    # Newton's e: equal masses leave with e times the speed they met with (v3 is soft: 1 %).
+    "bounce": ({"position": [[8, 5], [12, 5]], "velocity": [[4, 0], [-4, 0]], "gravity": (0, 0), "restitution": 0.5,
+                "friction": 0.0}, 60, {"velocity": ([[-2, 0], [2, 0]], 0.02)}),
+}  # fmt: skip
 
 
-def test_circle_rests_on_the_skin_of_the_floor(engine):
-    """Height r + skin within twice the slop of 0.005 m, which all three leave uncorrected."""
-    world = engine(scene([[10, 1.0 + WALL_SKIN]]))
-    for _ in range(100):
-        world.step(0.01, 10, 3)
-    assert world.bodies().position[0, 1] == pytest.approx(1 + WALL_SKIN, abs=0.01)
-
-
-def test_sliding_disc_is_slowed_by_the_mixed_friction(engine):
-    """Coulomb: v = v0 - μ g t while it slides; mixed as μ² (Chipmunk's product) it is off by half."""
-    world = engine(scene([[3, 1.0 + WALL_SKIN]], friction=0.5, velocity=(8, 0)))
-    for _ in range(30):
-        world.step(0.01, 10, 3)
-    assert world.bodies().velocity[0, 0] == pytest.approx(8 - 0.5 * 9.81 * 0.3, rel=0.01)
-
-
-def test_head_on_pair_bounces_with_the_mixed_restitution(engine):
-    """Newton's e: equal masses leave with e times the speed they met with (v3 is soft: 1 %)."""
-    state = scene([[8, 5], [12, 5]], gravity=(0, 0), restitution=0.5, velocity=[[4, 0], [-4, 0]], friction=0.0)
-    world = engine(state)
-    for _ in range(60):
-        world.step(0.01, 10, 3)
-    np.testing.assert_allclose(world.bodies().velocity[:, 0], [-2, 2], rtol=0.01)
+@pytest.mark.parametrize("case", MOTIONS)
+def test_a_motion_that_is_known(engine, case):
+    given, steps, expected = MOTIONS[case]
+    world = engine(scene(**given))
+    world.run(steps, 0.01, 10, 3)
+    for name, (value, tolerance) in expected.items():
+        np.testing.assert_allclose(getattr(world.bodies(), name), np.atleast_2d(value), rtol=0, atol=tolerance)
 
 
 @pytest.mark.parametrize("steps", [60, 300], ids=["falling", "settled"])
@@ -142,8 +130,7 @@ def test_tangent_impulse_acts_along_our_tangent(box2d):
 
 def test_contact_point_is_the_middle_of_the_overlap(box2d):
     world = box2d(falling_pile(3))
-    for _ in range(150):
-        world.step(0.01, 20, 3)
+    world.run(150, 0.01, 20, 3)
     state = world.record_step(0.01, 20, 3).state
     contacts, bodies = state.contacts, state.bodies
     reach = bodies.radius[contacts.body_a] + 0.5 * contacts.separation
@@ -154,8 +141,7 @@ def test_contact_point_is_the_middle_of_the_overlap(box2d):
 def test_a_step_starts_from_what_the_last_one_solved(box2d):
     """Box2D's warm starting: pairs that stay in touch start from their old impulses, new ones from zero."""
     world = box2d(falling_pile(4))
-    for _ in range(100):
-        world.step(0.01, 20, 3)
+    world.run(100, 0.01, 20, 3)
     first, second = (world.record_step(0.01, 20, 3).state.contacts for _ in range(2))
     old = {(a, b): impulses for a, b, *impulses in zip(*first[:2], first.normal_impulse, first.tangent_impulse)}
     expected = [old.get(pair, [0.0, 0.0]) for pair in zip(second.body_a, second.body_b)]
@@ -228,8 +214,7 @@ def test_replay_in_float64_solves_the_recorded_impulses(box2d, seed, restitution
     world = box2d(falling_pile(seed, restitution=restitution, friction=friction))
     errors, counts = [], []
     for _ in range(14):
-        for _ in range(19):
-            world.step(0.01, 100, 3)
+        world.run(19, 0.01, 100, 3)
         state, order = world.record_step(0.01, 100, 3)
         recorded = solved(state)
         counts.append(state.contacts.count)
@@ -248,8 +233,7 @@ def solved(state: State) -> np.ndarray:
 def test_starting_impulses_follow_the_ratio_of_time_steps(box2d):
     """Box2D multiplies them by Δt / Δt_before; a replay over a change of Δt only agrees with that."""
     world = box2d(falling_pile(9))
-    for _ in range(200):
-        world.step(0.01, 100, 3)
+    world.run(200, 0.01, 100, 3)
     state, order = world.record_step(0.005, 5, 3)
     recorded = solved(state)
     np.testing.assert_allclose(replay(state, order, 5), recorded, atol=1e-5 * recorded.max())
