@@ -15,7 +15,6 @@ def compute(options, seed, jobs, progress):
     return {
         "values": [value.tolist() for value in values],
         "weights": [layer.weights.tolist() for layer in layers],
-        "biases": [layer.bias.tolist() for layer in layers],
         "Keras": worked.keras_forward(options["input"], layers),
         "parameters": int(sum(layer.weights.size + layer.bias.size for layer in layers)),
     }

@@ -23,34 +23,17 @@ def compute(options, seed, jobs, progress):
     evenly = np.unique(np.linspace(0, len(layers) - 1, options["layers"]).round().astype(int))
     panels = [panel("input", image, model.spec.channels, options["maps"])]
     panels += [panel(layers[i].name, maps[layers[i].name], None, options["maps"]) for i in evenly]
-    contacts = state.contacts
-    solved = np.concatenate([contacts.normal_impulse, contacts.tangent_impulse])
-    normal, tangent = model.predict(state, project=False)
-
-    def error(normal, tangent):
-        return float(np.linalg.norm(np.concatenate([normal, tangent]) - solved) / np.linalg.norm(solved))
-
+    solved = np.array([state.contacts.normal_impulse, state.contacts.tangent_impulse])
+    predicted = np.array(model.predict(state, project=False))
+    given = {"network": predicted, "Builtin": [state.contacts.normal_start, state.contacts.tangent_start], "None": 0.0}
+    depths = [(layer.name, int(layer.input.shape[-1]), int(layer.kernel.shape[2])) for layer in layers]
+    errors = {name: float(np.linalg.norm(one - solved) / np.linalg.norm(solved)) for name, one in given.items()}
     return {
         "scene": plotting.state_data(state),
-        "model": {key: model.card.get(key) for key in ("architecture", "parameters", "seed", "training_states")},
         "panels": panels,
-        "predicted": {"normal": normal, "tangent": tangent},
-        "convolutions": [
-            {
-                "name": layer.name,
-                "border": layer.padding,
-                "stride": int(layer.strides[0]),
-                "input depth": int(layer.input.shape[-1]),
-                "kernel depth": int(layer.kernel.shape[2]),
-                "nodes": int(maps[layer.name].shape[0]),
-            }
-            for layer in layers
-        ],
-        "relative error of λ": {
-            "network": error(normal, tangent),
-            "Builtin": error(contacts.normal_start, contacts.tangent_start),
-            "None": 1.0,
-        },
+        "predicted": {"normal": predicted[0]},
+        "convolutions": [dict(zip(("name", "input depth", "kernel depth"), depth)) for depth in depths],
+        "relative error of λ": errors,
     }
 
 

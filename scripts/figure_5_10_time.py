@@ -33,10 +33,8 @@ def compute(options, seed, jobs, progress):
         fitting = {name: start for name, start in every.items() if name not in refused}
         timed = {"most": most, "repeats": options["repeats"], "progress": progress}
         found[str(size)] = {
-            "box": list(flat[0].world.box),
             "scene": [i for i, of_scene in enumerate(states) for _ in of_scene],
             "contacts": [state.contacts.count for state in flat],
-            "least contacts": min(state.contacts.count for state in flat),
             "starts": chapter_5.time_to_threshold(flat, fitting, **timed),
             "refused": refused,
             "splat by k-d tree": chapter_5.time_by_tree(flat[-1], repeats=options["repeats"]),
@@ -77,13 +75,8 @@ def claims_of(pile, name, where):
     def judged(first, second, text, thesis, within, names):
         if text.count("θ") and is_given_up(pile, name) and is_given_up(pile, "builtin"):
             found = {what: float(np.mean(values)) for what, values in zip(names, (first, second))}
-            return Claim(
-                f"{where}: {text}",
-                thesis,
-                None,
-                found,
-                f"open: neither start reached it in {np.max(sweeps):,.0f} sweeps",
-            )
+            verdict = f"open: neither start reached it in {np.max(sweeps):,.0f} sweeps"
+            return Claim(f"{where}: {text}", thesis, None, found, verdict)
         means = {f"mean {what}": float(np.mean(values)) for what, values in zip(names, (first, second))}
         return verdicts.judged_values(first, second, f"{where}: {text}", thesis, within=within, also=means)
 
@@ -94,10 +87,7 @@ def claims_of(pile, name, where):
         tree = 1e3 * pile["splat by k-d tree"]
         text = "splat by a k-d tree, as in the thesis, and gather take longer than the network"
         yield judged(tree + gather, network, text, both, slower, ("splat by k-d tree and gather, ms", "network, ms"))
-    text, names = (
-        "it reaches θ < 6e-5 in fewer sweeps than Builtin",
-        [f"{name}, sweeps", "builtin, sweeps"],
-    )
+    text, names = "it reaches θ < 6e-5 in fewer sweeps than Builtin", [f"{name}, sweeps", "builtin, sweeps"]
     yield judged(*sweeps, text, "section 6.2.1", verdicts.FASTER, names)
     text, names = "it is not efficient: to θ < 6e-5 it takes longer than Builtin", [f"{name}, ms", "builtin, ms"]
     yield judged(sum(ours.values()), sum(builtin.values()), text, "abstract", slower, names)
@@ -112,8 +102,8 @@ def table(data):
             label = plotting.style_of(name)["label"]
             rows.append([size, label, *(ms or None for ms in stages), sum(stages), sweeps, missed])
         for name, why in pile["refused"].items():
-            label = plotting.style_of(name)["label"]
-            rows.append([size, label, *[None] * len(STAGES), None, None, f"refused: its {why.partition(':')[0]}"])
+            nothing = [None] * (len(STAGES) + 2)
+            rows.append([size, plotting.style_of(name)["label"], *nothing, f"refused: its {why.partition(':')[0]}"])
     return rows
 
 

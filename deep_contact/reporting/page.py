@@ -46,7 +46,11 @@ def write_report(
                 faults.append(str(error))
     found.sort(key=lambda entry: _order(entry["id"]))
     there, expected = {entry["id"] for entry in found}, set(expected)
-    if missing := _names(expected - there):
+    missing, not_drawn = (
+        ", ".join(results.name_of(id) for id in sorted(ids, key=_order))
+        for ids in (expected - there, captions.keys() - expected - there)
+    )
+    if missing:
         faults.append(f"No results of {missing}.")
     environment = jinja2.Environment(loader=jinja2.PackageLoader("deep_contact.reporting", ""), autoescape=True)
     environment.filters["cell"] = cell
@@ -55,16 +59,12 @@ def write_report(
         found=[entry | {"caption": captions.get(entry["id"], "")} for entry in found],
         claims=[claim for entry in found for claim in entry["claims"] if claim["thesis"]],
         faults=faults,
-        not_drawn=_names(captions.keys() - expected - there),
+        not_drawn=not_drawn,
         errata=ERRATA,
     )
     with replacing(folder / "index.html") as temporary:
         temporary.write_text(page, encoding="utf-8")
     return folder / "index.html"
-
-
-def _names(ids: Iterable[str]) -> str:
-    return ", ".join(results.name_of(id) for id in sorted(ids, key=_order))
 
 
 def _content(path: Path) -> dict:
@@ -80,7 +80,7 @@ def _content(path: Path) -> dict:
         "other": other,
         "name": name,
         "anchor": re.sub("[ .]", "-", name.lower()),
-        "picture": _embedded(picture) if picture.exists() else None,
+        "picture": base64.b64encode(picture.read_bytes()).decode("ascii") if picture.exists() else None,
         "settings": {**entry["options"], "seed": made["seed"]},
         "made": run | made["packages"] | made.get("inputs", {}),
     }
@@ -105,7 +105,3 @@ def _judged(claim: dict, beside: dict | None) -> dict:
 def _order(id: str) -> tuple:
     chapter, number = id.removeprefix("T ").split(".")
     return chapter.zfill(4), int(number), id.startswith("T ")
-
-
-def _embedded(picture: Path) -> str:
-    return f"data:image/png;base64,{base64.b64encode(picture.read_bytes()).decode('ascii')}"

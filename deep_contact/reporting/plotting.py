@@ -159,10 +159,10 @@ def band(ax, x, middle, low, high, **look) -> None:
     ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
 
 
-def legend_below(figure, ax, *, rows: int = 1) -> None:
-    """One legend below all panels of a figure, of what `ax` shows, in so many rows."""
+def legend_below(figure, ax) -> None:
+    """One legend below all panels of a figure, of what `ax` shows, in one row."""
     handles, labels = ax.get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=-(-len(labels) // rows))
+    figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
 
 
 def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
@@ -266,8 +266,8 @@ def draw_state(
     from matplotlib.patches import Circle
 
     bodies = state.bodies
-    circles = PatchCollection([Circle(p, r) for p, r in zip(bodies.position, bodies.radius)], linewidths=0.5)
-    circles.set(edgecolor="#333333", facecolor="#CFE6F5")
+    circles = PatchCollection([Circle(p, r) for p, r in zip(bodies.position, bodies.radius)])
+    circles.set(edgecolor="#333333", facecolor="#CFE6F5", linewidth=0.5)
     if colour_by is not None:
         values, label = body_values(state, colour_by)
         low, high = limits or (0.0, float(values.max(initial=0.0)))

@@ -16,18 +16,15 @@ def find(folder: Path) -> dict[str, Path]:
 
     Raises ValueError for two scripts of one number.
     """
-    found: dict[tuple, Path] = {}
-    for match, path in ((_SCRIPT.fullmatch(path.name), path) for path in sorted(folder.glob("*_*.py"))):
-        if match:
-            key = int(match[3]), int(match[4]), match[2] == "table"
-            if key in found:
-                raise ValueError(f"expected one script for {_name(*key)}, got {found[key].name} and {path.name}")
-            found[key] = path
-    return {_name(*key): found[key] for key in sorted(found)}
-
-
-def _name(chapter: int, number: int, is_table: bool) -> str:
-    return f"{'T' if is_table else ''}{chapter}.{number}"
+    matches = [(match, path) for path in folder.glob("*_*.py") if (match := _SCRIPT.fullmatch(path.name))]
+    matches.sort(key=lambda one: (int(one[0][3]), int(one[0][4]), one[0][2] == "table", one[1].name))
+    found: dict[str, Path] = {}
+    for match, path in matches:
+        name = f"{'T' * (match[2] == 'table')}{match[3]}.{match[4]}"
+        if name in found:
+            raise ValueError(f"expected one script for {name}, got {found[name].name} and {path.name}")
+        found[name] = path
+    return found
 
 
 def normalized(name: str) -> str:

@@ -82,18 +82,12 @@ def layers_of(model) -> list[dict]:
     given = {"name": "input", "kind": "Input", "shape": list(model.input_shape[1:])}
     found = [given | {"parameters": 0, "trainable": 0, "kernel": None}]
     for layer in (layer for layer in model.layers if type(layer).__name__ != "InputLayer"):
-        kind = type(layer).__name__
-        filters = f"({layer.filters})" if kind == "Conv2D" else ""
-        found.append(
-            {
-                "name": layer.name,
-                "kind": LAYER_TITLES.get(kind, kind) + filters,
-                "shape": list(layer.output.shape[1:]),
-                "parameters": int(layer.count_params()),
-                "trainable": int(sum(np.prod(v.shape) for v in layer.trainable_variables)),
-                "kernel": list(layer.kernel_size) if filters else None,
-            }
-        )
+        kind, kernel = type(layer).__name__, getattr(layer, "kernel_size", None)
+        kind = LAYER_TITLES.get(kind, kind) + (f"({layer.filters})" if kernel else "")
+        about = {"name": layer.name, "kind": kind, "shape": list(layer.output.shape[1:])}
+        trainable = int(sum(np.prod(v.shape) for v in layer.trainable_variables))
+        about |= {"parameters": int(layer.count_params()), "trainable": trainable}
+        found.append(about | {"kernel": list(kernel) if kernel else None})
     return found
 
 

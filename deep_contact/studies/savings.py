@@ -18,7 +18,6 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.physics.engine import Steps, step_input
-from deep_contact.physics.islands import islands_of
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
 from deep_contact.physics.step import make_log
@@ -108,8 +107,11 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
         "uncorrected": functools.partial(step, pile, solver=replace(STEP, position_sweeps=0)),
         "called": functools.partial(step, pile, on_step=lambda *_: None),
     }
-    runs = ways | {"asleep": asleep.run, "one rolling, asleep": all_but_one.run}
-    setup = {"asleep": asleep.reset, "one rolling, asleep": all_but_one.reset}
+    still = {"asleep": asleep, "one rolling, asleep": all_but_one}
+    runs, setup = (
+        ways | {name: one.run for name, one in still.items()},
+        {name: one.reset for name, one in still.items()},
+    )
     times = {name: found / steps for name, found in interleaved(runs, repeats=repeats, setup=setup).items()}
     ways |= {"asleep": functools.partial(step, pile, sleep=True)}
     ways |= {"one rolling, asleep": functools.partial(step, rolling, sleep=True)}
@@ -136,10 +138,9 @@ class _Asleep:
         self._state, self._still, self._log = state, still, make_log(steps)
 
     def reset(self) -> None:
-        bodies, contacts = (
-            part._make(field.copy() for field in part) for part in (self._state.bodies, self._state.contacts)
-        )
-        self._given = step_input(self._state.replace(bodies=bodies, contacts=contacts), STEP)
+        parts = {"bodies": self._state.bodies, "contacts": self._state.contacts}
+        copies = {name: part._make(field.copy() for field in part) for name, part in parts.items()}
+        self._given = step_input(self._state.replace(**copies), STEP)
         self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
         self._advance.memory(self._given).sleep.still[:] = self._still
 
@@ -150,24 +151,20 @@ class _Asleep:
 def island_savings(scene: State, *, steps: int, every: int) -> dict:
     """What islands save a run, on the same states: one in `every` steps of the run without islands.
 
-    Returns {"step", "contacts", "islands", "together", "apart": relaxations of each state, "seconds_together",
-    "seconds_apart": the least of three, "difference": largest between the velocities of both, m/s}.
+    Returns {"together", "apart": relaxations of each state, "seconds_together", "seconds_apart": the least of three,
+    "difference": largest between the velocities of both, m/s}.
     """
     ways = {"together": PGS(), "apart": PGS(islands=True)}
     states = solved_states(scene, steps=steps, every=every, solver=ways["together"])
     calls = {(name, k): functools.partial(solve_contacts, state, solver=solver)
              for k, state in enumerate(states) for name, solver in ways.items()}  # fmt: skip
     took, found = interleaved(calls, repeats=3, reduce=min), {}
-    for k, state in enumerate(states):
-        one, other = (calls[name, k]().velocities for name in ways)
-        now = {"step": state.step, "contacts": state.contacts.count, "difference": float(np.abs(one - other).max())}
-        now["islands"] = len(np.unique(islands_of(state)[state.contacts.body_a]))
-        for name, solver in ways.items():
-            now[name] = int(simulate(state, steps=1, solver=solver).relaxations[0])
-            now[f"seconds_{name}"] = took[name, k]
-        for name, value in now.items():
-            found.setdefault(name, []).append(value)
-    return {name: np.array(values) for name, values in found.items()}
+    for name, solver in ways.items():
+        relaxations = [simulate(state, steps=1, solver=solver).relaxations[0] for state in states]
+        found[name] = np.array(relaxations, dtype=int)
+        found[f"seconds_{name}"] = np.array([took[name, k] for k in range(len(states))])
+    ends = ([calls[name, k]().velocities for name in ways] for k in range(len(states)))
+    return found | {"difference": np.array([np.abs(one - other).max() for one, other in ends])}
 
 
 def saving_by_run(runs: list[dict], unit: str = "") -> dict:
