@@ -13,7 +13,7 @@ def compute(options, seed, jobs, progress):
     rng = np.random.default_rng(seed)
     whole = rng.normal(size=(options["nodes"], options["nodes"], 3))
     by_keras = worked.by_keras("MaxPooling2D", 2, x=whole, padding="same")
-    sizes = worked.pooled_sizes(options["nodes"], options["poolings"])
+    sizes = [-(-options["nodes"] // 2**i) for i in range(options["poolings"] + 1)]  # nodes along an edge
     outputs = options["nodes"] ** 2 * 2
     return {
         "image": image,

@@ -18,21 +18,23 @@ def compute(options, seed, jobs, progress):
     found = worked.backpropagate(x, w_h, w_o, target)
     automatic = worked.automatic_gradients(x, w_h, w_o, target)
     step_o, step_h = w_o - rate * automatic["output"], w_h - rate * automatic["hidden"]  # Eq 4.8, the first step
-    chain = found.chain
+    chain = found["chain"]
     common, by_hidden = chain["∂L/∂e"] * chain["∂e/∂y"], chain["∂y/∂v"] * chain["∂v/∂w"]
-    early, late = (w_h + 2 * rate * found.e * np.outer(x, w) for w in (w_o, step_o))
-    loss = {"before": found.loss, "after the step of Eq 4.8": worked.backpropagate(x, step_h, step_o, target).loss}
+    early, late = (w_h + 2 * rate * found["e"] * np.outer(x, w) for w in (w_o, step_o))
+    stepped = worked.backpropagate(x, step_h, step_o, target)
+    loss = {"before": found["loss"], "after the step of Eq 4.8": stepped["loss"]}
     output, hidden = automatic["output"], automatic["hidden"]
     return {
-        **{name: np.array(options[name]) for name in ("x", "hidden weights", "output weights", "target", "rate")},
-        **{"v": found.v, "y": found.y, "e": found.e, "loss": loss, "chain": chain},
+        **{name: np.array(options[name]) for name in ("x", "hidden weights", "output weights", "target")},
+        **{name: found[name] for name in ("v", "y", "e", "chain")},
+        "loss": loss,
         "gradients": {
-            "output": {"Eq 4.12": common * chain["∂y/∂w"], "Eq 4.13": found.output, "automatic": output},
-            "hidden": {"Eq 4.15": common * by_hidden, "Eq 4.17": found.hidden, "automatic": hidden},
+            "output": {"Eq 4.12": common * chain["∂y/∂w"], "Eq 4.13": found["output"], "automatic": output},
+            "hidden": {"Eq 4.15": common * by_hidden, "Eq 4.17": found["hidden"], "automatic": hidden},
         },
         "chain, automatic": {name: automatic[name] for name in chain},
         "updated": {
-            "output": {"Eq 4.14": w_o + rate * found.v * found.e, "Eq 4.8": step_o},
+            "output": {"Eq 4.14": w_o + rate * found["v"] * found["e"], "Eq 4.8": step_o},
             "hidden": {"Eq 4.18": early, LATE: late, "Eq 4.8": step_h},
         },
     }

@@ -136,44 +136,29 @@ def max_pool(image: np.ndarray) -> np.ndarray:
     return np.array([[image[i : i + 2, j : j + 2].max(axis=(0, 1)) for j in columns] for i in rows])
 
 
-def pooled_sizes(n: int, times: int) -> list[int]:
-    """Nodes along an edge before and after each of `times` 2 × 2 poolings."""
-    return [-(-n // 2**i) for i in range(times + 1)]
-
-
 # ---- backpropagation, section 4.3.5 ----
 
 
-class Backpropagation(NamedTuple):
-    """The passes through the thesis's example: I inputs, J hidden neurons, one output, all linear.
+def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, target: float) -> dict:
+    """Eq 4.11-4.17 for inputs x (I,), weights w_hidden (I, J) and w_output (J,), and the true output `target`, d.
 
-    v: hidden values (J,), Eq 4.16. y: output, e: error d − y, loss: e², all Eq 4.11. chain: factors of Eq 4.12 and 4.15
-    by name. output: ∂L/∂w_j of the output's weights (J,), Eq 4.13. hidden: ∂L/∂w_ij (I, J), Eq 4.17.
+    The thesis's example has one output, and all neurons are linear. Returns "v": hidden values (J,), Eq 4.16; "y":
+    output, "e": error d − y, "loss": e², all Eq 4.11; "chain": factors of Eq 4.12 and 4.15 by name; "output": ∂L/∂w_j
+    of the output's weights (J,), Eq 4.13; "hidden": ∂L/∂w_ij (I, J), Eq 4.17.
     """
-
-    v: np.ndarray
-    y: float
-    e: float
-    loss: float
-    chain: dict[str, np.ndarray]
-    output: np.ndarray
-    hidden: np.ndarray
-
-
-def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, target: float) -> Backpropagation:
-    """Eq 4.11-4.17 for inputs x (I,), weights w_hidden (I, J) and w_output (J,), and the true output `target`, d."""
     v = x @ w_hidden
     y = float(w_output @ v)
     e = float(target - y)
     of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # of v_j by w_ij; the others are zero
     chain = {"∂L/∂e": np.array(2 * e), "∂e/∂y": np.array(-1.0), "∂y/∂v": w_output, "∂y/∂w": v, "∂v/∂w": of_hidden}
-    return Backpropagation(v, y, e, e**2, chain, -2 * v * e, -2 * e * np.outer(x, w_output))
+    found = {"v": v, "y": y, "e": e, "loss": e**2, "chain": chain}
+    return found | {"output": -2 * v * e, "hidden": -2 * e * np.outer(x, w_output)}
 
 
 def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
     """The gradients of the same network by automatic differentiation of L.
 
-    Returns "output" (J,), "hidden" (I, J), and the factors of the chain by the names of `Backpropagation.chain`.
+    Returns "output" (J,), "hidden" (I, J), and the factors of `backpropagate`'s chain by their names.
     """
     from deep_contact.cnn.backend import tensorflow as tf
 

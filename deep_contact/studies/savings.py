@@ -98,8 +98,8 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
     "apart": what leaving a part out changes in so many steps. Circles may fall asleep in them.
     """
     pile, rolling = ready(at_rest(piles.scene(n_bodies, seed))), ready(heaps_and_one_rolling(n_bodies, seed))
-    asleep = _Asleep(pile, np.full(n_bodies, np.inf), steps)
-    all_but_one = _Asleep(rolling, np.append(np.full(n_bodies, np.inf), 0.0), steps)
+    still = {"asleep": _Asleep(pile, np.full(n_bodies, np.inf), steps)}
+    still["one rolling, asleep"] = _Asleep(rolling, np.append(np.full(n_bodies, np.inf), 0.0), steps)
     step = functools.partial(simulate, steps=steps, solver=STEP)
     ways = {
         "awake": functools.partial(step, pile),
@@ -107,11 +107,8 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
         "uncorrected": functools.partial(step, pile, solver=replace(STEP, position_sweeps=0)),
         "called": functools.partial(step, pile, on_step=lambda *_: None),
     }
-    still = {"asleep": asleep, "one rolling, asleep": all_but_one}
-    runs, setup = (
-        ways | {name: one.run for name, one in still.items()},
-        {name: one.reset for name, one in still.items()},
-    )
+    runs = ways | {name: one.run for name, one in still.items()}
+    setup = {name: one.reset for name, one in still.items()}
     times = {name: found / steps for name, found in interleaved(runs, repeats=repeats, setup=setup).items()}
     ways |= {"asleep": functools.partial(step, pile, sleep=True)}
     ways |= {"one rolling, asleep": functools.partial(step, rolling, sleep=True)}

@@ -81,22 +81,20 @@ def example():
 @pytest.mark.parametrize(("weights", "gradient"), [("w_output", "output"), ("w_hidden", "hidden")])
 def test_eq_4_13_and_4_17_against_finite_differences(example, weights, gradient):
     """L is quadratic in each weight, so central differences are exact but for rounding, 1e-16 / eps."""
-    found, eps = getattr(worked.backpropagate(**example), gradient), 1e-4
+    found, eps = worked.backpropagate(**example)[gradient], 1e-4
     for index in np.ndindex(found.shape):
         losses = []
         for sign in (1, -1):
             moved = example[weights].copy()
             moved[index] += sign * eps
-            losses.append(worked.backpropagate(**(example | {weights: moved})).loss)
+            losses.append(worked.backpropagate(**(example | {weights: moved}))["loss"])
         assert found[index] == pytest.approx((losses[0] - losses[1]) / (2 * eps), abs=1e-9)
 
 
 def test_automatic_differentiation_agrees_with_the_equations(keras, example):
     automatic, found = worked.automatic_gradients(**example), worked.backpropagate(**example)
-    np.testing.assert_allclose(found.output, automatic["output"], rtol=1e-12)
-    np.testing.assert_allclose(found.hidden, automatic["hidden"], rtol=1e-12)
-    for name, factor in found.chain.items():
-        np.testing.assert_allclose(factor, automatic[name], rtol=1e-12)
+    for name, value in (found["chain"] | {name: found[name] for name in ("output", "hidden")}).items():
+        np.testing.assert_allclose(value, automatic[name], rtol=1e-12)
 
 
 # ---- inside a network ----
