@@ -54,7 +54,13 @@ def claims(data):
 def draw(data, options):
     """Left: the neuron with its numbers. Right: the functions and their derivatives."""
     figure, (ax, functions, derivatives) = plotting.subplots(1, 3, size=(11.0, 3.6), width_ratios=[1.5, 1, 1])
-    draw_neuron(ax, data)
+    values, weights = [[*data["x"], 1.0], [data["sum"]], [data["outputs"]["ReLU"]]], [*data["w"], data["bias"]]
+    titles = ("x$_i$, and 1", "Σ w$_i$ x$_i$ + bias", "y = ReLU(Σ)")
+    plotting.draw_network(ax, values, [[[w] for w in weights], [[1.0]]], titles=titles, numbers="{:g}")
+    names = [*(f"w$_{i}$" for i in range(1, len(weights))), "bias"]
+    for i, (name, weight) in enumerate(zip(names, weights)):
+        place = 0.45, 0.55 * (0.5 * len(data["x"]) - i)
+        ax.text(*place, f"{name} = {weight:g}", ha="center", va="center", bbox={"fc": "white", "ec": "none", "pad": 1})
     for panel, part, title in ((functions, "functions", "f(x)"), (derivatives, "derivatives", "f'(x)")):
         styles = plotting.styles_of(data[part])
         for name, values in data[part].items():
@@ -63,28 +69,6 @@ def draw(data, options):
     functions.set_ylim(-1.2, 2.2)
     functions.legend()
     return figure
-
-
-def draw_neuron(ax, data):
-    """Inputs, weights, the sum and the activation of Eq 4.3."""
-    n, middle = len(data["x"]), len(data["x"]) / 2
-    rows = [(f"x$_{i}$ = {x:g}", f"w$_{i}$ = {w:g}") for i, (x, w) in enumerate(zip(data["x"], data["w"]), start=1)]
-    rows.append(("1", f"bias = {data['bias']:g}"))
-    look = {"ha": "center", "va": "center", "fontsize": 9}
-    circle = {"boxstyle": "round,pad=0.35", "fc": "#CFE6F5", "ec": plotting.BLACK}
-    for i, (left, text) in enumerate(rows):
-        y = n - i
-        ax.annotate("", (2.05, middle), (0.1, y), arrowprops={"arrowstyle": "-", "color": plotting.GREY})
-        ax.text(0.1, y, left, bbox=circle, zorder=3, **look)
-        ax.text(1.05, y + (middle - y) * 0.43, text, bbox={"fc": "white", "ec": "none", "pad": 1}, **look)
-    arrow = {"arrowstyle": "->", "color": plotting.BLACK}
-    ax.annotate("", (3.2, middle), (2.4, middle), arrowprops=arrow)
-    ax.annotate("", (4.2, middle), (3.5, middle), arrowprops=arrow)
-    ax.text(2.2, middle, f"Σ\n{data['sum']:g}", bbox=circle, zorder=3, **look)
-    ax.text(3.35, middle, "ReLU", bbox=circle, zorder=3, **look)
-    ax.text(4.6, middle, f"y = {data['outputs']['ReLU']:g}", **look)
-    ax.set(xlim=(-0.4, 5.1), ylim=(-0.6, n + 0.6), title="y = f(Σ w$_i$ x$_i$ + bias)")
-    ax.axis("off")
 
 
 GAINS = [0.5, 1.0, 2.0]

@@ -77,26 +77,23 @@ def stored(tmp_path, name="figure_9_1"):
 def test_a_run_writes_both_files_and_reports_numbers_and_claims(tmp_path, capsys):
     assert run(tmp_path) == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["figure_9_1.json", "figure_9_1.png"]
-    printed = capsys.readouterr().out.splitlines()
-    assert printed[0] == "Figure 9.1: Walks"
-    assert printed[-2] == "does not hold: a walk comes back (section 1.2): walks = 3"
-    assert printed[-1] == f"picture: {tmp_path / 'figure_9_1.png'}"
-    assert len(printed) == 1 + 4 + 1 + 1
+    first, *rows, claim, last = capsys.readouterr().out.splitlines()
+    assert (first, last) == ("Figure 9.1: Walks", f"picture: {tmp_path / 'figure_9_1.png'}")
+    assert len(rows) == 4
+    assert claim == "does not hold: a walk comes back (section 1.2): walks = 3"
 
 
 def test_a_quick_run_says_so_and_where_it_agrees_with_the_reference(tmp_path, capsys, monkeypatch):
+    claim = "a walk comes back (section 1.2): walks = 3"
     run(tmp_path, "--quick")  # there is no reference run of it
-    assert capsys.readouterr().out.splitlines()[5] == (
-        "too few states to tell: a walk comes back (section 1.2): walks = 3"
-    )
+    assert capsys.readouterr().out.splitlines()[5] == f"too few states to tell: {claim}"
     run(tmp_path)
     monkeypatch.setattr(results, "REFERENCE", tmp_path)
     path = tmp_path / "quick"
     for arguments in (["--quick"], ["--replot"]):
         capsys.readouterr()
         assert run(path, *arguments) == 0
-        said = "as in the reference run, does not hold: a walk comes back (section 1.2): walks = 3"
-        assert capsys.readouterr().out.splitlines()[5] == said
+        assert capsys.readouterr().out.splitlines()[5] == f"as in the reference run, does not hold: {claim}"
 
 
 def test_the_picture_of_a_quick_run_is_marked(tmp_path, monkeypatch):
@@ -274,7 +271,7 @@ def test_the_error_of_an_item_does_not_wait_for_the_others():
 
 
 @pytest.mark.parametrize("jobs", [0, 1.5])
-def test_parallel_map_refuses_bad_jobs(jobs):
+def test_bad_jobs_are_refused(jobs):
     with pytest.raises(ValueError, match=f"jobs: expected an integer >= 1 or an Executor, got {jobs}"):
         figures.parallel_map(abs, [1], jobs=jobs)
 

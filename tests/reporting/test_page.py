@@ -29,9 +29,7 @@ def folder(tmp_path, monkeypatch):
     monkeypatch.setattr(results, "REFERENCE", tmp_path / "reference")
     for id, stem in (("3.10", "figure_3_10"), ("3.9", "figure_3_9"), ("T 5.1", "table_5_1")):
         results.write_results(tmp_path / f"{stem}.json", entry(id))
-        figure, ax = plotting.subplots(size=(11.0, 3.0))
-        ax.plot([1, 2], [3, 4])
-        plotting.save(figure, tmp_path / f"{stem}.png")
+        plotting.save(plotting.subplots()[0], tmp_path / f"{stem}.png")
     (tmp_path / "other.json").write_text("{")
     return tmp_path
 
@@ -148,11 +146,3 @@ def test_every_file_of_data_reference_is_made_by_one_of_the_commands(tmp_path, m
     assert [command[-1].stem for command in module.missing_studies()] == [*module.STUDIES][1:]
     assert module.main(["--references", "--list"]) == 0
     assert len(capsys.readouterr().out.splitlines()) == len(module.STUDIES) - 1 + len(figures)
-
-
-def test_all_figures_writes_the_page(folder, capsys):
-    module = load_script("all_figures")
-    (folder / "scripts").mkdir()
-    assert module.main(["--out", str(folder)], folder / "scripts") == 0
-    assert (folder / "index.html").exists()
-    assert "index.html" in capsys.readouterr().out

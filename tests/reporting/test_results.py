@@ -147,7 +147,3 @@ def test_a_file_that_is_not_a_results_file_is_refused_by_name(tmp_path, text):
     path.write_bytes(text.encode("latin-1"))
     with pytest.raises(ResultsError, match=r"^broken\.json: "):
         results.read_results(path)
-
-
-def test_provenance_fits_the_schema():
-    results.check_results(GOOD | {"provenance": results.provenance(seed=5, wall_s=0.25)})

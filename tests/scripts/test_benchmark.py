@@ -33,7 +33,7 @@ def test_engines_are_compared(run):
         assert set(case["engines"]) == set(benchmark.ENGINES)
         assert all(cost["step_us"] > 0 for cost in case["engines"].values())
         assert set(case["ratios"]) == set(benchmark.PEERS)
-    assert {claim["text"] for claim in found["claims"]} < {text for text, *_ in benchmark.GOALS}
+    assert {claim["text"] for claim in found["claims"]} < benchmark.GOALS.keys()
 
 
 def test_steps_are_timed_as_users_run_them(run):
@@ -50,7 +50,7 @@ def test_transfer_and_state_files_are_timed(run):
     )
     found = run("xml", "--repeats", 2)
     assert found["circles"] == 100
-    assert found[".xml.gz"]["bytes"] < found[".xml"]["bytes"]
+    assert all(0 < one["min_ms"] for suffix in (".xml", ".xml.gz") for one in found[suffix].values())
 
 
 def write_fc2d(path, state):

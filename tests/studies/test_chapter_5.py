@@ -220,21 +220,6 @@ def test_two_networks_for_one_impulse_each_do_what_one_for_both_does(falling_sta
         np.testing.assert_allclose(each[name], both[name], rtol=1e-5)  # float32 networks of other weights
 
 
-def test_a_network_learns_one_impulse_and_is_not_trained_again(tmp_path):
-    pytest.importorskip("keras")
-    data = chapter_5.make_states(
-        tmp_path / "data", simulations=2, steps=90, bodies=(40, 50), seed=0, progress=lambda items, **_: items
-    )
-    settings = {"epochs": 1, "states_per_epoch": 8, "batch_size": 4, "validation_states": 4, "spacing": 1.0}
-    settings |= {"fractions": (0.5, 0.5, 0.0), "options": {"stacks": [[2, [1]]]}, "targets": ("tangent_impulse",)}
-    task = settings, str(data), str(tmp_path / "run")
-    path = chapter_5.train_on_targets(task)
-    trained = (tmp_path / "run" / "best.h5").stat().st_mtime_ns
-    assert chapter_5.network_start(path).model.spec.targets == ("tangent_impulse",)
-    assert chapter_5.train_on_targets(task) == path
-    assert (tmp_path / "run" / "best.h5").stat().st_mtime_ns == trained
-
-
 def variants(**errors):
     """Data of Table 6.1 with one number for every measure, a seed each."""
     names = dict(zip(("one", "deeper", "each"), chapter_5.VARIANTS))
