@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from conftest import load_script
+from conftest import SCRIPTS, load_script
 
 import deep_contact as dc
 from deep_contact import parallel
