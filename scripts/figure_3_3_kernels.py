@@ -27,22 +27,17 @@ def compute(options, seed, jobs, progress):
 
 def claims(data):
     """Eq 3.2: the integral of a kernel is one. The thesis uses the constants of space on the plane."""
-    own = ("2-D constant over the plane", "3-D constant over space")
     found = data["integrals"]
-    right = {f"{kernel}, {name}": of[name] for kernel, of in found.items() for name in own}
+    right = {f"{kernel}, {name}": of[name] for kernel, of in found.items()
+             for name in ("2-D constant over the plane", "3-D constant over space")}  # fmt: skip
     thesis = {kernel: of["3-D constant over the plane"] for kernel, of in found.items()}
+    for text, place, integrals in (
+        ("each kernel integrates to one in the dimension of its constant", "Eq 3.2", right),
+        ("the kernels of Eq 3.8 and 3.11 integrate to one on the plane of the simulation", "Eq 3.8, Eq 3.11", thesis),
+    ):
+        yield Claim(text, place, all(abs(value - 1) < 1e-6 for value in integrals.values()), integrals)
     least = {kernel: min(min(w) for w in curves.values()) for kernel, curves in data["curves"].items()}
-    plane = "the kernels of Eq 3.8 and 3.11 integrate to one on the plane of the simulation"
-    return [
-        Claim("each kernel integrates to one in the dimension of its constant", "Eq 3.2", all_one(right), right),
-        Claim(plane, "Eq 3.8, Eq 3.11", all_one(thesis), thesis),
-        Claim("no kernel is negative anywhere", "Eq 3.4b", min(least.values()) >= 0, least),
-    ]
-
-
-def all_one(integrals):
-    """Whether all integrals are one, to a tolerance well above the error of the quadrature."""
-    return all(abs(value - 1) < 1e-6 for value in integrals.values())
+    yield Claim("no kernel is negative anywhere", "Eq 3.4b", min(least.values()) >= 0, least)
 
 
 def draw(data, options):

@@ -85,9 +85,9 @@ def draw(data, options):
         colours = plotting.readable_on(shown.to_rgba(values))
         for (i, j), value in np.ndenumerate(values):
             ax.text(j, i, f"{value:g}", ha="center", va="center", color=colours[i, j])
-    edge = {"fill": False, "edgecolor": plotting.VERMILION, "linewidth": 2.5}
-    for ax, (width, height) in ((panels[0], (k_x, k_y)), (panels[3], (1, 1))):
-        ax.add_patch(Rectangle((column - 0.5, row - 0.5), width, height, **edge))
+    for ax, size in ((panels[0], (k_x, k_y)), (panels[3], (1, 1))):
+        look = {"fill": False, "edgecolor": plotting.VERMILION, "linewidth": 2.5}
+        ax.add_patch(Rectangle((column - 0.5, row - 0.5), *size, **look))
     rows = [" + ".join(f"({value:g})" if value < 0 else f"{value:g}" for value in line) for line in data["products"]]
     panels[2].set_xlabel(" +\n".join(rows) + f" = {result[row][column]:g}")
     return figure

@@ -15,9 +15,11 @@ from deep_contact.studies import starts, timing, verdicts
 def compute(options, seed, jobs, progress):
     """Count the contacts of every step of a run, and time the solution of some steps with a fixed number of sweeps.
 
-    "scenes" has the same of each scene in few numbers; the first scene is drawn.
+    The time is that of one thread of the processor: what else runs is not counted. "scenes" has the same of each scene
+    in few numbers; the first scene is drawn.
     """
     drawn, scenes = None, []
+    solve = partial(dc.solve_contacts, solver=dc.PGS(sweeps=options["sweeps"], tolerance=None))
     for scene_seed in progress([seed, *figures.seeds(seed, options["scenes"] - 1)], text="scenes"):
         scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=scene_seed)
         states = starts.solved_states(scene, steps=options["steps"], contacts_only=False)
@@ -26,31 +28,19 @@ def compute(options, seed, jobs, progress):
             "step": [state.step for state in states],
             "contacts": [state.contacts.count for state in states],
             "timed contacts": [state.contacts.count for state in timed],
-            "time (ms)": [1e3 * solution_time(state, options["sweeps"]) for state in timed],
+            "time (ms)": [1e3 * timing.fastest(partial(solve, state), 3, thread_time) for state in timed],
         }
         scenes.append(summary(found))
         drawn = drawn or found
     return drawn | {"scenes": scenes}
 
 
-def solution_time(state, sweeps):
-    """Processor time of one contact solution on one thread, s: what else runs is not counted."""
-    solve = partial(dc.solve_contacts, state, solver=dc.PGS(sweeps=sweeps, tolerance=None))
-    return timing.fastest(solve, 3, thread_time)
-
-
 def summary(found):
     """Of one scene: contacts early, late, their spread; correlation with time; µs a contact among few and many."""
     contacts, each = np.array(found["contacts"]), costs(found)
-    sixth = contacts.size // 6
-    late = contacts[-sixth:]
-    return {
-        "first sixth": float(contacts[:sixth].mean()),
-        "last sixth": float(late.mean()),
-        "its std": float(late.std()),
-        "correlation": fit(found)[2],
-        "µs a contact": [each[0], each[-1]],
-    }
+    first, last = contacts[: contacts.size // 6], contacts[-(contacts.size // 6) :]
+    means = {"first sixth": float(first.mean()), "last sixth": float(last.mean()), "its std": float(last.std())}
+    return means | {"correlation": fit(found)[2], "µs a contact": [each[0], each[-1]]}
 
 
 def fit(data):

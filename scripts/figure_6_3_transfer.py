@@ -18,26 +18,16 @@ SIBLING = {
 """Mean loss of a contact impulse, N·s, in L. Engedal's thesis of 2018 (p. 39), for his own method and piles."""
 
 WAYS = {
-    "thesis": ("thesis", "bilinear"),
-    "SPH gather": ("thesis", "sph"),
-    "consistent": ("consistent", "bilinear"),
-    "authors' spline": ("spline", "bilinear"),
-    "authors' sharing": ("shared", "bilinear"),
+    "thesis": ("thesis", "bilinear", plotting.SKY, "^", "--"),
+    "SPH gather": ("thesis", "sph", plotting.BLACK, "x", ":"),
+    "consistent": ("consistent", "bilinear", plotting.BLUE, "v", "-"),
+    "authors' spline": ("spline", "bilinear", plotting.ORANGE, "s", "-"),
+    "authors' sharing": ("shared", "bilinear", plotting.GREEN, "D", "-."),
 }
-"""Name -> transfer, and how the thesis's reads back."""
-
+"""Name -> transfer, and how the thesis's reads back; colour, marker and line ("thesis", "consistent": the starts')."""
 
 FLOOR = 1e-6
 """Where smaller errors are drawn."""
-
-LOOKS = {
-    "thesis": {"color": plotting.SKY, "marker": "^", "linestyle": "--"},
-    "SPH gather": {"color": plotting.BLACK, "marker": "x", "linestyle": ":"},
-    "consistent": {"color": plotting.BLUE, "marker": "v", "linestyle": "-"},
-    "authors' spline": {"color": plotting.ORANGE, "marker": "s", "linestyle": "-"},
-    "authors' sharing": {"color": plotting.GREEN, "marker": "D", "linestyle": "-."},
-}
-"""Way -> how it is drawn; "thesis" and "consistent" as the starts."""
 
 
 def compute(options, seed, jobs, progress):
@@ -52,7 +42,7 @@ def compute(options, seed, jobs, progress):
         return [starts.solved_states(scene, steps=600, every=options["every"]) for scene in scenes]
 
     def loss(states, way="thesis", **start):
-        transfer, method = WAYS[way]
+        transfer, method, *_ = WAYS[way]
         return starts.transfer_loss(states, Sph(**start, transfer=transfer), method=method)
 
     scenes = {"equal": piles(n, (1.0, 1.0)), "mixed": piles(n // 2, (0.5, 2.0))}
@@ -129,9 +119,10 @@ def draw(data, options):
     figure, panels = plotting.subplots(1, 2, size=(plotting.PAGE, 3.8), sharey=True)
     titles = {"equal": "circles of radius 1 m", "mixed": "radii from 0.5 to 2 m"}
     for ax, (radii, title) in zip(panels, titles.items()):
-        for name, look in LOOKS.items():
+        for name, (*_, colour, marker, line) in WAYS.items():
             error = np.maximum(data["by spacing"][radii][name], FLOOR)
-            ax.plot(data["charted"], error, label=name, markersize=5, markerfacecolor="none", **look)
+            look = {"color": colour, "marker": marker, "linestyle": line, "markersize": 5, "markerfacecolor": "none"}
+            ax.plot(data["charted"], error, label=name, **look)
         ax.set_xscale("log", base=2)
         ax.set(yscale="log", ylim=(FLOOR / 2, 2))
         ax.xaxis.set_major_formatter("{x:g}")

@@ -31,20 +31,18 @@ def compute(options, seed, jobs, progress):
 
 
 def claims(data):
-    """Whether the variants are equal within the spread of the seeds. One seed has no spread, so no claims."""
-    if len(data["seeds"]) < 2:
-        return []
-    return [judged(data, DEEPER, "one with more convolutional layers"), judged(data, ONE, "one of the size of each")]
+    """Whether the variants are equal within the spread of the seeds; fewer than ten trainings of each cannot tell.
 
-
-def judged(data, first, what):
-    """Whether two networks equal another variant; fewer than ten trainings of each cannot tell."""
-    equal, measured = chapter_5.within_spread(data, first, EACH)
-    text, count = f"two networks equal {what}, within the spread of the seeds", len(data["seeds"])
-    if count >= verdicts.FEWEST:
-        return Claim(text, "section 6.1", equal, measured)
-    verdict = f"open: {count} trainings of each show {'no' if equal else 'a'} difference"
-    return Claim(text, "section 6.1", None, measured, verdict)
+    One seed has no spread, so no claims.
+    """
+    count = len(data["seeds"])
+    for first, what in ((DEEPER, "one with more convolutional layers"), (ONE, "one of the size of each")):
+        if count > 1:
+            equal, measured = chapter_5.within_spread(data, first, EACH)
+            text = f"two networks equal {what}, within the spread of the seeds"
+            verdict = f"open: {count} trainings of each show {'no' if equal else 'a'} difference"
+            decided = count >= verdicts.FEWEST
+            yield Claim(text, "section 6.1", equal if decided else None, measured, None if decided else verdict)
 
 
 def table(data):
