@@ -88,7 +88,7 @@ def test_the_results_of_a_figure_are_a_dict_that_shows_the_picture(tmp_path):
     figure = figures.Figure(
         "T 9.9", "A <b>", lambda *_: {"x": 1}, lambda data: [["x"], [data["x"]]], None, lambda _: claims
     )
-    found = figures.produce(figure, out=tmp_path, echo=lambda line: None)
+    found = figures.produce(figure, out=tmp_path)
     assert found["data"] == {"x": 1}
     assert repr(found).startswith("Results('Table 9.9: A <b>', 1 claims, ")
     assert "holds: 1 &lt; 2" in found._repr_html_()

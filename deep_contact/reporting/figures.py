@@ -144,7 +144,7 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
         if given.replot:
-            _report(figure, _redrawn(figure, path), path, print)
+            _report(figure, _redrawn(figure, path), path)
         elif given.resume and _is_current(figure, path, figure.settings(changes, given.quick), seed):
             print(f"{figure.stem}: up to date")
         else:
@@ -173,14 +173,13 @@ def produce(
     seed: int | None = None,
     out: str | os.PathLike = "figures",
     jobs: int | Executor = 1,
-    echo: Callable[[str], None] = print,
 ) -> Results:
     """Compute, store, draw and report a figure; the stored results, a dict that a notebook shows as the picture.
 
     options: changes to the figure's own, by name. quick: start from those of its quick run. out: folder of the files.
-    jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. echo: called with
-    each line of the report. The results are stored before they are drawn, so that an error in `draw` does not cost a
-    long computation. Raises ValueError for an option that is unknown, or that `compute` did not read.
+    jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. The results
+    are stored before they are drawn, so that an error in `draw` does not cost a long computation. Raises ValueError for
+    an option that is unknown, or that `compute` did not read.
     """
     changes = options or {}
     options = figure.settings(changes, quick)
@@ -198,7 +197,7 @@ def produce(
     found |= {"claims": list(figure.claims(data)), "data": data}
     found = results.read_results(results.write_results(path, found))
     _draw(figure, found, path)
-    _report(figure, found, path, echo)
+    _report(figure, found, path)
     return Results(found, figure=figure, picture=path.with_suffix(".png"))
 
 
@@ -273,17 +272,17 @@ def _is_current(figure: Figure, path: Path, options: dict, seed: int) -> bool:
     return drawn and results.is_current(path, made, id=figure.id, options=options)
 
 
-def _report(figure: Figure, found: dict, path: Path, echo: Callable[[str], None]) -> None:
+def _report(figure: Figure, found: dict, path: Path) -> None:
     """Print the numbers as a table, one line a claim, and the picture's path."""
     beside = figure.beside(found["options"])
-    echo(figure.heading)
+    print(figure.heading)
     rows = figure.rows(found["data"]) if figure.table else []
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
-        echo(f"  {'  '.join(map(str.ljust, row, widths))}".rstrip())
+        print(f"  {'  '.join(map(str.ljust, row, widths))}".rstrip())
     for claim in found["claims"]:
-        echo(claim_line(claim, beside))
-    echo(f"picture: {path.with_suffix('.png')}")
+        print(claim_line(claim, beside))
+    print(f"picture: {path.with_suffix('.png')}")
 
 
 def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True) -> str:

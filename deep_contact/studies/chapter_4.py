@@ -28,12 +28,12 @@ def window_products(image: np.ndarray, kernel: np.ndarray, row: int, column: int
     return kernel * under
 
 
-def correlate(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
+def correlate(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     """Eq 4.1 at every place where the kernel is within the image: the thesis's "convolution" I * K.
 
     image: (n_y, n_x) or (n_y, n_x, d); kernel: (k_y, k_x) or (k_y, k_x, d). Returns (o_y, o_x).
     """
-    rows, columns = (range(0, n - k + 1, stride) for n, k in zip(image.shape, kernel.shape[:2]))
+    rows, columns = (range(n - k + 1) for n, k in zip(image.shape, kernel.shape[:2]))
     return np.array([[window_products(image, kernel, i, j).sum() for j in columns] for i in rows])
 
 

@@ -203,15 +203,9 @@ def table_of_starts(data: dict) -> list[list]:
     rows = [["start", "states", "mean sweeps", "median", *(f"θ({s})" for s in shown)]]
     for mode in MODES:
         for name, found in data.get(mode, {}).items():
-            theta = [theta_after(data, mode, name, s) for s in shown]
+            theta = [found["theta"][int(np.argmin(np.abs(np.asarray(data["sweep"]) - s)))] for s in shown]
             rows.append([f"{name}, {mode}", found["states"], *found["sweeps"].values(), *theta])
     return rows
-
-
-def theta_after(data: dict, mode: str, name: str, sweep: int) -> float:
-    """Mean θ of a start after `sweep` sweeps (the nearest number that is stored), N·s."""
-    nearest = int(np.argmin(np.abs(np.asarray(data["sweep"]) - sweep)))
-    return float(data[mode][name]["theta"][nearest])
 
 
 def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Sequence[str] = ()):

@@ -306,7 +306,7 @@ script = load_script("figure_6_6_stability")
 
 def test_the_figure_holds_its_claims_on_a_few_quantities(tmp_path):
     options = {"quantities": ["mass", "overlap", "time step"], "few": True, "steps": 60}
-    found = figures.produce(script.FIGURE, options=options, out=tmp_path, echo=lambda line: None)
+    found = figures.produce(script.FIGURE, options=options, out=tmp_path)
     assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
     (mass,) = (row for row in script.table(found["data"]) if row[0] == "mass")
     assert (mass[2], mass[5]) == ("1e-20 to 1e+20", "1e-40; 1e+40")
