@@ -79,11 +79,6 @@ class Quantity:
     options: Callable[[float], dict] = lambda value: {}
     peers: bool = True
 
-    def trial(self, value: float, steps: int) -> Trial:
-        """The trial of a value. Raises ValueError where no such scene can be built."""
-        fields = {"ordered": self.ordered} | self.options(value)
-        return Trial(scene=self.scene(value), steps=self.steps(value, steps), **fields)
-
 
 # ---- outcomes ----
 
@@ -412,9 +407,10 @@ def cases(names, *, quick: bool, steps: int) -> list[dict]:
 
 def run_case(case: dict) -> dict:
     """`measure` of a case; a scene that cannot be built is refused."""
+    quantity, value = QUANTITIES[case["quantity"]], case["value"]
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            trial = QUANTITIES[case["quantity"]].trial(case["value"], case["steps"])
+            fields = {"scene": quantity.scene(value), "ordered": quantity.ordered} | quantity.options(value)
     except ValueError as error:
         return _without_run(REFUSED, error)
-    return measure(trial, case["engine"])
+    return measure(Trial(steps=quantity.steps(value, case["steps"]), **fields), case["engine"])

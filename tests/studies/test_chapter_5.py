@@ -111,38 +111,6 @@ def test_a_network_can_be_compared_like_any_other_start(networks):
         np.testing.assert_allclose(scene, data[mode]["cnn"]["theta"], rtol=5e-4)  # one scene, four digits
 
 
-def theta_data(**thetas):
-    """The data of a comparison over twelve scenes in which each start has one θ after all sweeps."""
-
-    def of(theta):
-        return {"theta": [theta] * 2, "scenes": {"theta": [[theta] * 2] * 12, "states": [5] * 12}}
-
-    found = {name: of(theta) for name, theta in thetas.items()}
-    return {"sweep": [3, 10], "threshold": 6e-5, "independent": found, "paired": found}
-
-
-@pytest.mark.parametrize(
-    ("cnn", "expected"),
-    [
-        (1.5, [True, True, False, True, True, True]),
-        (3.0, [False, True, False, True, False, True]),
-        (0.01, [False, False, False, False, True, False]),
-    ],
-)
-def test_figure_5_9s_claims_follow_the_thetas(cnn, expected):
-    data = theta_data(**{"builtin": 2.0, "sph": 1.0, "sph spline": 0.7, "copy": 0.1, "cnn": cnn})
-    data["networks"] = {"cnn": {"file": "models/x.h5", "architecture": "thesis", "visits": 72_830}}
-    claims = list(chapter_5.claims_of_network(data, "cnn"))
-    assert [claim.holds for claim in claims] == expected
-    assert all("trained on 1/2e+02 of their states and without momentum" in claim.text for claim in claims)
-
-
-def test_the_thesiss_network_and_ours_are_named_by_their_files():
-    about = chapter_5.networks_info(chapter_5.NETWORKS)
-    assert chapter_5.label_of(about["cnn"]) == "CNN (model.h5)"
-    assert "(thesis_factored.h5), trained on 1/9.6 of their states" in chapter_5.label_of(about["cnn thesis"])
-
-
 # ---- stages and time of Figure 5.10 ----
 
 
@@ -154,35 +122,6 @@ def test_the_last_stage_of_a_start_gives_its_impulses(falling_states, networks, 
     stages = learned_starts.stages_of(start, falling_states[5])
     assert list(stages) == ["splat", "gather"] if of_sph else ["splat", "network", "gather"]
     np.testing.assert_array_equal(stages["gather"](), start(falling_states[5], PGS()))
-
-
-def clocked(scenes=12, **seconds):
-    """Data of a pile, a state a scene: every start's network and solve take so many seconds, and a sweep for each."""
-    found = {}
-    for name, (network, solve) in seconds.items():
-        stages = {"splat": [0.1] * scenes, "network": [network] * scenes, "gather": [0.1] * scenes} if network else {}
-        found[name] = {"sweeps": [100 * solve] * scenes, "missed": 2, "seconds": stages | {"solve": [solve] * scenes}}
-    return {
-        "contacts": [130] * scenes,
-        "starts": found,
-        "scene": list(range(scenes)),
-        "refused": {"cnn": "box: expected another"},
-        "splat by k-d tree": 4.0,
-    }
-
-
-def test_figure_5_10s_claims_and_table_follow_the_times():
-    script = load_script("figure_5_10")
-    pile = clocked(**{"builtin": (None, 3.5), "cnn thesis": (1.0, 2.0), "copy": (None, 0.1)})
-    about = {"file": "models/x.h5", "architecture": "thesis", "visits": 72_830}
-    data = {"piles": {"100": pile}, "networks": {"cnn thesis": about, "cnn": about}}
-    assert [claim.holds for claim in script.claims(data)] == [False, True, True, False]
-    rows = script.table(data)
-    assert {len(row) for row in rows} == {len(rows[0])}
-    assert rows[2][6] == pytest.approx(1e3 * (0.1 + 1.0 + 0.1 + 2.0))
-    assert rows[-1][1] == "CNN, model.h5"
-    assert rows[-1][-1] == "refused: its box"
-    script.draw(data, {})
 
 
 def test_figure_5_10_measured_piles():

@@ -310,10 +310,3 @@ def test_the_figure_holds_its_claims_on_a_few_quantities(tmp_path):
     assert [claim["text"] for claim in found["claims"] if not claim["holds"]] == []
     (mass,) = (row for row in script.table(found["data"]) if row[0] == "mass")
     assert (mass[2], mass[5]) == ("1e-20 to 1e+20", "1e-40; 1e+40")
-
-
-def test_the_figure_reports_a_rise_of_the_energy():
-    cell = {"quantity": "gravity", "value": 1.0, "engine": "ours", "verdict": SAFE, "message": "", "finite": True}
-    cell |= {"energy": 0.1, "correction": 0.02, "speed": 0.0}
-    (rise,) = (claim.measured for claim in script.claims({"cells": [cell]}) if not claim.holds)
-    assert rise["largest rise"] == pytest.approx(0.08)
