@@ -55,12 +55,12 @@ def draw(data, options):
     """Left: the neuron with its numbers. Right: the functions and their derivatives."""
     figure, (ax, functions, derivatives) = plotting.subplots(1, 3, size=(11.0, 3.6), width_ratios=[1.5, 1, 1])
     values, weights = [[*data["x"], 1.0], [data["sum"]], [data["outputs"]["ReLU"]]], [*data["w"], data["bias"]]
-    titles = ("x$_i$, and 1", "Σ w$_i$ x$_i$ + bias", "y = ReLU(Σ)")
-    plotting.draw_network(ax, values, [[[w] for w in weights], [[1.0]]], titles=titles, numbers="{:g}")
+    parts = [[[w] for w in weights], [[1.0]]]
+    plotting.draw_network(ax, values, parts, titles=("x$_i$, and 1", "sum", "y"), numbers="{:g}")
     names = [*(f"w$_{i}$" for i in range(1, len(weights))), "bias"]
     for i, (name, weight) in enumerate(zip(names, weights)):
-        place = 0.45, 0.55 * (0.5 * len(data["x"]) - i)
-        ax.text(*place, f"{name} = {weight:g}", ha="center", va="center", bbox={"fc": "white", "ec": "none", "pad": 1})
+        ax.text(-0.3, 0.5 * len(data["x"]) - i, f"{name} = {weight:g}", ha="right", va="center", fontsize=9)
+    ax.set(xlim=(-1.2, 2.4), title="y = ReLU(Σ w$_i$ x$_i$ + bias)")
     for panel, part, title in ((functions, "functions", "f(x)"), (derivatives, "derivatives", "f'(x)")):
         styles = plotting.styles_of(data[part])
         for name, values in data[part].items():
