@@ -204,8 +204,8 @@ def start_time(start: WarmStart, state: State, repeats: int) -> float:
 
 def sweep_time(state: State, solver: str, repeats: int) -> float:
     """Seconds of a sweep of a solver over a state's contacts."""
-    swept = partial(solve_contacts, state)
-    return timing.sweep_time(lambda k: swept(solver=fixed(solver, k)), state.contacts.count, repeats=repeats)
+    many = 10 + max(20, 400_000 // state.contacts.count)
+    return timing.line(lambda k: solve_contacts(state, solver=fixed(solver, k)), 10, many, repeats=repeats)[0]
 
 
 def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:

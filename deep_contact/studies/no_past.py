@@ -91,11 +91,9 @@ def times(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:
 
     starts: of `starts_of`.
     """
-    few, many, found = 20, 220, {}
+    found, swept = {}, partial(solve_contacts, state)
     for name, make in METHODS.items():
-        runs = {k: partial(solve_contacts, state, solver=make(sweeps=k)) for k in (few, many)}
-        took = timing.interleaved(runs, repeats=repeats)
-        slope, overhead = timing.slope_and_overhead((few, took[few]), (many, took[many]))
+        slope, overhead = timing.line(lambda k, make=make: swept(solver=make(sweeps=k)), 20, 220, repeats=repeats)
         found[name] = [max(overhead, 0.0), slope]
     price = timing.interleaved(starts, repeats=repeats)
     return {"contacts": state.contacts.count, "price": price, "sweeps": found}

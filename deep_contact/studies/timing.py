@@ -9,6 +9,7 @@ from __future__ import annotations
 import gc
 import time
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -64,11 +65,10 @@ def slope_and_overhead(few: tuple[float, float], many: tuple[float, float]) -> t
     return slope, few[1] - slope * few[0]
 
 
-def sweep_time(solve: Callable[[int], object], contacts: int, *, repeats: int) -> float:
-    """Time of one sweep over so many contacts. solve: does a given number of sweeps."""
-    few, many = 10, 10 + max(20, 400_000 // contacts)
-    took = interleaved({k: lambda k=k: solve(k) for k in (few, many)}, repeats=repeats)
-    return slope_and_overhead((few, took[few]), (many, took[many]))[0]
+def line(solve: Callable[[int], object], few: int, many: int, *, repeats: int) -> tuple[float, float]:
+    """(Time of a sweep, time of none) of a function that does a given number of sweeps."""
+    took = interleaved({k: partial(solve, k) for k in (few, many)}, repeats=repeats)
+    return slope_and_overhead((few, took[few]), (many, took[many]))
 
 
 def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:
