@@ -41,20 +41,17 @@ def compute(options, seed, jobs, progress):
             "weights": [layer.weights.tolist() for layer in layers],
             "dropped": [[False] * 3, *hidden, [False] * 2],
         },
-        "model": {"file": options["model"]} | {key: model.card.get(key) for key in ("architecture", "parameters")},
         "rate": dropping.get_layer(name).rate,
         "layer": source,
         "map": strongest,
         "before": before[..., strongest],
         "after": after[..., strongest],
-        "λ_n": {"off": off[0], "mean": np.mean(on, axis=0), "spread": np.std(on, axis=0)},
         "change off": float(np.abs(off[0] - off[1]).max()),
         "change on": float(np.abs(on[0] - on[1]).max()),
         "dropped": float(np.mean(after[active] == 0)),
         "values": int(active.sum()),
         "scaled": float(np.median(after[kept] / before[kept])),
         "mean over masks": float(mean[active].sum() / before[active].sum()),
-        "masks": options["masks"],
     }
 
 
@@ -74,7 +71,7 @@ def claims(data):
 
 
 def draw(data, options):
-    """Above: a small network before and after. Below: a map and the prediction of the trained one, off and on."""
+    """Above: a small network before and after. Below: a map of the trained one, off and on."""
     figure = plotting.new_figure((9.0, 6.4))
     above, below = figure.subfigures(2, 1, height_ratios=[1, 1.1])
     above.suptitle("Dropout in training: a share of the neurons, drawn at random, gives zero", fontsize=11)
@@ -84,7 +81,7 @@ def draw(data, options):
         plotting.draw_network(ax, small["values"], small["weights"], dropped=dropped, numbers="")
         ax.set_title(title)
     below.suptitle(f"{options['model']} on a falling pile, rate {data['rate']:g}", fontsize=11)
-    panels = below.subplots(1, 3)
+    panels = below.subplots(1, 2)
     before, after = np.array(data["before"]), np.array(data["after"])
     high = np.percentile(before[before > 0], 95)
     for ax, values, title in ((panels[0], before, "without"), (panels[1], after, "with")):
@@ -92,11 +89,6 @@ def draw(data, options):
         ax.axis("off")
         ax.set_title(f"{data['layer'].replace('_', ' ')}, map {data['map'] + 1},\n{title}")
         below.colorbar(shown, ax=ax, shrink=0.7, label="activation")
-    ax, found = panels[2], {name: np.array(values) for name, values in data["λ_n"].items()}
-    ax.errorbar(found["off"], found["mean"], found["spread"], fmt="o", color=plotting.BLUE, markersize=3, linewidth=0.8)
-    ax.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
-    plotting.label_axes(ax, "λ$_n$ without", "λ$_n$ with, mean and spread", x_unit="N·s", y_unit="N·s")
-    ax.set_title(f"predictions, {data['masks']} masks")
     return figure
 
 
