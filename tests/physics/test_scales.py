@@ -72,8 +72,9 @@ def assert_same_run(scene, s, *, steps, rtol=0.0, **options):
     for name, expected in one.items():
         if rtol and name in ("sweeps", "theta"):
             continue  # a sweep more or less, where θ is at the tolerance
-        scale = 0.0 if name in ("pairs", "contacts") else np.abs(expected).max(initial=0.0)
-        np.testing.assert_allclose(other[name], expected, rtol=0, atol=rtol * scale, err_msg=name)
+        exact = rtol == 0.0 or name in ("pairs", "contacts")
+        atol = 0.0 if exact else rtol * np.abs(expected).max(initial=0.0)
+        np.testing.assert_allclose(other[name], expected, rtol=0, atol=atol, err_msg=name)
 
 
 def falling(radius=MIXED, **world):
