@@ -207,8 +207,8 @@ def _scene(given):
 
 
 def _sample(given) -> int:
-    for name in [given.name] if given.name else shipped.sample_names():
-        print(shipped.sample_file(name))
+    names = [given.name] if given.name else shipped.sample_names()
+    print(*map(shipped.sample_file, names), sep="\n")
     return 0
 
 

@@ -1,15 +1,10 @@
 """Where independent tasks run: in processes of this machine, or on the workers of a Dask cluster.
 
-An argument `jobs` takes the number of local processes, or a `concurrent.futures.Executor` such as that of `cluster`;
-the results have the same bits:
-
-    with parallel.cluster("tcp://10.0.0.1:8786") as workers:
-        figures.produce(FIGURE, jobs=workers)
-
-A cluster is started by Dask's own commands, in an environment where this package and the extra `cluster` are installed:
-`dask scheduler`, and on every machine `dask worker ADDRESS --nworkers auto --nthreads 1`. Workers need no file system
-of the client: tasks and results are sent. A task that reads a file, such as a network of `models/`, reads the worker's
-own, below the folder in which the worker was started.
+An argument `jobs` takes the number of local processes, or an executor such as that of `cluster("tcp://10.0.0.1:8786")`;
+the results have the same bits. A cluster is started by Dask's own commands, in an environment where this package and
+the extra `cluster` are installed: `dask scheduler`, and on every machine `dask worker ADDRESS --nworkers auto
+--nthreads 1`. Workers need no file system of the client: tasks and results are sent. A task that reads a file, such as
+a network of `models/`, reads the worker's own, below the folder in which the worker was started.
 
 The local pool is not joblib's: its workers outlive a killed parent and get Ctrl-C themselves.
 """
@@ -41,9 +36,6 @@ _PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow")
 SCHEDULER_HELP = "a Dask cluster, such as tcp://10.0.0.1:8786, in place of local processes"
 """Of the option `--scheduler`."""
 
-_CLOSING = 5.0
-"""Seconds for which the end of a pool is waited for."""
-
 _one_task = threading.Lock()
 
 
@@ -60,10 +52,10 @@ def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -
     begun, and ends local processes at once; use `contextlib.closing` where the loop itself may raise. Results are
     handed on and not kept. Raises ValueError for other `jobs`.
     """
-    if not isinstance(jobs, Executor) and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
+    items, is_local = list(items), not isinstance(jobs, Executor)
+    if is_local and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
         raise ValueError(f"jobs: expected an integer >= 1 or an Executor, got {jobs!r}")
-    items = list(items)
-    if not isinstance(jobs, Executor) and (jobs == 1 or len(items) < 2):
+    if is_local and (jobs == 1 or len(items) < 2):
         return ((i, function(item)) for i, item in enumerate(items))
     return _finished(function, items, jobs)  # a generator, which would raise at the first item alone
 
@@ -155,10 +147,8 @@ def on_worker(task: bytes, expected: dict[str, str]):
 
     for name, found in code().items():
         if found != expected[name]:
-            raise ClusterError(
-                f"worker on {platform.node()}: {name}: expected {expected[name]} as the client has it, got {found}; "
-                "install the same and start the worker again"
-            )
+            difference = f"{name}: expected {expected[name]} as the client has it, got {found}"
+            raise ClusterError(f"worker on {platform.node()}: {difference}; install the same and start it again")
     # Neither the compiled kernels, which hold the interpreter anyway, nor the peer engines are made for threads.
     with _one_task:
         function, args, kwargs = cloudpickle.loads(task)
@@ -194,7 +184,7 @@ def _processes(count: int) -> Iterator[Executor]:
             # The end of the interpreter would write to the pipe that this thread is closing. It may wait for ever where
             # large items are queued, in Python before 3.11.5 (gh-94777).
             if manager is not None:
-                manager.join(_CLOSING)
+                manager.join(5.0)
             raise
 
 

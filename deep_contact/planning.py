@@ -1,7 +1,6 @@
 """What a run of a scene uses and what it leaves out: `plan`, made to be printed.
 
-The choices are those that `simulate` makes from the scene and the options. What each is worth is read from what
-`scripts/figure_6_7_scene_requirements.py` measured, which comes with the package.
+The choices are those that `simulate` makes. What each is worth, Figure 6.7 measured; its results come with the package.
 """
 
 from __future__ import annotations
@@ -40,11 +39,7 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a run does with a scene. `print` tells all of it.
-
-    scene: its name. n_bodies: circles. solver: options of `physics.solvers`. warm_start: name of the start.
-    choices: `Choice` of every part. cpu: processor that the savings were measured on.
-    """
+    """What a run does with a scene, made to be printed. cpu: processor that the savings were measured on."""
 
     scene: str
     n_bodies: int

@@ -1,12 +1,4 @@
-"""A recorded run: its states as arrays over time, its file, and how it is shown.
-
-    run = Trajectory.from_states(states)
-    run.save("fall.h5")
-    run.energies[:, 0].max()                     # largest kinetic energy, J
-    run                                          # in a notebook: a player
-
-The file is that of a data set (`deep_contact.io.simulation_h5`).
-"""
+"""A recorded run: its states as arrays over time, its file (`deep_contact.io.simulation_h5`), and how it is shown."""
 
 from __future__ import annotations
 

@@ -34,13 +34,9 @@ def number(name: str, value, low=None, high=None, *, above=None, below=None) -> 
         checked = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
     except OverflowError:
         checked = math.inf
-    if (
-        not math.isfinite(checked)
-        or (low is not None and checked < low)
-        or (above is not None and checked <= above)
-        or (high is not None and checked > high)
-        or (below is not None and checked >= below)
-    ):
+    is_above = (low is None or checked >= low) and (above is None or checked > above)
+    is_below = (high is None or checked <= high) and (below is None or checked < below)
+    if not (math.isfinite(checked) and is_above and is_below):
         raise ValueError(f"{name}: expected {_interval(low, high, above, below)}, got {value!r}")
     return checked
 

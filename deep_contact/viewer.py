@@ -13,12 +13,11 @@ from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.reporting import plotting
 from deep_contact.simulation import simulate
 from deep_contact.state import State
-from deep_contact.validation import integer
+from deep_contact.validation import expect, integer
 from deep_contact.warm_start import Start
 
 PANELS = (1.0, 0.8)
 """Widths of the scene and of θ, in heights of a frame."""
-
 FLOOR = 1e-9
 """Smallest θ that is drawn, N·s; an isolated contact is solved exactly."""
 
@@ -121,9 +120,8 @@ def record(found: Iterator[Frame], path, *, fps: int = 25) -> list[Path]:
     """
     from matplotlib import animation
 
-    suffix = Path(path).suffix
-    if suffix not in (".gif", ".mp4"):
-        raise ValueError(f"out: expected a name that ends in .gif or .mp4, got {str(path)!r}")
-    if suffix == ".mp4" and not animation.writers.is_available("ffmpeg"):
-        raise ValueError(f"out: expected ffmpeg to be installed for {str(path)!r}, found none; a .gif needs none")
+    suffix, name = Path(path).suffix, str(path)
+    expect(suffix in (".gif", ".mp4"), f"out: expected a name that ends in .gif or .mp4, got {name!r}")
+    can_write = suffix == ".gif" or animation.writers.is_available("ffmpeg")
+    expect(can_write, f"out: expected ffmpeg to be installed for {name!r}, found none; a .gif needs none")
     return plotting.animate(found, path, draw=Painter(), panels=PANELS, fps=fps)

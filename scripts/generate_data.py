@@ -14,9 +14,8 @@ whose contacts start from the support; five eighths have 50 to 3,000 circles, th
 Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be
 stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind.
 
-With --scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`). They need no shared file system: they
-return every simulation as the bytes of its file, which this process writes. XML files are made from these files
-afterwards, by processes of this machine.
+With --scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`). They return every simulation as the
+bytes of its file, which this process writes; XML files are made from these afterwards, by processes of this machine.
 """
 
 from __future__ import annotations
@@ -84,7 +83,7 @@ class Job:
     @property
     def xml_folder(self) -> Path:
         """The folder of the simulation's XML files."""
-        return Path(self.out) / "xml" / f"sim_{self.number:04d}"
+        return Path(self.out) / "xml" / self.path.stem
 
     @property
     def header(self) -> dict:

@@ -100,15 +100,14 @@ def entry(path: Path) -> dict:
 def main(arguments=None) -> None:
     """Write the page and the registry."""
     argparse.ArgumentParser(description=__doc__).parse_args(arguments)
-    from deep_contact.io.files import replacing
+    from deep_contact.io.files import write_bytes
 
     cards = [card(MODELS / name) for name in ABOUT if (MODELS / name).exists()]
     files = sorted(MODELS.rglob("*.h5"), key=lambda path: (path.parent != MODELS, path.name))
     entries = {path.relative_to(MODELS).with_suffix("").as_posix(): entry(path) for path in files}
     texts = {"README.md": "\n".join([HEAD, *cards]), "registry.json": json.dumps(entries, indent=1) + "\n"}
     for name, text in texts.items():
-        with replacing(MODELS / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        write_bytes(MODELS / name, text.encode())
 
 
 if __name__ == "__main__":

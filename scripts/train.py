@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import argparse
 import shlex
-import shutil
 import sys
 import types
 import typing
@@ -23,6 +22,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
+from deep_contact.io.files import write_bytes
 
 QUICK_DATA = {"simulations": 12, "steps": 250, "bodies": (40, 60), "seed": 1}
 QUICK = {
@@ -122,11 +122,9 @@ def run(data, out, model, quick, **given) -> None:
             numbers = "  ".join(f"{value:8.4f}" for value in found[start]["mean"])
             print(f"  {phase:9s} ({found['states']:4d})  {start:8s} {numbers}")
     if model:
-        model = Path(model)
-        model.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(done.path, model)
+        write_bytes(model, done.path.read_bytes())
         for name in ("history.png", "history.csv"):
-            shutil.copyfile(out / name, model.with_name(f"{model.stem}_{name}"))
+            write_bytes(Path(model).with_name(f"{Path(model).stem}_{name}"), (out / name).read_bytes())
 
 
 def main(given=None) -> int:

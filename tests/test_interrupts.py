@@ -11,10 +11,13 @@ import time
 
 import pytest
 
+from deep_contact.physics.solvers import METHODS
+
 CHILD = """
 import signal, sys, time
 signal.signal(signal.SIGINT, signal.default_int_handler)
 import deep_contact as dc
+from deep_contact.physics.solvers import METHODS
 
 scene = dc.circles_in_box(50, seed=1)
 
@@ -31,11 +34,7 @@ def exactly(steps):
         dc.solve_exactly(settled, residual=1e-300, most_pivots=200)
 
 runs = {
-    "PGS": simulate(dc.PGS()),
-    "PSOR": simulate(dc.PSOR()),
-    "NNCG": simulate(dc.NNCG()),
-    "NesterovPGS": simulate(dc.NesterovPGS()),
-    "BatchedPGS": simulate(dc.BatchedPGS(threads=1)),
+    **{name: simulate(method()) for name, method in METHODS.items()},
     "two threads": simulate(dc.BatchedPGS(threads=2)),
     "asleep": simulate(dc.PGS(), sleep=True),
     "on_step": simulate(dc.PGS(), on_step=lambda state, record: None),
@@ -55,10 +54,7 @@ for _ in range(int(sys.argv[2])):
         print(time.monotonic(), flush=True)
     run(5)
 """
-RUNS = [
-    "PGS", "PSOR", "NNCG", "NesterovPGS", "BatchedPGS", "two threads", "asleep", "on_step", "simulate_many", "step",
-    "solve_exactly",
-]  # fmt: skip
+RUNS = [*METHODS, "two threads", "asleep", "on_step", "simulate_many", "step", "solve_exactly"]
 
 
 def delays(name, count):

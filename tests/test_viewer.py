@@ -85,21 +85,16 @@ def test_a_window_plays_until_it_is_closed(scene, monkeypatch):
     assert len(shown) == 1
 
 
-def test_without_a_display_there_is_no_window(monkeypatch):
+def test_without_a_display_or_a_toolkit_there_is_no_window(monkeypatch):
     from matplotlib import pyplot
 
     pyplot.switch_backend("agg")
     assert not viewer.has_display()
-
-    class Window:
-        canvas = SimpleNamespace(required_interactive_framework="qt")
-
-    def close(figure):
-        figure.canvas = None
-
+    canvas = SimpleNamespace(required_interactive_framework="qt")
     with monkeypatch.context() as patch:
-        patch.setattr(pyplot, "figure", Window)
-        patch.setattr(pyplot, "close", close)  # as from Matplotlib 3.11 on
+        patch.setattr(pyplot, "figure", lambda: SimpleNamespace(canvas=canvas))
+        # As from Matplotlib 3.11 on.
+        patch.setattr(pyplot, "close", lambda figure: vars(figure).pop("canvas"))
         assert viewer.has_display()
 
     def no_toolkit():

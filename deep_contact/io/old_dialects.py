@@ -10,9 +10,8 @@ There are two dialects:
 
 Only these gaps are filled: settings by the thesis's values (`constants`); the step by the number that ends the file's
 name, else 0; starts by zero; impulses, if no contact has them, by the starts, with `solved=False`; a radius by the
-shape that a contact prints, else by sqrt(2 I / m). Shapes are parsed, never evaluated. `state_xml` fills two more:
-separations by the geometry; the box, if the file has none or calls it `ground`, by the thesis's 30 × 30 box, if all
-centres are inside.
+shape that a contact prints, else by sqrt(2 I / m). `state_xml` fills two more: separations by the geometry; the box, if
+the file has none or calls it `ground`, by the thesis's, if all centres are inside.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ of it later, for any grid, kernel and set of channels. data/README.md has the me
 surface_speeds (S,), where the world has any.
 
 `digest` is the SHA-256 of the attributes and the unpacked arrays in a fixed order, the same for every compression; it
-is checked on reading. Files are written whole or not at all. Every fault of a file is a `DataFileError`.
+is checked on reading. Every fault of a file is a `DataFileError`.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from deep_contact.io.files import FileError, write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import Bodies, Contacts, State, World, check_state
 from deep_contact.state.scales import ContactScales
-from deep_contact.validation import expect, integer, number, one_of
+from deep_contact.validation import expect, number, one_of
 
 FORMAT = "deep-contact simulation"
 VERSION = 1
@@ -112,10 +112,8 @@ class StoredSimulation:
 
     def state(self, index: int) -> State:
         """State `index`, 0 … T − 1, in arrays of its own; to the last bit what was written."""
-        try:
-            index = integer("index", index, most=self.count - 1)
-        except ValueError as error:
-            raise IndexError(str(error)) from None
+        if not 0 <= index < self.count:
+            raise IndexError(f"index: expected one from 0 to {self.count - 1}, got {index}")
         a, of_contacts = self.arrays, slice(*self.arrays["contact_offset"][index : index + 2])
         return State(
             **{name: self.header[name] for name in _SHARED},
@@ -152,7 +150,12 @@ def phase(state: State) -> str:
 
 
 def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=None, options=None) -> StoredSimulation:
-    """States of one simulation as arrays. Arguments and errors as for `write_simulation`."""
+    """States of one simulation as arrays.
+
+    states: all of one name, world, dt, solver and the same circles, with contacts. sweeps, theta: of each state, (T,);
+    -1 and NaN where not given. seed, options: what made the simulation, anything that JSON holds.
+    Raises ValueError naming the state and the field.
+    """
     states = [check_state(state) for state in states]
     expect(states, "states: expected at least one state, got none")
     first = states[0]
@@ -186,17 +189,13 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
     return StoredSimulation(header=header, arrays=arrays, digest=_digest(_attributes(header), arrays))
 
 
-def write_simulation(
-    path, states: Iterable[State], *, sweeps=None, theta=None, seed=None, options=None, compression="gzip"
-) -> str:
+def write_simulation(path, states: Iterable[State], *, compression="gzip", **recorded) -> str:
     """Write states of one simulation to an HDF5 file, whole or not at all. Returns the digest of its contents.
 
-    states: all of one name, world, dt, solver and the same circles, with contacts. sweeps, theta: of each state, (T,);
-    -1 and NaN where not given. seed, options: what made the simulation, anything that JSON holds.
-    compression: "gzip" (lossless, every HDF5 reader has it), "lzf" or None. The same arguments give the same bytes.
-    Raises ValueError naming the state and the field.
+    recorded: as for `pack_simulation`. compression: "gzip" (lossless, every HDF5 reader has it), "lzf" or None.
+    The same arguments give the same bytes. Raises ValueError naming the state and the field.
     """
-    simulation = pack_simulation(states, sweeps=sweeps, theta=theta, seed=seed, options=options)
+    simulation = pack_simulation(states, **recorded)
     write_bytes(path, simulation_file(simulation, compression=compression))
     return simulation.digest
 
@@ -362,13 +361,12 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     strange = sorted(set(file) ^ set(_ARRAYS))
     expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
     datasets = {name: hdf5.dataset(file, name) for name in _ARRAYS}
-    sizes = {"2": 2}
-    for name, letter in (("step", "T"), ("mass", "n"), ("body_a", "M")):
+    for name in ("step", "mass", "body_a"):
         shape = datasets[name].shape
         expect(shape is not None and len(shape) == 1, f"{name}: expected one dimension, got shape {shape}")
-        sizes[letter] = shape[0]
-    expect(sizes["T"], "step: expected at least one state, got none")
-    sizes["E"] = sizes["T"] + 1
+    count, n, m = (datasets[name].shape[0] for name in ("step", "mass", "body_a"))
+    expect(count, "step: expected at least one state, got none")
+    sizes = {"T": count, "E": count + 1, "n": n, "M": m, "2": 2}
     for name, (dtype, dimensions) in _ARRAYS.items():
         array, shape = datasets[name], tuple(sizes[letter] for letter in dimensions)
         expect(array.dtype.str == dtype, f"{name}: expected numbers of type {dtype}, got {array.dtype.str}")
@@ -381,8 +379,7 @@ def _check_arrays(arrays: dict, segments: int) -> None:
 
     def refuse(name, bad, expected):
         for at in np.argwhere(bad)[:1].tolist():
-            where = ", ".join(map(str, at))
-            raise ValueError(f"{name}[{where}]: expected {expected}, got {arrays[name][tuple(at)]}")
+            raise ValueError(f"{name}{at}: expected {expected}, got {arrays[name][tuple(at)]}")
 
     for name, array in arrays.items():
         if array.dtype.kind == "f" and name != "theta":

@@ -100,24 +100,23 @@ def write_state(path, state: State) -> None:
 def format_state(state: State) -> bytes:
     """A state in canonical form, UTF-8. Raises ValueError naming the field that cannot be stored."""
     state = check_state(state)
-    step = integer("step", state.step, most=10**18 - 1)
     world, n = state.world, state.bodies.count
-    return "".join(
-        (
-            '<?xml version="1.0" encoding="UTF-8"?>\n',
-            f'<configuration name={xml_tree.quoted_attribute("name", state.name)} time="{float(state.time)!r}"',
-            f' step="{step}" dt="{float(state.dt)!r}"',
-            f' gravity_x="{world.gravity[0]!r}" gravity_y="{world.gravity[1]!r}"',
-            f' friction="{world.friction!r}" restitution="{world.restitution!r}"',
-            f' solved="{"true" if state.solved else "false"}">\n',
-            _format_solver(state.solver),
-            _format_scales(world.scales),
-            _format_bodies(state.bodies, world.box),
-            _format_segments(world, n),
-            "" if state.contacts is None else _format_contacts(state.contacts, n),
-            "</configuration>\n",
-        )
-    ).encode("utf-8")
+    numbers = {"time": float(state.time), "step": integer("step", state.step, most=10**18 - 1), "dt": float(state.dt)}
+    numbers |= {"gravity_x": world.gravity[0], "gravity_y": world.gravity[1]}
+    numbers |= {"friction": world.friction, "restitution": world.restitution}
+    settings = "".join(f' {name}="{value!r}"' for name, value in numbers.items())
+    parts = (
+        '<?xml version="1.0" encoding="UTF-8"?>\n',
+        f"<configuration name={xml_tree.quoted_attribute('name', state.name)}{settings}",
+        f' solved="{"true" if state.solved else "false"}">\n',
+        _format_solver(state.solver),
+        _format_scales(world.scales),
+        _format_bodies(state.bodies, world.box),
+        _format_segments(world, n),
+        "" if state.contacts is None else _format_contacts(state.contacts, n),
+        "</configuration>\n",
+    )
+    return "".join(parts).encode("utf-8")
 
 
 def parse_state(data: bytes, source) -> State:
@@ -134,8 +133,7 @@ def parse_state(data: bytes, source) -> State:
 def _read_tree(root, source: str) -> State:
     expect(root.tag in ("configuration", "Configuration"), root, "expected the root <configuration>", root.tag)
     # An old file has none of our settings, a canonical one has all: a damaged canonical file must not pass for old.
-    is_old = not any(name in root.attrib for name in _SETTINGS)
-    if is_old:
+    if is_old := not any(name in root.attrib for name in _SETTINGS):
         modernise(root, source)
     parts = xml_tree.children(root, _PARTS)
     settings, world = _read_settings(root, parts)
@@ -341,10 +339,9 @@ def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
 def _option_text(name: str, value) -> str:
     value = value.item() if isinstance(value, np.generic) else value
     text = value if isinstance(value, str) else repr(value).lower()
-    back = _option_value(text)
+    back, kinds = _option_value(text), "None, a bool, an integer of at most 18 digits, a finite number or a word"
     if type(back) is not type(value) or back != value:
-        expected = "None, a bool, an integer of at most 18 digits, a finite number or a word"
-        raise ValueError(f"solver.{name}: expected {expected}, got {value!r}")
+        raise ValueError(f"solver.{name}: expected {kinds}, got {value!r}")
     return xml_tree.quoted_attribute(f"solver.{name}", text)
 
 
@@ -385,8 +382,8 @@ def _format_contacts(contacts: Contacts, n: int) -> str:
     wall = (behind >= 0) & (behind < len(WALLS))
     wrong = np.flatnonzero(wall)[_nearest_wall(contacts.normal[wall]) != behind[wall]]
     for i in wrong[:1]:
-        side = WALLS[behind[i]]
-        raise ValueError(f"contacts.normal[{i}]: expected one towards the {side} wall, got {contacts.normal[i]}")
+        expected = f"expected one towards the {WALLS[behind[i]]} wall"
+        raise ValueError(f"contacts.normal[{i}]: {expected}, got {contacts.normal[i]}")
     a, b, position, normal, separation, *impulses = contacts
     slave = np.where(behind < len(WALLS), np.minimum(b, n), b - len(WALLS) + 1)
     columns = (range(contacts.count), a, slave, separation, *position.T, *normal.T, *impulses)

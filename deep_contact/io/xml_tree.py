@@ -40,11 +40,8 @@ class StateFileError(FileError):
 
 def refuse_too_large(data: bytes) -> None:
     """Raise StateFileError if a file of these bytes is beyond the limits."""
-    for what, count, most in (
-        ("bytes", len(data), MAX_BYTES),
-        ("'<'", data.count(b"<"), MAX_TAGS),
-        ("'='", data.count(b"="), MAX_ATTRIBUTES),
-    ):
+    counts = {"bytes": len(data), "'<'": data.count(b"<"), "'='": data.count(b"=")}
+    for (what, count), most in zip(counts.items(), (MAX_BYTES, MAX_TAGS, MAX_ATTRIBUTES)):
         if count > most:
             raise StateFileError(f"line 1: expected at most {most} {what}, got {count}: too large for a file")
 
@@ -82,12 +79,10 @@ def parse_tree(data: bytes):
 
 def fault(element, message: str, value=None) -> StateFileError:
     """The error about an element, naming its line and the body or contact that it is, or belongs to."""
-    owners = [each for each in (element, element.getparent()) if each is not None and each.tag in ("body", "contact")]
-    owner = ""
-    if owners and "index" in owners[0].attrib:
-        of = "" if owners[0] is element else f" of {owners[0].tag}"
-        owner = f"{of} {quote(owners[0].get('index'))}"
-    got = "" if value is None else f", got {quote(value)}"
+    owner, got = "", "" if value is None else f", got {quote(value)}"
+    for each in (element.getparent(), element):
+        if each is not None and each.tag in ("body", "contact") and "index" in each.attrib:
+            owner = f"{'' if each is element else f' of {each.tag}'} {quote(each.get('index'))}"
     return StateFileError(f"line {element.sourceline or 1}, <{element.tag[:_MAX_QUOTED]}>{owner}: {message}{got}")
 
 
@@ -192,9 +187,8 @@ def to_float(text: str) -> float:
 
 
 def read_text(element, name: str) -> str:
-    text = element.get(name)
-    expect(text is not None, element, f"{name}: attribute is missing")
-    return text
+    expect(name in element.attrib, element, f"{name}: attribute is missing")
+    return element.get(name)
 
 
 def read_number(element, name: str) -> float:

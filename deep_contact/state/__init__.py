@@ -288,8 +288,7 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
     try:
         position = np.array(position, dtype=np.float64, ndmin=2)
     except (ValueError, TypeError):
-        expected = "numbers of shape (n, 2), x and y of each circle"
-        raise ValueError(f"position: expected {expected}, got {position!r}") from None
+        raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {position!r}") from None
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
     if mass is None:
@@ -385,9 +384,8 @@ def check_limits(state: State, limits: dict = LIMITS) -> State:
         part = getattr(state, owner) if owner else state
         bad, values = _beyond(part, name, limits) if part is not None else ((), ())
         for at in np.argwhere(bad)[:1].tolist():
-            index = f"[{', '.join(map(str, at))}]" if at else ""
             expected = f"{low:g} to {high:g} {unit}".rstrip()
-            raise ValueError(f"{name}{index}: expected {expected}, got {values[tuple(at)]}")
+            raise ValueError(f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}")
     return state
 
 
@@ -399,11 +397,11 @@ def _beyond(part, name: str, limits: dict = LIMITS) -> tuple[np.ndarray, np.ndar
 
 def native(state: State) -> State:
     """The state with all arrays in the byte order of this machine: Numba compiles for no other."""
-    changes = {}
     for name, part in (("bodies", state.bodies), ("contacts", state.contacts)):
         if part is not None and not all(array.dtype.isnative for array in part):
-            changes[name] = type(part)(*(array.astype(array.dtype.newbyteorder("="), copy=False) for array in part))
-    return state.replace(**changes) if changes else state
+            arrays = (array.astype(array.dtype.newbyteorder("="), copy=False) for array in part)
+            state = state.replace(**{name: type(part)(*arrays)})
+    return state
 
 
 def no_contacts() -> Contacts:

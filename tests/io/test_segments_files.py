@@ -6,7 +6,6 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from symmetry import SYMMETRIES, transform_state
 
 import deep_contact as dc
 from deep_contact.io.simulation_h5 import DataFileError, write_simulation
@@ -90,20 +89,6 @@ def test_pictures_show_segments(run):
     lines = [state._repr_html_().count("<line") for state in (plain, run.state.replace(contacts=None))]
     assert np.diff(lines) == 2
     plotting.body_values(run.state, "impulse")
-
-
-@pytest.mark.parametrize("k", SYMMETRIES)
-def test_symmetries_turn_segments_with_the_rest(run, k):
-    # A turned scene goes on as the turned run does.
-    turned = transform_state(run.state, k)
-    one = dc.simulate(transform_state(dc.simulate(run.state, steps=3).state, k), steps=0).state
-    other = dc.simulate(turned, steps=3).state
-    np.testing.assert_allclose(one.bodies.position, other.bodies.position, atol=1e-3)
-    gaps = [contacts.separation[contacts.body_b >= 64] for contacts in (run.state.contacts, turned.contacts)]
-    np.testing.assert_array_equal(gaps[0], gaps[1])
-    found = dc.simulate(turned.replace(contacts=None), steps=0).state.contacts
-    np.testing.assert_array_equal(found.body_b, turned.contacts.body_b)
-    np.testing.assert_allclose(found.normal, turned.contacts.normal, atol=1e-12)
 
 
 @pytest.mark.parametrize("start", ["copy", "scaled", "sph", "cnn"])

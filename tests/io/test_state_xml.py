@@ -120,12 +120,6 @@ def test_a_file_comes_back_and_has_the_same_bytes_for_the_same_state(tmp_path, n
     assert (tmp_path / name).read_bytes() == path.read_bytes()
 
 
-def test_inertia_that_overflows_is_still_readable():
-    """m r²/2 of r = 1e308 is infinite, though mass and radius are not."""
-    state = example(bodies=make_bodies([[1, 1], [5, 5]], radius=1e308, mass=1.0), contacts=None)
-    assert bits(parse_state(format_state(state), "state.xml")) == bits(state)
-
-
 @pytest.mark.parametrize("method", sorted(METHODS))
 def test_every_method_is_stored_with_its_options(method):
     solver = METHODS[method]()
@@ -284,7 +278,6 @@ BAD = [
     ("ours", 'master="0" slave="1"', 'master="0" slave="9"', "<contact> '0'.*slave: .*'9'"),
     ("ours", 'master="0" slave="1"', 'master="0" slave="0"', "<contact> '0'.*slave: .*'0'"),
     ("ours", 'master="0" slave="1"', f'master="{"9" * 30}" slave="1"', "<contact>.*'9999"),
-    ("ours", '<contact index="1"', '<contact index="0"', "<contact> '0'.*duplicate"),
     ("ours", '<mass value="3.141592653589793"/>', "<mass/>", "<mass>.*value: .*missing"),
     ("ours", '<spin omega="0.25"/>', "", "<body> '0'.*<spin> is missing"),
     ("ours", '<spin omega="0.25"/>', '<spin omega="0"/><spin omega="1"/>', "<spin>.*second"),
@@ -294,12 +287,10 @@ BAD = [
     ("ours", ' sweeps="3000"', ' sweeps="-3"', "<solver>.*sweeps: .*-3"),
     ("ours", ' slop="0.005"', "", "<scales>.*slop: .*missing"),
     ("ours", ' slop="0.005"', ' slop="-1.0"', "<configuration>.*scales.slop: .*-1.0"),
-    ("ours", 'restitution="0.0"', 'restitution="2.0"', "<configuration>.*restitution: .*2.0"),
     ("ours", 'type="free"', 'type="flying"', "<body> '0'.*type: .*'flying'"),
     ("ours", 'value="circle"', 'value="square"', "<shape>.*'square'"),
     ("ours", '<normal x="1.0" y="0.0"/>', '<normal x="2.0" y="0.0"/>', "<normal>.*'2.0, 0.0'"),
     ("ours", '<impulse n="0.5"', '<impulse n="-0.5"', "<impulse>.*'-0.5'"),
-    ("ours", '<start n="0.4" t="-0.1"/>', "", "<contact> '0'.*<start> is missing"),
     ("ours", '<corner x="30.0" y="0.0"/>', '<corner x="30.0" y="1.0"/>', "<shape>.*corners"),
     ("ours", "<bodies>", '<bodies count="10737418240">', "<bodies>.*count: .*'10737418240'"),
     ("ours", 'normal x="-1.0" y="0.0"', 'normal x="-0.0" y="-1.0"', "<contact> '2': expected no second .* '1'"),
@@ -308,7 +299,6 @@ BAD = [
     ("a", "dcCircleShape(radius=1)", "dcCircleShape(radius=__import__('os'))", "<shape>.*__import__"),
     ("a", '"dcCircleShape(radius=1)"', '""', "<shape> of body '1'.*expected circle"),
     ("a", "dcLoopShape(vertices=[(30, 0), (30, 30), (0, 30), (0, 0)])", "", "<shape> of body '0'.*expected box"),
-    ("a", "(30, 30), ", "", "<shape>.*four corners"),
     ("a", "(30, 30)", "(31, 30)", "<shape>.*corners"),
     ("a", 'vel_iter="5000"', 'vel_iter="99999999999"', "sweeps: "),
     ("a", 'pos_iter="2500"', 'pos_iter="x"', "position_sweeps: "),
