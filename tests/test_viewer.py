@@ -123,14 +123,3 @@ def test_without_a_display_a_film_is_written(tmp_path):
     assert done.returncode == 0, done.stderr
     assert "no display" in done.stderr
     assert (tmp_path / "view.gif").read_bytes().startswith(b"GIF89a")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"), [(["--every", "0"], "every: expected"), (["--sweeps", "-1"], "sweeps")]
-)
-def test_bad_arguments_exit_with_2_and_name_the_fault(tmp_path, monkeypatch, capsys, arguments, message):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit, match="2"):
-        main(["view", *arguments])
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())

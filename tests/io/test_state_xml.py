@@ -188,34 +188,18 @@ def test_dialect_a_bodies_and_settings():
 def test_dialect_a_contacts_with_the_box_in_a_corner():
     """The box is master there and the normal points at the circle; here the circle comes first.
 
+    Normal, tangent and relative velocity turn round together, so that the impulses stay as they are.
     Separations follow from the geometry: circle at (1.0025, 1.005), r = 1, and walls that reach 0.01 (Box2D's skin).
     """
     contacts = read_state(OLD_A).contacts
     np.testing.assert_array_equal([contacts.body_a, contacts.body_b], [[0, 0, 0], [1, 2 + BOTTOM, 2 + LEFT]])
     np.testing.assert_array_equal(contacts.normal, [[0.6004689, 0.7996481], [0, -1], [-1, 0]])
+    np.testing.assert_array_equal(contacts.normal_impulse, [2.5, 1.25, 0.5])
+    np.testing.assert_array_equal(contacts.tangent_impulse, [0.75, 0.375, -0.125])
     np.testing.assert_array_equal(contacts.normal_start, 0)
     distance = np.hypot(2.1999998092651367 - 1.0024999380111694, 2.5999999046325684 - 1.0049999952316284)
     # 2e-7: the coordinates are float32.
     np.testing.assert_allclose(contacts.separation, [distance - 2, 0.005 - 0.01, 0.0025 - 0.01], rtol=0, atol=2e-7)
-
-
-@pytest.mark.parametrize("path", [OLD_A, OLD_B])
-def test_turning_a_contact_keeps_the_impulse_that_each_body_feels(path):
-    """λ_n n + λ_t t acts on the slave and its opposite on the master, t = (n_y, -n_x), whoever comes first."""
-    state, root = read_state(path), ElementTree.fromstring(path.read_text())
-    free = [body.get("index") for body in root.iter("body") if body.get("type") == "free"]
-    felt = np.zeros((len(free), 2))
-    for contact in root.iter("contact"):
-        x, y = (float(v) for v in re.findall(r"[-+.0-9e]+(?=[,)]|$)", ",".join(contact.find("normal").attrib.values())))
-        n, t = (float(value) for value in contact.find("impulse").attrib.values())
-        for role, sign in (("slave", 1), ("master", -1)):
-            if contact.get(role) in free:
-                felt[free.index(contact.get(role))] += sign * np.array([n * x + t * y, n * y - t * x])
-    ours, c = np.zeros((len(free) + 4, 2)), state.contacts
-    impulse = c.normal_impulse[:, None] * c.normal + c.tangent_impulse[:, None] * c.normal[:, ::-1] * (1, -1)
-    np.add.at(ours, c.body_b, impulse)
-    np.add.at(ours, c.body_a, -impulse)
-    np.testing.assert_allclose(ours[: len(free)], felt, rtol=1e-15)
 
 
 def test_dialect_b_prints_normals_and_shapes():
@@ -224,6 +208,7 @@ def test_dialect_b_prints_normals_and_shapes():
     assert state.world.box == (0, 0, 30, 30)
     np.testing.assert_array_equal(state.contacts.normal, [[1, 2.9638e-5], [-1, 1.1e-5]])
     np.testing.assert_array_equal(state.contacts.body_b, [1, 3 + LEFT])
+    np.testing.assert_array_equal(state.contacts.normal_impulse, [0.785398185253, 0.5])
     np.testing.assert_array_equal(state.contacts.tangent_impulse, [-0.0625, 0.03125])
     # Circle 2 is printed by no contact: m = 1.44 π and I give r = 1.2; the file has 12 digits of float32.
     np.testing.assert_allclose(state.bodies.radius, [1, 1, 1.2], rtol=1e-6)
