@@ -7,40 +7,37 @@ import deep_contact as dc
 from deep_contact import planning
 from deep_contact.compiled import team
 
+COLUMN, FREE = dc.column(3), dc.column(3, friction=0.0)
+TANGENT, SUBSTEPS, ISLANDS = "tangent rows and spin", "substeps", "islands"
+
 
 @pytest.mark.parametrize(
-    ("friction", "solver", "used", "why"),
+    ("scene", "options", "part", "used", "why"),
     [
-        (0.5, dc.PGS(), True, "friction is 0.5"),
-        (0.0, dc.PGS(), False, "friction is 0, so nothing"),
-        (0.0, dc.NNCG(), False, "friction is 0, so nothing"),
-        (0.0, dc.BatchedPGS(), True, "BatchedPGS has no rows without them"),
+        (COLUMN, {"solver": dc.PGS()}, TANGENT, True, "friction is 0.5"),
+        (FREE, {"solver": dc.PGS()}, TANGENT, False, "friction is 0, so nothing"),
+        (FREE, {"solver": dc.NNCG()}, TANGENT, False, "friction is 0, so nothing"),
+        (FREE, {"solver": dc.BatchedPGS()}, TANGENT, True, "BatchedPGS has no rows without them"),
+        (COLUMN, {"solver": dc.PGS()}, SUBSTEPS, False, "1 a step"),
+        (COLUMN, {"solver": dc.PGS(substeps=4)}, SUBSTEPS, True, "4 a step"),
+        (COLUMN, {"solver": dc.PGS(most_substeps=8)}, SUBSTEPS, True, "1 a step, up to 8 where something is about to"),
+        (dc.column(5), {}, ISLANDS, False, "1 of them touch"),
+        (dc.single_body(height=5.0), {}, ISLANDS, False, "0 of them touch"),
+        (COLUMN, {"warm_start": "cnn"}, "network", True, "the start predicts"),
+        (COLUMN, {"warm_start": None}, "network", False, "nothing is predicted"),
     ],
 )
-def test_tangent_rows_are_planned_as_they_are_built(friction, solver, used, why):
-    found = dc.plan(dc.column(3, friction=friction), solver=solver)["tangent rows and spin"]
+def test_parts_are_planned_as_they_are_used(scene, options, part, used, why):
+    found = dc.plan(scene, **options)[part]
     assert found.used == used
     assert why in found.why
 
 
-@pytest.mark.parametrize(
-    ("options", "used", "why"),
-    [
-        ({}, False, "1 a step"),
-        ({"substeps": 4}, True, "4 a step"),
-        ({"most_substeps": 8}, True, "1 a step, up to 8 where something is about to hit"),
-    ],
-)
-def test_substeps_are_planned(options, used, why):
-    found = dc.plan(dc.column(3), solver=dc.PGS(**options))["substeps"]
-    assert (found.used, found.why) == (used, why)
-
-
 def test_a_start_with_tangents_keeps_the_rows():
-    state = dc.simulate(dc.column(3), steps=3).state
+    state = dc.simulate(COLUMN, steps=3).state
     contacts = state.contacts._replace(tangent_start=state.contacts.tangent_start + 1e-3)
     state = state.replace(contacts=contacts, world=dc.World(friction=0.0))
-    assert "starts from tangent impulses" in dc.plan(state)["tangent rows and spin"].why
+    assert "starts from tangent impulses" in dc.plan(state)[TANGENT].why
 
 
 def test_options_that_are_asked_for_are_used():
@@ -54,16 +51,6 @@ def test_options_that_are_asked_for_are_used():
     assert used == {"tangent rows and spin", "islands", "sleeping", "calls between steps"}
     default = {choice.part for choice in dc.plan(dc.column(3)).choices if choice.used}
     assert default == {"tangent rows and spin", "position correction", "double precision"}
-
-
-def test_islands_are_counted_where_the_scene_is():
-    for scene, count in ((dc.simulate(dc.column(5), steps=20).state, 1), (dc.single_body(height=5.0), 0)):
-        assert f"{count} of them touch" in dc.plan(scene)["islands"].why
-
-
-def test_only_starts_that_predict_load_the_network():
-    for name, used in (("cnn", True), ("builtin", False), (None, False)):
-        assert dc.plan(dc.column(2), warm_start=name)["network"].used == used
 
 
 def test_a_plan_prints_every_choice_its_reason_and_its_saving():
