@@ -79,45 +79,37 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     parser.add_argument("--version", action="version", version=f"deep-contact {VERSION}")
     add = parser.add_subparsers(dest="command", required=True, metavar="COMMAND").add_parser
     commands = {name: add(name, help=text, description=f"{text.capitalize()}.") for name, text in COMMANDS.items()}
-    _add_simulate(commands["simulate"])
-    _add_view(commands["view"])
+    _add_runs(commands["simulate"], commands["view"])
     commands["sample"].add_argument("name", nargs="?", help="impact_154, settling_349, … (default: all)")
-    commands["sample"].set_defaults(run=_sample)
     for name in ("figure", "table"):
         text = "3.7, say, or all; the options after it are in `… 3.7 --help`"
         commands[name].add_argument("number", nargs="?", help=text)
-        commands[name].set_defaults(run=_list)
+    runs = {"simulate": _simulate, "view": _view, "sample": _sample, "figure": _list, "table": _list}
+    for name, run in runs.items():
+        commands[name].set_defaults(run=run)
     return parser, commands
 
 
-def _add_scene(parser: argparse.ArgumentParser, *, steps: int, every: int, what: str) -> None:
-    add = parser.add_argument
-    add("state", nargs="?", metavar="STATE.xml", help="continue from this state (default: a scene of falling circles)")
-    add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
-    add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
-    add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
-    add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
-    add("--steps", type=int, default=steps, metavar="N", help="time steps to run (default: %(default)s)")
-    add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
-    add("--every", type=int, default=every, metavar="N", help=f"{what} (default: %(default)s)")
-    add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
-
-
-def _add_simulate(parser: argparse.ArgumentParser) -> None:
-    _add_scene(parser, steps=600, every=10, what="steps between two states of the run in an .h5")
-    add = parser.add_argument
+def _add_runs(simulate: argparse.ArgumentParser, view: argparse.ArgumentParser) -> None:
+    of_simulate = (simulate, 600, 10, "steps between two states of the run in an .h5")
+    for parser, steps, every, what in (of_simulate, (view, 400, 4, "steps a frame")):
+        add = parser.add_argument
+        add("state", nargs="?", metavar="STATE.xml", help="go on from this state (default: a scene of falling circles)")
+        add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
+        add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
+        add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
+        add("--no-gravity", action="store_true", help="circles that drift and collide, instead of 9.81 m/s²")
+        add("--steps", type=int, default=steps, metavar="N", help="time steps to run (default: %(default)s)")
+        add("--sweeps", type=int, metavar="N", help="most sweeps of the solver in a step (default: the state's own)")
+        add("--every", type=int, default=every, metavar="N", help=f"{what} (default: %(default)s)")
+        add("--warm-start", metavar="NAME", help="none, builtin, scaled, support, cnn, … (default: builtin)")
+    view.add_argument("--out", metavar="FILE.gif", help="write a film instead of opening a window")
+    add = simulate.add_argument
     add("--dt", type=float, metavar="S", help="time step, s (default: the state's, 0.01 s in a scene)")
     add("--solver", metavar="NAME", help="PGS, PSOR, NNCG, … (default: the state's own, or that of --accuracy fast)")
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
     add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
-    parser.set_defaults(run=_simulate)
-
-
-def _add_view(parser: argparse.ArgumentParser) -> None:
-    _add_scene(parser, steps=400, every=4, what="steps a frame")
-    parser.add_argument("--out", metavar="FILE.gif", help="write a film instead of opening a window")
-    parser.set_defaults(run=_view)
 
 
 # ---- commands of their own ----

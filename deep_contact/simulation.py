@@ -90,11 +90,8 @@ class Simulation(NamedTuple):
     def status(self) -> np.ndarray:
         """Why each step's sweeps ended, (steps,): see `ConvergenceRecord`."""
         tolerance = tolerance_argument(self.state.solver)
-        return np.select(
-            [self.contacts == 0, self.theta <= tolerance, (self.sweeps > 0) & ~np.isfinite(self.theta)],
-            ["no_contacts", "converged", "diverged"],
-            "max_sweeps",
-        )
+        cases = [self.contacts == 0, self.theta <= tolerance, (self.sweeps > 0) & ~np.isfinite(self.theta)]
+        return np.select(cases, ["no_contacts", "converged", "diverged"], "max_sweeps")
 
     def __repr__(self) -> str:
         return f"Simulation({', '.join(self._summary().values())}, state={self.state!r})"
@@ -190,7 +187,7 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     kept = None if record is None else every * substeps
     state, log, frames = _advance(state, steps * substeps, advance, start, kept, on_step, stopped)
     if substeps > 1:
-        state, frames = _in_steps(state, solver, substeps), [_in_steps(one, solver, substeps) for one in frames]
+        state, *frames = (_in_steps(one, solver, substeps) for one in (state, *frames))
         log = _log_of_steps(log, substeps)
     return Simulation(state, *log[:5], None if record is None else Trajectory.from_states(frames))
 
@@ -349,9 +346,8 @@ def _in_substeps(state: State, substeps: int, most: int | None = None) -> State:
 
     most: parts into which motion may divide a substep.
     """
-    return with_time_step(state, state.dt / substeps).replace(
-        step=state.step * substeps, solver=replace(state.solver, substeps=1, most_substeps=most)
-    )
+    solver = replace(state.solver, substeps=1, most_substeps=most)
+    return with_time_step(state, state.dt / substeps).replace(step=state.step * substeps, solver=solver)
 
 
 def _in_steps(state: State, solver: PGS, substeps: int) -> State:

@@ -47,13 +47,10 @@ def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start:
 
 
 class Painter:
-    """Draws frames into two axes. The scales only grow, so that frames can be compared.
+    """Draws frames into two axes. The scales only grow, so that frames can be compared."""
 
-    speed: initial end of the colour scale, m/s.
-    """
-
-    def __init__(self, speed: float = 12.0):
-        self._speed, self._impulse, self._sweeps = speed, 0.0, 10
+    def __init__(self):
+        self._speed, self._impulse, self._sweeps = 12.0, 0.0, 10  # m/s, N·s, sweeps
         self._theta = (np.inf, 0.0)  # smallest and largest so far
 
     def __call__(self, axes, frame: Frame) -> None:

@@ -56,9 +56,7 @@ def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_wh
         dc.circles_in_box(400, size=(60.0, 200.0), seed=1),
         silo(15),
         dc.State(name="one", world=dc.World(), bodies=dc.make_bodies([[5.0, 5.0]])),
-        dc.State(
-            name="two", world=dc.World(box=(0.0, 0.0, 9.0, 400.0)), bodies=dc.make_bodies([[5.0, 1.0], [5.0, 399.0]])
-        ),
+        dc.State(name="two", world=dc.World(box=(0, 0, 9, 400)), bodies=dc.make_bodies([[5.0, 1.0], [5.0, 399.0]])),
     ],
     ids=["pile", "mixed pile", "large pile", "pyramid", "cloud", "short column", "one circle", "two far apart"],
 )

@@ -131,15 +131,13 @@ def damaged_heap(path) -> str:
     The library walks through such a heap, object by object, and walks for ever where a free object of damaged size does
     not lead on (1.14 and 2.0, `H5HG__cache_heap_deserialize`). (HDF5 File Format Specification, III.E, Global Heap.)
     """
-    data = Path(path).read_bytes()
-    at = data.find(b"GCOL\x01\0\0\0")
-    while at >= 0:
+    data, at = Path(path).read_bytes(), 0
+    while (at := data.find(b"GCOL\x01\0\0\0", at)) >= 0:
         if at + _HEAP.size > len(data):
             return f"a heap at byte {at} that is cut off"
-        end = at + _HEAP.unpack_from(data, at)[1]
-        if not at + _HEAP.size <= end <= len(data):
+        end, place = at + _HEAP.unpack_from(data, at)[1], at + _HEAP.size
+        if not place <= end <= len(data):
             return f"a heap at byte {at} of {end - at} bytes in a file of {len(data)}"
-        place = at + _HEAP.size
         while place + _OBJECT.size <= end:
             index, _, _, size = _OBJECT.unpack_from(data, place)
             # Free space, object 0, counts its own head; the others do not, and are padded to 8 bytes.
@@ -147,5 +145,5 @@ def damaged_heap(path) -> str:
             if step < _OBJECT.size or place + step > end:
                 return f"an object at byte {place} of {size} bytes in a heap that ends at byte {end}"
             place += step
-        at = data.find(b"GCOL\x01\0\0\0", end)
+        at = end
     return ""

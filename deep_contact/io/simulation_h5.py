@@ -69,8 +69,8 @@ _ARRAYS = {
 _BODIES, _CONTACTS = tuple(_ARRAYS)[8:12], tuple(_ARRAYS)[12:]
 _TEXTS = ("format", "name", "solver", "seed", "options", "digest")
 _WORLD = ("box", "gravity", "friction", "restitution")
-_NUMBERS = ("version", "dt", *_WORLD)
 _OPTIONAL = ("scales", "segments", "surface_speeds")
+_NUMBERS = {"version": "<i8"} | dict.fromkeys(("dt", *_WORLD, *_OPTIONAL), "<f8")
 
 _SHARED = ("name", "world", "dt", "solver")
 """Fields that all states of a simulation have in common."""
@@ -213,7 +213,7 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
                 # Of fixed length, which a reader sees before it reads; HDF5 has no text of length 0.
                 file.attrs.create(name, value.encode(), dtype=f"S{max(1, len(value.encode()))}")
             else:
-                file.attrs.create(name, value, dtype=_kind(name))
+                file.attrs.create(name, value, dtype=_NUMBERS[name])
         for name, array in simulation.arrays.items():
             options = {}
             if compression and array.size:
@@ -266,10 +266,6 @@ def simulation_info(path) -> SimulationInfo:
 # ---- details of a file ----
 
 
-def _kind(attribute: str) -> str:
-    return "<i8" if attribute == "version" else "<f8"
-
-
 def _per_state(name: str, given, count: int, dtype, missing) -> np.ndarray:
     if given is None:
         return np.full(count, missing, dtype)
@@ -318,14 +314,14 @@ def _digest(attributes: dict, arrays: dict) -> str:
 
 def _read_attributes(file: h5py.File) -> dict:
     values = {}
-    for name in (*_TEXTS, *_NUMBERS, *(name for name in _OPTIONAL if name in file.attrs)):
+    for name in (name for name in (*_TEXTS, *_NUMBERS) if name in file.attrs or name not in _OPTIONAL):
         value = hdf5.attribute(file, name)
         if name in _TEXTS:
             expect(isinstance(value, bytes), f"{name}: expected a text of fixed length, got {type(value).__name__}")
             values[name] = value.decode()
         else:
             array = np.asarray(value)
-            expect(array.dtype.str == _kind(name), f"{name}: expected {_kind(name)}, got {array.dtype.str}")
+            expect(array.dtype.str == _NUMBERS[name], f"{name}: expected {_NUMBERS[name]}, got {array.dtype.str}")
             values[name] = tuple(array.tolist()) if array.shape else array.item()
     return values
 

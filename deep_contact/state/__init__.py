@@ -254,18 +254,16 @@ class State:
 
     def _summary(self) -> dict[str, str]:
         contacts = "contacts unknown" if self.contacts is None else notebook.counted(self.contacts.count, "contact")
-        found = {"bodies": notebook.counted(self.bodies.count, "circle"), "contacts": contacts}
-        found |= {"time": f"t = {self.time:g} s", "step": f"step {self.step:,}"}
-        return found | ({"impulses": "solved"} if self.solved else {})
+        summary = {"bodies": notebook.counted(self.bodies.count, "circle"), "contacts": contacts}
+        summary |= {"time": f"t = {self.time:g} s", "step": f"step {self.step:,}"}
+        return summary | ({"impulses": "solved"} if self.solved else {})
 
     def _picture(self) -> str:
-        bodies, contacts = self.bodies, self.contacts or no_contacts()
-        ends = contacts.position.copy()
-        between = contacts.body_b < bodies.count
-        ends[between] = bodies.position[contacts.body_b[between]]
-        lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
-        world, circles = self.world, (bodies.position, bodies.radius)
-        return notebook.picture_of(world.box, *circles, lines, contacts.normal_impulse, world.segments)
+        (position, *_, radius), contacts, world = self.bodies, self.contacts or no_contacts(), self.world
+        ends, between = contacts.position.copy(), contacts.body_b < len(radius)
+        ends[between] = position[contacts.body_b[between]]
+        lines = np.stack([position[contacts.body_a], ends], axis=1)
+        return notebook.picture_of(world.box, position, radius, lines, contacts.normal_impulse, world.segments)
 
 
 if TYPE_CHECKING:

@@ -166,10 +166,3 @@ def test_a_simulation_of_an_unknown_solver_is_refused(simulation, tmp_path, solv
 def test_a_simulation_of_a_solver_that_is_gone_is_read_with_a_warning(simulation, tmp_path, solver, name):
     with pytest.warns(UserWarning, match=rf"solver: {name}.* is no longer part of Deep Contact"):
         assert simulation_info(spelt(simulation, tmp_path / "sim.h5", solver=solver)).header["solver"] is None
-
-
-def test_a_simulation_whose_arrays_are_not_in_it_is_refused(simulation, tmp_path):
-    path = spelt(simulation, tmp_path / "sim.h5")
-    change(path, "position", None, shape=(1, 3, 2), dtype="<f8", maxshape=(None, 3, 2))
-    with pytest.raises(DataFileError, match=r"sim.h5: position: expected what the file holds"):
-        read_simulation(path)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
 from deep_contact import constants
 from deep_contact.io import state_xml, xml_tree
@@ -66,8 +67,8 @@ NOT_NEGATIVE = st.floats(min_value=0, allow_infinity=False) | st.sampled_from((0
 def states(draw):
     """Any state that `check_state` lets pass, physical or not."""
 
-    def column(elements, rows):
-        return np.array(draw(st.lists(elements, min_size=rows, max_size=rows)), dtype=np.float64)
+    def column(elements, *shape):
+        return draw(arrays(np.float64, shape, elements=elements, fill=st.nothing()))
 
     (x_min, x_max), (y_min, y_max) = (sorted(draw(st.sets(FINITE, min_size=2, max_size=2))) for _ in range(2))
     world = World(
@@ -78,8 +79,8 @@ def states(draw):
         scales=draw(st.none() | st.builds(ContactScales, *[NOT_NEGATIVE] * 3, POSITIVE, *[NOT_NEGATIVE] * 4)),
     )
     n = draw(st.integers(1, 5))
-    fields = [column(FINITE, 2 * n).reshape(n, 2) for _ in range(2)]
-    bodies = Bodies(*fields, column(FINITE, n), column(FINITE, n), column(POSITIVE, n), column(POSITIVE, n))
+    motion = column(FINITE, n, 2), column(FINITE, n, 2), column(FINITE, n), column(FINITE, n)
+    bodies = Bodies(*motion, column(POSITIVE, n), column(POSITIVE, n))
     pairs = sorted(draw(st.sets(st.sampled_from([(a, b) for a in range(n) for b in range(a + 1, n + 4)]))))
     m = len(pairs)
     contacts = None if not m and draw(st.booleans()) else no_contacts()
@@ -90,7 +91,7 @@ def states(draw):
         angle = np.where(b >= n, np.arctan2(*WALL_NORMALS[(b - n) % 4][:, ::-1].T) + 1e-6 * angle, angle)
         normal = np.column_stack([np.cos(angle), np.sin(angle)])
         rest = column(FINITE, m), column(NOT_NEGATIVE, m), *(column(FINITE, m) for _ in range(3))
-        contacts = Contacts(a, b, column(FINITE, 2 * m).reshape(m, 2), normal, *rest)
+        contacts = Contacts(a, b, column(FINITE, m, 2), normal, *rest)
     letters = st.characters(codec="utf-8", categories=("L", "N", "P", "S", "Z")) | st.sampled_from("\t\n\r<")
     return State(
         name=draw(st.text(letters)),
