@@ -16,9 +16,6 @@ from deep_contact.reporting import scripts
 
 # Whatever takes time to import is imported by the command that needs it: --help and --version are immediate.
 
-SUFFIXES = (".xml", ".xml.gz", ".h5")
-"""Of what `simulate` writes: the last state, or the run."""
-
 COMMANDS = {
     "simulate": "run a scene, or go on from a state",
     "view": "play a simulation: contacts, impulses and θ as it runs",
@@ -122,8 +119,8 @@ def _simulate(given) -> int:
 
     out = Path(given.out or "")
     if given.out is not None:  # before the run, not after it
-        fits = out.name.endswith(SUFFIXES)
-        expect(fits, f"--out: expected a file that ends in {', '.join(SUFFIXES)}, got {given.out!r}")
+        fits = out.name.endswith((".xml", ".xml.gz", ".h5"))
+        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .h5, got {given.out!r}")
         expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
     scene = _scene(given)
     record = given.every if out.suffix == ".h5" else None

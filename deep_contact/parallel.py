@@ -27,9 +27,6 @@ from pathlib import Path
 from deep_contact.constants import VERSION
 from deep_contact.io import provenance
 
-TIMEOUT = 10.0
-"""Seconds within which a scheduler has to answer."""
-
 _PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow")
 """Packages on whose versions results depend."""
 
@@ -82,7 +79,7 @@ def opened(jobs: int, scheduler: str | None = None) -> AbstractContextManager[in
 
 
 @contextmanager
-def cluster(address: str, *, timeout: float = TIMEOUT) -> Iterator[Executor]:
+def cluster(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
     """The workers of the Dask cluster whose scheduler is at `address`, as an executor.
 
     timeout: seconds within which the scheduler has to answer. Tasks wait until there is a worker. If a worker dies,

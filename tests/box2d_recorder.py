@@ -16,12 +16,8 @@ from deep_contact.studies import peers
 
 
 class RecordedStep(NamedTuple):
-    """A recorded step of Box2D 2.3.
-
-    state: `State` with the bodies before the step (before gravity too), the contacts found there, and the impulses that
-    the step started from and solved; `solved` is True. order: (m,) indices into `state.contacts`, which are sorted
-    as ours always are; Box2D sweeps contact `order[k]` as its k-th.
-    """
+    """A step of Box2D 2.3: the solved state with the bodies before it (before gravity too), and (m,) indices into its
+    contacts, which are sorted as ours always are; Box2D sweeps contact `order[k]` as its k-th."""
 
     state: State
     order: np.ndarray

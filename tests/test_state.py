@@ -80,11 +80,6 @@ def test_what_is_easily_given_wrongly_gets_a_sentence(make, message):
         make()
 
 
-def test_inertia_is_a_solid_discs():
-    bodies = dc.make_bodies([[1.0, 1.0]], radius=2.0, mass=3.0)
-    np.testing.assert_allclose(bodies.inertia, 0.5 * 3.0 * 2.0**2)
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

@@ -135,10 +135,9 @@ class StoredSimulation:
             return np.where(off == 0, 0.0, np.sqrt(off / size))
 
     def phases(self) -> np.ndarray:
-        """The phase of each state as an index of `PHASES`, (T,): by how far off Builtin's start was.
+        """The phase of each state as an index of `PHASES`, (T,): by how far off its start was (`SETTLING`, `REST`).
 
-        "settling" up to `SETTLING`, "rest" up to `REST`. For solved states of runs that Builtin started: what is new
-        in a state is what the step before did not know.
+        For solved states of runs that Builtin started: what is new in a state is what the step before did not know.
         """
         errors = self.start_errors()
         return (errors <= SETTLING).astype(np.int64) + (errors <= REST)

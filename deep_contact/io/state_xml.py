@@ -56,8 +56,6 @@ from deep_contact.validation import integer
 _INERTIA_TOLERANCE = 1e-3
 """Largest relative difference between a stored inertia and m r²/2. Old files hold float32."""
 
-_UNIT_TOLERANCE = 1e-4
-
 _SETTINGS = ("step", "gravity_x", "gravity_y", "friction", "restitution", "solved")
 _PARTS = ("solver", "scales", "bodies", "segments", "contacts")
 _ENDS = ("x_0", "y_0", "x_1", "y_1")
@@ -284,7 +282,7 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
     a, b = np.minimum(first, second), np.maximum(first, second)
     normal = rows.numbers("normal", "x y")
     with np.errstate(over="ignore"):
-        rows.refuse(np.abs(np.hypot(*normal.T) - 1) > _UNIT_TOLERANCE, "normal", "x y", "a unit vector")
+        rows.refuse(np.abs(np.hypot(*normal.T) - 1) > 1e-4, "normal", "x y", "a unit vector")
     normal = np.where((first > second)[:, None], -normal, normal)
     wall = b == n
     b[b > n] += len(WALLS) - 1

@@ -127,13 +127,6 @@ def test_every_method_is_stored_with_its_options(method):
     assert parse_state(format_state(example(solver=solver)), "s.xml").solver == solver
 
 
-def test_a_method_that_is_gone_is_read_with_a_warning():
-    gone = b'<solver method="SoftSteps" substeps="4" hertz="scene"/>'
-    text = re.sub(rb"<solver .*?/>", gone, format_state(example(solver=PGS())))
-    with pytest.warns(UserWarning, match="solver: SoftSteps is no longer part of Deep Contact"):
-        assert parse_state(text, "s.xml").solver is None
-
-
 @dataclass(frozen=True, kw_only=True)
 class Other:
     a: object = None
