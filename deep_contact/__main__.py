@@ -206,8 +206,7 @@ def _sample(given) -> int:
 
 def _list(given) -> int:
     for number, path in _known(given.command).items():
-        print(f"{number:6s}{scripts.summary(path)}")
-    sys.stdout.flush()
+        print(f"{number:6s}{scripts.summary(path)}", flush=True)
     return 0
 
 

@@ -70,14 +70,6 @@ def test_all_starts_reach_the_same_velocities_without_friction(frictionless_stat
         np.testing.assert_allclose(dc.solve_contacts(state, solver=solver, start=start).velocities, expected, atol=1e-9)
 
 
-def test_own_arrays_are_a_start(falling_states):
-    state = falling_states[5]
-    normal, tangent = state.contacts.normal_impulse, state.contacts.tangent_impulse
-    by_name = dc.solve_contacts(state, solver=dc.PGS(sweeps=5), start="copy")
-    by_hand = dc.solve_contacts(state, solver=dc.PGS(sweeps=5), start=(normal, tangent))
-    np.testing.assert_array_equal(by_name.normal_impulses, by_hand.normal_impulses)
-
-
 @pytest.mark.parametrize(
     ("start", "message"),
     [

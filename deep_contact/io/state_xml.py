@@ -102,13 +102,12 @@ def format_state(state: State) -> bytes:
     numbers = {"time": float(state.time), "step": integer("step", state.step, most=10**18 - 1), "dt": float(state.dt)}
     numbers |= {"gravity_x": world.gravity[0], "gravity_y": world.gravity[1]}
     numbers |= {"friction": world.friction, "restitution": world.restitution}
-    settings = "".join(f' {name}="{value!r}"' for name, value in numbers.items())
     parts = (
         '<?xml version="1.0" encoding="UTF-8"?>\n',
-        f"<configuration name={xml_tree.quoted_attribute('name', state.name)}{settings}",
+        f"<configuration name={xml_tree.quoted_attribute('name', state.name)}{_attributes(numbers)}",
         f' solved="{"true" if state.solved else "false"}">\n',
         _format_solver(state.solver),
-        _format_scales(world.scales),
+        f"  <scales{_attributes(world.scales._asdict())}/>\n" if world.scales else "",
         _format_bodies(state.bodies, world.box),
         _format_segments(world, n),
         "" if state.contacts is None else _format_contacts(state.contacts, n),
@@ -354,9 +353,8 @@ def _format_solver(solver) -> str:
     return f'  <solver method="{method}"{text}/>\n'
 
 
-def _format_scales(scales: ContactScales | None) -> str:
-    text = "".join(f' {name}="{value!r}"' for name, value in (scales._asdict() if scales else {}).items())
-    return f"  <scales{text}/>\n" if text else ""
+def _attributes(numbers: dict) -> str:
+    return "".join(f' {name}="{value!r}"' for name, value in numbers.items())
 
 
 def _format_bodies(bodies: Bodies, box) -> str:
