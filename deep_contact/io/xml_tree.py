@@ -187,8 +187,9 @@ def to_float(text: str) -> float:
 
 
 def read_text(element, name: str) -> str:
-    expect(name in element.attrib, element, f"{name}: attribute is missing")
-    return element.get(name)
+    text = element.get(name)
+    expect(text is not None, element, f"{name}: attribute is missing")
+    return text
 
 
 def read_number(element, name: str) -> float:
