@@ -38,35 +38,6 @@ def ladder(method: str, budgets: dict, **options) -> list[dict]:
     ]
 
 
-PGS = {1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}
-PGS |= {8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}
-OURS = [
-    *ladder("PGS", PGS),
-    *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (5, 10), 4: (3, 5, 10), 8: (2, 10)}, order="colours"),
-    *ladder("BatchedPGS", {1: (6, 10), 2: (5, 10), 4: (3,)}, order="colours", position_sweeps=3),
-    *ladder("PSOR", {1: (3, 6, 10, 20), 2: (2, 4, 8), 4: (2, 4)}, omega=1.3),
-    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8)}, omega=1.5),
-    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8), 4: (2,)}, omega=1.75, friction_omega=1.45),
-    *ladder("PSOR", {1: (10,)}, omega=1.75, friction_omega=1.45, start="scaled"),
-    *ladder("NNCG", {1: (5, 10, 20)}),
-    *ladder("NesterovPGS", {1: (10, 20)}),
-    *ladder("PGS", {1: (10, 50)}, start="none"),
-    *ladder("PGS", {1: (10,)}, precision="single"),
-    *ladder("PGS", {1: (4, 10), 2: (3,), 4: (2,)}, position_sweeps=0),
-    *ladder("PGS", {1: (4, 6, 10), 2: (3,), 4: (2,)}, position_sweeps=3),
-    *ladder("PSOR", {1: (4, 6), 2: (2,)}, omega=1.3, position_sweeps=3),
-]
-LARGE = [
-    *ladder("PGS", {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 16: (20,)}),
-    *ladder("PSOR", {1: (10, 20), 2: (4, 8)}, omega=1.3),
-    *ladder("PSOR", {1: (10, 20), 2: (4,)}, omega=1.75, friction_omega=1.45),
-    *ladder("PSOR", {1: (10, 20)}, omega=1.3, position_sweeps=3),
-    *ladder("PGS", {2: (10,)}, position_sweeps=3),
-    *ladder("BatchedPGS", {1: (6, 10, 20, 50), 2: (5, 10), 4: (2, 3, 5, 10), 8: (2, 4)}, order="colours"),
-    *ladder("BatchedPGS", {1: (6, 10, 20), 2: (5, 10), 4: (2, 3)}, order="colours", position_sweeps=3),
-]
-
-
 def by_motion(method: str, budgets: dict, **options) -> list[dict]:
     """Settings whose substeps follow the motion. budgets: (fewest, most substeps of 0.01 s, slop) -> sweeps."""
     return [
@@ -76,22 +47,62 @@ def by_motion(method: str, budgets: dict, **options) -> list[dict]:
     ]
 
 
-MOTION = [
-    *by_motion(
-        "PGS", {(1, 4, 1.0): (4, 6), (1, 8, 0.5): (3, 4, 6, 10), (2, 16, 0.5): (2, 3), (2, 16, 0.25): (2, 3, 4, 6)}
-    ),
-    *by_motion("PGS", {(4, 16, 0.25): (2, 4), (4, 32, 0.25): (4, 10)}),
-    *by_motion("BatchedPGS", {(1, 8, 1.0): (6,), (1, 8, 0.5): (4, 6, 10), (2, 16, 0.5): (3, 5)}, order="colours"),
-    *by_motion("BatchedPGS", {(2, 16, 0.25): (3, 5, 10), (4, 32, 0.25): (3, 5, 10)}, order="colours"),
-    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5,)}, order="colours", position_sweeps=3),
+COLOURS = {"order": "colours"}
+FEW = {"position_sweeps": 3}
+
+SMALL = [
+    *ladder("PGS", {1: (3, 4, 6), 2: (3,), 4: (2,)}),
+    *ladder("PGS", {1: (4, 6), 2: (3,)}, **FEW),
+    *ladder("PSOR", {1: (3, 6)}, omega=1.3),
+    *ladder("PSOR", {1: (4, 6)}, omega=1.3, **FEW),
+    *ladder("BatchedPGS", {1: (6,)}, **COLOURS),
+    *ladder("BatchedPGS", {1: (6, 10)}, **COLOURS, **FEW),
+    *by_motion("PGS", {(1, 4, 1.0): (4,), (1, 8, 0.5): (4,), (1, 8, 0.25): (6,), (2, 16, 0.25): (3, 4)}),
+    *by_motion("PGS", {(4, 16, 0.25): (2, 4), (4, 32, 0.25): (4,)}),
     *by_motion("PSOR", {(1, 8, 0.5): (3, 4), (2, 16, 0.25): (2, 3), (4, 32, 0.25): (2,)}, omega=1.3),
+    *by_motion("PSOR", {(2, 16, 0.25): (3,)}, omega=1.3, **FEW),
+    *by_motion("PSOR", {(1, 16, 0.25): (6,)}, omega=1.5, approach=0.02),
+    *by_motion("BatchedPGS", {(1, 8, 1.0): (6,), (1, 8, 0.5): (6,), (1, 8, 0.25): (6, 10)}, **COLOURS),
+    *by_motion("BatchedPGS", {(1, 16, 0.25): (10,)}, **COLOURS, approach=0.015),
+    *by_motion("BatchedPGS", {(2, 16, 0.25): (3, 5, 10), (4, 32, 0.25): (3, 5, 10)}, **COLOURS),
+    *by_motion("BatchedPGS", {(2, 16, 0.25): (3, 5), (4, 32, 0.25): (5,)}, **COLOURS, **FEW),
 ]
-LARGE_MOTION = [
-    *by_motion("PGS", {(1, 8, 0.5): (4, 6, 10)}),
-    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10, 20), (2, 16, 0.5): (5,)}, order="colours"),
-    *by_motion("BatchedPGS", {(2, 16, 0.25): (5, 10, 20), (4, 32, 0.25): (5, 10, 20)}, order="colours"),
-    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5, 10)}, order="colours", position_sweeps=3),
+"""Settings on every kind of scene: fixed steps for the loose presets, by motion for the tight ones."""
+
+MEDIUM = [
+    *ladder("BatchedPGS", {2: (5, 10)}, **COLOURS),
+    *ladder("BatchedPGS", {1: (6, 10), 2: (5, 10), 4: (3, 5)}, **COLOURS, **FEW),
+    *by_motion("PGS", {(2, 16, 0.25): (4,), (4, 32, 0.25): (4,)}),
+    *by_motion("PSOR", {(2, 16, 0.25): (3,)}, omega=1.3),
+    *by_motion("BatchedPGS", {(1, 8, 1.0): (6,), (1, 8, 0.5): (6, 10), (1, 8, 0.25): (10,)}, **COLOURS),
+    *by_motion("BatchedPGS", {(1, 16, 0.25): (10, 20)}, **COLOURS, approach=0.015),
+    *by_motion("BatchedPGS", {(2, 16, 0.25): (5, 10), (4, 32, 0.25): (3, 5, 10)}, **COLOURS),
+    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5, 10), (4, 32, 0.25): (5,)}, **COLOURS, **FEW),
 ]
+LARGE = [
+    *ladder("BatchedPGS", {2: (10,), 4: (5,)}, **COLOURS),
+    *ladder("BatchedPGS", {2: (10,), 4: (3,)}, **COLOURS, **FEW),
+    *by_motion("BatchedPGS", {(1, 8, 0.5): (20,), (2, 16, 0.25): (10, 20), (4, 32, 0.25): (5, 10, 20)}, **COLOURS),
+    *by_motion("BatchedPGS", {(1, 16, 0.25): (20,)}, **COLOURS, approach=0.015),
+    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5, 10), (4, 32, 0.25): (5, 10)}, **COLOURS, **FEW),
+]
+
+PGS = {1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}
+PGS |= {8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}
+LADDER = [
+    *ladder("PGS", PGS),
+    *ladder("BatchedPGS", {1: (10, 20, 50), 2: (5, 10), 4: (3, 5, 10), 8: (2, 10)}, **COLOURS),
+    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8)}, omega=1.5),
+    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8), 4: (2,)}, omega=1.75, friction_omega=1.45),
+    *ladder("NNCG", {1: (5, 10, 20)}),
+    *ladder("NesterovPGS", {1: (10, 20)}),
+    *ladder("PGS", {1: (10, 50)}, start="none"),
+]
+"""Settings on plain piles alone: what sweeps, steps, methods and starts do to an error (Figures 6.1, 6.2, 6.11)."""
+
+LARGE_LADDER = ladder(
+    "PGS", {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 32: (20,)}
+)
 PEERS = {
     "Box2D 2.3": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
     "pymunk": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
@@ -108,10 +119,11 @@ FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] in (2, 4, 10) and s["dt"] >
 FULL = {
     "sizes": [100, 1000, 3000, 10_000],
     "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000", "3000", "10000")},
-    "peer_seeds": {"100": 12, "1000": 3, "3000": 1, "10000": 1},
+    "peer_seeds": {"100": 12, "1000": 3, "3000": 3, "10000": 3},
     "model": [100, 1000],
     "seconds": 6.0,
-    "settings": {"100": OURS + MOTION, "1000": OURS + MOTION, "3000": LARGE + MOTION, "10000": LARGE + LARGE_MOTION},
+    "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
+    "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
     "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
     "repeats": {"100": 5, "1000": 3, "3000": 2, "10000": 2},
@@ -122,7 +134,8 @@ QUICK = {
     "peer_seeds": {"100": 4, "300": 3},
     "model": [],
     "seconds": 4.0,
-    "settings": {"100": OURS, "300": LARGE},
+    "settings": {"100": SMALL, "300": MEDIUM},
+    "ladders": {"100": LADDER, "300": LARGE_LADDER},
     "peers": {"100": PEER_SETTINGS[::3], "300": []},
     "steps": {"100": 50, "300": 20},
     "repeats": {"100": 3, "300": 3},
@@ -130,34 +143,37 @@ QUICK = {
 FUNCTIONS = {"observed": runs.observed, "times": runs.times}
 
 
-def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, list]:
-    """The parts as (name, arguments): observations, the quick ones first, and times.
+def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, list, dict]:
+    """The parts as (name, arguments): observations, the quick ones first, and times; and the known rows that stay.
 
-    known: rows by (kind, n_bodies, name), whose errors need no observation.
+    known: rows by (kind, n_bodies, name), whose errors need no observation; those of fewer seeds are left out of it.
     """
-    seen, timed = [], []
+    seen, timed, kept = [], [], {}
     for n in options["sizes"]:
-        ours, rivals = options["settings"][str(n)], options["peers"][str(n)]
+        ours, rivals, on_plain = (options[name].get(str(n), []) for name in ("settings", "peers", "ladders"))
         for kind, count in options["seeds"][str(n)].items():
-            plain = kind == "plain"
-            model = list(runs.MODEL.values()) if plain and n in options["model"] else []
-            for setting in [*ours, *(rivals if plain else []), *model]:
-                if (kind, n, runs.name_of(setting)) not in known:
-                    common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-                    chosen = figures.seeds(seed, options["peer_seeds"][str(n)] if "engine" in setting else count)
-                    seen += [("observed", common | {"seed": s}) for s in chosen]
-        times = {"n_bodies": n, "seed": seed, "settings": ours + rivals}
+            more = [runs.REFERENCE]
+            if kind == "plain":
+                more += on_plain + rivals + list(runs.MODEL.values() if n in options["model"] else [])
+            by_name = {runs.name_of(setting): setting for setting in ours + more}
+            for name, setting in by_name.items():
+                wanted = options["peer_seeds"][str(n)] if "engine" in setting else count
+                row = known.get((kind, n, name))
+                if row and row["seeds"] >= wanted:
+                    kept[kind, n, name] = row
+                    continue
+                common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
+                seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, wanted)]
+        by_name = {runs.name_of(setting): setting for setting in ours + on_plain + rivals}
+        times = {"n_bodies": n, "seed": seed, "settings": list(by_name.values())}
         times |= {name: options[name][str(n)] for name in ("steps", "repeats")}
         timed += [("times", times | {"phase": phase}) for phase in (*runs.MOMENTS, *runs.PHASES)]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
-    return seen, timed
+    return seen, timed, kept
 
 
 def known_rows(file: Mapping, options: dict, seed: int) -> dict:
-    """Rows of a results file by (kind, n_bodies, name), but for the references. Raises ValueError on other options.
-
-    A row says of how many seeds it is: those that were added later may have more.
-    """
+    """Rows of a results file by (kind, n_bodies, name), but for the references. Raises ValueError on other options."""
     for key in ("sizes", "seconds"):
         if file["options"][key] != options[key]:
             raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
@@ -169,8 +185,7 @@ def known_rows(file: Mapping, options: dict, seed: int) -> dict:
 
 def study(options: dict, *, seed: int, jobs: int | Executor, work: Path, before: Mapping | None = None) -> dict:
     """The data of the results file. before: one whose errors are taken over; times are measured anew."""
-    known = {} if before is None else known_rows(before, options, seed)
-    seen, timed = plan(options, seed, known)
+    seen, timed, known = plan(options, seed, known_rows(before, options, seed) if before else {})
     found = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
     took = done(timed, FUNCTIONS, work=work, jobs=1, text="times")
     ensembles: dict = {}
@@ -331,7 +346,8 @@ def main(arguments=None) -> int:
                 data = verify(options, jobs=jobs, errors_only=given.errors, **settings)
             elif given.errors:
                 known = known_rows(before, options, given.seed) if before else {}
-                data = done(plan(options, given.seed, known)[0], FUNCTIONS, work=given.work, jobs=jobs, text="errors")
+                parts, _, _ = plan(options, given.seed, known)
+                data = done(parts, FUNCTIONS, work=given.work, jobs=jobs, text="errors")
             else:
                 data = study(options, jobs=jobs, before=before, **settings)
     except parallel.ClusterError as error:
@@ -340,7 +356,7 @@ def main(arguments=None) -> int:
     if given.errors:
         return 0
     wall_s = time.perf_counter() - start
-    kept = {key: value for key, value in options.items() if key not in ("settings", "peers")} | {"quick": given.quick}
+    kept = {key: value for key, value in options.items() if key not in ("settings", "ladders", "peers")} | {"quick": given.quick}
     if before:
         kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
     file = {
