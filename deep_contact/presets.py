@@ -2,7 +2,7 @@
 
 A preset is a table of tolerances on the errors of a run (`studies.runs.ERRORS`). Which setting keeps them at the
 least cost is read from what `scripts/run_tradeoff.py --install` measured: errors and times of settings (method, sweeps,
-time step) on falling piles of equal and of mixed circles, with and without friction.
+time step) on falling piles of equal and of mixed circles, with and without friction, elastic ones, a gas and a drum.
 
 A setting's time step is that of circles of r = 1 m under g = 9.81 m/s²; for others it is scaled by √(r / g), and the
 step that a user gives is divided into substeps where it is longer. Most settings divide it further where something is
@@ -102,8 +102,8 @@ class Recommendation:
     """A solver and a start for the runs of a scene, what they cost, and what comes out. `print` tells all of it.
 
     accuracy: the preset that it keeps. solver: options of `physics.solvers`, substeps included. warm_start: name of
-    the start. us: wall time of a step of the scene's Δt, μs, once the circles lie on one another, on the processor
-    `cpu`. errors: name -> the largest over the kinds of piles that the scene is like, of the sizes next to the scene's.
+    the start. us: wall time of a step of the scene's Δt, μs, the mean over a run, on the processor `cpu`.
+    errors: name -> the largest over the kinds of scenes that this one is like, of the sizes next to its own.
     tolerances: name -> that of the preset. reached: whether all errors are within them; if not, this is the setting
     nearest to it. outside: sentences on what of the scene the study did not measure; empty where it lies within.
     cheaper, better: what the presets next to it would be, and their cost; empty where there is none.
@@ -180,7 +180,6 @@ def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False)
     best = _chosen(name, sleep, n, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver)
     sentences = _too_long(scene, best["dt"])
     if accuracy is not None:
-        sentences += _without_gravity(scene)
         if _excess(best, name) > 1:
             sentences.append(
                 f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
@@ -268,22 +267,25 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
 def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: Mapping) -> list[dict]:
     """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for n circles of these kinds.
 
-    Errors are the largest of the two sizes around the scene's and of the kinds of piles that it is like; times are
-    interpolated between the sizes by powers.
+    Errors are the largest of the two sizes around the scene's and of the kinds that it is like; times are those of the
+    slowest of these kinds, interpolated between the sizes by powers.
     For a scene that is too stiff for the study there is one setting alone, `stiff`: see `stiffness`.
     """
     sizes, found = study["sizes"], []
     low = str(max((size for size in sizes if size <= n), default=sizes[0]))
     high = str(min((size for size in sizes if size >= n), default=sizes[-1]))
+    known = {kind for setting in study["settings"] for of_size in setting["errors"].values() for kind in of_size}
+    kinds = known.intersection(kinds) or known  # a study of few kinds
     for setting in study["settings"]:
-        if low not in setting["us"] or high not in setting["us"] or is_gone(setting["options"]):
-            continue  # Large piles were run with fewer settings.
-        by_kind = [setting["errors"][size] for size in (low, high)]
-        alike = [one[kind] for one in by_kind for kind in kinds if kind in one]
-        alike = alike or [errors for one in by_kind for errors in one.values()]  # a study of few kinds
-        errors = {name: max(one[name] for one in alike if name in one) for name in alike[0]}
+        measured = {size: kinds <= of_size.keys() for size, of_size in setting["errors"].items()}
+        if not (measured.get(low) and measured.get(high)) or is_gone(setting["options"]):
+            continue  # Large piles, and kinds other than plain ones, were run with fewer settings.
+        alike = [setting["errors"][size][kind] for size in (low, high) for kind in kinds]
+        names = dict.fromkeys(name for one in alike for name in one)
+        errors = {name: max(one[name] for one in alike if name in one) for name in names}
         k = substeps[setting["dt"]]
-        us = k * _us_at(n, {int(size): us for size, us in setting["us"].items()}) * setting["dt"] / TIME_STEP
+        times = {int(size): max(setting["us"][size][kind] for kind in kinds) for size, kept in measured.items() if kept}
+        us = k * _us_at(n, times) * setting["dt"] / TIME_STEP
         options = dict(setting["options"])
         start = options.pop("start", "builtin")
         solver = solver_from(options.pop("method"), options)
@@ -313,12 +315,18 @@ def _stiff_candidate(solver, candidates: list[dict]) -> dict:
 
 
 def kinds_of(scene: State) -> list[str]:
-    """The kinds of piles of the study (`studies.runs.KINDS`) that a scene is like, or lies between."""
-    radius, friction = scene.bodies.radius, scene.world.friction
-    found = ["no friction"] if friction < FRICTION else []
+    """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between."""
+    radius, world = scene.bodies.radius, scene.world
+    if not any(world.gravity):
+        return ["gas"]
+    found = ["drum"] if any(world.surface_speeds) else []
+    if world.friction < FRICTION:
+        found.append("no friction")
+    if world.restitution > 0:
+        found += ["elastic 0.3"] * (world.restitution < 0.8) + ["elastic 0.8"] * (world.restitution > 0.3)
     if scene.bodies.count and radius.max() > 1.05 * radius.min():
         return [*found, "mixed radii"]
-    return [*found, "plain"] if friction > 0 else found
+    return [*found, "plain"] if world.friction > 0 and world.restitution < 0.3 else found
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:
@@ -345,27 +353,17 @@ def outside(scene: State, study: Mapping) -> list[str]:
         found.append(f"densities that differ {mass.max() / mass.min():.3g} times; it has equal ones")
     if world.friction > 0.5:
         found.append(f"friction {world.friction:g}; it has 0 and 0.5")
-    if world.restitution > 0:
-        found.append(f"restitution {world.restitution:g}; it has 0")
+    if world.restitution > 0.8:
+        found.append(f"restitution {world.restitution:g}; it has 0, 0.3 and 0.8")
     if stiff := stiffness(scene):
         found.append(
             f"{stiff.why}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
             "at rest needs few, and the errors are those of the study's best setting"
         )
-    found += _too_long(scene, max(setting["dt"] for setting in study["settings"])) + _without_gravity(scene)
+    found += _too_long(scene, max(setting["dt"] for setting in study["settings"]))
     if fastest > 0 and speed > fastest:
         found.append(f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}")
     return found
-
-
-def _without_gravity(scene: State) -> list[str]:
-    """What to say of a preset in a scene without gravity."""
-    if any(scene.world.gravity):
-        return []
-    return [
-        "no gravity, which the study's piles have: the energy that collisions leave is not within its tolerances; "
-        "compare with a run of a smaller dt"
-    ]
 
 
 def _too_long(scene: State, dt: float) -> list[str]:

@@ -18,7 +18,7 @@ from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
 from deep_contact.studies import verdicts
-from deep_contact.studies.runs import ERRORS, cheaper_than_rivals
+from deep_contact.studies.runs import ERRORS
 from measured import REFERENCE, ROOT, stored
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))
@@ -181,12 +181,18 @@ def presets() -> list[list]:
     return rows + [[text, *(f"{PRESETS[preset][name]:g}" for preset in PRESETS)] for name, text in ERRORS.items()]
 
 
+def interval_of(value: float | None, low: float | None, high: float | None) -> str | None:
+    """Such as "5.1 (4.0–6.3)"; an end that no setting makes is a question mark."""
+    ends = "–".join(f"{end:.1f}" if end else "?" for end in (low, high))
+    return value and f"{value:.1f} ({ends})"
+
+
 def rivals() -> list[list]:
     """How many times as long as ours the fastest other engine takes for a preset on plain piles; of how many piles."""
     found, piles = stored("figure_6_1")["data"]["presets"], stored("run_tradeoff")["options"]["peer_seeds"]
     sizes = dict.fromkeys(row["n_bodies"] for row in found)
-    times = {(row["n_bodies"], row["preset"]): cheaper_than_rivals(row) for row in found}
-    cells = ([times[n, preset] and f"{times[n, preset]:.1f}" for preset in PRESETS] for n in sizes)
+    times = {(row["n_bodies"], row["preset"]): interval_of(*row["ratio"]) for row in found}
+    cells = ([times[n, preset] for preset in PRESETS] for n in sizes)
     return [["circles", *PRESETS, "piles"], *([f"{n:,}", *row, piles[str(n)]] for n, row in zip(sizes, cells))]
 
 

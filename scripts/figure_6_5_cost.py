@@ -11,13 +11,19 @@ COLOURS = dict(zip(PRESETS, (plotting.SKY, plotting.GREEN, plotting.BLUE, plotti
 
 
 def compute(options, seed, jobs, progress):
-    """The presets of the study."""
-    return {"presets": runs.read_study(options["results"])["presets"]}
+    """The presets of the study on plain piles."""
+    found = runs.read_study(options["results"])["presets"]
+    return {
+        "presets": [
+            {"n_bodies": row["n_bodies"], "preset": row["preset"], "ours": row["kinds"]["plain"], "peers": row["peers"]}
+            for row in found
+        ]
+    }
 
 
 def rows_of(data, preset):
     """The rows of a preset by size, those without a setting of ours left out."""
-    rows = [row for row in data["presets"] if row["preset"] == preset and row["ours_plain"]]
+    rows = [row for row in data["presets"] if row["preset"] == preset and row["ours"]]
     return sorted(rows, key=lambda row: row["n_bodies"])
 
 
@@ -30,7 +36,7 @@ def fastest_rival(row, phase="us"):
 def claims(data):
     powers = {}
     for preset in PRESETS:
-        large = [(row["n_bodies"], row["ours_plain"]["us"]) for row in rows_of(data, preset) if row["n_bodies"] >= 1000]
+        large = [(row["n_bodies"], row["ours"]["us"]) for row in rows_of(data, preset) if row["n_bodies"] >= 1000]
         if len(large) > 1:
             powers[preset] = float(np.polyfit(*np.log(large).T, 1)[0])
     if powers:
@@ -38,9 +44,9 @@ def claims(data):
         yield Claim(text, None, max(powers.values()) <= 1.15, powers)
     for phase in ("impact", "rest"):
         ratios = {
-            f"{row['preset']}, {row['n_bodies']}": rival[1] / row["ours_plain"][phase]
+            f"{row['preset']}, {row['n_bodies']}": rival[1] / row["ours"][phase]
             for row in data["presets"]
-            if row["ours_plain"] and (rival := fastest_rival(row, phase))
+            if row["ours"] and (rival := fastest_rival(row, phase))
         }
         if ratios:
             text = f"no preset is dearer than with the fastest rival, {phase}"
@@ -51,7 +57,7 @@ def table(data):
     head = ["circles", "preset", "setting", "impact, µs", "run, µs", "rest, µs"]
     rows = [[*head, "fastest rival", "impact, µs", "run, µs", "rest, µs"]]
     for row in data["presets"]:
-        ours, rival = row["ours_plain"], fastest_rival(row)
+        ours, rival = row["ours"], fastest_rival(row)
         theirs = row["peers"][rival[0]] if rival else None
         cells = [row["n_bodies"], row["preset"]]
         for cost in (ours, theirs):
@@ -65,9 +71,9 @@ def draw(data, options):
     figure, (left, right) = plotting.subplots(1, 2, size=(plotting.PAGE, 3.8))
     for preset, colour in COLOURS.items():
         rows = rows_of(data, preset)
-        us = [row["ours_plain"]["us"] for row in rows]
+        us = [row["ours"]["us"] for row in rows]
         left.plot([row["n_bodies"] for row in rows], us, color=colour, marker="o", markersize=4, label=preset)
-        rivals = [(row["n_bodies"], *rival, row["ours_plain"]["us"]) for row in rows if (rival := fastest_rival(row))]
+        rivals = [(row["n_bodies"], *rival, row["ours"]["us"]) for row in rows if (rival := fastest_rival(row))]
         right.plot([n for n, *_ in rivals], [us / ours for *_, us, ours in rivals], color=colour)
         for n, engine, us, ours in rivals:
             right.plot(n, us / ours, plotting.ENGINE_MARKER[engine], color=colour, markersize=5)

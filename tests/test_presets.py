@@ -10,13 +10,13 @@ import pytest
 import deep_contact as dc
 from deep_contact import presets
 from deep_contact.presets import PRESETS
-from deep_contact.studies.runs import ERRORS
+from deep_contact.studies.runs import ERRORS, KINDS
 
 
 def entry(name, dt, us, share, **options):
     """A setting whose errors are `share` of the tolerances of "fast", at 100 and 1,000 circles."""
     errors = {error: share * most for error, most in PRESETS["fast"].items()}
-    times = {"100": us, "1000": 10 * us}
+    times = {"100": {"plain": us}, "1000": {"plain": 10 * us}}
     by_size = {size: {"plain": errors} for size in times}
     return {"name": name, "options": options, "dt": dt, "us": times, "errors": by_size}
 
@@ -139,13 +139,10 @@ def test_what_a_preset_cannot_keep_is_said_once_with_what_to_do(study):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         presets.solver_and_start(small.replace(dt=least), None)
-        presets.solver_and_start(dc.drifting_circles(20), None)  # who asks for no preset is promised none
-    with pytest.warns(presets.PresetWarning, match="'fast': no gravity, .* compare with a run of a smaller dt"):
-        presets.solver_and_start(dc.drifting_circles(20), "fast")
 
 
 def test_a_warning_names_the_line_of_the_user_and_a_loop_says_it_once(study):
-    scene = dc.two_bodies()
+    scene = dc.lattice_in_box(10, radius=(1e-3, 1e-3)).replace(dt=1.0)
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("default")
         for _ in range(3):
@@ -187,8 +184,8 @@ def test_a_preset_out_of_reach_is_said(study, monkeypatch):
         (dc.circles_in_box(100, radius=(0.4, 1.0)), None),
         (dc.lattice_in_box(200, radius=(0.1, 1.0)), r"radii that differ 9\.\d+ times; it has up to 3"),
         (dc.circles_in_box(50, friction=0.9), r"friction 0\.9; it has 0 and 0\.5"),
-        (dc.circles_in_box(50, restitution=0.2), r"restitution 0\.2; it has 0"),
-        (dc.drifting_circles(50), "no gravity"),
+        (dc.circles_in_box(50, restitution=0.9), r"restitution 0\.9; it has 0, 0\.3 and 0\.8"),
+        (dc.drifting_circles(50), None),
         (dc.column(4), "4 circles; it has 100 to 1,000"),
     ],
 )
@@ -225,23 +222,39 @@ def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():
     assert all(found.errors[name] <= most for name, most in found.tolerances.items() if name in found.errors)
 
 
-def test_a_preset_is_chosen_by_the_kinds_of_piles_that_a_scene_is_like(monkeypatch):
-    plain, mixed = dc.circles_in_box(20, seed=1), dc.circles_in_box(20, seed=1, radius=(0.5, 1.0))
-    slippery, smooth = (dc.circles_in_box(20, seed=1, friction=friction) for friction in (0.1, 0.0))
-    assert [presets.kinds_of(scene) for scene in (plain, mixed, slippery, smooth)] == [
-        ["plain"],
-        ["mixed radii"],
-        ["no friction", "plain"],
-        ["no friction"],
-    ]
+@pytest.mark.parametrize(
+    ("options", "kinds"),
+    [
+        ({}, {"plain"}),
+        ({"radius": (0.5, 1.0)}, {"mixed radii"}),
+        ({"friction": 0.1}, {"no friction", "plain"}),
+        ({"friction": 0.0}, {"no friction"}),
+        ({"restitution": 0.1}, {"plain", "elastic 0.3"}),
+        ({"restitution": 0.5}, {"elastic 0.3", "elastic 0.8"}),
+        ({"restitution": 0.9, "radius": (0.5, 1.0)}, {"mixed radii", "elastic 0.8"}),
+        ({"gravity": (0, 0)}, {"gas"}),
+        ({"segments": [((0, 0), (9, 0))], "surface_speeds": (1.0,)}, {"drum", "plain"}),
+    ],
+)
+def test_a_scene_is_like_kinds_of_the_study(options, kinds):
+    assert set(presets.kinds_of(dc.circles_in_box(20, seed=1, **options))) == kinds
+    assert kinds <= KINDS.keys()
+
+
+def test_a_preset_is_chosen_by_errors_and_times_of_the_kinds_that_a_scene_is_like(monkeypatch):
+    plain, mixed = dc.circles_in_box(100, seed=1), dc.lattice_in_box(100, seed=1, radius=(0.8, 1.2))
     cheap, dear = (entry(name, 0.01, us, 0.5, method="PGS", sweeps=us) for name, us in (("cheap", 10), ("dear", 20)))
-    for of_size in cheap["errors"].values():
-        of_size["mixed radii"] = {name: 9 * value for name, value in of_size["plain"].items()}
-    monkeypatch.setattr(presets, "installed", lambda: {"cpu": "", "sizes": [100, 1000], "settings": [cheap, dear]})
-    assert dc.recommend(plain).solver.sweeps == 10
+    on_plain = entry("on plain piles alone", 0.01, 1, 0.5, method="PGS", sweeps=30)
+    for size in ("100", "1000"):
+        for setting, times_worse in ((cheap, 9), (dear, 1)):
+            errors = setting["errors"][size]
+            errors["mixed radii"] = {name: times_worse * value for name, value in errors["plain"].items()}
+            setting["us"][size]["mixed radii"] = 3 * setting["us"][size]["plain"]
+    settings = [cheap, dear, on_plain]
+    monkeypatch.setattr(presets, "installed", lambda: {"cpu": "", "sizes": [100, 1000], "settings": settings})
+    assert dc.recommend(plain).solver.sweeps == 30
     found = dc.recommend(mixed)
-    assert found.solver.sweeps == 20
-    assert found.reached
+    assert (found.solver.sweeps, found.us, found.reached) == (20, 60.0, True)
 
 
 @pytest.mark.parametrize("accuracy", presets.PRESETS)

@@ -320,18 +320,18 @@ def _means(runs: Sequence[Observation]) -> dict:
 
 
 def times(
-    n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int, phase: str | float
+    kind: str, n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int, phase: str | float
 ) -> dict[str, float]:
-    """Wall time of TIME_STEP of a pile with each setting, μs, by name; they take turns, the least counts.
+    """Wall time of TIME_STEP of a scene with each setting, μs, by name; they take turns, the least counts.
 
-    phase: one of `PHASES`, or seconds after the start. steps: of TIME_STEP in each run. Other engines start from the
-    same bodies; what their Python wrapper costs a step is part of what their users pay. Of piles for which ours takes
-    two threads, they are run on one and on two, where they can, and the lesser time counts.
+    phase: one of `PHASES` of a pile, or seconds after the start. steps: of TIME_STEP in each run. Other engines start
+    from the same bodies; what their Python wrapper costs a step is part of what their users pay. Of scenes for which
+    ours takes two threads, they are run on one and on two, where they can, and the lesser time counts.
     """
     if phase in PHASES:
-        start = piles.pile(phase, n_bodies, seed, solver=TWENTY, most=6000)
+        start = piles.pile(phase, n_bodies, seed, solver=TWENTY, most=6000, make=partial(scene, kind))
     else:
-        start = simulate(piles.scene(n_bodies, seed), steps=round(phase / TIME_STEP), solver=TWENTY).state
+        start = simulate(scene(kind, n_bodies, seed), steps=round(phase / TIME_STEP), solver=TWENTY).state
     runs, setup, worlds = {}, {}, {}
     for setting in settings:
         name, count = name_of(setting), round(steps * TIME_STEP / setting["dt"])
@@ -372,10 +372,10 @@ def rows(ensembles: Mapping) -> list[dict]:
 def with_times(row: Mapping, took: Mapping) -> dict:
     """The row with its times, μs: "us", the mean over `MOMENTS`, or None, and "phases", those of the phases.
 
-    took: (n_bodies, phase) -> {name: μs}.
+    took: (kind, n_bodies, phase) -> {name: μs}.
     """
-    n, name = row["n_bodies"], row["name"]
-    phases = {phase: by_name[name] for (size, phase), by_name in took.items() if size == n and name in by_name}
+    scene, name = (row["kind"], row["n_bodies"]), row["name"]
+    phases = {phase: by_name[name] for (*of, phase), by_name in took.items() if (*of,) == scene and name in by_name}
     moments = [phases.pop(moment) for moment in MOMENTS if moment in phases]
     return row | {"us": math.fsum(moments) / len(moments) if moments else None, "phases": phases}
 
@@ -389,13 +389,16 @@ def read_study(path) -> dict:
     return {"rows": kept, "presets": presets(kept)}
 
 
-def worst_errors(found: Iterable[Mapping]) -> dict[str, float]:
-    """Of rows of one setting and size: the largest of each error over the kinds of piles, unknown ones left out."""
+def worst_errors(found: Iterable[Mapping], at: int = 0) -> dict[str, float]:
+    """Of rows of one setting and size: the largest of each error over the kinds of scenes, unknown ones left out.
+
+    at: 0 for the value, 1 and 2 for the ends of its interval.
+    """
     worst: dict[str, float] = {}
     for row in found:
         for name, value in (row["errors"] or {}).items():
             if value is not None:
-                worst[name] = max(worst.get(name, 0.0), value[0])
+                worst[name] = max(worst.get(name, 0.0), value[at])
     return worst
 
 
@@ -407,29 +410,40 @@ def meets(worst: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
 def presets(found: Sequence[Mapping]) -> list[dict]:
     """For each size and preset the cheapest setting that keeps it.
 
-    found: rows. Returns [{"n_bodies", "preset", "ours": on all kinds of piles, "ours_plain": on plain ones, "peers":
-    engine -> on plain ones}] with {"name", "us", "impact", "rest"} or None each.
+    found: rows. Returns [{"n_bodies", "preset", "ours": on all kinds, with its time on the slowest, "kinds": kind ->
+    on that kind, "peers": engine -> on plain piles, "ratio"}] with {"name", "us", "impact", "rest"} or None each.
+    ratio: time of the fastest other engine over ours on plain piles, [value, low, high] or None each. Low is that where
+    all our errors are at the upper and all of theirs at the lower ends of their intervals; high the other way round.
     """
 
-    def cheapest(n, engine, preset, kinds):
+    def cheapest(n, engine, preset, kinds, at=0):
         kept = []
         for mine in settings[n].values():
             judged = [row for row in mine if row["kind"] in kinds]
-            if mine[0]["setting"].get("engine") == engine and meets(worst_errors(judged), PRESETS[preset]):
-                kept.append({"name": mine[0]["name"], "us": mine[0]["us"], **mine[0]["phases"]})
+            enough = mine[0]["setting"].get("engine") == engine and len(judged) == len(kinds)
+            if enough and meets(worst_errors(judged, at), PRESETS[preset]):
+                slowest = max(judged, key=lambda row: row["us"])
+                kept.append({"name": mine[0]["name"], "us": slowest["us"], **slowest["phases"]})
         return min(kept, key=lambda one: one["us"], default=None)
+
+    def ratio(n, preset, ours, theirs):
+        mine = cheapest(n, None, preset, ["plain"], ours)
+        rivals = [found["us"] for name in peers.ENGINES if (found := cheapest(n, name, preset, ["plain"], theirs))]
+        return min(rivals) / mine["us"] if mine and rivals else None
 
     settings: dict = {n: {} for n in sorted({row["n_bodies"] for row in found})}
     for row in found:
         if row["us"] is not None and row["errors"]:
             settings[row["n_bodies"]].setdefault(row["name"], []).append(row)
+    kinds = list(dict.fromkeys(row["kind"] for row in found))
     return [
         {
             "n_bodies": n,
             "preset": preset,
-            "ours": cheapest(n, None, preset, KINDS),
-            "ours_plain": cheapest(n, None, preset, ["plain"]),
+            "ours": cheapest(n, None, preset, kinds),
+            "kinds": {kind: cheapest(n, None, preset, [kind]) for kind in kinds},
             "peers": {engine: cheapest(n, engine, preset, ["plain"]) for engine in peers.ENGINES},
+            "ratio": [ratio(n, preset, *ends) for ends in ((0, 0), (2, 1), (1, 2))],
         }
         for n, preset in product(settings, PRESETS)
     ]
@@ -447,9 +461,3 @@ def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
 def sizes_of(rows: Iterable[Mapping]) -> list[int]:
     """Numbers of circles, ascending."""
     return sorted({row["n_bodies"] for row in rows})
-
-
-def cheaper_than_rivals(row: Mapping) -> float | None:
-    """Cost of the fastest other engine over ours, on plain piles, for a row of `presets`; None where one is missing."""
-    rivals = [peer["us"] for peer in row["peers"].values() if peer]
-    return min(rivals) / row["ours_plain"]["us"] if rivals and row["ours_plain"] else None

@@ -107,6 +107,22 @@ def test_each_error_by_hand(name, changed, expected):
     np.testing.assert_allclose(found[name], expected, rtol=1e-9)
 
 
+def test_what_a_gas_and_a_drum_never_have_is_unknown():
+    gas, drum = observation()._replace(force=None), observation(speed=1.0)
+    known = {name for name, value in errors([gas], [gas]).items() if value is not None}
+    assert known == {"energy", "penetration_max"}
+    assert errors([drum], [drum])["creep"] is None  # heights of what flows are not settled
+    assert errors([drum], [drum])["height"] == 0
+
+
+def test_a_gas_is_measured_by_its_fastest_circle():
+    run = states(dc.drifting_circles(20, speed=5.0, seed=1), count=30)
+    seen, speed = observe(run), np.hypot(*run[0].bodies.velocity.T)
+    np.testing.assert_allclose(seen.speed[0], 10 * np.sqrt((speed**2).mean()) / speed.max())
+    np.testing.assert_allclose(seen.kinetic[0], 50 * (speed**2).mean() / speed.max() ** 2, rtol=1e-6)
+    assert seen.force is None
+
+
 def test_calm_is_no_error_and_unknown_forces_are_none():
     reference = [observation(speed=0.1, loads=np.minimum(1, LOADS))]
     found = errors([observation(speed=0.05)], reference)
@@ -135,8 +151,8 @@ def test_what_cannot_be_observed_is_refused():
     run = states(dc.circles_in_box(20, seed=1), count=5)
     with pytest.raises(ValueError, match=f"states: expected at least {REST}, got 5"):
         observe(run)
-    with pytest.raises(ValueError, match="states: expected gravity"):
-        observe([dc.simulate(dc.drifting_circles(3), steps=1).state])
+    with pytest.raises(ValueError, match="states: expected gravity or motion"):
+        observe([dc.simulate(dc.drifting_circles(3, speed=0.0), steps=1).state])
     with pytest.raises(ValueError, match="found: expected 2 runs, as the reference has, got 1"):
         intervals([observation()], [observation()] * 2)
 

@@ -70,7 +70,7 @@ def test_rows_hold_every_setting_against_the_reference():
         for s in settings
     }
     took = {runs.MOMENTS[0]: 6.0, runs.MOMENTS[1]: 8.0, "rest": 5.0}
-    took = {(30, phase): {runs.name_of(COARSE): us} for phase, us in took.items()}
+    took = {("plain", 30, phase): {runs.name_of(COARSE): us} for phase, us in took.items()}
     reference, coarse = (runs.with_times(row, took) for row in runs.rows({("plain", 30): seen}))
     assert (reference["errors"], reference["us"]) == (None, None)
     assert (coarse["us"], coarse["phases"], coarse["seeds"]) == (7.0, {"rest": 5.0}, 2)
@@ -92,11 +92,32 @@ def row(setting, us, error, kind="plain"):
 def test_the_cheapest_setting_that_keeps_a_preset_on_every_kind_is_chosen():
     fine, peer = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
     rows = [row(COARSE, 1.0, 0.0), row(COARSE, 1.0, 1e3, "mixed radii"), row(peer, 12.0, 0.0)]
-    rows += [row(fine, 2.0, 0.0, kind) for kind in runs.KINDS]
+    rows += [row(fine, us, 0.0, kind) for kind, us in (("plain", 2.0), ("mixed radii", 3.0))]
     found = next(one for one in runs.presets(rows) if one["preset"] == "preview")
-    assert (found["ours"]["us"], found["ours_plain"]["us"], found["peers"]["pymunk"]["us"]) == (2.0, 1.0, 12.0)
-    assert runs.cheaper_than_rivals(found) == 12.0
+    assert found["ours"]["us"] == 3.0  # on the slowest kind
+    assert {kind: best["us"] for kind, best in found["kinds"].items()} == {"plain": 1.0, "mixed radii": 3.0}
+    assert found["peers"]["pymunk"]["us"] == 12.0
     assert found["peers"]["Box2D v3"] is None
+    assert found["ratio"] == [12.0, 12.0, 12.0]
+
+
+def test_the_ratio_to_rivals_has_the_ends_of_the_errors():
+    dear, peer = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
+    dear_peer = peer | {"sweeps": 10}
+    # The cheap ones keep the preset but for the upper end of their intervals.
+    rows = [row(COARSE, 1.0, 0.0), row(dear, 2.0, 0.0), row(peer, 12.0, 0.0), row(dear_peer, 36.0, 0.0)]
+    for one in (rows[0], rows[2]):
+        one["errors"]["energy"] = (0.0, 0.0, 1e3)
+    found = next(one for one in runs.presets(rows) if one["preset"] == "preview")
+    assert found["ratio"] == [12.0, 6.0, 36.0]
+
+
+@pytest.mark.parametrize("kind", ["gas", "drum"])
+def test_scenes_that_never_rest_are_observed(kind):
+    seen = runs.observation(runs.observed(kind, 40, 3, COARSE, seconds=1.0))
+    assert (seen.force is None) == (kind == "gas")
+    assert seen.speed[-1] > runs.SETTLED
+    assert seen.penetration.max() < 1
 
 
 def test_rows_of_what_is_gone_are_left_out(tmp_path):
