@@ -50,9 +50,9 @@ _WORK, _SECONDS = 20_000_000, 0.2
 COINCIDENT = 0.1
 """Distance of two centres, in the smaller radius, below which `simulate` warns."""
 
-FIRST_SWEEPS = 200, 2000
-"""Least and most sweeps of step 0 of a preset's run whose contacts carry no impulses: with few sweeps a pile at rest
-would fall into itself. Between them it is a fifth of the circles."""
+FIRST_SWEEPS = 500, 2000
+"""Least and most sweeps of the first step of a preset's run whose contacts carry no impulses: with few sweeps a pile at
+rest would fall into itself. Between them it is one for each circle."""
 
 
 class Simulation(NamedTuple):
@@ -172,11 +172,12 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     every = steps + 1 if record is None else integer("record", record, least=1)
     if dt is not None:
         state = with_time_step(state, dt)
+    without_past = state.contacts is None or state.step == 0
     state = ready(state)
     by_preset = accuracy is not None or (solver is None and state.solver is None)
     solver, start = method_of(state, solver, warm_start, accuracy, sleep=sleep)
-    # At step 0 alone, so that a run comes to the same in one go and in parts.
-    if by_preset and state.step == 0 and isinstance(start, Builtin) and not state.contacts.normal_start.any():
+    # Not of a run that goes on, so that it comes to the same in one go and in parts.
+    if by_preset and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
         state = _with_a_past(state)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state = state.replace(solver=solver)
@@ -325,7 +326,7 @@ def _with_a_past(state: StateWithContacts) -> StateWithContacts:
     if state.contacts.count == 0:
         return state
     least, most = FIRST_SWEEPS
-    solver = NesterovPGS(sweeps=min(max(least, state.bodies.count // 5), most), tolerance=None)
+    solver = NesterovPGS(sweeps=min(max(least, state.bodies.count), most), tolerance=None)
     found = solve_contacts(state, solver=solver, start="support")
     normal, tangent = found.normal_impulses, found.tangent_impulses
     contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)

@@ -70,6 +70,7 @@ def test_a_pile_without_a_past_does_not_fall_into_itself():
     scene = dc.simulate(dc.lattice_in_box(150, seed=3), steps=900, solver=dc.PGS(sweeps=50, tolerance=None)).state
     speeds = {}
     for name, options in {"preset": {}, "none": {"solver": dc.PGS(sweeps=6, tolerance=None)}}.items():
-        run = dc.simulate(without_past(scene).replace(solver=None, step=0, time=0.0), steps=50, record=1, **options)
+        bare = scene.replace(solver=None, contacts=None)  # of any step: without contacts no run goes on
+        run = dc.simulate(bare, steps=50, record=1, **options)
         speeds[name] = max(np.sqrt((s.bodies.velocity**2).sum(axis=1).mean()) for s in run.trajectory)
     assert speeds["preset"] < 0.06 < speeds["none"]
