@@ -120,6 +120,7 @@ FULL = {
     "sizes": [100, 1000, 3000, 10_000],
     "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000", "3000", "10000")},
     "peer_seeds": {"100": 12, "1000": 3, "3000": 3, "10000": 3},
+    "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
     "model": [100, 1000],
     "seconds": 6.0,
     "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
@@ -132,6 +133,7 @@ QUICK = {
     "sizes": [100, 300],
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
     "peer_seeds": {"100": 4, "300": 3},
+    "ladder_seeds": {"100": 4, "300": 3},
     "model": [],
     "seconds": 4.0,
     "settings": {"100": SMALL, "300": MEDIUM},
@@ -152,12 +154,13 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
     for n in options["sizes"]:
         ours, rivals, on_plain = (options[name].get(str(n), []) for name in ("settings", "peers", "ladders"))
         for kind, count in options["seeds"][str(n)].items():
-            more = [runs.REFERENCE]
+            every, more = [*ours, runs.REFERENCE], []
             if kind == "plain":
-                more += on_plain + rivals + list(runs.MODEL.values() if n in options["model"] else [])
-            by_name = {runs.name_of(setting): setting for setting in ours + more}
+                more = on_plain + rivals + list(runs.MODEL.values() if n in options["model"] else [])
+            by_name = {runs.name_of(setting): setting for setting in every + more}
             for name, setting in by_name.items():
-                wanted = options["peer_seeds"][str(n)] if "engine" in setting else count
+                few = "peer_seeds" if "engine" in setting else None if setting in every else "ladder_seeds"
+                wanted = options[few].get(str(n), count) if few else count
                 row = known.get((kind, n, name))
                 if row and row["seeds"] >= wanted:
                     kept[kind, n, name] = row
