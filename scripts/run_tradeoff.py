@@ -250,13 +250,7 @@ VERIFY = {
     "seeds": {"100": 20, "300": 10, "1000": 6},
     "more_seeds": {"1000": 20},
     "seconds": 6.0,
-    "timed": {
-        "100": ["plain"],
-        "300": ["plain"],
-        "1000": [*runs.HELD_OUT_KINDS],
-        "3000": ["plain"],
-        "10000": ["plain"],
-    },
+    "timed": dict.fromkeys(["100", "300", "3000", "10000"], ["plain"]) | {"1000": list(runs.HELD_OUT_KINDS)},
     "steps": {"100": 200, "300": 100, "1000": 50, "3000": 20, "10000": 10},
     "repeats": 3,
 }
