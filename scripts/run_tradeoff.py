@@ -118,7 +118,8 @@ FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] in (2, 4, 10) and s["dt"] >
 
 FULL = {
     "sizes": [100, 1000, 3000, 10_000],
-    "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000", "3000", "10000")},
+    "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000", "3000")}
+    | {"10000": {kind: 6 for kind in runs.KINDS if kind != "drum"}},  # ten times as dear, by its segments
     "peer_seeds": {"100": 12, "1000": 3, "3000": 3, "10000": 3},
     "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
     "model": [100, 1000],
