@@ -82,7 +82,7 @@ def test_an_ensemble_has_no_error_against_itself():
     found = errors(runs, runs)
     absolute = {"penetration", "penetration_95", "penetration_max"}
     assert found.keys() == ERRORS.keys()
-    assert all(found[name] == 0 for name in found.keys() - absolute)
+    assert not any(found[name] for name in found.keys() - absolute)  # creep is unknown: they still fall
     assert 0 < found["penetration"] <= found["penetration_95"] <= found["penetration_max"]
 
 
@@ -117,9 +117,11 @@ def test_what_a_gas_and_a_drum_never_have_is_unknown():
 
 def test_a_gas_is_measured_by_its_fastest_circle():
     run = states(dc.drifting_circles(20, speed=5.0, seed=1), count=30)
-    seen, speed = observe(run), np.hypot(*run[0].bodies.velocity.T)
+    seen, bodies = observe(run), run[0].bodies
+    speed = np.hypot(*bodies.velocity.T)
+    kinetic = 0.5 * (bodies.mass @ speed**2 + bodies.inertia @ bodies.spin**2) / bodies.mass.sum()
     np.testing.assert_allclose(seen.speed[0], 10 * np.sqrt((speed**2).mean()) / speed.max())
-    np.testing.assert_allclose(seen.kinetic[0], 50 * (speed**2).mean() / speed.max() ** 2, rtol=1e-6)
+    np.testing.assert_allclose(seen.kinetic[0], 100 * kinetic / speed.max() ** 2)
     assert seen.force is None
 
 
