@@ -271,11 +271,10 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
     slowest of these kinds, interpolated between the sizes by powers.
     For a scene that is too stiff for the study there is one setting alone, `stiff`: see `stiffness`.
     """
-    sizes, found = study["sizes"], []
-    low = str(max((size for size in sizes if size <= n), default=sizes[0]))
-    high = str(min((size for size in sizes if size >= n), default=sizes[-1]))
-    known = {kind for setting in study["settings"] for of_size in setting["errors"].values() for kind in of_size}
-    kinds = known.intersection(kinds) or known  # a study of few kinds
+    found = []
+    low, high = _sizes_around(n, study)
+    known = _kinds_near(n, study)
+    kinds = known.intersection(kinds) or known
     for setting in study["settings"]:
         measured = {size: kinds <= of_size.keys() for size, of_size in setting["errors"].items()}
         if not (measured.get(low) and measured.get(high)) or is_gone(setting["options"]):
@@ -294,6 +293,22 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
             solver = replace(solver, substeps=k, most_substeps=most)
         found.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
     return found if stiff is None else [_stiff_candidate(stiff, found)]
+
+
+def _sizes_around(n: int, study: Mapping) -> tuple[str, str]:
+    """The sizes of the study on either side of n circles."""
+    sizes = study["sizes"]
+    low = max((size for size in sizes if size <= n), default=sizes[0])
+    return str(low), str(min((size for size in sizes if size >= n), default=sizes[-1]))
+
+
+def _kinds_near(n: int, study: Mapping) -> set[str]:
+    """The kinds of scenes that the study has at both sizes next to n circles."""
+    low, high = (
+        {kind for setting in study["settings"] for kind in setting["errors"].get(size, ())}
+        for size in _sizes_around(n, study)
+    )
+    return low & high
 
 
 def is_gone(setting: Mapping) -> bool:
@@ -347,6 +362,8 @@ def outside(scene: State, study: Mapping) -> list[str]:
     fastest, found = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean()), []
     if not min(sizes) / 3 <= bodies.count <= 3 * max(sizes):
         found.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")
+    if missing := set(kinds_of(scene)) - _kinds_near(bodies.count, study):
+        found.append(f"{bodies.count:,} circles of the kind {', '.join(sorted(missing))}; it has none of about this size")
     if radius.max() > 3.001 * radius.min():
         found.append(f"radii that differ {radius.max() / radius.min():.3g} times; it has up to 3")
     if mass.max() > 1.001 * mass.min():

@@ -181,11 +181,11 @@ def test_a_preset_out_of_reach_is_said(study, monkeypatch):
     ("scene", "said"),
     [
         (dc.circles_in_box(100), None),
-        (dc.circles_in_box(100, radius=(0.4, 1.0)), None),
+        (dc.circles_in_box(100, radius=(0.4, 1.0)), "100 circles of the kind mixed radii; it has none of about this"),
         (dc.lattice_in_box(200, radius=(0.1, 1.0)), r"radii that differ 9\.\d+ times; it has up to 3"),
         (dc.circles_in_box(50, friction=0.9), r"friction 0\.9; it has 0 and 0\.5"),
         (dc.circles_in_box(50, restitution=0.9), r"restitution 0\.9; it has 0, 0\.3 and 0\.8"),
-        (dc.drifting_circles(50), None),
+        (dc.drifting_circles(50), "50 circles of the kind gas"),
         (dc.column(4), "4 circles; it has 100 to 1,000"),
     ],
 )
