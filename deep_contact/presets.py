@@ -363,7 +363,8 @@ def outside(scene: State, study: Mapping) -> list[str]:
     if not min(sizes) / 3 <= bodies.count <= 3 * max(sizes):
         found.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")
     if missing := set(kinds_of(scene)) - _kinds_near(bodies.count, study):
-        found.append(f"{bodies.count:,} circles of the kind {', '.join(sorted(missing))}; it has none of about this size")
+        kinds = ", ".join(sorted(missing))
+        found.append(f"{bodies.count:,} circles of the kind {kinds}; it has none of about this size")
     if radius.max() > 3.001 * radius.min():
         found.append(f"radii that differ {radius.max() / radius.min():.3g} times; it has up to 3")
     if mass.max() > 1.001 * mass.min():

@@ -251,7 +251,7 @@ VERIFY = {
     "seeds": {"100": 20, "300": 10, "1000": 6},
     "more_seeds": {"1000": 20},
     "seconds": 6.0,
-    "timed": dict.fromkeys(["100", "300", "3000", "10000"], ["plain"]) | {"1000": list(runs.HELD_OUT_KINDS)},
+    "timed": {n: ["plain"] for n in ("100", "300", "3000", "10000")} | {"1000": list(runs.HELD_OUT_KINDS)},
     "steps": {"100": 200, "300": 100, "1000": 50, "3000": 20, "10000": 10},
     "repeats": 3,
 }
