@@ -31,7 +31,7 @@ def cosine(epochs: int, rate: float) -> Callable[[int], float]:
     return lambda epoch: float(decay(epoch))
 
 
-_SCHEDULES = {
+SCHEDULES = {
     "algorithm 6": lambda epochs, rate: algorithm_6,
     "appendix b": lambda epochs, rate: appendix_b,
     # Over so many epochs in place of its 1,000, so that a shorter run takes each of its rates.
@@ -39,7 +39,7 @@ _SCHEDULES = {
     "cosine": cosine,
     "constant": lambda epochs, rate: lambda epoch: rate,
 }
-SCHEDULES = tuple(_SCHEDULES)
+"""Name -> schedule by the number of epochs and the rate."""
 
 BY_LENGTH = ("scaled appendix b", "cosine")
 """Schedules whose rates depend on the number of epochs."""
@@ -50,4 +50,4 @@ def schedule(name: str, *, epochs: int, rate: float) -> Callable[[int], float]:
 
     Raises ValueError on another name.
     """
-    return _SCHEDULES[one_of("schedule", name, SCHEDULES)](epochs, rate)
+    return SCHEDULES[one_of("schedule", name, SCHEDULES)](epochs, rate)

@@ -12,7 +12,7 @@ import deep_contact as dc
 rng = np.random.default_rng(1)
 n = 120
 jet = np.arange(n) % 2  # 0: from the left, 1: from the right
-# m
+# centres, m
 position = np.column_stack([np.where(jet, 14.0, 6.0), 8.0 + 1.1 * (np.arange(n) // 2)])
 position[:, 0] += rng.uniform(-0.2, 0.2, n)
 velocity = np.column_stack([np.where(jet, -3.0, 3.0), np.full(n, -5.0)])  # m/s

@@ -1,6 +1,8 @@
 #!/usr/bin/env bash
 # The package without its repository: build the source distribution, from that the wheel; install the wheel beside the
 # packages of .venv and use it in an empty folder; pass the tests of files in the unpacked source distribution.
+# DEEP_CONTACT_WHEEL_PYTHON names another python, such as python3.13: then the wheel comes with its own packages from
+# the index (2.6 GB), and every program of the gallery runs.
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 . scripts/venv.sh
@@ -40,16 +42,21 @@ fi
 ) &
 tests=$!
 
-# The folders of packages are added to an environment with the wheel alone. Their .pth files, which name the checkout,
-# are not read there.
-"$PYTHON" -m venv --without-pip "$work/env"
+other="${DEEP_CONTACT_WHEEL_PYTHON:-}"
+"${other:-$PYTHON}" -m venv --without-pip "$work/env"
 packages="$("$work/env/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
-"$PYTHON" -m pip --python "$work/env/bin/python" install --quiet --disable-pip-version-check --no-deps --no-index \
-    "$work"/deep_contact-*.whl
-# Machine code that the tests have made: whether it fits is told by the contents of the sources.
-find deep_contact -name '*.nb[ic]' | tar cf - -T - | tar xf - -C "$packages"
-"$PYTHON" -c 'import sys; print(*(path for path in sys.path if path.endswith("-packages")), sep="\n")' \
-    > "$packages/outside.pth"
+install=("$PYTHON" -m pip --python "$work/env/bin/python" install --quiet --disable-pip-version-check)
+if [ -n "$other" ]; then
+    "${install[@]}" "$(echo "$work"/deep_contact-*.whl)[cluster]"
+else
+    # The folders of packages are added to an environment with the wheel alone. Their .pth files, which name the
+    # checkout, are not read there.
+    "${install[@]}" --no-deps --no-index "$work"/deep_contact-*.whl
+    # Machine code that the tests have made: whether it fits is told by the contents of the sources.
+    find deep_contact -name '*.nb[ic]' | tar cf - -T - | tar xf - -C "$packages"
+    "$PYTHON" -c 'import sys; print(*(path for path in sys.path if path.endswith("-packages")), sep="\n")' \
+        > "$packages/outside.pth"
+fi
 export PATH="$work/env/bin:$PATH"
 
 cd "$work/empty"
@@ -86,7 +93,11 @@ deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
 deep-contact view --bodies 10 --steps 8 --every 4 --out view.gif
 deep-contact figure 5.3 --quick > figure.txt
 deep-contact table 5.1 --quick > table.txt
-python "$source/docs/gallery/predict_impulses.py" > gallery.txt
+programs=("$source"/docs/gallery/predict_impulses.py)
+[ -z "$other" ] || programs=("$source"/docs/gallery/*.py)
+for program in "${programs[@]}"; do
+    mkdir "${program##*/}" && (cd "${program##*/}" && python "$program" > printed.txt)
+done
 for file in later.xml run.h5 predictions/rest_362.csv view.gif figures/figure_5_3.png figures/table_5_1.md; do
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done

@@ -53,18 +53,13 @@ class TrainingConfig:
         object.__setattr__(self, "targets", tuple(self.targets))
         object.__setattr__(self, "fractions", tuple(map(float, self.fractions)))
 
-    @property
-    def is_far_field(self) -> bool:
-        """Whether it is a run of the far-field network."""
-        return self.architecture == "far field"
-
     def spec(self) -> ImageSpec | FarFieldSpec:
         """The images of this run."""
         from deep_contact.cnn.far_field import FarFieldSpec
         from deep_contact.cnn.images import ImageSpec
 
         sizes = {"spacing": self.spacing, "support": self.support}
-        return FarFieldSpec(**sizes) if self.is_far_field else ImageSpec(**sizes, targets=self.targets)
+        return FarFieldSpec(**sizes) if self.architecture == "far field" else ImageSpec(**sizes, targets=self.targets)
 
 
 def thesis_config(**changes) -> TrainingConfig:

@@ -83,7 +83,7 @@ def train(
     if initial and initial.spec != config.spec():
         raise ValueError(f"from_model: expected a network for the images {config.spec()}, got one for {initial.spec}")
     settings = json.loads(json.dumps(settings))
-    kind = FarFieldRun if config.is_far_field else ImageRun
+    kind = {"far field": FarFieldRun, "thesis": ImageRun}[config.architecture]
     run = kind(config, store, split, initial and initial.network)
     about = {"command": command, "config": settings, "data_hash": settings["data"], "split": split._asdict()}
     run.resume(out, about)
