@@ -119,9 +119,7 @@ class LearnedModel:
         """
         image = np.asarray(image, np.float32)
         if image.shape not in self._compiled:
-            if image.ndim != 3 or not self._fits(image.shape):
-                raise ValueError(f"image: expected shape {self._takes()}, got {image.shape}")
-            self._compiled[image.shape] = self._compile(image.shape)
+            self._compiled[image.shape] = self._compile(image.shape, self._output_shape(image.shape))
         return self._compiled[image.shape](image)
 
     def _seen(self, state):
@@ -129,19 +127,16 @@ class LearnedModel:
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
 
     def _output_shape(self, shape):
+        takes = self.network.input_shape[1:]
+        if len(shape) != 3 or any(side not in (None, given) for side, given in zip(takes, shape)):
+            raise ValueError(f"image: expected shape {takes}, got {shape}")
         return (*shape[:2], len(self.spec.targets))
 
-    def _takes(self):
-        return self.network.input_shape[1:]
-
-    def _fits(self, shape):
-        return all(side in (None, given) for side, given in zip(self._takes(), shape))
-
-    def _compile(self, shape):
+    def _compile(self, shape, output):
         """The network for images of this shape, traced once, without the overhead of `keras.Model.predict`."""
         from deep_contact.cnn.backend import tensorflow as tf
 
-        traced, output = tf.function(lambda image: self.network(image, training=False)), self._output_shape(shape)
+        traced = tf.function(lambda image: self.network(image, training=False))
         # The concrete function skips the look-up by signature, a tenth of the time of a small network.
         concrete = traced.get_concrete_function(tf.TensorSpec((1, *shape), tf.float32))
         return lambda image: concrete(tf.constant(image[None])).numpy().reshape(output)
@@ -185,15 +180,12 @@ class FarFieldModel(LearnedModel):
         return description.image, lambda image: correct(image, description).T
 
     def _output_shape(self, shape):
+        channels = len(self.spec.channels)
+        if len(shape) != 3 or shape[0] % 8 != 1 or shape[1] % 8 != 1 or shape[2] != channels:
+            raise ValueError(f"image: expected shape (8 j + 1, 8 k + 1, {channels}), got {shape}")
         return (*((n - 1) // COARSENING + 1 for n in shape[:2]), len(self.spec.targets))
 
-    def _takes(self):
-        return f"(8 j + 1, 8 k + 1, {len(self.spec.channels)})"
-
-    def _fits(self, shape):
-        return shape[0] % 8 == shape[1] % 8 == 1 and shape[2] == len(self.spec.channels)
-
-    def _compile(self, shape):
+    def _compile(self, shape, output):
         return Program(weights_of(self.source), shape[:2])
 
     def check_scene(self, state: State) -> None:
