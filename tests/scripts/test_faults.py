@@ -9,15 +9,13 @@ import os
 import re
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
 from pathlib import Path
 
 import pytest
-from conftest import SCRIPTS, load_script
-from lxml import etree
+from conftest import SCRIPTS
 
 import deep_contact as dc
 from deep_contact.io.state_xml import read_state, write_state
@@ -265,23 +263,3 @@ def test_nothing_asks_what_time_of_day_it_is():
     clock = re.compile(r"\btime\.time(_ns)?\b|\bdate(time)?\.(now|today)\b|from time import .*\btime(_ns)?\b")
     for path in [*PACKAGE.rglob("*.py"), *SCRIPTS.glob("*.py")]:
         assert not clock.search(path.read_text(encoding="utf-8")), path
-
-
-# ---- loaders ----
-
-
-def test_the_fuzzer_notices_files_and_connections_above_and_below_python(tmp_path):
-    # Its million inputs raise no alarm (data/reference/fuzz.json); this shows that they could.
-    pytest.importorskip("atheris")
-    fuzz = load_script("fuzz")
-    watch = fuzz.Watch(tmp_path)
-    watch.read(fuzz.seed_files()[0])
-    assert watch.caught() == {}
-    watch.looking = True
-    (tmp_path / "fuzz.txt").write_text("another file")
-    socket.create_connection(watch.port.getsockname()).close()
-    watch.looking = False
-    assert watch.caught().keys() >= {"open", "socket.connect", "connection to the bait"}
-    with pytest.raises(etree.XMLSyntaxError):
-        etree.parse(str(watch.bait))  # libxml2 opens files itself, and tells Python nothing
-    assert "opening of the bait" in watch.caught()

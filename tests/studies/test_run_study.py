@@ -10,45 +10,19 @@ import deep_contact as dc
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
-from deep_contact.studies import peers, piles, runs
+from deep_contact.studies import peers, runs
 from deep_contact.studies.parts import done
 
 COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
-
-
-@pytest.mark.parametrize(
-    ("setting", "name"),
-    [
-        (COARSE, "PGS, 3 sweeps, Δt"),
-        ({"method": "PSOR", "sweeps": 1, "dt": TIME_STEP / 4, "omega": 1.3}, "PSOR, 1 sweep, omega=1.3, Δt / 4"),
-        ({"method": "PGS", "sweeps": 4, "dt": 2 * TIME_STEP}, "PGS, 4 sweeps, 2 Δt"),
-        (COARSE | {"substeps": 4}, "PGS, 3 sweeps, substeps=4, Δt"),
-        ({"engine": "pymunk", "sweeps": 10, "dt": TIME_STEP}, "pymunk, 10 iterations, Δt"),
-    ],
-)
-def test_settings_have_names(setting, name):
-    assert runs.name_of(setting) == name
 
 
 def test_an_observation_is_read_as_it_was_stored():
     stored = runs.observed("mixed radii", 40, 3, COARSE, seconds=1.5)
     seen = runs.observation(json.loads(json.dumps(stored)))
     assert seen.kinetic.shape == (30,)
-    assert seen.penetration.shape == (30, 3)
     assert seen.kinetic.max() > 1  # it has fallen some radii
-    assert seen.loads[-1] <= 1
     again = runs.observed("mixed radii", 40, 3, COARSE, seconds=1.5)
     assert again == stored
-
-
-@pytest.mark.peers
-def test_a_pile_is_timed_in_each_phase():
-    found = {phase: piles.pile(phase, 40, 1, solver=runs.TWENTY, most=6000) for phase in runs.PHASES}
-    impact, rest = found.values()
-    assert impact.time < rest.time
-    assert 0.5 * 40 <= impact.contacts.count < 1.5 * 40 <= rest.contacts.count
-    speeds = {phase: np.sqrt((state.bodies.velocity**2).sum(axis=1).mean()) for phase, state in found.items()}
-    assert speeds["rest"] < 0.05 < speeds["impact"]
 
 
 @pytest.mark.parametrize("engine", list(peers.ENGINES))
