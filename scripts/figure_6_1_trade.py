@@ -33,12 +33,12 @@ def claims(data):
 
 
 def table(data):
-    head = ["circles", "preset", "ours", "µs per 10 ms", "µs, plain piles"]
-    rows = [head + [f"{engine}, µs" for engine in peers.ENGINES]]
+    kinds = list(data["presets"][0]["kinds"])
+    rows = [["circles", "preset", "ours, plain piles", *(f"{name}, µs" for name in (*kinds, *peers.ENGINES))]]
     for row in data["presets"]:
-        ours, plain = row["ours"], row["kinds"]["plain"]
-        cells = [row["n_bodies"], row["preset"], ours and ours["name"], ours and ours["us"], plain and plain["us"]]
-        rows.append(cells + [peer and peer["us"] for peer in row["peers"].values()])
+        ours = [row["kinds"].get(kind) for kind in kinds]
+        costs = [cost and cost["us"] for cost in (*ours, *row["peers"].values())]
+        rows.append([row["n_bodies"], row["preset"], ours[0] and ours[0]["name"], *costs])
     return rows
 
 

@@ -389,63 +389,49 @@ def read_study(path) -> dict:
     return {"rows": kept, "presets": presets(kept)}
 
 
-def worst_errors(found: Iterable[Mapping], at: int = 0) -> dict[str, float]:
-    """Of rows of one setting and size: the largest of each error over the kinds of scenes, unknown ones left out.
+def meets(errors: Mapping[str, Sequence[float] | None], tolerances: Mapping[str, float], at: int = 0) -> bool:
+    """Whether every error of a row that is known is within its tolerance.
 
     at: 0 for the value, 1 and 2 for the ends of its interval.
     """
-    worst: dict[str, float] = {}
-    for row in found:
-        for name, value in (row["errors"] or {}).items():
-            if value is not None:
-                worst[name] = max(worst.get(name, 0.0), value[at])
-    return worst
-
-
-def meets(worst: Mapping[str, float], tolerances: Mapping[str, float]) -> bool:
-    """Whether every error that is known is within its tolerance."""
-    return all(worst[name] <= most for name, most in tolerances.items() if name in worst)
+    return all(errors[name][at] <= most for name, most in tolerances.items() if errors.get(name))
 
 
 def presets(found: Sequence[Mapping]) -> list[dict]:
     """For each size and preset the cheapest setting that keeps it.
 
-    found: rows. Returns [{"n_bodies", "preset", "ours": on all kinds, with its time on the slowest, "kinds": kind ->
-    on that kind, "peers": engine -> on plain piles, "ratio"}] with {"name", "us", "impact", "rest"} or None each.
+    found: rows. Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> theirs on plain piles, "ratio"}]
+    with {"name", "us", "impact", "rest"} or None each.
     ratio: time of the fastest other engine over ours on plain piles, [value, low, high] or None each. Low is that where
     all our errors are at the upper and all of theirs at the lower ends of their intervals; high the other way round.
     """
 
-    def cheapest(n, engine, preset, kinds, at=0):
-        kept = []
-        for mine in settings[n].values():
-            judged = [row for row in mine if row["kind"] in kinds]
-            enough = mine[0]["setting"].get("engine") == engine and len(judged) == len(kinds)
-            if enough and meets(worst_errors(judged, at), PRESETS[preset]):
-                slowest = max(judged, key=lambda row: row["us"])
-                kept.append({"name": mine[0]["name"], "us": slowest["us"], **slowest["phases"]})
+    def cheapest(n, engine, preset, kind="plain", at=0):
+        kept = (
+            {"name": row["name"], "us": row["us"], **row["phases"]}
+            for row in found
+            if (row["n_bodies"], row["kind"], row["setting"].get("engine")) == (n, kind, engine)
+            and row["us"] is not None
+            and row["errors"]
+            and meets(row["errors"], PRESETS[preset], at)
+        )
         return min(kept, key=lambda one: one["us"], default=None)
 
     def ratio(n, preset, ours, theirs):
-        mine = cheapest(n, None, preset, ["plain"], ours)
-        rivals = [found["us"] for name in peers.ENGINES if (found := cheapest(n, name, preset, ["plain"], theirs))]
+        mine = cheapest(n, None, preset, at=ours)
+        rivals = [rival["us"] for name in peers.ENGINES if (rival := cheapest(n, name, preset, at=theirs))]
         return min(rivals) / mine["us"] if mine and rivals else None
 
-    settings: dict = {n: {} for n in sorted({row["n_bodies"] for row in found})}
-    for row in found:
-        if row["us"] is not None and row["errors"]:
-            settings[row["n_bodies"]].setdefault(row["name"], []).append(row)
-    kinds = list(dict.fromkeys(row["kind"] for row in found))
+    kinds = {n: dict.fromkeys(row["kind"] for row in found if row["n_bodies"] == n) for n in sizes_of(found)}
     return [
         {
             "n_bodies": n,
             "preset": preset,
-            "ours": cheapest(n, None, preset, kinds),
-            "kinds": {kind: cheapest(n, None, preset, [kind]) for kind in kinds},
-            "peers": {engine: cheapest(n, engine, preset, ["plain"]) for engine in peers.ENGINES},
+            "kinds": {kind: cheapest(n, None, preset, kind) for kind in kinds[n]},
+            "peers": {engine: cheapest(n, engine, preset) for engine in peers.ENGINES},
             "ratio": [ratio(n, preset, *ends) for ends in ((0, 0), (2, 1), (1, 2))],
         }
-        for n, preset in product(settings, PRESETS)
+        for n, preset in product(kinds, PRESETS)
     ]
 
 

@@ -50,11 +50,9 @@ def test_rows_hold_every_setting_against_the_reference():
     assert (coarse["us"], coarse["phases"], coarse["seeds"]) == (7.0, {"rest": 5.0}, 2)
     value, low, high = coarse["errors"]["penetration_max"]
     assert 0 < low <= value <= high
-    worst = runs.worst_errors([coarse, {"errors": {"energy": (1e3, 0, 0), "forces": None}}])
-    assert worst["energy"] == 1e3
-    assert worst["penetration_max"] == value
-    assert not runs.meets(worst, PRESETS["preview"])
-    assert runs.meets({"energy": 1.0}, PRESETS["reference"])
+    assert not runs.meets(coarse["errors"] | {"energy": (1e3, 0, 0), "forces": None}, PRESETS["preview"])
+    assert runs.meets({"energy": (1.0, 0, 1e3)}, PRESETS["reference"])
+    assert not runs.meets({"energy": (1.0, 0, 1e3)}, PRESETS["reference"], 2)
 
 
 def row(setting, us, error, kind="plain"):
@@ -63,12 +61,11 @@ def row(setting, us, error, kind="plain"):
     return common | {"name": runs.name_of(setting), "setting": setting, "us": us}
 
 
-def test_the_cheapest_setting_that_keeps_a_preset_on_every_kind_is_chosen():
+def test_the_cheapest_setting_that_keeps_a_preset_is_chosen_for_each_kind():
     fine, peer = COARSE | {"dt": TIME_STEP / 2}, {"engine": "pymunk", "sweeps": 4, "dt": TIME_STEP}
     rows = [row(COARSE, 1.0, 0.0), row(COARSE, 1.0, 1e3, "mixed radii"), row(peer, 12.0, 0.0)]
     rows += [row(fine, us, 0.0, kind) for kind, us in (("plain", 2.0), ("mixed radii", 3.0))]
     found = next(one for one in runs.presets(rows) if one["preset"] == "preview")
-    assert found["ours"]["us"] == 3.0  # on the slowest kind
     assert {kind: best["us"] for kind, best in found["kinds"].items()} == {"plain": 1.0, "mixed radii": 3.0}
     assert found["peers"]["pymunk"]["us"] == 12.0
     assert found["peers"]["Box2D v3"] is None
