@@ -400,7 +400,7 @@ def meets(errors: Mapping[str, Sequence[float] | None], tolerances: Mapping[str,
 def presets(found: Sequence[Mapping]) -> list[dict]:
     """For each size and preset the cheapest setting that keeps it.
 
-    found: rows. Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}], with
+    found: rows. Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}] of
     {"name", "us", "impact", "rest"} or None each.
     ratio: time of the fastest other engine over ours on plain piles, [value, low, high] or None each. Low is that where
     all our errors are at the upper and all of theirs at the lower ends of their intervals; high the other way round.
