@@ -172,8 +172,8 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     every = steps + 1 if record is None else integer("record", record, least=1)
     if dt is not None:
         state = with_time_step(state, dt)
-    without_past = state.contacts is None or state.step == 0
-    state = ready(state)
+    given, state = state, ready(state)
+    without_past = given.contacts is None or state.step == 0
     by_preset = accuracy is not None or (solver is None and state.solver is None)
     solver, start = method_of(state, solver, warm_start, accuracy, sleep=sleep)
     # Not of a run that goes on, so that it comes to the same in one go and in parts.
