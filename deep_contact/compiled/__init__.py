@@ -42,7 +42,7 @@ def announcement(echo: Callable[[str], None]):
         def on_start(self, event) -> None:
             if not self.is_made and event.data["dispatcher"].py_func.__module__.startswith("deep_contact.physics."):
                 self.is_made = True
-                echo("deep_contact: compiling for this kind of scene and solver, once; it takes about 20 s")
+                echo("deep_contact: compiling for this kind of scene and solver, once; it takes 20 to 60 s")
 
         def on_end(self, event) -> None:
             pass
