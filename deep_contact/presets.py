@@ -337,8 +337,10 @@ def kinds_of(scene: State) -> list[str]:
     found = ["drum"] if any(world.surface_speeds) else []
     if world.friction < FRICTION:
         found.append("no friction")
-    if world.restitution > 0:
-        found += ["elastic 0.3"] * (world.restitution < 0.8) + ["elastic 0.8"] * (world.restitution > 0.3)
+    if 0 < world.restitution < 0.8:
+        found.append("elastic 0.3")
+    if world.restitution > 0.3:
+        found.append("elastic 0.8")
     if scene.bodies.count and radius.max() > 1.05 * radius.min():
         return [*found, "mixed radii"]
     return [*found, "plain"] if world.friction > 0 and world.restitution < 0.3 else found

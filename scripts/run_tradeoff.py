@@ -155,20 +155,21 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
     for n in options["sizes"]:
         ours, rivals, on_plain = (options[name].get(str(n), []) for name in ("settings", "peers", "ladders"))
         for kind, count in options["seeds"][str(n)].items():
-            every, more = [*ours, runs.REFERENCE], []
+            cases = [(setting, count) for setting in (*ours, runs.REFERENCE)]
             if kind == "plain":
-                more = on_plain + rivals + list(runs.MODEL.values() if n in options["model"] else [])
-            by_name = {runs.name_of(setting): setting for setting in every + more}
-            for name, setting in by_name.items():
-                few = "peer_seeds" if "engine" in setting else None if setting in every else "ladder_seeds"
-                wanted = options[few].get(str(n), count) if few else count
+                more = [*on_plain, *(runs.MODEL.values() if n in options["model"] else ())]
+                cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in more]
+                cases += [(setting, options["peer_seeds"][str(n)]) for setting in rivals]
+            # Of a name that is there twice, the first has the most seeds.
+            by_name = {runs.name_of(setting): (setting, wanted) for setting, wanted in reversed(cases)}
+            for name, (setting, wanted) in by_name.items():
                 row = known.get((kind, n, name))
                 if row and row["seeds"] >= wanted:
                     kept[kind, n, name] = row
                     continue
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
                 seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, wanted)]
-            settings = [setting for setting in by_name.values() if setting["dt"] >= TIME_STEP / 8]
+            settings = [setting for setting, _ in by_name.values() if setting["dt"] >= TIME_STEP / 8]
             times = {"kind": kind, "n_bodies": n, "seed": seed, "settings": settings}
             times |= {name: options[name][str(n)] for name in ("steps", "repeats")}
             phases = (*runs.MOMENTS, *(runs.PHASES if kind == "plain" else ()))
