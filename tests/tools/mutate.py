@@ -46,6 +46,9 @@ physics/islands.py=tests/physics/test_islands.py
 physics/sleeping.py=tests/physics/test_sleeping.py
 physics/segments.py=tests/physics/test_segments.py,tests/physics/test_surfaces.py
 physics/continuous.py=tests/physics/test_continuous.py,tests/physics/test_segments.py
+presets.py=tests/test_presets.py
+compiled/code_cache.py=tests/compiled/test_code_cache.py
+compiled/team.py=tests/compiled/test_team.py,tests/physics/solvers/test_batched.py
 compiled/simd.py=tests/cnn/test_convolution.py,tests/physics/solvers/test_batched.py
 cnn/convolution.py=tests/cnn/test_convolution.py
 cnn/far_field.py=tests/cnn/test_far_field.py,tests/cnn/test_convolution.py
@@ -67,7 +70,7 @@ def draw(count: int, seed: int, files: Iterable[str] = ()) -> dict[str, dict]:
     """`count` mutants, in random order, by a name without line numbers, which change with every edit."""
     folders = (ROOT / "deep_contact" / name for name in ("physics", "sph"))
     named = [ROOT / file for file in files]
-    rng, places = random.Random(seed), defaultdict(lambda: defaultdict(list))
+    places = defaultdict(lambda: defaultdict(list))
     for path in sorted(named or (path for folder in folders for path in folder.rglob("*.py"))):
         nodes = list(ast_nodes(get_ast(path.read_text(encoding="utf-8"))))
         for name, operator in OPERATORS.items():
@@ -79,6 +82,7 @@ def draw(count: int, seed: int, files: Iterable[str] = ()) -> dict[str, dict]:
     total, drawn = sum(map(len, places.values())), []
     for path, of_file in places.items():
         source = path.read_text(encoding="utf-8")
+        rng = random.Random(f"{seed} {path.relative_to(ROOT)}")  # a change in one file keeps the mutants of the others
         for start in rng.sample(sorted(of_file), min(len(of_file), 1 + count * len(of_file) // total)):
             operator, occurrence, function = rng.choice(of_file[start])
             changed = mutate_code(source, OPERATORS[operator], occurrence)
@@ -86,7 +90,7 @@ def draw(count: int, seed: int, files: Iterable[str] = ()) -> dict[str, dict]:
             mutant = {"file": str(path.relative_to(ROOT)), "line": start[0], "operator": operator}
             mutant |= {"occurrence": occurrence, "old": old, "new": new}
             drawn.append((f"{mutant['file']}, {function}: {old} -> {new}", mutant))
-    return dict(rng.sample(drawn, min(count, len(drawn))))
+    return dict(random.Random(seed).sample(drawn, min(count, len(drawn))))
 
 
 def run_pytest(folder: Path, arguments: str, limit: float, *, compiled: bool) -> tuple[str, str]:
