@@ -41,6 +41,4 @@ def draw(data, options):
 
 OPTIONS = {"n_bodies": 100, "size": 30.0, "d": 0.5}
 FIGURE = Figure("3.1", "The grid over a scene", compute, draw=draw, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -57,6 +57,4 @@ def draw(data, options):
 OPTIONS = {"h": 1.0, "kernel": "poly6", "particles": 60, "size": 3.4, "points": 171}
 FIGURE = Figure("3.2", "A point, its support radius and the weights of its neighbours", compute, None, draw,
                 options=OPTIONS, seed=3)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

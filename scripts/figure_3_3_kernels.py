@@ -59,6 +59,4 @@ def draw(data, options):
 
 OPTIONS = {"h": 1.0, "points": 221, "kernels": ["poly6", "spiky"]}
 FIGURE = Figure("3.3", "Smoothing kernels", compute, None, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

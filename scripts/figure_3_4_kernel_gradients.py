@@ -66,6 +66,4 @@ def draw(data, options):
 
 OPTIONS = {"h": 1.0, "points": 220, "kernels": ["poly6", "spiky"]}
 FIGURE = Figure("3.4", "Gradients of the smoothing kernels", compute, None, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

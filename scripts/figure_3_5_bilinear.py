@@ -83,6 +83,4 @@ VALUES = [2.0, 5.0, 3.5, 12.0]
 
 OPTIONS = {"x": [1.0, 1.5], "y": [2.0, 2.5], "values": VALUES, "query": [1.2, 2.35], "points": 41}
 FIGURE = Figure("3.5", "Bilinear interpolation between four nodes", compute, None, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -4,6 +4,4 @@ from deep_contact.reporting import figures
 from deep_contact.studies import starts
 
 FIGURE = starts.snapshots_figure(id="3.6", title="How the pile falls", times=[0.0, 1.0, 2.0, 6.0], colour_by="speed")
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

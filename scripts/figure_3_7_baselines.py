@@ -28,6 +28,4 @@ FIGURE = starts.convergence_figure(
     over="none",
     modes=starts.MODES,
 )
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -32,6 +32,4 @@ FIGURE = starts.convergence_figure(
     id="3.8", title="Does the SPH start converge faster than Builtin?", starts=STARTS, claims=claims, hidden=[AUTHORS],
     modes=starts.MODES,
 )  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

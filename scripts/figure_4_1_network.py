@@ -41,6 +41,4 @@ def draw(data, options):
 
 OPTIONS = {"input": [1.0, -0.5, 0.25], "hidden": 4, "output": 2}
 FIGURE = Figure("4.1", "A network of three layers", compute, None, draw, claims, options=OPTIONS, seed=1, digits=None)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

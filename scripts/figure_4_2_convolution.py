@@ -102,6 +102,4 @@ SIZES = [[32, 3, 1], [61, 3, 2], [61, 2, 2], [31, 2, 1], [16, 3, 2]]
 
 OPTIONS = {"image": IMAGE, "kernel": KERNEL, "shown": [1, 2], "sizes": SIZES}
 FIGURE = Figure("4.2", "A convolution worked through", compute, None, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -77,6 +77,4 @@ GAINS = [0.5, 1.0, 2.0]
 OPTIONS = {"x": [1.5, -2.0, 0.5], "w": [0.8, 0.3, -1.2], "bias": 0.4, "points": 401}
 OPTIONS |= {"depth": 20, "width": 100, "gains": GAINS, "networks": 20}
 FIGURE = Figure("4.4", "A neuron and its activation function", compute, None, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -71,6 +71,4 @@ IMAGE = [[1, 3, 2, 1, 0], [4, 6, 5, 7, 2], [8, 2, 1, 0, 3], [3, -1, 4, 9, -5]]
 
 OPTIONS = {"image": IMAGE, "nodes": 61, "poolings": 4, "channels": 512}
 FIGURE = Figure("4.5", "2 × 2 max pooling worked through", compute, None, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

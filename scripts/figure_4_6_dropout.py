@@ -98,6 +98,4 @@ OPTIONS = {
 QUICK = {"masks": 40}
 FIGURE = Figure("4.6", "Dropout, off and on", compute, None, draw, claims, options=OPTIONS, quick=QUICK, seed=5,
                 digits=4)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -112,6 +112,4 @@ OPTIONS = {
 }  # fmt: skip
 FIGURE = Figure("4.7", "Backpropagation by Eq 4.11-4.18, with numbers", compute, None, draw, claims, options=OPTIONS,
                 digits=None)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

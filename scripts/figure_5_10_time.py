@@ -143,6 +143,4 @@ QUICK = {
     "networks": {"cnn": chapter_5.NETWORKS["cnn"]},
 }  # fmt: skip
 FIGURE = Figure("5.10", TITLE, compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=510)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -6,6 +6,4 @@ from deep_contact.studies import starts
 FIGURE = starts.snapshots_figure(
     id="5.1", title="Where the pile carries its impulses", times=[0.5, 1.2, 1.8, 3.0], colour_by="impulse"
 )
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

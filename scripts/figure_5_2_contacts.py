@@ -99,6 +99,4 @@ OPTIONS = {"n_bodies": 100, "size": 30.0, "steps": 600, "sweeps": 3000, "every":
 QUICK = {"sweeps": 1000, "every": 5, "scenes": 1}
 FIGURE = Figure("5.2", "Contacts, and the time their solution takes", compute, None, draw, claims, options=OPTIONS,
                 quick=QUICK)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

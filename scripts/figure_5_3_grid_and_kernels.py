@@ -81,6 +81,4 @@ OPTIONS = {
     "cells": [0.25, 0.5, 0.7, 1.0],
 }  # fmt: skip
 FIGURE = Figure("5.3", "Grid nodes and kernels over a scene", compute, None, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -46,6 +46,4 @@ def best_by_number(numbers, best, others, way):
 
 
 FIGURE = starts.study_figure(id="5.4", kernel="poly6", claims=claims, numbers=(50, 110))
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

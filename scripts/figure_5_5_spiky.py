@@ -22,6 +22,4 @@ def claims(data):
 
 
 FIGURE = starts.study_figure(id="5.5", kernel="spiky", claims=claims)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -28,6 +28,4 @@ FIGURE = starts.convergence_figure(
     id="5.6", title="Does poly6 converge faster than spiky?", starts=STARTS, claims=claims, sweeps=5000,
     over=named("spiky", "sph"),
 )  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -23,6 +23,4 @@ FIGURE = starts.convergence_figure(
     claims=claims,
     seed=57,
 )
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

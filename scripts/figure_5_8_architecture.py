@@ -68,6 +68,4 @@ def draw(data, options):
 
 
 FIGURE = Figure("5.8", "Architecture of the thesis's network", compute, None, draw, claims)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -30,6 +30,4 @@ def draw(data, options):
 OPTIONS = starts.THESIS_SETTINGS | {"n_bodies": [51, 99], "networks": chapter_5.NETWORKS}
 QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
 FIGURE = Figure("5.9", TITLE, compute, starts.table_of_starts, draw, claims, options=OPTIONS, quick=QUICK, seed=59)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

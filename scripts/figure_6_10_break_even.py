@@ -111,6 +111,4 @@ QUICK = {
 }  # fmt: skip
 FIGURE = Figure("6.10", "When a learned start pays for itself", compute, table, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=4)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -100,6 +100,4 @@ def draw(data, options):
 OPTIONS = {"results": "data/reference/run_tradeoff.json"}
 FIGURE = Figure("6.11", "Where the next microsecond goes: more sweeps, or a smaller step", compute, table, draw, claims,
                 options=OPTIONS)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

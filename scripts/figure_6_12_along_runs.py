@@ -78,6 +78,4 @@ QUICK = {
 }  # fmt: skip
 FIGURE = Figure("6.12", "Starts and solvers along their own runs, at equal wall time", compute, table, draw, claims,
                 options=OPTIONS, quick=QUICK, digits=5)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

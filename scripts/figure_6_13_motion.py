@@ -73,6 +73,4 @@ def draw(data, options):
 OPTIONS = {"kind": "mixed radii", "n_bodies": 1000, "seconds": 8.0}
 FIGURE = Figure("6.13", "Small steps where something hits", compute, table, draw, claims, options=OPTIONS,
                 quick={"n_bodies": 100, "seconds": 4.0})  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -150,6 +150,4 @@ OPTIONS = {
 QUICK = {"states": {"100": 4, "300": 4}, "least": 100, "repeats": 1}
 FIGURE = Figure("6.14", "A pile without a past: its first step", compute, table, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=5)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

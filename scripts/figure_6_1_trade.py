@@ -84,6 +84,4 @@ def draw(data, options):
 
 OPTIONS = {"results": "data/reference/run_tradeoff.json"}
 FIGURE = Figure("6.1", "What a run costs and what it is worth", compute, table, draw, claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -140,6 +140,4 @@ OPTIONS = {
 }  # fmt: skip
 QUICK = {"every": 40, "scenes": 1, "isolated": 20}
 FIGURE = Figure("6.3", "Loss of the way through the grid", compute, table, draw, claims, options=OPTIONS, quick=QUICK)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -106,6 +106,4 @@ OPTIONS = {"folder": "models/comparison", "scenes": 20, "steps": 600, "every": 5
 QUICK = {"scenes": 2, "every": 30, "steps": 240, "repeats": 20}
 FIGURE = Figure("6.4", "Size of the far-field network: error and time", compute, table, draw, claims,
                 options=OPTIONS, quick=QUICK, digits=5)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -91,6 +91,4 @@ def draw(data, options):
 OPTIONS = {"results": "data/reference/run_tradeoff.json"}
 FIGURE = Figure("6.5", "What the presets cost, from 100 circles to 10,000", compute, table, draw, claims,
                 options=OPTIONS)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

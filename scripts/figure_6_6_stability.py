@@ -140,6 +140,4 @@ OPTIONS = {"quantities": list(extremes.QUANTITIES), "few": False, "steps": 400}
 QUICK = {"quantities": ["mass", "radius ratio", "speed", "overlap", "sweeps"], "few": True, "steps": 100}
 FIGURE = Figure("6.6", "Stability at the extremes: what is safe, degraded, failed and refused", compute, table, draw,
                 claims, options=OPTIONS, quick=QUICK)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

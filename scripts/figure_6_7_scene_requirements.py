@@ -121,6 +121,4 @@ QUICK = {
 }  # fmt: skip
 FIGURE = Figure("6.7", "What modelling only what a scene requires saves", compute, table, draw, claims, options=OPTIONS,
                 quick=QUICK)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -67,6 +67,4 @@ OPTIONS = {"scenes": 20, "steps": 600, "every": 5, "after": [0, 3, 10, 30, 100],
 QUICK = {"scenes": 2, "every": 15, "steps": 300}
 FIGURE = Figure("6.8", "What a learned start is worth from given states", compute, table, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=4)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

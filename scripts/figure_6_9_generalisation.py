@@ -68,6 +68,4 @@ OPTIONS = {
 QUICK = {"scenes": 2, "steps": 300, "states": 10, "beyond": {"friction": [0.0, 1.0], "radius": [[0.5, 2.0]]}}
 FIGURE = Figure("6.9", "Learned starts beyond what they were trained on", compute, table, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=4)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

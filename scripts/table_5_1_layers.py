@@ -51,6 +51,4 @@ def table(data):
 
 
 FIGURE = Figure("T 5.1", "Layers of the thesis's network", compute, table, claims=claims)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

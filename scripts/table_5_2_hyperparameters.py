@@ -36,6 +36,4 @@ def table(data):
 
 OPTIONS = {"model": chapter_5.NETWORKS["cnn thesis"]}
 FIGURE = Figure("T 5.2", "Hyperparameters of the thesis's training", compute, table, claims=claims, options=OPTIONS)
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -76,6 +76,4 @@ QUICK = {
 }  # fmt: skip
 FIGURE = Figure("T 6.1", "One network for both impulses, or one for each", compute, table, claims=claims,
                 options=OPTIONS, quick=QUICK, seed=61)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

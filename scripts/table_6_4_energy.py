@@ -80,6 +80,4 @@ OPTIONS = {
 QUICK = {"n_bodies": 20, "steps": 200, "restitutions": [0.0, 1.0], "mass_ratios": [1.0]}
 FIGURE = Figure("T 6.4", "Mechanical energy of 100 circles after 1,000 steps, over that at the start", compute, table,
                 claims=claims, options=OPTIONS, quick=QUICK, digits=4)  # fmt: skip
-
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)

@@ -1,11 +1,9 @@
 """The contract of the figure and table scripts: command line, simulation, results file, picture.
 
-A script describes itself by a `Figure` and hands it to `main`:
+A script describes itself by a `Figure`, and runs where it is the program that was started:
 
     FIGURE = Figure("3.7", "Title", compute, table, draw, claims, options={"steps": 600}, quick={"steps": 60})
-
-    if __name__ == "__main__":
-        raise SystemExit(figures.main(FIGURE))
+    figures.run_as_script(FIGURE, __name__)
 
 `compute` makes the numbers. `claims`, `table` and `draw` see only what is stored of them, so that a picture drawn again
 from its file is the same picture.
@@ -39,8 +37,6 @@ from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
 from deep_contact.reporting.results import Claim
 from deep_contact.validation import one_of
-
-__all__ = ["Claim", "Figure", "assigned", "cell", "main", "parallel_map", "produce", "progress_bar", "seeds"]
 
 MEANINGS = json.loads((Path(__file__).parent / "settings.json").read_text(encoding="utf-8"))
 """Name of a setting -> its meaning and unit; "4.2 kernel" is that of Figure 4.2 alone."""
@@ -115,6 +111,12 @@ class Figure:
     def rows(self, data: dict) -> list[list[str]]:
         """The table of the data as text, head first."""
         return [[cell(value) for value in row] for row in self.table(data)]
+
+
+def run_as_script(figure: Figure, module: str) -> None:
+    """The end of a script, `module` being its `__name__`: exit with `main`'s status unless it was imported."""
+    if module == "__main__":
+        raise SystemExit(main(figure))
 
 
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:

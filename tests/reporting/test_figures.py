@@ -292,8 +292,7 @@ def compute(options, seed, jobs, progress):
     return {"x": figures.parallel_map(time.sleep, [60] * 4, jobs=jobs)}
 
 FIGURE = figures.Figure(id="9.3", title="Slow", compute=compute, table=lambda data: [], draw=lambda data, options: None)
-if __name__ == "__main__":
-    raise SystemExit(figures.main(FIGURE))
+figures.run_as_script(FIGURE, __name__)
 """
 
 
