@@ -10,13 +10,14 @@ from deep_contact.studies import chapter_4 as worked
 def compute(options, seed, jobs, progress):
     """The values of all neurons for one input, and the same output by Keras's `Dense`."""
     sizes = [len(options["input"]), options["hidden"], options["output"]]
-    layers = worked.random_layers(sizes, seed)
-    values = worked.forward(options["input"], layers)
+    layers, by_keras = worked.random_layers(sizes, seed), np.array(options["input"])
+    for (weights, bias), activation in zip(layers, ("relu", "linear")):
+        by_keras = worked.by_keras("Dense", bias.size, x=by_keras, weights=(weights, bias), activation=activation)
     return {
-        "values": [value.tolist() for value in values],
-        "weights": [layer.weights.tolist() for layer in layers],
-        "Keras": worked.keras_forward(options["input"], layers),
-        "parameters": int(sum(layer.weights.size + layer.bias.size for layer in layers)),
+        "values": worked.forward(options["input"], layers),
+        "weights": [weights for weights, _ in layers],
+        "Keras": by_keras,
+        "parameters": sum(weights.size + bias.size for weights, bias in layers),
     }
 
 

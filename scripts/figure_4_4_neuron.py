@@ -9,7 +9,8 @@ from deep_contact.studies import chapter_4 as worked
 
 def compute(options, seed, jobs, progress):
     """Eq 4.3 with numbers; the functions and derivatives; the size of gradients after deep networks."""
-    x, w = np.array(options["x"]), np.array(options["w"])
+    x, w, bias = options["x"], options["w"], options["bias"]
+    total = float(np.dot(x, w) + bias)
     line = np.linspace(-4.0, 4.0, options["points"])
     seeds = figures.seeds(seed, options["networks"])
     size = {"depth": options["depth"], "width": options["width"]}
@@ -21,11 +22,7 @@ def compute(options, seed, jobs, progress):
         for name in worked.ACTIVATIONS
     }
     return {
-        "x": x,
-        "w": w,
-        "bias": options["bias"],
-        "sum": float(np.sum(w * x) + options["bias"]),
-        "outputs": {"ReLU": worked.neuron(x, w, options["bias"])},
+        **{"x": x, "w": w, "bias": bias, "sum": total, "output": float(worked.relu(total))},
         "line": line,
         "functions": {name: f(line) for name, (f, _) in worked.ACTIVATIONS.items()},
         "derivatives": {name: df(line) for name, (_, df) in worked.ACTIVATIONS.items()},
@@ -54,7 +51,7 @@ def claims(data):
 def draw(data, options):
     """Left: the neuron with its numbers. Right: the functions and their derivatives."""
     figure, (ax, functions, derivatives) = plotting.subplots(1, 3, size=(11.0, 3.6), width_ratios=[1.5, 1, 1])
-    values, weights = [[*data["x"], 1.0], [data["sum"]], [data["outputs"]["ReLU"]]], [*data["w"], data["bias"]]
+    values, weights = [[*data["x"], 1.0], [data["sum"]], [data["output"]]], [*data["w"], data["bias"]]
     parts = [[[w] for w in weights], [[1.0]]]
     plotting.draw_network(ax, values, parts, titles=("x$_i$, and 1", "sum", "y"), numbers="{:g}")
     names = [*(f"w$_{i}$" for i in range(1, len(weights))), "bias"]

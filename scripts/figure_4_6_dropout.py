@@ -3,7 +3,6 @@
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.cnn.images import read_back
 from deep_contact.cnn.inference import load_model
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
@@ -11,43 +10,46 @@ from deep_contact.studies import chapter_4 as worked
 
 
 def compute(options, seed, jobs, progress):
-    """The small network before and after; the trained network's first maps and its prediction, off and on."""
+    """A small network with neurons left out; the trained network's first maps and its prediction, off and on."""
     from deep_contact.cnn.backend import keras
 
     keras.utils.set_random_seed(seed)  # of the masks
     model = load_model(options["model"])
-    rng = np.random.default_rng(seed)
+    network = model.network
+    network.trainable = False  # with dropout at work, batch normalisation stays in inference
     scene = dc.circles_in_box(options["n_bodies"], size=options["size"], seed=seed)
     state = dc.simulate(scene, steps=options["steps"], solver=dc.PGS()).state
-    image = model.input(state)
-    off = [read_back(model.run(image), state, model.spec)[0] for _ in range(2)]
-    dropping, source, name = worked.with_dropout(model.network)
-    before = worked.feature_maps(dropping, image, [source])[source]
-    mean, on = np.zeros_like(before), []
-    # One function for both, so that the maps and the output have the same masks.
-    maps_and_output = keras.Model(dropping.inputs[0], [dropping.get_layer(name).output, dropping.outputs[0]])
+    names = [layer.name for layer in network.layers]
+    dropout = next(layer for layer in network.layers if isinstance(layer, keras.layers.Dropout))
+    source = names[names.index(dropout.name) - 1]
+
+    def maps_and_normal(layer, training):
+        found = worked.feature_maps(network, model.input(state), [layer, names[-1]], training=training)
+        return found[layer], model.impulses(state, found[names[-1]], project=False)[0]
+
+    (before, first), (_, second) = (maps_and_normal(source, training=False) for _ in range(2))
+    mean, normal = np.zeros_like(before), []
     for _ in progress(range(options["masks"]), text="masks"):
-        after, out = (np.asarray(part)[0] for part in maps_and_output(image[None]))
+        after, found = maps_and_normal(dropout.name, training=True)
         mean += after / options["masks"]
-        on.append(read_back(out.reshape(*image.shape[:2], -1), state, model.spec)[0])
-    strongest = int(worked.strongest(before, 1)[0])
+        normal.append(found)
+    strongest = worked.strongest(before)
     active = before > 0
     kept = active & (after > 0)
-    layers = worked.random_layers([3, 5, 5, 2], seed)
+    rng = np.random.default_rng(seed)
     hidden = [(rng.random(5) < options["rate drawn"]).tolist() for _ in range(2)]
     return {
         "small network": {
-            "values": [value.tolist() for value in worked.forward([1.0, -0.5, 0.25], layers)],
-            "weights": [layer.weights.tolist() for layer in layers],
+            "weights": [weights for weights, _ in worked.random_layers([3, 5, 5, 2], seed)],
             "dropped": [[False] * 3, *hidden, [False] * 2],
         },
-        "rate": dropping.get_layer(name).rate,
+        "rate": dropout.rate,
         "layer": source,
         "map": strongest,
         "before": before[..., strongest],
         "after": after[..., strongest],
-        "change off": float(np.abs(off[0] - off[1]).max()),
-        "change on": float(np.abs(on[0] - on[1]).max()),
+        "change off": float(np.abs(first - second).max()),
+        "change on": float(np.abs(normal[0] - normal[1]).max()),
         "dropped": float(np.mean(after[active] == 0)),
         "values": int(active.sum()),
         "scaled": float(np.median(after[kept] / before[kept])),
@@ -78,7 +80,7 @@ def draw(data, options):
     small = data["small network"]
     titles = ("without", f"with a rate of {options['rate drawn']:g}")
     for ax, title, dropped in zip(above.subplots(1, 2), titles, (None, small["dropped"])):
-        plotting.draw_network(ax, small["values"], small["weights"], dropped=dropped, numbers="")
+        plotting.draw_network(ax, small["dropped"], small["weights"], dropped=dropped, numbers="")
         ax.set_title(title)
     below.suptitle(f"{options['model']} on a falling pile, rate {data['rate']:g}", fontsize=11)
     panels = below.subplots(1, 2)

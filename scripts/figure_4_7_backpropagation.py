@@ -6,77 +6,61 @@ from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import chapter_4 as worked
 
-LATE = "Eq 4.18, output weights updated before"
 ROUNDING = 1e-12
 """Largest relative difference that counts as none: of sums of a few products in float64."""
 
+CLAIMS = {
+    "Eq 4.12": ("Eq 4.11, Eq 4.12", "Eq 4.11 and 4.12: the chain rule for the output's weights"),
+    "Eq 4.13": ("Eq 4.13", "Eq 4.13: ∂L/∂w_j = −2 v_j e"),
+    "Eq 4.14": ("Eq 4.14", "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"),
+    "Eq 4.15": ("Eq 4.15, Eq 4.16", "Eq 4.15 and 4.16: the chain rule for the hidden weights"),
+    "Eq 4.17": ("Eq 4.17", "Eq 4.17: ∂L/∂w_ij = −2 e w_j x_i"),
+    "Eq 4.18": ("Eq 4.18", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
+    "late": ("section 4.3.5", "the hidden weights can be updated by Eq 4.18 after the output's weights were"),
+}
+"""What is compared -> where the thesis says it, and what."""
+
 
 def compute(options, seed, jobs, progress):
-    """One forward and one backward pass by the thesis's equations and automatically, and one update of the weights."""
+    """One forward and one backward pass by the thesis's equations and automatically, and one update of the weights.
+
+    "compared" has, for each of `CLAIMS`, the thesis's numbers and those by automatic differentiation.
+    """
     x, w_h, w_o = (np.array(options[name]) for name in ("x", "hidden weights", "output weights"))
     target, rate = options["target"], options["rate"]
     found = worked.backpropagate(x, w_h, w_o, target)
-    automatic = worked.automatic_gradients(x, w_h, w_o, target)
-    step_o, step_h = w_o - rate * automatic["output"], w_h - rate * automatic["hidden"]  # Eq 4.8, the first step
-    chain = found["chain"]
-    common, by_hidden = chain["∂L/∂e"] * chain["∂e/∂y"], chain["∂y/∂v"] * chain["∂v/∂w"]
-    early, late = (w_h + 2 * rate * found["e"] * np.outer(x, w) for w in (w_o, step_o))
-    stepped = worked.backpropagate(x, step_h, step_o, target)
-    loss = {"before": found["loss"], "after the step of Eq 4.8": stepped["loss"]}
-    output, hidden = automatic["output"], automatic["hidden"]
+    right = worked.automatic_gradients(x, w_h, w_o, target)
+    chain, e = found["chain"], found["e"]
+    factors = [right[name] for name in chain]
+    common = chain["∂L/∂e"] * chain["∂e/∂y"]
+    step_o, step_h = -rate * right["output"], -rate * right["hidden"]  # Eq 4.8, the first step
+    compared = {
+        "Eq 4.12": ([*chain.values(), common * chain["∂y/∂w"]], [*factors, right["output"]]),
+        "Eq 4.13": ([found["output"]], [right["output"]]),
+        "Eq 4.14": ([rate * found["v"] * e], [step_o]),
+        "Eq 4.15": ([*chain.values(), common * chain["∂y/∂v"] * chain["∂v/∂w"]], [*factors, right["hidden"]]),
+        "Eq 4.17": ([found["hidden"]], [right["hidden"]]),
+        "Eq 4.18": ([2 * rate * e * np.outer(x, w_o)], [step_h]),
+        "late": ([2 * rate * e * np.outer(x, w_o + step_o)], [step_h]),
+    }
+    stepped = worked.backpropagate(x, w_h + step_h, w_o + step_o, target)
     return {
-        **{name: np.array(options[name]) for name in ("x", "hidden weights", "output weights", "target")},
-        **{name: found[name] for name in ("v", "y", "e", "chain")},
-        "loss": loss,
-        "gradients": {
-            "output": {"Eq 4.12": common * chain["∂y/∂w"], "Eq 4.13": found["output"], "automatic": output},
-            "hidden": {"Eq 4.15": common * by_hidden, "Eq 4.17": found["hidden"], "automatic": hidden},
-        },
-        "chain, automatic": {name: automatic[name] for name in chain},
-        "updated": {
-            "output": {"Eq 4.14": w_o + rate * found["v"] * found["e"], "Eq 4.8": step_o},
-            "hidden": {"Eq 4.18": early, LATE: late, "Eq 4.8": step_h},
-        },
+        **{name: options[name] for name in ("x", "hidden weights", "output weights", "target")},
+        **{name: found[name] for name in ("v", "y", "e")},
+        "loss": {"before": found["loss"], "after the step of Eq 4.8": stepped["loss"]},
+        "compared": {name: [np.hstack([*map(np.ravel, side)]) for side in sides] for name, sides in compared.items()},
     }
 
 
-def apart(a, b):
-    """Largest difference, over the largest size of b."""
-    return float(np.abs(np.subtract(a, b)).max() / np.abs(b).max())
-
-
 def claims(data):
-    gradients, updated = data["gradients"], data["updated"]
-    factors = {name: apart(value, data["chain, automatic"][name]) for name, value in data["chain"].items()}
-
-    def gradient(number, part, thesis, text, **measured):
-        measured |= {"relative difference to automatic": apart(gradients[part][number], gradients[part]["automatic"])}
-        return Claim(text, thesis, max(measured.values()) < ROUNDING, measured)
-
-    def update(number, part, thesis, text):
-        before = np.array(data[f"{part} weights"])
-        printed, right = (np.array(updated[part][name]) - before for name in (number, "Eq 4.8"))
-        measured = {
-            "relative difference to Eq 4.8's step": apart(printed, right),
-            "size, over that of Eq 4.8": float(np.linalg.norm(printed) / np.linalg.norm(right)),
-        }
-        return Claim(text, thesis, measured["relative difference to Eq 4.8's step"] < ROUNDING, measured)
-
+    for number, (thesis, text) in CLAIMS.items():
+        printed, right = map(np.array, data["compared"][number])
+        apart = float(np.abs(printed - right).max() / np.abs(right).max())
+        size = float(np.linalg.norm(printed) / np.linalg.norm(right))
+        measured = {"relative difference to automatic differentiation": apart, "size, over its": size}
+        yield Claim(text, thesis, apart < ROUNDING, measured)
     loss = data["loss"]
-    chain = "Eq 4.11 and 4.12: the chain rule for the output's weights"
-    hidden_chain = "Eq 4.15 and 4.16: the chain rule for the hidden weights"
-    step = "Eq 4.14: w_j + α v_j e is the step of Eq 4.8 (its first, without velocity)"
-    after = "the hidden weights can be updated by Eq 4.18 after the output's weights were"
-    return [
-        gradient("Eq 4.12", "output", "Eq 4.11, Eq 4.12", chain, **factors),
-        gradient("Eq 4.13", "output", "Eq 4.13", "Eq 4.13: ∂L/∂w_j = −2 v_j e"),
-        update("Eq 4.14", "output", "Eq 4.14", step),
-        gradient("Eq 4.15", "hidden", "Eq 4.15, Eq 4.16", hidden_chain, **factors),
-        gradient("Eq 4.17", "hidden", "Eq 4.17", "Eq 4.17: ∂L/∂w_ij = −2 e w_j x_i"),
-        update("Eq 4.18", "hidden", "Eq 4.18", "Eq 4.18: w_ij + 2 α e w_j x_i is the step of Eq 4.8"),
-        update(LATE, "hidden", "section 4.3.5", after),
-        Claim("a step decreases the loss", "section 4.3.5", loss["after the step of Eq 4.8"] < loss["before"], loss),
-    ]
+    yield Claim("a step decreases the loss", "section 4.3.5", loss["after the step of Eq 4.8"] < loss["before"], loss)
 
 
 def draw(data, options):
@@ -87,13 +71,10 @@ def draw(data, options):
     plotting.draw_network(ax, [data["x"], data["v"], [data["y"]]], weights, titles=titles)
     text = f"d = {data['target']:g}\ne = d − y = {data['e']:.3g}\nL = e² = {data['loss']['before']:.3g}"
     ax.text(2, 0.55, text, ha="center", va="bottom", fontsize=9)
-    names, printed, automatic = [], [], []
-    for part, equation in (("output", "Eq 4.13"), ("hidden", "Eq 4.17")):
-        found = data["gradients"][part]
-        printed += np.ravel(found[equation]).tolist()
-        automatic += np.ravel(found["automatic"]).tolist()
-        for index in np.ndindex(np.shape(found[equation])):
-            names.append(f"$w^{part[0]}_{{{''.join(str(i + 1) for i in index)}}}$")
+    printed, automatic = np.hstack([data["compared"][equation] for equation in ("Eq 4.13", "Eq 4.17")])
+    indices = [("o", *i) for i in np.ndindex(np.shape(data["output weights"]))]
+    indices += [("h", *i) for i in np.ndindex(np.shape(data["hidden weights"]))]
+    names = [f"$w^{part}_{{{''.join(str(i + 1) for i in index)}}}$" for part, *index in indices]
     place = np.arange(len(names))
     bars.barh(place, printed, height=0.6, color=plotting.SKY, label="Eq 4.13 and 4.17")
     bars.plot(automatic, place, "x", color=plotting.BLACK, label="automatic differentiation")

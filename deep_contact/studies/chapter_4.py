@@ -1,13 +1,13 @@
 """Chapter 4 worked through with numbers, in plain NumPy and by Keras or TensorFlow.
 
 Each computation follows the thesis's equation literally, to be compared with the library: a convolution (Eq 4.1), a
-neuron (Eq 4.3, 4.4), max pooling, backpropagation (Eq 4.11-4.18). The last section looks into a trained network.
+network (Eq 4.3, 4.4), max pooling, backpropagation (Eq 4.11-4.18). The last section looks into a trained network.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from itertools import pairwise
 
 import numpy as np
 
@@ -61,20 +61,11 @@ def relu(x):
     return np.maximum(0.0, x)
 
 
-def neuron(x: np.ndarray, w: np.ndarray, bias: float, activation: Callable = relu) -> float:
-    """Eq 4.3: f(Σ w_i x_i + bias)."""
-    return float(activation(np.sum(w * x) + bias))
+def forward(x: np.ndarray, layers: Sequence[tuple]) -> list[np.ndarray]:
+    """The values of every layer of a network, the input first; ReLU after all layers but the last (section 4.2.5).
 
-
-class Layer(NamedTuple):
-    """A fully connected layer: weights (inputs, outputs) and bias (outputs,)."""
-
-    weights: np.ndarray
-    bias: np.ndarray
-
-
-def forward(x: np.ndarray, layers: Sequence[Layer]) -> list[np.ndarray]:
-    """The values of every layer of a network, the input first; ReLU after all layers but the last (section 4.2.5)."""
+    layers: (weights (inputs, outputs), bias (outputs,)) of each.
+    """
     values = [np.asarray(x, dtype=np.float64)]
     for number, (weights, bias) in enumerate(layers, start=1):
         z = values[-1] @ weights + bias
@@ -82,19 +73,10 @@ def forward(x: np.ndarray, layers: Sequence[Layer]) -> list[np.ndarray]:
     return values
 
 
-def random_layers(sizes: Sequence[int], seed: int) -> list[Layer]:
-    """Layers between so many neurons each, with He normal weights (Table 5.2) and small biases."""
+def random_layers(sizes: Sequence[int], seed: int) -> list[tuple]:
+    """`forward`'s layers between so many neurons each, with He normal weights (Table 5.2) and small biases."""
     rng = np.random.default_rng(seed)
-    pairs = zip(sizes[:-1], sizes[1:])
-    return [Layer(rng.normal(0.0, np.sqrt(2 / n), (n, m)), rng.normal(0.0, 0.1, m)) for n, m in pairs]
-
-
-def keras_forward(x: np.ndarray, layers: Sequence[Layer]) -> np.ndarray:
-    """The last of `forward`'s values by Keras's `Dense`."""
-    for number, layer in enumerate(layers, start=1):
-        activation = "linear" if number == len(layers) else "relu"
-        x = by_keras("Dense", layer.bias.size, x=np.asarray(x), weights=layer, activation=activation)
-    return x
+    return [(rng.normal(0.0, np.sqrt(2 / n), (n, m)), rng.normal(0.0, 0.1, m)) for n, m in pairwise(sizes)]
 
 
 ACTIVATIONS: dict[str, tuple[Callable, Callable]] = {
@@ -179,48 +161,17 @@ def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
 # ---- inside a trained network ----
 
 
-def convolutions(model) -> list:
-    """The layers of a Keras model with kernels larger than one node, in their order."""
-    from deep_contact.cnn.backend import keras
+def feature_maps(model, image: np.ndarray, names: Sequence[str], training: bool = False) -> dict[str, np.ndarray]:
+    """The outputs of some layers for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32.
 
-    kinds = (keras.layers.Conv2D, keras.layers.Conv2DTranspose)
-    return [layer for layer in model.layers if isinstance(layer, kinds) and max(layer.kernel_size) > 1]
-
-
-def feature_maps(model, image: np.ndarray, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """The outputs of some layers for one image (n_y, n_x, c): name -> (n_y', n_x', maps), float32."""
-    from deep_contact.cnn.backend import keras
-
-    inside = keras.Model(model.inputs[0], {name: model.get_layer(name).output for name in names})
-    found = inside(image[None])  # training=False would switch off the dropout of `with_dropout`
-    return {name: np.asarray(found[name])[0] for name in names}
-
-
-def strongest(maps: np.ndarray, count: int) -> np.ndarray:
-    """Indices of the maps (n_y, n_x, maps) with the largest standard deviation, the strongest first."""
-    return np.argsort(-maps.std(axis=(0, 1)), kind="stable")[:count]
-
-
-def with_dropout(model):
-    """A copy of a trained model whose dropout works as in training: (Keras model, name of a layer, of its dropout).
-
-    Everything else stays in inference, batch normalisation included. The names are those of the first layer with
-    dropout and of the dropout after it. Every call draws new masks.
+    training: with dropout at work. All else stays in inference if `model.trainable` is false.
     """
     from deep_contact.cnn.backend import keras
 
-    names = [layer.name for layer in model.layers]
-    dropping = next(layer.name for layer in model.layers if isinstance(layer, keras.layers.Dropout))
+    inside = keras.Model(model.inputs[0], {name: model.get_layer(name).output for name in names})
+    return {name: np.asarray(maps)[0] for name, maps in inside(image[None], training=training).items()}
 
-    def call(layer, *arguments, **options):
-        if isinstance(layer, (keras.layers.Dropout, keras.layers.BatchNormalization)):
-            # Keras passes the mode of one layer on to the next ones, unless theirs is given.
-            options = {**options, "training": isinstance(layer, keras.layers.Dropout)}
-        return layer(*arguments, **options)
 
-    functional = keras.Model(model.inputs[0], model.outputs[0])  # a Sequential has no calls to change
-    copy = keras.models.clone_model(functional, call_function=call)
-    for layer in model.layers:
-        if weights := layer.get_weights():
-            copy.get_layer(layer.name).set_weights(weights)
-    return copy, names[names.index(dropping) - 1], dropping
+def strongest(maps: np.ndarray) -> int:
+    """Index of the map, of (n_y, n_x, maps), with the largest standard deviation."""
+    return int(maps.std(axis=(0, 1)).argmax())

@@ -3,16 +3,12 @@
 The figures compare them with SciPy, Keras and automatic differentiation.
 """
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from conftest import load_script
 
 from deep_contact.reporting import figures, results
 from deep_contact.studies import chapter_4 as worked
-
-SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 
 
 @pytest.fixture(scope="module")
@@ -31,10 +27,10 @@ def test_a_kernel_that_sticks_out_is_refused(bad):
 
 
 def test_a_neuron_by_hand():
-    """Eq 4.3 and 4.4: 2·0.5 − 1·3 + 1 = −1, cut at zero by ReLU."""
-    x, w = np.array([2.0, 1.0]), np.array([0.5, -3.0])
-    assert worked.neuron(x, w, 1.0) == 0.0
-    assert worked.neuron(x, w, 1.0, activation=lambda z: z) == -1.0
+    """Eq 4.3 and 4.4: 2·0.5 − 1·3 + 1 = −1, which ReLU cuts at zero in a hidden layer."""
+    neuron = np.array([[0.5], [-3.0]]), np.array([1.0])
+    assert worked.forward([2.0, 1.0], [neuron])[1] == -1.0
+    assert worked.forward([2.0, 1.0], [neuron, (np.eye(1), np.zeros(1))])[1] == 0.0
 
 
 @pytest.mark.parametrize("name", worked.ACTIVATIONS)
@@ -95,9 +91,9 @@ def test_feature_maps_are_what_the_first_convolution_gives_by_eq_4_1(network):
 
 def test_dropout_is_on_and_all_else_is_in_inference(network):
     image = np.random.default_rng(7).normal(size=(9, 9, 2)).astype(np.float32)
-    copy, before, after = worked.with_dropout(network)
-    assert (before, after) == ("convolution_1_2", "dropout_1")
-    maps = worked.feature_maps(copy, image, [before, after, "pooling_2", "normalization_2"])
+    network.trainable = False
+    names = before, after, *_ = ["convolution_1_2", "dropout_1", "pooling_2", "normalization_2"]
+    maps = worked.feature_maps(network, image, names, training=True)
     kept = maps[after] != 0
     np.testing.assert_allclose(maps[after][kept], maps[before][kept] / 0.9, rtol=1e-6)  # its own rate, 0.1
     assert 0.05 < 1 - kept[maps[before] > 0].mean() < 0.15  # 500 values and more
