@@ -73,24 +73,23 @@ def claims(data):
 
 
 def draw(data, options):
-    """Above: a small network before and after. Below: a map of the trained one, off and on."""
-    figure = plotting.new_figure((9.0, 6.4))
-    above, below = figure.subfigures(2, 1, height_ratios=[1, 1.1])
-    above.suptitle("Dropout in training: a share of the neurons, drawn at random, gives zero", fontsize=11)
+    """Above: a small network without and with dropout. Below: a map of the trained one, and what is dropped of it."""
+    figure, (above, below) = plotting.subplots(2, 2, size=(9.0, 6.4), height_ratios=[1, 1.1])
     small = data["small network"]
-    titles = ("without", f"with a rate of {options['rate drawn']:g}")
-    for ax, title, dropped in zip(above.subplots(1, 2), titles, (None, small["dropped"])):
+    titles = ("a small network", f"the same with a dropout rate of {options['rate drawn']:g}")
+    for ax, title, dropped in zip(above, titles, (None, small["dropped"])):
         plotting.draw_network(ax, small["dropped"], small["weights"], dropped=dropped, numbers="")
         ax.set_title(title)
-    below.suptitle(f"{options['model']} on a falling pile, rate {data['rate']:g}", fontsize=11)
-    panels = below.subplots(1, 2)
     before, after = np.array(data["before"]), np.array(data["after"])
     high = np.percentile(before[before > 0], 95)
-    for ax, values, title in ((panels[0], before, "without"), (panels[1], after, "with")):
+    titles = (f"{data['layer'].replace('_', ' ')}, map {data['map'] + 1}", f"with its dropout rate of {data['rate']:g}")
+    for ax, values, title in zip(below, (before, after), titles):
         shown = ax.imshow(values, origin="lower", interpolation="nearest", vmin=0, vmax=high)
         ax.axis("off")
-        ax.set_title(f"{data['layer'].replace('_', ' ')}, map {data['map'] + 1},\n{title}")
-        below.colorbar(shown, ax=ax, shrink=0.7, label="activation")
+        ax.set_title(title)
+    below[1].plot(*np.nonzero((before > 0) & (after == 0))[::-1], "s", color=plotting.VERMILION, markersize=2.2)
+    figure.colorbar(shown, ax=below, shrink=0.7, label="activation (vermilion: dropped)")
+    figure.suptitle("Dropout in training: a share of the neurons, drawn at random, gives zero", fontsize=11)
     return figure
 
 

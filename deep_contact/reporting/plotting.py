@@ -23,6 +23,12 @@ from deep_contact.validation import one_of
 DPI = 150
 """Dots per inch of every picture."""
 
+FILM_DPI = 80
+"""Dots per inch of a film."""
+
+PAGE = 8.3
+"""Width of a page, inches."""
+
 BLACK, GREY = "#000000", "#767676"
 ORANGE, SKY, GREEN, YELLOW = "#E69F00", "#56B4E9", "#009E73", "#F0E442"
 BLUE, VERMILION, PURPLE = "#0072B2", "#D55E00", "#CC79A7"
@@ -108,21 +114,15 @@ def styles_of(names: Iterable[str]) -> dict[str, dict]:
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):
     """A figure and its axes (one, or an array as `Figure.subplots` gives it), without pyplot. A notebook shows it.
 
-    size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several.
-    """
-    with style():
-        figure = new_figure(size or ((6.0, 4.0) if rows == columns == 1 else (4.2 * columns, 3.6 * rows)))
-        return figure, figure.subplots(rows, columns, **keywords)
-
-
-def new_figure(size: tuple[float, float]):
-    """An empty matplotlib figure of a width and a height, inches, which shows itself in a notebook's cell.
-
-    It is no wider than a page, so that letters keep their size where it is shown.
+    size: width and height, inches; by default 6 × 4 for one panel, and 4.2 × 3.6 for each of several. The figure is no
+    wider than a page, so that letters keep their size where it is shown.
     """
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(min(size[0], PAGE), size[1]), layout="constrained")
+    width, height = size or ((6.0, 4.0) if rows == columns == 1 else (4.2 * columns, 3.6 * rows))
+    with style():
+        figure = Figure(figsize=(min(width, PAGE), height), layout="constrained")
+        axes = figure.subplots(rows, columns, **keywords)
 
     def png() -> bytes:
         content = io.BytesIO()
@@ -131,7 +131,7 @@ def new_figure(size: tuple[float, float]):
         return content.getvalue()
 
     figure._repr_png_ = png  # IPython shows only the figures that pyplot has made, or what has this method
-    return figure
+    return figure, axes
 
 
 def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title: str = "") -> None:
@@ -321,33 +321,6 @@ def readable_on(colours: np.ndarray) -> np.ndarray:
     return np.where(colours[..., :3] @ np.array([0.299, 0.587, 0.114]) > 0.5, "#222222", "white")
 
 
-def convergence_plot(
-    ax,
-    sweeps: Sequence[int],
-    curves: Mapping[str, np.ndarray],
-    bands: Mapping[str, tuple[np.ndarray, np.ndarray]],
-    *,
-    threshold: float,
-    floor: float,
-) -> None:
-    """Plot the convergence rate θ after some sweeps, both axes logarithmic.
-
-    curves: name -> θ, N·s; starts have their own style. bands: name -> the quartiles (low, high) of the scenes.
-    threshold: a horizontal line, N·s. floor: at which smaller θ are drawn, zero included, with a note.
-    """
-    for name, look in styles_of(curves).items():
-        band(ax, sweeps, *(np.maximum(theta, floor) for theta in (curves[name], *bands[name])), **look)
-    ax.axhline(threshold, color=GREY, linewidth=1.0, zorder=1, label=f"θ = {threshold:g} N·s")
-    ax.set(xscale="log", yscale="log")
-    label_axes(ax, "sweep", "mean convergence rate θ", y_unit="N·s")
-    if min(map(min, curves.values())) < floor:
-        note = f"θ below {floor:.0e}, zero included, is drawn there"
-        ax.text(0.01, 0.01, note, transform=ax.transAxes, fontsize=8, color="#555555", va="bottom")
-
-
-PAGE = 8.3
-"""Width of a page, inches."""
-
 _CHARACTER, _LINE = 0.084, 0.17
 """Width of a character of a table and height of a line at 8 pt, inches."""
 
@@ -357,28 +330,24 @@ def draw_table(rows: Sequence[Sequence[str]], title: str):
 
     Text is wrapped so that it fits a page; where the longest words do not, letters are smaller.
     """
-    columns = list(zip(*rows))
-    widths = [max(map(len, column)) for column in columns]
-    least = [max(map(len, " ".join(column).split()), default=0) for column in columns]
-    while _CHARACTER * (sum(widths) + 2 * len(widths)) > PAGE and widths != least:
-        wide = max((i for i in range(len(widths)) if widths[i] > least[i]), key=widths.__getitem__)
-        widths[wide] -= 1
-    wrapped = [[textwrap.fill(text, width or 1) for text, width in zip(row, widths)] for row in rows]
+    for width in range(100, 4, -1):
+        wrapped = [[textwrap.fill(text, width, break_long_words=False) for text in row] for row in rows]
+        widths = [2 + max(len(line) for text in column for line in text.split("\n")) for column in zip(*wrapped)]
+        if _CHARACTER * sum(widths) <= PAGE:
+            break
+    scale = min(1.0, PAGE / (_CHARACTER * sum(widths)))
     heights = [_LINE * (1 + max(text.count("\n") for text in row)) + 0.09 for row in wrapped]
-    total = sum(widths) + 2 * len(widths)
-    scale = min(1.0, PAGE / (_CHARACTER * total))
-    wide = max(4.0, scale * _CHARACTER * total)
+    wide = max(4.0, scale * _CHARACTER * sum(widths))
     figure, ax = subplots(size=(wide, scale * sum(heights) + 0.5))
     with style():
         ax.axis("off")
         ax.set_title(textwrap.fill(title, int(wide / 0.1)))
-        shares = [(width + 2) / total for width in widths]
-        table = ax.table(wrapped, colWidths=shares, cellLoc="left", bbox=(0, 0, 1, 1))
+        shares = [width / sum(widths) for width in widths]
+        table = ax.table(wrapped, colWidths=shares, cellLoc="left", bbox=(0, 0, 1, 1), edges="B")
         table.auto_set_font_size(False)
         table.set_fontsize(8.0 * scale)
         for (row, _), cell in table.get_celld().items():
             cell.set(height=heights[row], edgecolor="#CCCCCC" if row else BLACK)
-            cell.visible_edges = "B"
             cell.set_text_props(weight="normal" if row else "bold")
     return figure
 
@@ -398,32 +367,26 @@ def draw_network(
     where negative, as wide as they are large. titles: under the layers. dropped: neurons that are crossed out and have
     no lines. numbers: format of a neuron's value; "" omits them.
     """
-    from matplotlib.collections import LineCollection
-
-    places = [[(float(i), 0.5 * (len(layer) - 1) - j) for j in range(len(layer))] for i, layer in enumerate(values)]
+    places = [[(i, 0.5 * (len(layer) - 1) - j) for j in range(len(layer))] for i, layer in enumerate(values)]
     gone = dropped or [[False] * len(layer) for layer in values]
     largest = max(np.abs(between).max() for between in weights) or 1.0
     for i, between in enumerate(weights):
-        kept = [(a, b, w) for (a, b), w in np.ndenumerate(between) if w and not (gone[i][a] or gone[i + 1][b])]
-        lines = [(places[i][a], places[i + 1][b]) for a, b, _ in kept]
-        looks = {
-            "colors": [BLUE if w > 0 else VERMILION for *_, w in kept],
-            "linestyles": ["-" if w > 0 else "--" for *_, w in kept],
-            "linewidths": [0.3 + 2.7 * abs(w) / largest for *_, w in kept],
-        }
-        ax.add_collection(LineCollection(lines, **looks, zorder=1))
-    low, high = (edge(y for layer in places for _, y in layer) for edge in (min, max))
+        for (a, b), w in np.ndenumerate(between):
+            if w and not (gone[i][a] or gone[i + 1][b]):
+                ends, look = zip(places[i][a], places[i + 1][b]), (BLUE, "-") if w > 0 else (VERMILION, "--")
+                ax.plot(*ends, color=look[0], linestyle=look[1], linewidth=0.3 + 2.7 * abs(w) / largest, zorder=1)
     for layer, shown, out_of in zip(places, values, gone):
-        for (x, y), value, out in zip(layer, shown, out_of):
+        for place, value, out in zip(layer, shown, out_of):
             face, edge = ("#EEEEEE", GREY) if out else ("#CFE6F5", BLACK)
-            ax.plot(x, y, "o", markersize=30, markerfacecolor=face, markeredgecolor=edge, zorder=2)
+            ax.plot(*place, "o", markersize=30, markerfacecolor=face, markeredgecolor=edge)
             if out:
-                ax.plot(x, y, "x", markersize=22, color=GREY, markeredgewidth=1.5, zorder=3)
+                ax.plot(*place, "x", markersize=22, color=GREY, markeredgewidth=1.5)
             elif numbers:
-                ax.text(x, y, numbers.format(value), ha="center", va="center", fontsize=8, zorder=3)
+                ax.text(*place, numbers.format(value), ha="center", va="center", fontsize=8)
+    high = 0.5 * (max(map(len, values)) - 1)
     for i, text in enumerate(titles):
-        ax.text(i, low - 0.45, text, ha="center", va="top", fontsize=9)
-    ax.set(xlim=(-0.4, len(values) - 0.6), ylim=(low - (0.9 if titles else 0.5), high + 0.5))
+        ax.text(i, -high - 0.45, text, ha="center", va="top", fontsize=9)
+    ax.set(xlim=(-0.4, len(values) - 0.6), ylim=(-high - (0.9 if titles else 0.5), high + 0.5))
     ax.axis("off")
 
 
@@ -445,32 +408,25 @@ def animate(
     panels: Sequence[float],
     fps: int = 25,
     size: float = 5.0,
-    dpi: int = 80,
 ) -> list[Path]:
-    """Write states as an animation, one frame each: a GIF, and an MP4 beside it if matplotlib finds ffmpeg.
+    """Write states, one frame each, as a GIF, and as an MP4 beside it if matplotlib finds ffmpeg. Returns the paths.
 
-    path: of the GIF; the MP4 has the same stem. draw: `draw(axes, state)`, with an axes for each panel, empty. panels:
-    their widths, side by side, in heights. fps: frames a second. size: height of a frame, inches. Returns the paths
-    written. Raises ValueError for no states or a wrong fps.
+    path: of the GIF. draw: `draw(axes, state)`, with an axes for each panel, empty. panels: their widths, side by side,
+    in heights. fps: frames a second. size: height of a frame, inches.
     """
     from matplotlib import animation
     from matplotlib.figure import Figure
 
-    if not 0 < fps <= 100:
-        raise ValueError(f"fps: expected a number above 0, at most 100, got {fps!r}")
-    states = list(states)
-    if not states:
-        raise ValueError("states: expected at least one, got none")
-    path = Path(path).with_suffix(".gif")
+    states, path = list(states), Path(path).with_suffix(".gif")
     path.parent.mkdir(parents=True, exist_ok=True)
     writers = {path: animation.PillowWriter(fps=fps)}
     if animation.writers.is_available("ffmpeg"):
         writers[path.with_suffix(".mp4")] = animation.FFMpegWriter(fps=fps)
     with style(), ExitStack() as stack:
-        figure = Figure(figsize=(size * sum(panels), size), dpi=dpi, layout="constrained")
+        figure = Figure(figsize=(size * sum(panels), size), layout="constrained")
         axes = figure.subplots(1, len(panels), width_ratios=panels, squeeze=False)[0]
         for target, writer in writers.items():
-            stack.enter_context(writer.saving(figure, stack.enter_context(replacing(target)), dpi))
+            stack.enter_context(writer.saving(figure, stack.enter_context(replacing(target)), FILM_DPI))
         for state in states:
             for ax in axes:
                 ax.clear()

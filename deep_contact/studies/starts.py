@@ -208,17 +208,27 @@ def table_of_starts(data: dict) -> list[list]:
     return rows
 
 
+FLOOR = 1e-9
+"""Where smaller θ are drawn, N·s."""
+
+
 def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Sequence[str] = ()):
     """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start."""
     figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.6))
-    found = data["independent"]
+    found, sweeps = data["independent"], data["sweep"]
     drawn = [name for name in found if name not in hidden]
-    bands = {name: np.percentile(found[name]["scenes"]["theta"], (25, 75), axis=0) for name in drawn}
-    thetas = {name: found[name]["theta"] for name in drawn}
-    plotting.convergence_plot(left, data["sweep"], thetas, bands, threshold=data["threshold"], floor=1e-9)
-    left.set_title("mean θ by sweep; bands: quartiles of the scenes")
-    tenth = data["sweep"].index(10)
-    draw_ratios(right, data, [name for name in found if verdicts.intervals(found, name, over)[0, tenth] > 0.1], over)
+    for name, look in plotting.styles_of(drawn).items():
+        curves = [found[name]["theta"], *np.percentile(found[name]["scenes"]["theta"], (25, 75), axis=0)]
+        plotting.band(left, sweeps, *np.maximum(curves, FLOOR), **look)
+    left.axhline(data["threshold"], color=plotting.GREY, linewidth=1, zorder=1, label=f"θ = {data['threshold']:g} N·s")
+    left.set(xscale="log", yscale="log")
+    title_of_left = "mean θ by sweep; bands: quartiles of the scenes"
+    plotting.label_axes(left, "sweep", "mean convergence rate θ", y_unit="N·s", title=title_of_left)
+    if min(min(found[name]["theta"]) for name in drawn) < FLOOR:
+        note = f"θ below {FLOOR:.0e}, zero included, is drawn there"
+        left.text(0.01, 0.01, note, transform=left.transAxes, fontsize=8, color="#555555", va="bottom")
+    near = [name for name in found if verdicts.intervals(found, name, over)[0, sweeps.index(10)] > 0.1]
+    draw_ratios(right, data, near, over)
     right.set_title("ratio; bands: 95 % intervals")
     curves = {text: line for ax in (left, right) for line, text in zip(*ax.get_legend_handles_labels())}
     figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4)

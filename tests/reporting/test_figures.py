@@ -463,15 +463,6 @@ def test_a_stored_state_draws_the_same_picture(tmp_path, contacts):
     assert pictures[0] == pictures[1]
 
 
-def test_theta_of_zero_is_drawn_at_the_floor_and_said_so():
-    _, ax = plotting.subplots()
-    curves = {"copy": [1e-3, 0.0, 0.0], "none": [1.0, 0.1, 0.02]}
-    bands = {name: [theta, theta] for name, theta in curves.items()}
-    plotting.convergence_plot(ax, [1, 2, 3], curves, bands, threshold=1e-2, floor=1e-4)
-    np.testing.assert_allclose(ax.lines[0].get_ydata(), [1e-3, 1e-4, 1e-4])
-    assert [text.get_text() for text in ax.texts] == ["θ below 1e-04, zero included, is drawn there"]
-
-
 @pytest.mark.skipif(os.name != "posix", reason="a program by a shell script")
 def test_an_mp4_is_written_where_ffmpeg_is_found(tmp_path, monkeypatch):
     fake = tmp_path / "bin" / "ffmpeg"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import load_script
 
-from deep_contact.studies import verdicts
+from deep_contact.studies import starts, verdicts
 
 SWEEPS = [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000]
 
@@ -125,3 +125,10 @@ def test_figure_5_4_asks_whether_the_best_spacing_depends_on_the_number_of_circl
     numbers = {n: {"independent": part(best=factor * base * noise, other=base)} for n, factor in factors.items()}
     claim = script.best_by_number(numbers, "best", ["other"], "read bilinearly")
     assert (claim.holds, claim.verdict) == (holds, verdict)
+
+
+def test_theta_of_zero_is_drawn_at_the_floor_and_said_so():
+    found = part(builtin=[[1.0, 0.1]], copy=[[1e-3, 0.0]])
+    left, _ = starts.draw_comparison({"sweep": [1, 10], "threshold": 6e-5, "independent": found}, "title").axes
+    np.testing.assert_allclose(left.lines[1].get_ydata(), [1e-3, 1e-9])
+    assert [text.get_text() for text in left.texts] == ["θ below 1e-09, zero included, is drawn there"]
