@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from itertools import islice, product
 from pathlib import Path
@@ -29,92 +29,73 @@ from deep_contact.studies import runs
 from deep_contact.studies.parts import done
 
 
-def ladder(method: str, budgets: dict, **options) -> list[dict]:
-    """Settings of a method. budgets: Δt / 0.01 s as a divisor -> numbers of sweeps."""
-    return [
-        {"method": method, "sweeps": sweeps, "dt": TIME_STEP / divisor, **options}
-        for divisor, found in budgets.items()
-        for sweeps in found
-    ]
+def settings(budgets: dict, **options) -> list[dict]:
+    """Settings with these options. budgets: substeps of 0.01 s -> numbers of sweeps.
+
+    Substeps that follow the motion are (fewest, most, slop).
+    """
+    found = []
+    for substeps, sweeps in budgets.items():
+        k, *motion = substeps if isinstance(substeps, tuple) else (substeps,)
+        by_motion = {"most_substeps": motion[0] // k, "slop": motion[1]} if motion else {}
+        found += [{"sweeps": count, "dt": TIME_STEP / k, **by_motion, **options} for count in sweeps]
+    return found
 
 
-def by_motion(method: str, budgets: dict, **options) -> list[dict]:
-    """Settings whose substeps follow the motion. budgets: (fewest, most substeps of 0.01 s, slop) -> sweeps."""
-    return [
-        {"method": method, "sweeps": sweeps, "dt": TIME_STEP / k, "most_substeps": most // k, "slop": slop, **options}
-        for (k, most, slop), found in budgets.items()
-        for sweeps in found
-    ]
-
-
-COLOURS = {"order": "colours"}
+PGS, PSOR = {"method": "PGS"}, {"method": "PSOR", "omega": 1.3}
+COLOURS = {"method": "BatchedPGS", "order": "colours"}
 FEW = {"position_sweeps": 3}
+NEAR = {"approach": 0.015}
+HALF, QUARTER = (2, 16, 0.25), (4, 32, 0.25)
 
 SMALL = [
-    *ladder("PGS", {1: (3, 4, 6), 2: (3,), 4: (2,)}),
-    *ladder("PGS", {1: (4, 6), 2: (3,)}, **FEW),
-    *ladder("PSOR", {1: (3, 6)}, omega=1.3),
-    *ladder("PSOR", {1: (4, 6)}, omega=1.3, **FEW),
-    *ladder("BatchedPGS", {1: (6,)}, **COLOURS),
-    *ladder("BatchedPGS", {1: (6, 10)}, **COLOURS, **FEW),
-    *by_motion("PGS", {(1, 4, 1.0): (4,), (1, 8, 0.5): (4,), (1, 8, 0.25): (6,), (2, 16, 0.25): (3, 4)}),
-    *by_motion("PGS", {(4, 16, 0.25): (2, 4), (4, 32, 0.25): (4,)}),
-    *by_motion("PSOR", {(1, 8, 0.5): (3, 4), (2, 16, 0.25): (2, 3), (4, 32, 0.25): (2,)}, omega=1.3),
-    *by_motion("PSOR", {(2, 16, 0.25): (3,)}, omega=1.3, **FEW),
-    *by_motion("PSOR", {(1, 16, 0.25): (6,)}, omega=1.5, approach=0.02),
-    *by_motion("BatchedPGS", {(1, 8, 1.0): (6,), (1, 8, 0.5): (6,), (1, 8, 0.25): (6, 10)}, **COLOURS),
-    *by_motion("BatchedPGS", {(1, 16, 0.25): (10,)}, **COLOURS, approach=0.015),
-    *by_motion("BatchedPGS", {(2, 16, 0.25): (3, 5, 10), (4, 32, 0.25): (3, 5, 10)}, **COLOURS),
-    *by_motion("BatchedPGS", {(2, 16, 0.25): (3, 5), (4, 32, 0.25): (5,)}, **COLOURS, **FEW),
+    *settings({1: (4,), 2: (3,), 4: (2,)}, **PGS),
+    *settings({1: (4,), 2: (3,)}, **PGS, **FEW),
+    *settings({(1, 4, 1.0): (4,), (1, 8, 0.5): (4,), (1, 8, 0.25): (6,)}, **PGS),
+    *settings({HALF: (3, 4), (4, 16, 0.25): (2, 4), QUARTER: (4,)}, **PGS),
+    *settings({1: (3,), (1, 8, 0.5): (3, 4), HALF: (3,), QUARTER: (2,)}, **PSOR),
+    *settings({1: (4, 6), HALF: (3,)}, **PSOR, **FEW),
+    *settings({(1, 16, 0.25): (6,)}, method="PSOR", omega=1.5, approach=0.02),
+    *settings({(1, 8, 1.0): (6,), (1, 8, 0.5): (6,), (1, 8, 0.25): (6, 10)}, **COLOURS),
+    *settings({(1, 16, 0.25): (10,)}, **COLOURS, **NEAR),
+    *settings({HALF: (10,), QUARTER: (3, 5)}, **COLOURS),
+    *settings({1: (6,), HALF: (3, 5), QUARTER: (5,)}, **COLOURS, **FEW),
 ]
-"""Settings on every kind of scene: fixed steps for the loose presets, by motion for the tight ones."""
+"""Settings on every kind of scene that a preset takes: fixed steps for the loose ones, by motion for the tight ones."""
 
 MEDIUM = [
-    *ladder("BatchedPGS", {2: (5, 10)}, **COLOURS),
-    *ladder("BatchedPGS", {1: (6, 10), 2: (5, 10), 4: (3, 5)}, **COLOURS, **FEW),
-    *by_motion("PGS", {(2, 16, 0.25): (4,), (4, 32, 0.25): (4,)}),
-    *by_motion("PSOR", {(2, 16, 0.25): (3,)}, omega=1.3),
-    *by_motion("BatchedPGS", {(1, 8, 1.0): (6,), (1, 8, 0.5): (6, 10), (1, 8, 0.25): (10,)}, **COLOURS),
-    *by_motion("BatchedPGS", {(1, 16, 0.25): (10, 20)}, **COLOURS, approach=0.015),
-    *by_motion("BatchedPGS", {(2, 16, 0.25): (5, 10), (4, 32, 0.25): (3, 5, 10)}, **COLOURS),
-    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5, 10), (4, 32, 0.25): (5,)}, **COLOURS, **FEW),
+    *settings({QUARTER: (4,)}, **PGS),
+    *settings({HALF: (3,)}, **PSOR),
+    *settings({(1, 8, 1.0): (6,), (1, 8, 0.25): (10,), QUARTER: (3, 5)}, **COLOURS),
+    *settings({(1, 16, 0.25): (10, 20)}, **COLOURS, **NEAR),
+    *settings({1: (6, 10), 2: (5, 10), 4: (3, 5)}, **COLOURS, **FEW),
+    *settings({(1, 8, 0.5): (6, 10), HALF: (5, 10), QUARTER: (5,)}, **COLOURS, **FEW),
 ]
 LARGE = [
-    *ladder("BatchedPGS", {2: (10,), 4: (5,)}, **COLOURS),
-    *ladder("BatchedPGS", {2: (10,), 4: (3,)}, **COLOURS, **FEW),
-    *by_motion("BatchedPGS", {(1, 8, 0.5): (20,), (2, 16, 0.25): (10, 20), (4, 32, 0.25): (5, 10, 20)}, **COLOURS),
-    *by_motion("BatchedPGS", {(1, 16, 0.25): (20,)}, **COLOURS, approach=0.015),
-    *by_motion("BatchedPGS", {(1, 8, 0.5): (6, 10), (2, 16, 0.25): (5, 10), (4, 32, 0.25): (5, 10)}, **COLOURS, **FEW),
+    *settings({2: (10,), 4: (5,), (1, 8, 0.5): (20,), QUARTER: (5, 10, 20)}, **COLOURS),
+    *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
+    *settings({2: (10,), 4: (3,), (1, 8, 0.5): (6, 10), HALF: (5, 10), QUARTER: (5, 10)}, **COLOURS, **FEW),
 ]
 
-PGS = {1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}
-PGS |= {8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}
 LADDER = [
-    *ladder("PGS", PGS),
-    *ladder("BatchedPGS", {1: (10, 20, 50), 2: (5, 10), 4: (3, 5, 10), 8: (2, 10)}, **COLOURS),
-    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8)}, omega=1.5),
-    *ladder("PSOR", {1: (6, 10, 20), 2: (4, 8), 4: (2,)}, omega=1.75, friction_omega=1.45),
-    *ladder("NNCG", {1: (5, 10, 20)}),
-    *ladder("NesterovPGS", {1: (10, 20)}),
-    *ladder("PGS", {1: (10, 50)}, start="none"),
+    *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
+    *settings({8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}, **PGS),
+    *settings({2: (10,), 4: (5,), 8: (10,)}, **COLOURS),
+    *settings({1: (10, 20)}, method="PSOR", omega=1.75, friction_omega=1.45),
+    *settings({1: (10, 20)}, method="NNCG"),
+    *settings({1: (10, 20)}, method="NesterovPGS"),
 ]
-"""Settings on plain piles alone: what sweeps, steps, methods and starts do to an error (Figures 6.1, 6.2, 6.11)."""
+"""Settings on plain piles alone: what sweeps, steps and methods do to an error (Figures 6.1, 6.2, 6.11)."""
 
-LARGE_LADDER = ladder(
-    "PGS", {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 32: (20,)}
+LARGE_LADDER = settings(
+    {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 32: (20,)}, **PGS
 )
-PEERS = {
-    "Box2D 2.3": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
-    "pymunk": {1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)},
-    "Box2D v3": {1: (2, 4, 8), 2: (1, 2, 4), 4: (1, 2), 8: (1,)},
-}
-PEER_SETTINGS = [
-    {"engine": engine, "sweeps": sweeps, "dt": TIME_STEP / divisor}
-    for engine, budgets in PEERS.items()
-    for divisor, found in budgets.items()
-    for sweeps in found
+PEERS = [
+    *settings({1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)}, engine="Box2D 2.3"),
+    *settings({1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)}, engine="pymunk"),
+    *settings({1: (2, 4, 8), 2: (1, 2, 4), 4: (1, 2), 8: (1,)}, engine="Box2D v3"),
 ]
-FEW_PEERS = [s for s in PEER_SETTINGS if s["sweeps"] in (2, 4, 10) and s["dt"] > TIME_STEP / 8]
+FEW_PEERS = [s for s in PEERS if s["sweeps"] in (2, 4, 10) and s["dt"] > TIME_STEP / 8]
 
 FULL = {
     "sizes": [100, 1000, 3000, 10_000],
@@ -126,7 +107,7 @@ FULL = {
     "seconds": 6.0,
     "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
     "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
-    "peers": {"100": PEER_SETTINGS, "1000": PEER_SETTINGS, "3000": FEW_PEERS, "10000": FEW_PEERS},
+    "peers": {"100": PEERS, "1000": PEERS, "3000": FEW_PEERS, "10000": FEW_PEERS},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
     "repeats": {"100": 5, "1000": 4, "3000": 3, "10000": 3},
 }
@@ -139,7 +120,7 @@ QUICK = {
     "seconds": 4.0,
     "settings": {"100": SMALL, "300": MEDIUM},
     "ladders": {"100": LADDER, "300": LARGE_LADDER},
-    "peers": {"100": PEER_SETTINGS[::3], "300": []},
+    "peers": {"100": PEERS[::3], "300": []},
     "steps": {"100": 50, "300": 20},
     "repeats": {"100": 3, "300": 3},
 }
@@ -189,19 +170,20 @@ def known_rows(file: Mapping, options: dict, seed: int) -> dict:
     return {key_of(row): row for row in kept}
 
 
-def study(options: dict, *, seed: int, jobs: int | Executor, work: Path, before: Mapping | None = None) -> dict:
+def study(
+    options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool, before: Mapping | None = None
+) -> dict | None:
     """The data of the results file. before: one whose errors are taken over; times are measured anew."""
     seen, timed, known = plan(options, seed, known_rows(before, options, seed) if before else {})
     found = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
+    if errors_only:
+        return None
     took = done(timed, FUNCTIONS, work=work, jobs=1, text="times")
-    ensembles: dict = {}
+    ensembles: dict = {}  # runs in the order of their seeds, so that each meets the reference of its own scene
     for (_, part), stored in zip(seen, found):
         ensemble = ensembles.setdefault((part["kind"], part["n_bodies"]), {})
-        _, runs_seen = ensemble.setdefault(runs.name_of(part["setting"]), (part["setting"], {}))
-        runs_seen[part["seed"]] = runs.observation(stored)
-    for ensemble in ensembles.values():  # by seed, so that each run meets the reference of its own scene
-        for name, (setting, by_seed) in ensemble.items():
-            ensemble[name] = setting, [by_seed[s] for s in sorted(by_seed)]
+        _, runs_seen = ensemble.setdefault(runs.name_of(part["setting"]), (part["setting"], []))
+        runs_seen.append(runs.observation(stored))
     times = {(part["kind"], part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)}
     rows = known | {key_of(row): row for row in runs.rows(ensembles)}
     rows = [runs.with_times(row, times) for row in rows.values()]
@@ -229,21 +211,18 @@ def table(data: dict, cpu: str) -> dict:
     return {"cpu": cpu, "sizes": sizes, "settings": list(settings.values())}
 
 
-def claims(data: dict) -> list[results.Claim]:
+def claims(data: dict) -> Iterator[results.Claim]:
     """Whether presets are kept, and what the fastest rival pays for the same."""
-    found = []
     for n in runs.sizes_of(data["presets"]):
         mine = {row["preset"]: row for row in data["presets"] if row["n_bodies"] == n}
         missing = {preset: [kind for kind, ours in row["kinds"].items() if not ours] for preset, row in mine.items()}
-        text = f"on each kind of scene some setting keeps every preset, {n:,} circles"
         missing = {preset: kinds for preset, kinds in missing.items() if kinds}
-        found.append(results.Claim(text, None, not missing, {"kinds without one": missing}))
-        ratios = {preset: row["ratio"][0] for preset, row in mine.items() if row["ratio"][0]}
-        if ratios:
+        text = f"on each kind of scene some setting keeps every preset, {n:,} circles"
+        yield results.Claim(text, None, not missing, {"kinds without one": missing})
+        if ratios := {preset: row["ratio"][0] for preset, row in mine.items() if row["ratio"][0]}:
             ahead = sum(ratio >= 5 for ratio in ratios.values()) >= 2 and min(ratios.values()) >= 1
             text = f"5 times cheaper than the fastest rival for two presets, dearer for none, {n:,} circles"
-            found.append(results.Claim(text, None, ahead, ratios))
-    return found
+            yield results.Claim(text, None, ahead, ratios)
 
 
 # ---- scenes outside the study ----
@@ -315,20 +294,26 @@ def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors
     return {"rows": rows, "times": timed}
 
 
-def verify_claims(data: dict) -> list[results.Claim]:
+def verify_claims(data: dict) -> Iterator[results.Claim]:
     """Whether presets keep their promise, and whether their costs are as predicted."""
-    found = []
     for preset in PRESETS:
-        mine = [row for row in data["rows"] if row["preset"] == preset]
-        within = {name: [row["within"][name] for row in mine if name in row["within"]] for name in PRESETS[preset]}
-        shares = {name: sum(kept) / len(kept) for name, kept in within.items()}
+        mine = [row["within"] for row in data["rows"] if row["preset"] == preset]
+        kept = {name: [within[name] for within in mine if name in within] for name in PRESETS[preset]}
+        shares = {name: sum(of) / len(of) for name, of in kept.items()}
         text = f"{preset} meets each of its tolerances, within the interval, in 95 % of kinds and sizes of other scenes"
-        found.append(results.Claim(text, None, min(shares.values()) >= 0.95, shares))
+        yield results.Claim(text, None, min(shares.values()) >= 0.95, shares)
     ratios = {
         f"{row['kind']}, {row['n_bodies']}, {row['preset']}": row["us"] / row["predicted_us"] for row in data["times"]
     }
     near = all(0.75 <= ratio <= 1.25 for ratio in ratios.values())
-    return [*found, results.Claim("the cost is within 25 % of the predicted one", None, near, ratios)]
+    yield results.Claim("the cost is within 25 % of the predicted one", None, near, ratios)
+
+
+STUDIES = {
+    "run_tradeoff": ("6.1", "Speed for accuracy in runs: errors and times of settings and engines", study, claims),
+    "run_tradeoff_verify": ("V.2", "The presets on scenes outside the study", verify, verify_claims),
+}
+"""Name of the results file -> its id and title, what makes its data, and its claims."""
 
 
 def main(arguments=None) -> int:
@@ -346,47 +331,32 @@ def main(arguments=None) -> int:
     add("--verify", action="store_true", help="errors and times of the presets on scenes outside the study")
     given = parser.parse_args(arguments)
     start = time.perf_counter()
-    options = (VERIFY_QUICK if given.quick else VERIFY) if given.verify else QUICK if given.quick else FULL
-    settings = {"seed": given.seed, "work": given.work}
     name = "run_tradeoff_verify" if given.verify else "run_tradeoff"
+    id, title, make, claims_of = STUDIES[name]
+    options = (VERIFY_QUICK if given.quick else VERIFY) if given.verify else QUICK if given.quick else FULL
     out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
-    before = results.read_results(out) if given.add else None
+    before = results.read_results(out) if given.add and not given.verify else None
+    more = {"before": before} if before else {}
     try:
         with parallel.opened(given.jobs, given.scheduler) as jobs:
-            if given.verify:
-                data = verify(options, jobs=jobs, errors_only=given.errors, **settings)
-            elif given.errors:
-                known = known_rows(before, options, given.seed) if before else {}
-                parts, _, _ = plan(options, given.seed, known)
-                data = done(parts, FUNCTIONS, work=given.work, jobs=jobs, text="errors")
-            else:
-                data = study(options, jobs=jobs, before=before, **settings)
+            data = make(options, seed=given.seed, jobs=jobs, work=given.work, errors_only=given.errors, **more)
     except parallel.ClusterError as error:
         print(error, file=sys.stderr)
         return 1
-    if given.errors:
+    if data is None:
         return 0
     wall_s = time.perf_counter() - start
-    kept = {key: value for key, value in options.items() if key not in ("settings", "ladders", "peers")} | {
-        "quick": given.quick
-    }
+    kept = {key: value for key, value in options.items() if key not in ("settings", "ladders", "peers")}
+    kept["quick"] = given.quick
     if before:
         kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
-    file = {
-        "id": "V.2" if given.verify else "6.1",
-        "title": "The presets on scenes outside the study"
-        if given.verify
-        else "Speed for accuracy in runs: errors and times of settings and engines",
-        "options": kept,
-        "provenance": results.provenance(seed=given.seed, wall_s=wall_s),
-        "claims": (verify_claims if given.verify else claims)(data),
-        "data": data,
-    }
-    results.write_results(out, file, digits=4)
-    for claim in file["claims"]:
+    made = results.provenance(seed=given.seed, wall_s=wall_s)
+    about, judged = {"id": id, "title": title, "options": kept, "provenance": made}, list(claims_of(data))
+    results.write_results(out, about | {"claims": judged, "data": data}, digits=4)
+    for claim in judged:
         print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
     if given.install and not given.verify:
-        results.write_json(TABLE, table(data, file["provenance"]["cpu"]))
+        results.write_json(TABLE, table(data, made["cpu"]))
     print(f"{len(data['rows'])} rows in {out.name}, {wall_s:.0f} s")
     return 0
 
