@@ -23,7 +23,7 @@ def compute(options, seed, jobs, progress):
         {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"], **outcome}
         for case, outcome in zip(cases, outcomes)
     ]
-    return {"units": {name: extremes.QUANTITIES[name].unit for name in options["quantities"]}, "cells": cells}
+    return {"units": {name: extremes.QUANTITIES[name][0] for name in options["quantities"]}, "cells": cells}
 
 
 def unearned(cell):

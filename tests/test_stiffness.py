@@ -7,7 +7,17 @@ import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import contacts_of
 from deep_contact.presets import PRESETS, stiffness
-from deep_contact.studies.extremes import leaning_silo, loaded_silo, pyramid, silo, with_bodies
+from deep_contact.studies.extremes import loaded_silo, pyramid, silo, with_bodies
+
+
+def leaning_column(n):
+    """Circles in zigzag, each pressed by 0.1 mm into the next and into a wall."""
+    pressed, order = 1e-4, np.arange(n)
+    wide, high = 0.05 + 2 * pressed, 2.0 - pressed  # from one circle to the next along x; centres' distance
+    x, y = 1.01 - pressed + wide * (order % 2), 1.01 - pressed + np.sqrt(high**2 - wide**2) * order
+    world = dc.World(box=(0.0, 0.0, 2.07, 2 * n + 4.02))
+    return dc.State(name="leaning", world=world, bodies=dc.make_bodies(np.column_stack([x, y])))
+
 
 STIFF = {
     "1000 on top": loaded_silo(5, 1e3),
@@ -15,7 +25,7 @@ STIFF = {
     "1e8 on top": loaded_silo(5, 1e8),
     "1e6 below": loaded_silo(5, 1e6, at=0),
     "column of 200": silo(200),
-    "leaning column of 100": leaning_silo(100),
+    "leaning column of 100": leaning_column(100),
 }
 
 

@@ -16,7 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import partial
 from itertools import product
 
@@ -47,7 +47,7 @@ ACCURATE = PGS(sweeps=100_000, tolerance=1e-9)
 """The most accurate setting here: it nearly always ends by its tolerance."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Trial:
     """One scene to run.
 
@@ -57,27 +57,11 @@ class Trial:
 
     scene: State
     steps: int
+    _: KW_ONLY
     solver: PGS = SOLVER
     warm_start: object = "builtin"
     ordered: int | None = None
     recognised: bool = True
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """A quantity that is pushed: its unit, the values, and the scene for a value.
-
-    ordered: of `Trial`. steps: of a trial, from the value and the steps asked for. options: value -> more options of
-    `Trial`. peers: whether the other engines have this quantity too.
-    """
-
-    unit: str
-    values: tuple
-    scene: Callable[[float], State]
-    ordered: int | None = None
-    steps: Callable[[float, int], int] = lambda value, steps: steps
-    options: Callable[[float], dict] = lambda value: {}
-    peers: bool = True
 
 
 # ---- outcomes ----
@@ -204,14 +188,12 @@ def mechanical_energy(scene: State, bodies: Bodies) -> float:
 def silo(n: int, *, radius: float = 1.0, **options) -> State:
     """`column` in a silo one circle wide, its lid two circles above it."""
     scene = column(n, radius=radius, width=2.0 * radius * (1 + WALL_SKIN), **options)
-    return with_box(scene, top=2.0 * radius * (WALL_SKIN + (n + 2)))
+    return with_lid(scene, 2.0 * radius * (WALL_SKIN + (n + 2)))
 
 
-def with_box(scene: State, *, right: float | None = None, top: float | None = None) -> State:
-    """The scene in a box whose right or upper side lies elsewhere, m."""
-    x_min, y_min, x_max, y_max = scene.world.box
-    box = (x_min, y_min, x_max if right is None else right, y_max if top is None else top)
-    return scene.replace(world=replace(scene.world, box=box))
+def with_lid(scene: State, top: float) -> State:
+    """The scene in a box that is as high as this, m."""
+    return scene.replace(world=replace(scene.world, box=(*scene.world.box[:3], top)))
 
 
 def with_bodies(scene: State, **fields) -> State:
@@ -234,21 +216,7 @@ def struck_silo(n: int, *, dt: float = constants.TIME_STEP, **options) -> State:
     position[-1, 1] += min(5.0 * dt, scene.scales.max_translation) * 20
     velocity[-1, 1] = -5.0
     top = max(scene.world.box[3], position[-1, 1] + 2 * scene.bodies.radius[-1])
-    return with_box(with_bodies(scene, position=position, velocity=velocity), top=top)
-
-
-PRESSED = 1e-4
-"""Overlap of contacts that have to exist in every engine, m. Without it, rounding to float32 decides."""
-
-
-def leaning_silo(n: int) -> State:
-    """A `silo` that is 5 cm wider: the circles stand in zigzag, each pressed into the next and into a wall."""
-    scene, lean = silo(n), 0.05
-    x_min, y_min, x_max, _ = scene.world.box
-    across, reach, wall = lean + 2 * PRESSED, 2.0 - PRESSED, WALL_SKIN + 1.0 - PRESSED
-    order = np.arange(n)
-    x, y = x_min + wall + across * (order % 2), y_min + wall + np.sqrt(reach**2 - across**2) * order
-    return with_box(with_bodies(scene, position=np.column_stack([x, y])), right=x_max + lean)
+    return with_lid(with_bodies(scene, position=position, velocity=velocity), top)
 
 
 def pyramid(rows: int) -> State:
@@ -319,77 +287,66 @@ def _powers(first: int, last: int) -> tuple[float, ...]:
     return tuple(float(f"1e{p}") for p in range(first, last + 1))
 
 
-def _sweeps(sweeps: int, tolerance: float | None = None) -> dict:
-    return {"solver": PGS(sweeps=sweeps, tolerance=tolerance)}
+def _stacked(scene: State, steps: int, **options) -> Trial:
+    """The trial of a scene whose circles stay above one another."""
+    return Trial(scene, steps, ordered=1, **options)
 
 
-def _misled(kind: str, *values: float) -> Quantity:
-    return Quantity(
-        "weights", values, lambda v: pyramid(5),
-        # Every step starts as badly as the first, so 40 show the effect.
-        steps=lambda v, s: min(s, 40),
-        options=lambda v: {"solver": ACCURATE, "warm_start": misleading_start(kind, v)},
-        peers=False,
-    )  # fmt: skip
+def _misled(kind: str) -> Callable:
+    # Every step starts as badly as the first, so 40 show the effect.
+    return lambda v, s: Trial(pyramid(5), min(s, 40), solver=ACCURATE, warm_start=misleading_start(kind, v))
 
 
+_MASS_RATIOS = (*_powers(0, 8), 1e31)
+_MASSES = (1e-40, 1e-30, 1e-20, 1e-12, 1e-6, 1.0, 1e6, 1e12, 1e20, 1e30, 1e40)
+_RADII = (1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 1.0, 10.0, 100.0, 1e4, 1e6, 1e8, 1e10)
+_STEPS = (*_powers(-10, -3), 0.01, 0.02, 0.05, 0.1, 0.3, 1.0, 2.0)
+_SPEEDS = (1e-9, 1e-6, 1e-3, 1.0, 10.0, 100.0, 200.0, 400.0, 500.0, 1e3, 1e4, 1e6, 1e10, 1e11)
+_TOLERANCES = (0.0, 1e-12, 1e-9, 1e-6, 6e-5, 1e-3, 0.01, 0.1, 1.0, 10.0)
 _FAR = (1e3, 1e6, 1e9, 1e12, 1e15, 1e60)
 
-QUANTITIES: dict[str, Quantity] = {
-    "mass ratio, heavy on light": Quantity("", (*_powers(0, 8), 1e31), lambda v: loaded_silo(5, v), ordered=1),
-    "mass ratio, light on heavy": Quantity("", (*_powers(0, 8), 1e31), lambda v: loaded_silo(5, v, at=0), ordered=1),
-    "mass": Quantity(
-        "kg", (1e-40, 1e-30, 1e-20, 1e-12, 1e-6, 1.0, 1e6, 1e12, 1e20, 1e30, 1e40),
-        lambda v: with_bodies(silo(5), mass=np.full(5, v)), ordered=1,
+QUANTITIES: dict[str, tuple[str, tuple, Callable[[float, int], Trial]]] = {
+    "mass ratio, heavy on light": ("", _MASS_RATIOS, lambda v, s: _stacked(loaded_silo(5, v), s)),
+    "mass ratio, light on heavy": ("", _MASS_RATIOS, lambda v, s: _stacked(loaded_silo(5, v, at=0), s)),
+    "mass": ("kg", _MASSES, lambda v, s: _stacked(with_bodies(silo(5), mass=np.full(5, v)), s)),
+    "radius": ("m", _RADII, lambda v, s: _stacked(silo(3, radius=v), s)),
+    "radius ratio": ("", (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4), lambda v, s: Trial(bed_under(v), s)),
+    "column height": (
+        "", (1, 2, 5, 10, 20, 50, 100, 200, 1000),
+        lambda v, s: _stacked(silo(v), 10 * s, solver=PGS(sweeps=10, tolerance=None)),
     ),
-    "radius": Quantity(
-        "m", (1e-8, 1e-6, 1e-4, 1e-3, 0.01, 0.05, 0.1, 1.0, 10.0, 100.0, 1e4, 1e6, 1e8, 1e10),
-        lambda v: silo(3, radius=v), ordered=1,
-    ),
-    "radius ratio": Quantity("", (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1e3, 1e4), bed_under),
-    "column height": Quantity(
-        "", (1, 2, 5, 10, 20, 50, 100, 200, 1000), silo, ordered=1,
-        steps=lambda v, s: 10 * s, options=lambda v: _sweeps(10),
-    ),
-    "pyramid rows": Quantity("", (2, 5, 10, 20, 50, 100), pyramid),
-    "pile": Quantity("circles", (10, 100, 1000, 10_000), lattice_in_box, steps=lambda v, s: 4 * s),
-    "time step": Quantity(
-        "s", (*_powers(-10, -3), 0.01, 0.02, 0.05, 0.1, 0.3, 1.0, 2.0), lambda v: struck_silo(5, dt=v), ordered=1
-    ),
-    "speed": Quantity(
-        "m/s", (1e-9, 1e-6, 1e-3, 1.0, 10.0, 100.0, 200.0, 400.0, 500.0, 1e3, 1e4, 1e6, 1e10, 1e11), channel, ordered=0
-    ),
-    "gravity": Quantity(
+    "pyramid rows": ("", (2, 5, 10, 20, 50, 100), lambda v, s: Trial(pyramid(v), s)),
+    "pile": ("circles", (10, 100, 1000, 10_000), lambda v, s: Trial(lattice_in_box(v), 4 * s)),
+    "time step": ("s", _STEPS, lambda v, s: _stacked(struck_silo(5, dt=v), s)),
+    "speed": ("m/s", _SPEEDS, lambda v, s: Trial(channel(v), s, ordered=0)),
+    "gravity": (
         "m/s²", (0.0, 1e-6, 1e-3, 1.0, 10.0, 100.0, *_powers(3, 7)),
-        lambda v: struck_silo(5, gravity=(0.0, -v)), ordered=1,
+        lambda v, s: _stacked(struck_silo(5, gravity=(0.0, -v)), s),
     ),
-    "friction": Quantity(
-        "", (0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12),
-        lambda v: small_pile(friction=v), steps=lambda v, s: 2 * s,
+    "friction": (
+        "", (0.0, 1e-9, 0.5, 1.0, 10.0, 1e3, 1e6, 1e9, 1e12), lambda v, s: Trial(small_pile(friction=v), 2 * s)
     ),
-    "restitution": Quantity(
-        # At e = 1 friction alone brings it to rest, which takes 1,300 steps.
-        "", (0.0, 0.25, 0.5, 0.75, 1.0), lambda v: small_pile(restitution=v), steps=lambda v, s: 4 * s
+    # At e = 1 friction alone brings it to rest, which takes 1,300 steps.
+    "restitution": ("", (0.0, 0.25, 0.5, 0.75, 1.0), lambda v, s: Trial(small_pile(restitution=v), 4 * s)),
+    "overlap": ("of the diameter", (0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0), lambda v, s: Trial(overlapping(v), s)),
+    "coinciding circles": ("circles", (2, 5, 10, 20, 50, 100, 200), lambda v, s: Trial(overlapping(1.0, v), s)),
+    "depth in a corner": ("m", (0.0, 0.005, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0), lambda v, s: Trial(cornered(v), s)),
+    "coordinate": ("m", (1e-6, 1.0, *_powers(3, 8), 9e8, 1e10), lambda v, s: _stacked(shifted(silo(5), v), s)),
+    "sweeps": (
+        "", (0, 1, 2, 5, 10, 100, 1000, 100_000),
+        lambda v, s: _stacked(
+            struck_silo(10), min(s, max(60, 300_000 // (v + 1))), solver=PGS(sweeps=v, tolerance=None)
+        ),
     ),
-    "overlap": Quantity("of the diameter", (0.0, 1e-6, 0.01, 0.1, 0.5, 0.9, 1.0), overlapping),
-    "coinciding circles": Quantity("circles", (2, 5, 10, 20, 50, 100, 200), lambda v: overlapping(1.0, v)),
-    "depth in a corner": Quantity("m", (0.0, 0.005, 0.1, 0.5, 1.0, 2.0, 5.0, 10.0), cornered),
-    "coordinate": Quantity(
-        "m", (1e-6, 1.0, *_powers(3, 8), 9e8, 1e10), lambda v: shifted(silo(5), v), ordered=1
-    ),
-    "sweeps": Quantity(
-        "", (0, 1, 2, 5, 10, 100, 1000, 100_000), lambda v: struck_silo(10), ordered=1,
-        steps=lambda v, s: min(s, max(60, 300_000 // (v + 1))), options=_sweeps,
-    ),
-    "tolerance": Quantity(
-        "N·s", (0.0, 1e-12, 1e-9, 1e-6, 6e-5, 1e-3, 0.01, 0.1, 1.0, 10.0),
-        lambda v: struck_silo(10), ordered=1, options=lambda v: _sweeps(1000, v), peers=False,
-    ),
-    "start, huge": _misled("huge", 0.0, 1.0, 10.0, *_FAR),
-    "start, pulling": _misled("pulling", 1.0, 10.0, *_FAR),
-    "start, outside the cone": _misled("outside", 0.5, 1.0, 10.0, *_FAR),
+    "tolerance": ("N·s", _TOLERANCES, lambda v, s: _stacked(struck_silo(10), s, solver=PGS(sweeps=1000, tolerance=v))),
+    "start, huge": ("weights", (0.0, 1.0, 10.0, *_FAR), _misled("huge")),
+    "start, pulling": ("weights", (1.0, 10.0, *_FAR), _misled("pulling")),
+    "start, outside the cone": ("weights", (0.5, 1.0, 10.0, *_FAR), _misled("outside")),
 }  # fmt: skip
-"""What Figure 6.6 pushes."""
+"""What Figure 6.6 pushes -> its unit, the values, and the trial of a value in so many steps."""
+
+OURS_ALONE = ("tolerance", "start, huge", "start, pulling", "start, outside the cone")
+"""Quantities that other engines do not have."""
 
 
 def cases(names, *, quick: bool, steps: int) -> list[dict]:
@@ -399,18 +356,18 @@ def cases(names, *, quick: bool, steps: int) -> list[dict]:
     """
     found = []
     for name in names:
-        quantity = QUANTITIES[one_of("quantities", name, QUANTITIES)]
-        pairs = product(quantity.values[:: 1 + quick], ENGINES if quantity.peers else ENGINES[:1])
-        found += [{"quantity": name, "value": value, "engine": engine, "steps": steps} for value, engine in pairs]
+        _, values, _ = QUANTITIES[one_of("quantities", name, QUANTITIES)]
+        cells = product(values[:: 1 + quick], ENGINES[:1] if name in OURS_ALONE else ENGINES)
+        found += [{"quantity": name, "value": value, "engine": engine, "steps": steps} for value, engine in cells]
     return found
 
 
 def run_case(case: dict) -> dict:
     """`measure` of a case; a scene that cannot be built is refused."""
-    quantity, value = QUANTITIES[case["quantity"]], case["value"]
+    _, _, trial_of = QUANTITIES[case["quantity"]]
     try:
         with np.errstate(over="ignore", invalid="ignore"):
-            fields = {"scene": quantity.scene(value), "ordered": quantity.ordered} | quantity.options(value)
+            trial = trial_of(case["value"], case["steps"])
     except ValueError as error:
         return _without_run(REFUSED, error)
-    return measure(Trial(steps=quantity.steps(value, case["steps"]), **fields), case["engine"])
+    return measure(trial, case["engine"])

@@ -147,24 +147,6 @@ def test_a_misleading_start_leaves_nothing_behind(kind, factor):
     assert -state.contacts.separation.min() < 2 * LINEAR_SLOP
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        *({"solver": method()} for method in METHODS.values()),
-        *(pytest.param({"solver": m(precision="single")}, marks=pytest.mark.slow) for m in METHODS.values()),
-        # `bad` starts from ten times the largest impulse everywhere, which few sweeps would not take back.
-        *({"warm_start": name, "solver": dc.PGS(sweeps=3000)} for name in STARTS if name != "cnn"),
-    ],
-    ids=str,
-)
-def test_every_method_and_every_start_keeps_a_pile_bounded(options):
-    scene = extremes.small_pile()
-    state = dc.simulate(scene, steps=150, **options).state
-    assert np.isfinite(state.bodies.position).all()
-    assert (state.bodies.position > 0).all()
-    assert extremes.mechanical_energy(scene, state.bodies) < extremes.mechanical_energy(scene, scene.bodies)
-
-
 def test_what_is_not_a_number_has_no_contacts_and_does_not_end_the_process():
     # NaN has no cell: the broad phase would write outside of its arrays.
     scene = extremes.silo(3)
