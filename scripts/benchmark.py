@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -110,11 +108,11 @@ class Peer:
         return contacts
 
 
-PEERS = {name: partial(Peer, adapter=adapter) for name, adapter in peers.ENGINES.items()}
-PEERS |= {
-    f"{name}, two threads": partial(Peer, adapter=adapter, threads=2)
+PEERS = {
+    name + words: partial(Peer, adapter=adapter, **options)
+    for words, options in (("", {}), (", two threads", {"threads": 2}))
     for name, adapter in peers.ENGINES.items()
-    if adapter.takes_threads
+    if adapter.takes_threads or not options
 }
 ENGINES = {
     "ours": Ours,
@@ -140,32 +138,30 @@ def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, fl
     A sweep of Box2D v3 is a substep, which goes over the contacts twice; one of pymunk corrects positions as well.
     """
     few = np.array(BLOCKS) == FEW
-    slope, overhead = timing.slope_and_overhead(
-        (FEW * contacts[few].sum(), seconds[few].sum()), (MANY * contacts[~few].sum(), seconds[~few].sum())
-    )
+    ends = ((sweeps * contacts[of].sum(), seconds[of].sum()) for sweeps, of in ((FEW, few), (MANY, ~few)))
+    slope, overhead = timing.slope_and_overhead(*ends)
     steps_few = steps * few.sum()
-    return {
-        "contacts": float(contacts.sum() / (steps * len(BLOCKS))),
-        "sweep_ns": float(1e9 * slope),
-        "overhead_us": float(1e6 * overhead / steps_few),
-        "step_us": float(1e6 * seconds[few].sum() / steps_few),
-    }
+    found = {"contacts": contacts.sum() / (steps * len(BLOCKS)), "sweep_ns": 1e9 * slope}
+    found |= {"overhead_us": 1e6 * overhead / steps_few, "step_us": 1e6 * seconds[few].sum() / steps_few}
+    return {name: float(value) for name, value in found.items()}
 
 
 def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
     """Name of the engine -> its `costs` on a pile, from which every repeat starts. Contacts are counted untimed."""
-    worlds, contacts, runs, setup = {}, {}, {}, {}
-    for name, engine in ENGINES.items():
+    worlds, contacts = {}, {}
 
-        def restart(name=name, engine=engine):
-            worlds[name] = engine(state)
-            worlds[name].run(WARM_UP, FEW)
+    def restart(name):
+        worlds[name] = ENGINES[name](state)
+        worlds[name].run(WARM_UP, FEW)
 
-        restart()
+    def run(name, block):
+        worlds[name].run(steps, BLOCKS[block])
+
+    for name in ENGINES:
+        restart(name)
         contacts[name] = np.array([worlds[name].count(steps, sweeps) for sweeps in BLOCKS])
-        setup[name, 0] = restart
-        for block, sweeps in enumerate(BLOCKS):
-            runs[name, block] = lambda name=name, sweeps=sweeps: worlds[name].run(steps, sweeps)
+    runs = {key: partial(run, *key) for key in product(ENGINES, range(len(BLOCKS)))}
+    setup = {(name, 0): partial(restart, name) for name in ENGINES}
     least = timing.interleaved(runs, repeats=repeats, setup=setup)
     seconds = {name: np.array([least[name, block] for block in range(len(BLOCKS))]) for name in ENGINES}
     return {name: costs(seconds[name], contacts[name], steps) for name in ENGINES}
@@ -189,12 +185,11 @@ def engine(given) -> dict:
 def claims(cases: list[dict]) -> Iterator[results.Claim]:
     """The goals of the engine, by its worst measured ratios."""
     for text, (cost, names, smallest, factor) in GOALS.items():
-        met = {
+        large = [case for case in cases if case["n_bodies"] >= smallest]
+        if met := {
             f"{name}, {case['kind']}, {case['n_bodies']}": case["ratios"][name][cost]
-            for case, name in product(cases, names)
-            if case["n_bodies"] >= smallest
-        }
-        if met:
+            for case, name in product(large, names)
+        }:
             worst = min(met, key=met.get)
             yield results.Claim(text, None, bool(met[worst] >= factor), {"worst case": worst, "ratio": met[worst]})
 
@@ -212,10 +207,8 @@ MEMORY = """
 import deep_contact as dc
 from deep_contact.studies.piles import packed_pile
 dc.simulate(packed_pile({n_bodies}, steps=0), steps=5, solver=dc.PGS(sweeps=10, tolerance=None, position_sweeps=3))
-with open("/proc/self/status") as status:
-    print(*(line.split()[1] for line in status if line.startswith("VmHWM")))
 """
-"""What a process does whose largest memory is measured. (What `getrusage` tells is no less than its parent's.)"""
+"""What a process does whose largest memory is measured."""
 
 
 def step(given) -> dict:
@@ -230,7 +223,8 @@ def step(given) -> dict:
             us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
             runs.append({"n_bodies": n_bodies, "kind": kind, "us": us})
             say(f"{n_bodies} {kind}", {name: f"{one:,.1f} µs" for name, one in us.items()})
-    memory = {str(n): peak_memory(n) for n in given.sizes if n >= LARGE and Path("/proc/self/status").exists()}
+    memory = {str(n): timing.fresh(MEMORY.format(n_bodies=n))["memory_kib"] for n in given.sizes if n >= LARGE}
+    memory = {n: 1.024e-3 * kib for n, kib in memory.items() if kib}
     many = many_piles(given.seed, min(given.repeats, 5), 20 if given.quick else 600)
     return {"runs": runs, "memory_mb": memory, "many": many}
 
@@ -238,23 +232,13 @@ def step(given) -> dict:
 def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     """Settled piles of 100 by `simulate_many`: μs of a step on one core and on all, and in one long run ("bare")."""
     states, solver = [made_pile("settled", 100, seed + k) for k in range(count)], solver_of(FEW)
-    calls = {
-        "bare": partial(dc.simulate, states[0], solver=solver, steps=20 * steps),
-        "one core": partial(dc.simulate_many, states, threads=1, solver=solver, steps=steps),
-        "all cores": partial(dc.simulate_many, states, solver=solver, steps=steps),
-    }
+    many = partial(dc.simulate_many, states, solver=solver, steps=steps)
+    bare = partial(dc.simulate, states[0], solver=solver, steps=20 * steps)
+    calls = {"bare": bare, "one core": partial(many, threads=1), "all cores": many}
     done = {"bare": 20 * steps, "one core": count * steps, "all cores": count * steps}
     us = {name: 1e6 * seconds / done[name] for name, seconds in timing.interleaved(calls, repeats=repeats).items()}
     say("many piles of 100", us)
     return {"cores": team.cores(), "us": us}
-
-
-def peak_memory(n_bodies: int) -> float:
-    """The largest memory, MB, of a process that runs a packed pile by PGS, its interpreter and code included."""
-    done = subprocess.run([sys.executable, "-c", MEMORY.format(n_bodies=n_bodies)], capture_output=True, text=True)
-    if done.returncode:
-        raise RuntimeError(f"memory: the process failed:\n{done.stderr}")
-    return int(done.stdout) * 1024 / 1e6
 
 
 # ---- transfer and state files ----
@@ -290,10 +274,8 @@ def transfer(given) -> dict:
         "k-d tree, all nodes in one query": lambda: both(splat_by_tree, one_query=True),
     }
     case = {name: timing.fastest(call, 3 if "tree" in name else given.repeats) for name, call in calls.items()}
-    ratio = {
-        "k-d tree / splat of both": case["k-d tree, splat of both"] / case["splat of both"],
-        "k-d tree, one query / splat of both": case["k-d tree, all nodes in one query"] / case["splat of both"],
-    }
+    trees = {"k-d tree": "k-d tree, splat of both", "k-d tree, one query": "k-d tree, all nodes in one query"}
+    ratio = {f"{name} / splat of both": case[tree] / case["splat of both"] for name, tree in trees.items()}
     say("µs", {name: f"{1e6 * seconds:.4g}" for name, seconds in case.items()})
     return {"options": options, "spacing": 0.5, "case": case, "ratio": ratio}
 
@@ -364,9 +346,9 @@ def disks(given) -> dict:
     return {"sides": sides}
 
 
-def disks_at(state: State, solvers: dict, rival, repeats: int, steps: int = 10) -> dict:
+def disks_at(state: State, solvers: dict, rival, repeats: int) -> dict:
     """Seconds and errors at one state, velocities against the exact solution, or the best that was found."""
-    problem = check_problem(contact_problem(state))
+    steps, problem = 10, check_problem(contact_problem(state))
     near = dc.solve_contacts(state, solver=NNCG(sweeps=20_000, tolerance=1e-12))
     exact = dc.solve_exactly(state, near.normal_impulses, near.tangent_impulses).solution
     reference = min((impulses(one) for one in (near, exact)), key=lambda found: natural_residual(problem, found))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -22,13 +23,12 @@ MOST_SWEEPS = 10_000
 
 def methods(tolerance: float) -> dict[str, Callable]:
     """Every solver that can be imported, by name, to an error of `tolerance`. Prints why the others cannot."""
-    makers = {f"ours, {kind.__name__}": lambda kind=kind: ours(kind, tolerance) for kind in (PGS, NesterovPGS)}
-    makers |= {f"Siconos {name}": lambda name=name: siconos(name, tolerance) for name in ("NSGS", "ADMM", "NSN_AC")}
-    makers["pinocchio ADMM"] = lambda: pinocchio(tolerance)
-    found = {}
+    makers = {f"ours, {kind.__name__}": partial(ours, kind) for kind in (PGS, NesterovPGS)}
+    makers |= {f"Siconos {name}": partial(siconos, name) for name in ("NSGS", "ADMM", "NSN_AC")}
+    makers["pinocchio ADMM"], found = pinocchio, {}
     for name, make in makers.items():
         try:
-            found[name] = make()
+            found[name] = make(tolerance)
         except ImportError as error:
             print(f"{name}: {error}")
     return found

@@ -8,9 +8,6 @@ any circle is after the same steps in both ways.
 from __future__ import annotations
 
 import functools
-import json
-import subprocess
-import sys
 import time
 from dataclasses import replace
 
@@ -181,29 +178,10 @@ JOBS = {
 }
 """Job -> the code of it."""
 
-_PROBE = """
-import json, sys, time
-begin = time.perf_counter()
-exec(sys.argv[1])
-took = time.perf_counter() - begin
-heavy = [name for name in ("numpy", "numba", "scipy", "lxml", "h5py", "keras", "tensorflow") if name in sys.modules]
-found = {"seconds": took, "heavy": heavy, "memory_mb": None}
-try:
-    lines = open("/proc/self/status").read().splitlines()
-    found["memory_mb"] = next(int(line.split()[1]) / 1024 for line in lines if line.startswith("VmHWM"))
-except OSError:
-    pass
-print(json.dumps(found))
-"""
-
 
 def job(name: str) -> dict:
-    """What a job takes in a fresh process, after a first one has filled the caches.
-
-    Returns {"seconds", "heavy": packages that it loads, "memory_mb": peak resident memory, or None where it is
-    unknown}. The seconds exclude the interpreter's start.
-    """
-    command = [sys.executable, "-c", _PROBE, JOBS[name]]
-    for _ in range(2):
-        done = subprocess.run(command, capture_output=True, text=True, check=True)
-    return json.loads(done.stdout.splitlines()[-1])
+    """{"seconds", "heavy", "memory_mb"} of `timing.fresh`, after a first process has filled the caches."""
+    timing.fresh(JOBS[name])
+    found = timing.fresh(JOBS[name])
+    kib = found.pop("memory_kib")
+    return found | {"memory_mb": kib and kib / 1024}

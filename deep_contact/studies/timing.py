@@ -7,6 +7,9 @@ turns, so that a change of the processor's speed meets all of them. Nothing else
 from __future__ import annotations
 
 import gc
+import json
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -69,6 +72,31 @@ def line(solve: Callable[[int], object], few: int, many: int, *, repeats: int) -
     """(Time of a sweep, time of none) of a function that does a given number of sweeps."""
     took = interleaved({k: partial(solve, k) for k in (few, many)}, repeats=repeats)
     return slope_and_overhead((few, took[few]), (many, took[many]))
+
+
+_PROBE = """
+import json, sys, time
+begin = time.perf_counter()
+exec(sys.argv[1])
+took = time.perf_counter() - begin
+heavy = [name for name in ("numpy", "numba", "scipy", "lxml", "h5py", "keras", "tensorflow") if name in sys.modules]
+try:
+    with open("/proc/self/status") as status:
+        memory = next(int(line.split()[1]) for line in status if line.startswith("VmHWM"))
+except OSError:
+    memory = None
+print(json.dumps({"seconds": took, "heavy": heavy, "memory_kib": memory}))
+"""
+
+
+def fresh(code: str) -> dict:
+    """What Python code takes in a process of its own.
+
+    Returns {"seconds": without the interpreter's start, "heavy": packages that it loads, "memory_kib": largest resident
+    memory, with the interpreter's, or None where it is unknown}. (What `getrusage` says is no less than its parent's.)
+    """
+    done = subprocess.run([sys.executable, "-c", _PROBE, code], stdout=subprocess.PIPE, text=True, check=True)
+    return json.loads(done.stdout.splitlines()[-1])
 
 
 def ratio(general: np.ndarray, special: np.ndarray) -> dict[str, float]:

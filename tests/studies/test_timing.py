@@ -31,15 +31,10 @@ def test_runs_are_interleaved_after_a_warm_up_run_that_does_not_count():
     runs = {name: (lambda name=name: order.append(name)) for name in "ab"}
     timing.interleaved(runs, repeats=2, clock=clock, setup={"b": lambda: order.append("setup")})
     assert order == ["a", "setup", "b"] * 3
-    runs = {"a": clock.spend(1.0, 3.0, 5.0), "b": clock.spend(0.0, 4.0, 2.0)}
-    found = timing.interleaved(runs, repeats=2, clock=clock, reduce=list)
-    assert found == {"a": [3.0, 5.0], "b": [4.0, 2.0]}
-
-
-def test_the_minimum_is_kept_and_set_up_is_not_timed():
-    clock = Clock()
-    runs, setup = {0: clock.spend(0.0, 3.0, 2.0)}, {0: clock.spend(9.0, 9.0, 9.0)}
-    assert timing.interleaved(runs, repeats=2, clock=clock, setup=setup) == {0: 2.0}
+    for reduce, expected in (({"reduce": list}, {"a": [3.0, 5.0], "b": [4.0, 2.0]}), ({}, {"a": 3.0, "b": 2.0})):
+        runs = {"a": clock.spend(1.0, 3.0, 5.0), "b": clock.spend(0.0, 4.0, 2.0)}
+        setup = {"b": clock.spend(9.0, 9.0, 9.0)}  # is not timed
+        assert timing.interleaved(runs, repeats=2, clock=clock, setup=setup, **reduce) == expected
 
 
 def test_the_garbage_collector_waits_and_is_enabled_again_after_an_error():
