@@ -7,7 +7,7 @@ import numpy as np
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure, parallel_map
 from deep_contact.studies import learned_starts
-from deep_contact.studies.learned_starts import CLASSICAL, FEWEST, LEARNED
+from deep_contact.studies.learned_starts import CLASSICAL, FEWEST, LEARNED, time_ratios
 from deep_contact.studies.starts import start_of
 
 TOLERANCES = (0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
@@ -15,7 +15,7 @@ TOLERANCES = (0.5, 0.3, 0.2, 0.1, 0.05, 0.03, 0.02, 0.01)
 
 def compute(options, seed, jobs, progress):
     """Errors pile by pile, in parallel; then times in this process alone: nothing may run beside what is timed."""
-    starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
+    starts = learned_starts.starts_with(options["model"])
     tasks = [
         {**options, "circles": count, "kind": kind, "seed": s, "starts": starts}
         for count, kind in product(options["counts"], options["kinds"])
@@ -28,31 +28,31 @@ def compute(options, seed, jobs, progress):
 
 
 def cases(data):
-    """(Kind, circles) -> its piles of which a state has a reference; by kind, and by rising numbers of circles."""
+    """(Kind, circles) -> its piles of which a state has a reference, and ratios of times on their states by tolerance.
+
+    By kind, and by rising numbers of circles.
+    """
     found = {}
     for pile in sorted(data["piles"], key=lambda pile: pile["circles"]):
         if pile["start_seconds"][LEARNED]:
             found.setdefault((pile["kind"], pile["circles"]), []).append(pile)
-    return {case: found[case] for case in sorted(found, key=lambda case: case[0], reverse=True)}
-
-
-def ratios(data):
-    """Case -> ratios of times on its states (`time_ratios`), for each error of `TOLERANCES`."""
-    return {case: [learned_starts.time_ratios(piles, data["sweeps"], error) for error in TOLERANCES]
-            for case, piles in cases(data).items()}  # fmt: skip
+    return {
+        case: (found[case], [time_ratios(found[case], data["sweeps"], error) for error in TOLERANCES])
+        for case in sorted(found, key=lambda case: case[0], reverse=True)
+    }
 
 
 def claims(data):
-    known = []
-    for (kind, n), of_case in ratios(data).items():
-        for error, found in zip(TOLERANCES, map(learned_starts.median_with_interval, of_case)):
+    known, sizes = [], {}
+    for (kind, n), (piles, ratios) in cases(data).items():
+        sizes[n] = sizes.get(n, []) + piles
+        for error, found in zip(TOLERANCES, map(learned_starts.median_with_interval, ratios)):
             if found:
-                known.append((*reversed(found), f"{n}, {kind}, {error}"))
-    shown = [{"where": where, "ratio": middle, "from": low, "to": high} for high, low, middle, where in sorted(known)]
-    wins, ties = sum(k[0] < 1 for k in known), sum(k[1] <= 1 <= k[0] for k in known)
-    sizes = {n: [pile for case, piles in cases(data).items() for pile in piles if case[1] == n] for _, n in cases(data)}
+                known.append({"where": f"{n}, {kind}, {error}"} | dict(zip(("ratio", "from", "to"), found)))
+    known.sort(key=lambda one: one["to"])
+    wins, ties = sum(one["to"] < 1 for one in known), sum(one["from"] <= 1 <= one["to"] for one in known)
     prices = {f"{n} circles": learned_starts.price_of(piles) for n, piles in sorted(sizes.items())}
-    measured = {"cases": len(known), "wins": wins, "ties": ties, "best": shown[:3], LEARNED: prices}
+    measured = {"cases": len(known), "wins": wins, "ties": ties, "best": known[:3], LEARNED: prices}
     text = "somewhere a learned start reaches an error sooner than the best classical setting (95 %)"
     yield Claim(text, None, wins > 0, measured)
     least = next(iter(prices.values()))["ms"]
@@ -61,10 +61,10 @@ def claims(data):
 
 
 def table(data):
-    rows, found = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]], ratios(data)
-    for (kind, n), piles in cases(data).items():
+    rows = [["circles", "pile", "start", "start, ms", *(f"to {error:g}" for error in TOLERANCES)]]
+    for (kind, n), (piles, ratios) in cases(data).items():
         price = learned_starts.price_of(piles)["ms"]
-        rows.append([n, kind, LEARNED, price, *(float(np.median(r)) if r.size else None for r in found[kind, n])])
+        rows.append([n, kind, LEARNED, price, *(float(np.median(r)) if r.size else None for r in ratios)])
         best = [learned_starts.best_timed(piles, data["sweeps"], CLASSICAL, error) for error in TOLERANCES]
         names = [name if seconds.size and np.isfinite(np.median(seconds)) else None for name, seconds in best]
         rows.append([n, kind, "best classical", None, *names])
@@ -76,7 +76,7 @@ def draw(data, options):
 
     Grey where there are fewer than `FEWEST` states.
     """
-    found = ratios(data)
+    found = {case: ratios for case, (_, ratios) in cases(data).items()}
     kinds = list(dict.fromkeys(kind for kind, _ in found))
     figure, axes = plotting.subplots(1, len(kinds), size=(plotting.PAGE, 3.2), squeeze=False, sharey=True)
     for ax, kind in zip(axes[0], kinds):

@@ -86,18 +86,12 @@ def draw(data, options):
                 ax_row[j].annotate(str(rows[end]["sweeps"]), points[end], **look)
         ax_row[j].margins(0.12)
         plotting.log_axes(ax_row[j])
-    for ax, n in zip(panels[0], sizes):
-        ax.set_title(f"{n:,} circles")
-    for ax in panels[-1]:
-        ax.set_xlabel("time of 10 ms (µs)")
-    for ax, name in zip(panels[:, 0], DRAWN):
-        ax.set_ylabel(f"{SHOWN[name]} (%)")
-    figure.suptitle("Where should the next microsecond go: more sweeps (numbers), or a smaller step?", fontsize=10)
-    plotting.legend_below(figure, panels[0, 0])
-    return figure
+    texts = (f"{SHOWN[name]} (%)" for name in DRAWN)
+    plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of 10 ms (µs)", texts)
+    title = "Where should the next microsecond go: more sweeps (numbers), or a smaller step?"
+    return plotting.legend_below(figure, panels[0, 0], title)
 
 
-OPTIONS = {"results": "data/reference/run_tradeoff.json"}
 FIGURE = Figure("6.11", "Where the next microsecond goes: more sweeps, or a smaller step", compute, table, draw, claims,
-                options=OPTIONS)  # fmt: skip
+                options=runs.RESULTS)  # fmt: skip
 figures.run_as_script(FIGURE, __name__)

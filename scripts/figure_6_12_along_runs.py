@@ -5,7 +5,7 @@ import numpy as np
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import learned_starts as study
-from deep_contact.studies.learned_starts import BASE, CLASSICAL, LEARNED, at_equal_times
+from deep_contact.studies.learned_starts import BASE, LEARNED, at_equal_times
 
 NETWORK, BUILTIN = f"{LEARNED}, {BASE}", f"builtin, {BASE}"
 DRAWN = (NETWORK, BUILTIN, f"scaled, {BASE}", f"none, {BASE}", "builtin, NesterovPGS")
@@ -13,7 +13,7 @@ DRAWN = (NETWORK, BUILTIN, f"scaled, {BASE}", f"none, {BASE}", "builtin, Nestero
 
 def compute(options, seed, jobs, progress):
     """Runs first, in parallel; then their times, one after the other."""
-    starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
+    starts = study.starts_with(options["model"])
     return {"columns": options["columns"], "runs": study.measure_runs(starts, options, seed, jobs, progress)}
 
 
@@ -24,8 +24,8 @@ def claims(data):
         found = dict(zip(("ratio", "from", "to"), cell["ratios"][NETWORK] or [None] * 3))
         timed[f"{circles} circles, time of {sweeps} sweeps"] = {"best classical": cell["best"]} | found
         curves = (data["runs"][circles][name] for name in (NETWORK, BUILTIN))
-        same = study.ratio_of_means(*(curve["errors"][curve["sweeps"].index(sweeps)] for curve in curves))
-        swept[f"{circles} circles, {sweeps} sweeps"] = same
+        errors = (curve["errors"][curve["sweeps"].index(sweeps)] for curve in curves)
+        swept[f"{circles} circles, {sweeps} sweeps"] = study.ratios_of(*errors).tolist()
     wins = sum(r["ratio"] is not None and r["ratio"] <= 0.85 and r["to"] < 0.95 for r in timed.values())
     text = "along runs the network leaves at most 0.85 of the best classical error at equal time, in 4 of 9 cells"
     yield Claim(text, None, wins >= 4, {"wins": wins, **timed})
@@ -39,7 +39,7 @@ def table(data):
         for name, ratio in cell["ratios"].items():
             found = [None, None]
             if ratio:
-                found = [float(np.mean(cell["errors"][name])), "{:.2f} ({:.2f}–{:.2f})".format(*ratio)]
+                found = [float(np.mean(cell["errors"][name])), study.text_of(ratio)]
             best = "yes" if name == cell["best"] else ""
             rows.append([cell["circles"], name, cell["sweeps"], 1e3 * cell["seconds"], *found, best])
     return rows
@@ -49,7 +49,7 @@ def draw(data, options):
     """Mean error along runs against the time of a step, one panel a size."""
     sizes = data["runs"]
     figure, axes = plotting.subplots(1, len(sizes), size=(plotting.PAGE, 3.6), squeeze=False)
-    for ax, (circles, of_size) in zip(axes[0], sizes.items()):
+    for ax, of_size in zip(axes[0], sizes.values()):
         for name in DRAWN:
             (start, solver), curve = study.parts_of(name), of_size[name]
             look = plotting.style_of(start)
@@ -59,11 +59,9 @@ def draw(data, options):
             milliseconds = 1e3 * np.array(curve["seconds"])
             ax.plot(milliseconds, np.mean(curve["errors"], axis=1), marker="o", markersize=3, **look)
         plotting.log_axes(ax)
-        plotting.label_axes(ax, "time of a step", "", x_unit="ms", title=f"{int(circles):,} circles")
-    axes[0, 0].set_ylabel("mean velocity error along the run")
-    figure.suptitle("Which start and solver leave the least error at equal time?", fontsize=10)
-    plotting.legend_below(figure, axes[0, 0])
-    return figure
+    titles = (f"{int(circles):,} circles" for circles in sizes)
+    plotting.label_grid(axes, titles, "time of a step (ms)", ["mean velocity error along the run"])
+    return plotting.legend_below(figure, axes[0, 0], "Which start and solver leave the least error at equal time?")
 
 
 RUNS = {

@@ -65,9 +65,7 @@ def draw(data, options):
         for name, one in data["courses"].items():
             ax.plot(one["time"], one[key], color=SETTINGS[name][1], label=name)
         plotting.label_axes(ax, "time", text, x_unit="s", y_unit=unit)
-    figure.suptitle("What do substeps by motion cost, and what do they keep?", fontsize=10)
-    plotting.legend_below(figure, panels[0])
-    return figure
+    return plotting.legend_below(figure, panels[0], "What do substeps by motion cost, and what do they keep?")
 
 
 OPTIONS = {"kind": "mixed radii", "n_bodies": 1000, "seconds": 8.0}

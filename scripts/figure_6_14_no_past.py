@@ -7,9 +7,9 @@ import numpy as np
 
 from deep_contact.io.provenance import commit
 from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting.figures import Claim, Figure, seeds
 from deep_contact.studies import no_past
-from deep_contact.studies.learned_starts import median_with_interval
+from deep_contact.studies.learned_starts import median_with_interval, text_of
 from deep_contact.studies.no_past import LEARNED, curves, time_to
 from deep_contact.studies.parts import done
 
@@ -26,20 +26,15 @@ def compute(options, seed, jobs, progress):
 
     Piles that are done are kept in the folder `work`, so that an interrupted run of one commit goes on.
     """
-    wanted = [
-        {"n_bodies": int(n), "kind": kind, "radii": radii}
-        for n, kind, radii in product(options["states"], options["kinds"], options["radii"])
-    ]
+    states = {int(n): count for n, count in options["states"].items()}
+    chosen = product(states, options["kinds"], options["radii"])
+    wanted = [dict(zip(("n_bodies", "kind", "radii"), cell)) for cell in chosen]
     common = {"options": {name: options[name] for name in ("radii", "sweeps", "model", "first")}, "commit": commit()}
-    parts = [
-        ("pile", cell | common | {"seed": s})
-        for cell in wanted
-        for s in figures.seeds(seed, options["states"][str(cell["n_bodies"])])
-    ]
+    parts = [("pile", cell | common | {"seed": s}) for cell in wanted for s in seeds(seed, states[cell["n_bodies"]])]
     piles = done(parts, {"pile": no_past.measure}, work=Path(options["work"]), jobs=jobs, text="piles")
     timed = []
     for cell in progress(wanted, text="times"):
-        given = cell["n_bodies"], cell["kind"], options["radii"][cell["radii"]], figures.seeds(seed, 1)[0]
+        given = cell["n_bodies"], cell["kind"], options["radii"][cell["radii"]], seeds(seed, 1)[0]
         state, *_ = no_past.pile(*given)
         timed.append(cell | no_past.times(state, no_past.starts_of(state, options["model"]), options["repeats"]))
     return {"piles": piles, "times": timed}
@@ -83,9 +78,8 @@ def claims(data):
     found = cells(data)
 
     def at_rest(text, most, key):
-        kept = {
-            cell["name"]: cell["ratios"][key] for cell in found if cell["kind"] == "resting" and cell["ratios"][key]
-        }
+        kept = {cell["name"]: cell["ratios"][key] for cell in found if cell["kind"] == "resting"}
+        kept = {name: value for name, value in kept.items() if value}
         return [Claim(f"at rest, {text}", None, all(value[0] <= most for value in kept.values()), kept)] if kept else []
 
     for error in (0.3, 0.1):
@@ -110,9 +104,7 @@ def table(data):
     rows = [[*head, *(f"jolt, {start}, m/s" for start in JOLTS)]]
     for cell in cells(data):
         piles, price = cell["piles"], cell["times"]["price"]
-        shown = [
-            "–" if (one := cell["ratios"][key]) is None else "{:.2f} ({:.2f}–{:.2f})".format(*one) for key in COMPARED
-        ]
+        shown = [one and text_of(one) for one in map(cell["ratios"].get, COMPARED)]
         jolts = [float(np.median([pile["jolt"][start]["speed"] for pile in piles])) for start in JOLTS]
         what = f"{len(piles)} {cell['kind']}, {cell['radii']}"
         rows.append([cell["n_bodies"], what, *(1e3 * price[start] for start in ("support", LEARNED)), *shown, *jolts])
@@ -121,9 +113,8 @@ def table(data):
 
 def draw(data, options):
     """Error by time of the fastest method from each start, for resting piles: a panel a size, medians and quartiles."""
-    drawn = [
-        c for c in cells(data) if [c["kind"], c["radii"]] == options["drawn"] and c["n_bodies"] >= options["least"]
-    ]
+    drawn = [cell for cell in cells(data) if [cell["kind"], cell["radii"]] == options["drawn"]]
+    drawn = [cell for cell in drawn if cell["n_bodies"] >= options["least"]]
     figure, panels = plotting.subplots(1, len(drawn), size=(plotting.PAGE, 3.2), squeeze=False)
     for ax, cell in zip(panels[0], drawn):
         for start, colour in COLOURS.items():
@@ -133,12 +124,10 @@ def draw(data, options):
             ax.plot(middle[reached], LEVELS[reached], color=colour, label=f"from {start}")
             ends = low[reached], np.where(np.isfinite(high[reached]), high[reached], 10 * middle[reached].max())
             ax.fill_betweenx(LEVELS[reached], *ends, color=colour, alpha=0.2, linewidth=0)
-        plotting.label_axes(ax, "time of the first step", "", x_unit="ms", title=f"{cell['n_bodies']:,} circles")
         plotting.log_axes(ax)
-    panels[0, 0].set_ylabel("velocity error")
-    figure.suptitle("How soon is a resting pile without impulses solved?", fontsize=10)
-    plotting.legend_below(figure, panels[0, 0])
-    return figure
+    titles = (f"{cell['n_bodies']:,} circles" for cell in drawn)
+    plotting.label_grid(panels, titles, "time of the first step (ms)", ["velocity error"])
+    return plotting.legend_below(figure, panels[0, 0], "How soon is a resting pile without impulses solved?")
 
 
 OPTIONS = {

@@ -49,8 +49,8 @@ def draw(data, options):
     sizes = runs.sizes_of(data["rows"])
     size = (plotting.PAGE, 2.9 * len(SHOWN) + 0.6)
     figure, panels = plotting.subplots(len(SHOWN), len(sizes), size=size, squeeze=False, sharey="row")
-    for (i, name), (j, n) in product(enumerate(SHOWN), enumerate(sizes)):
-        ax, rows = panels[i, j], [row for row in data["rows"] if row["n_bodies"] == n]
+    for (ax_row, name), (j, n) in product(zip(panels, SHOWN), enumerate(sizes)):
+        ax, rows = ax_row[j], [row for row in data["rows"] if row["n_bodies"] == n]
         for row in rows:
             value, reach = runs.with_reach(row["errors"][name])
             ax.errorbar(row["us"], value, reach, linewidth=0.5, markersize=3, **LOOKS.get(row["group"], OURS))
@@ -65,23 +65,16 @@ def draw(data, options):
             if n == sizes[-1]:
                 ax.annotate(preset, (1.02, tolerances[name]), xycoords=("axes fraction", "data"), va="center",
                             fontsize=8, color=plotting.GREEN, annotation_clip=False)  # fmt: skip
-        if i == 0:
-            ax.set_title(f"{n:,} circles")
-        if i == len(SHOWN) - 1:
-            ax.set_xlabel("time of 10 ms (µs)")
-    for ax, text in zip(panels[:, 0], SHOWN.values()):
-        ax.set_ylabel(f"{text} (%)")
+    texts = (f"{text} (%)" for text in SHOWN.values())
+    plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of 10 ms (µs)", texts)
     key = panels[0, 0]
     key.plot([], [], linestyle="", markersize=4, label="ours, every setting", **OURS)
     key.plot([], [], color=plotting.BLACK, linewidth=1.2, label="best of ours")
     for name, look in LOOKS.items():
         key.plot([], [], linestyle="", markersize=4, label=name, **look)
     key.plot([], [], color=plotting.GREEN, linewidth=0.7, linestyle=":", label="what a preset tolerates")
-    figure.suptitle("What does an error of a run cost, with ours and with other engines?", fontsize=10)
-    plotting.legend_below(figure, key)
-    return figure
+    return plotting.legend_below(figure, key, "What does an error of a run cost, with ours and with other engines?")
 
 
-OPTIONS = {"results": "data/reference/run_tradeoff.json"}
-FIGURE = Figure("6.1", "What a run costs and what it is worth", compute, table, draw, claims, options=OPTIONS)
+FIGURE = Figure("6.1", "What a run costs and what it is worth", compute, table, draw, claims, options=runs.RESULTS)
 figures.run_as_script(FIGURE, __name__)

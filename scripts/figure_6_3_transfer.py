@@ -128,9 +128,7 @@ def draw(data, options):
         ax.xaxis.set_major_formatter("{x:g}")
         plotting.label_axes(ax, "spacing d = support h", "", x_unit="m", title=title)
     panels[0].set_ylabel(f"relative error of λ (at least {FLOOR:g})")
-    figure.suptitle("How much of the impulses does the way through the grid lose?", fontsize=10)
-    plotting.legend_below(figure, panels[0])
-    return figure
+    return plotting.legend_below(figure, panels[0], "How much of the impulses does the way through the grid lose?")
 
 
 OPTIONS = {

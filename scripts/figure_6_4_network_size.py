@@ -12,9 +12,9 @@ import numpy as np
 import deep_contact as dc
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.studies import learned_starts as study
 from deep_contact.studies import timing
 from deep_contact.studies.chapter_5 import networks_info
-from deep_contact.studies.learned_starts import cells_of, errors_on_scenes, mean_errors, ratios_to_builtin, sweep_time
 from deep_contact.studies.starts import start_of
 
 
@@ -22,14 +22,14 @@ def compute(options, seed, jobs, progress):
     """Errors of every network on the same states of held-out scenes, and their times, one after the other."""
     networks = files(options["folder"])
     starts = {"builtin": "builtin"} | {name: {"model": path} for name, path in networks.items()}
-    (scenes,) = errors_on_scenes(starts, options, seed + 10_000, jobs, progress)
+    (scenes,) = study.errors_on_scenes(starts, options, seed + 10_000, jobs, progress)
     info, repeats = networks_info(networks), options["repeats"]
     state = dc.simulate(dc.circles_in_box(100, seed=1), steps=200, solver=dc.NNCG()).state
     found = []
     for name in networks:
         us = 1e6 * timing.fastest(partial(start_of(starts[name]), state, dc.PGS()), repeats)
         found.append({"name": name, "weights": info[name]["parameters"], "us": us})
-    sweep_us = 1e6 * sweep_time(state, "PGS", repeats)
+    sweep_us = 1e6 * study.sweep_time(state, "PGS", repeats)
     return {"after": options["after"], "networks": found, "scenes": scenes, "sweep_us": sweep_us}
 
 
@@ -42,9 +42,9 @@ def files(folder):
 
 def networks_of(data):
     """The networks by weights, each with its error over Builtin's, (sweeps, 3)."""
-    kept = [network for network in data["networks"] if re.fullmatch(r"width \d+|shipped", network["name"])]
-    kept = [network | {"ratios": ratios_to_builtin(data["scenes"], network["name"])} for network in kept]
-    return sorted(kept, key=lambda network: network["weights"])
+    kept = (one for one in data["networks"] if re.fullmatch(r"width \d+|shipped", one["name"]))
+    found = (one | {"ratios": study.ratios_to_builtin(data["scenes"], one["name"])} for one in kept)
+    return sorted(found, key=lambda network: network["weights"])
 
 
 def claims(data):
@@ -68,9 +68,9 @@ def claims(data):
 def table(data):
     rows = [["network", "weights", "μs", "in sweeps", *(f"error({k}) / Builtin's" for k in data["after"])]]
     for network in networks_of(data):
-        cells = cells_of(network["ratios"])
+        cells = (study.text_of(ratio, 3) for ratio in network["ratios"])
         rows.append([network["name"], network["weights"], network["us"], network["us"] / data["sweep_us"], *cells])
-    builtin = mean_errors(data["scenes"], "builtin").mean(axis=0)
+    builtin = study.mean_errors(data["scenes"], "builtin").mean(axis=0)
     return [*rows, ["builtin, its error", None, None, None, *(float(value) for value in builtin)]]
 
 

@@ -84,11 +84,9 @@ def draw(data, options):
         plotting.log_axes(ax)
     plotting.label_axes(left, "circles", "time of 10 ms", y_unit="µs", title="What does a preset cost?")
     plotting.label_axes(right, "circles", "times as long as ours", title="And with the fastest rival?")
-    plotting.legend_below(figure, left)
-    return figure
+    return plotting.legend_below(figure, left)
 
 
-OPTIONS = {"results": "data/reference/run_tradeoff.json"}
 FIGURE = Figure("6.5", "What the presets cost, from 100 circles to 10,000", compute, table, draw, claims,
-                options=OPTIONS)  # fmt: skip
+                options=runs.RESULTS)  # fmt: skip
 figures.run_as_script(FIGURE, __name__)

@@ -10,7 +10,7 @@ from deep_contact.studies.learned_starts import CLASSICAL, FEW, LEARNED, OFF
 
 def compute(options, seed, jobs, progress):
     """Every start with every solver on the same states of held-out scenes."""
-    starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
+    starts = study.starts_with(options["model"])
     (scenes,) = study.errors_on_scenes(starts, options, seed + 10_000, jobs, progress, several=list(starts))
     return {"after": options["after"], "scenes": scenes}
 
@@ -36,7 +36,7 @@ def table(data):
             rows.append([name, text, *study.mean_errors(scenes, name, where).mean(axis=0).tolist()])
         rows.append(["best classical", text, *study.best_settings(scenes, CLASSICAL, where)])
         ratios = study.ratios_to_best(scenes, LEARNED, where)
-        rows.append([f"{LEARNED} / best classical", text, *study.cells_of(ratios)])
+        rows.append([f"{LEARNED} / best classical", text, *(study.text_of(ratio, 3) for ratio in ratios)])
     return rows
 
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies.learned_starts import CLASSICAL, FEW, LEARNED, cells_of, errors_on_scenes, ratios_to_best
+from deep_contact.studies import learned_starts as study
+from deep_contact.studies.learned_starts import FEW, LEARNED
 
 SHORT = {"circles": "circles", "radius": "radii, m", "friction": "μ", "dt": "Δt, s", "columns": "box, circles across"}
 
@@ -12,9 +13,9 @@ SHORT = {"circles": "circles", "radius": "radii, m", "friction": "μ", "dt": "Δ
 def compute(options, seed, jobs, progress):
     """Every start on the same states of a few scenes of each kind, whose seeds were not in the data."""
     kinds = [{}] + [{name: value} for name, values in options["beyond"].items() for value in values]
-    starts = {name: name for name in CLASSICAL} | {LEARNED: {"model": options["model"]}}
-    chosen = {"several": list(starts), "kinds": kinds}
-    scenes = errors_on_scenes(starts, options, seed + 30_000, jobs, progress, **chosen)
+    starts = study.starts_with(options["model"])
+    more = {"several": list(starts), "kinds": kinds}
+    scenes = study.errors_on_scenes(starts, options, seed + 30_000, jobs, progress, **more)
     return {"after": options["after"], "kinds": kinds, "scenes": scenes}
 
 
@@ -28,7 +29,8 @@ def label(kind):
 def ratios_of(data):
     """Kind of scene -> error of the network over the best classical setting's, (FEW, 3)."""
     few = [data["after"].index(k) for k in FEW]
-    return {label(kind): ratios_to_best(scenes, LEARNED)[few] for kind, scenes in zip(data["kinds"], data["scenes"])}
+    found = zip(data["kinds"], data["scenes"])
+    return {label(kind): study.ratios_to_best(scenes, LEARNED)[few] for kind, scenes in found}
 
 
 def claims(data):
@@ -39,7 +41,7 @@ def claims(data):
 
 def table(data):
     rows = [["scenes", *(f"{k} sweeps" for k in FEW)]]
-    return rows + [[kind, *cells_of(ratios, digits=2)] for kind, ratios in ratios_of(data).items()]
+    return rows + [[kind, *map(study.text_of, ratios)] for kind, ratios in ratios_of(data).items()]
 
 
 def draw(data, options):
@@ -55,8 +57,7 @@ def draw(data, options):
     ax.set_yticks(y, list(found))
     title = "Does the network help on scenes that it was not trained on? (below 1: yes)"
     plotting.label_axes(ax, "velocity error over the best classical setting's", "", title=title)
-    plotting.legend_below(figure, ax)
-    return figure
+    return plotting.legend_below(figure, ax)
 
 
 OPTIONS = {

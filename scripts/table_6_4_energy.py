@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 
 from deep_contact.physics.scenes import circles_in_box
-from deep_contact.presets import PRESETS, PresetWarning, recommend
+from deep_contact.presets import PRESETS, PresetWarning
 from deep_contact.reporting import figures
 from deep_contact.reporting.figures import Claim, Figure, parallel_map
 from deep_contact.simulation import simulate
@@ -27,30 +27,23 @@ def scene_of(case, options):
 
 def run_case(task):
     """The energy at the end of a run, and the least and the greatest on its way, over that at its start."""
-    case, presets, options = task
+    case, options = task
     state = scene_of(case, options)
     start, found = mechanical_energy(state, state.bodies), []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PresetWarning)
         for _ in range(options["steps"] // options["every"]):
-            state = simulate(state, steps=options["every"], accuracy=presets[0]).state.replace(solver=None)
+            state = simulate(state, steps=options["every"], accuracy=case["preset"]).state.replace(solver=None)
             found.append(mechanical_energy(state, state.bodies) / start)
-    energies = {"end": found[-1], "least": min(found), "greatest": max(found)}
-    return [case | {"preset": preset} | energies for preset in presets]
+    return case | {"end": found[-1], "least": min(found), "greatest": max(found)}
 
 
 def compute(options, seed, jobs, progress):
-    """Every case with every preset; presets that choose the same setting share a run."""
-    tasks = []
-    for e, mu, ratio in product(options["restitutions"], options["frictions"], options["mass_ratios"]):
-        case = {"restitution": e, "friction": mu, "mass_ratio": ratio, "seed": seed}
-        alike: dict = {}
-        for preset in PRESETS:
-            found = recommend(scene_of(case, options), accuracy=preset)
-            alike.setdefault((found.solver, found.warm_start), []).append(preset)
-        tasks += [(case, presets, options) for presets in alike.values()]
-    found = parallel_map(run_case, tasks, jobs=jobs, progress=progress, text="runs")
-    return {"runs": [row for rows in found for row in rows]}
+    """Every case with every preset."""
+    names = ("restitution", "friction", "mass_ratio", "preset")
+    cases = product(options["restitutions"], options["frictions"], options["mass_ratios"], PRESETS)
+    tasks = [(dict(zip(names, case)) | {"seed": seed}, options) for case in cases]
+    return {"runs": parallel_map(run_case, tasks, jobs=jobs, progress=progress, text="runs")}
 
 
 def claims(data):

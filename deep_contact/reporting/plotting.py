@@ -142,6 +142,16 @@ def label_axes(ax, x: str, y: str, *, x_unit: str = "", y_unit: str = "", title:
         ax.set_title(title)
 
 
+def label_grid(panels, titles: Iterable[str], x: str, rows: Iterable[str]) -> None:
+    """Label panels, (rows, columns): a title above each column, `x` below all of them, and a label beside each row."""
+    for ax, title in zip(panels[0], titles):
+        ax.set_title(title)
+    for ax in panels[-1]:
+        ax.set_xlabel(x)
+    for ax, text in zip(panels[:, 0], rows):
+        ax.set_ylabel(text)
+
+
 def log_axes(ax) -> None:
     """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades beyond two of them."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
@@ -159,10 +169,13 @@ def band(ax, x, middle, low, high, **look) -> None:
     ax.fill_between(x, low, high, color=line.get_color(), alpha=0.15, linewidth=0)
 
 
-def legend_below(figure, ax) -> None:
-    """One legend below all panels of a figure, of what `ax` shows, in one row."""
+def legend_below(figure, ax, title: str = ""):
+    """The figure with one legend below all panels, of what `ax` shows, in one row; and a title above them, if given."""
+    if title:
+        figure.suptitle(title, fontsize=10)
     handles, labels = ax.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+    return figure
 
 
 def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:

@@ -53,6 +53,11 @@ CLASSICAL = ("none", "builtin", "scaled")
 LEARNED = "far field"
 
 
+def starts_with(model: str) -> dict:
+    """Name -> description (`starts.start_of`) of the classical starts, and of that of a network."""
+    return {name: name for name in CLASSICAL} | {LEARNED: {"model": model}}
+
+
 def parts_of(setting: str) -> tuple[str, str]:
     """(Start, solver) of a setting's name."""
     start, _, solver = setting.partition(", ")
@@ -74,7 +79,7 @@ def errors_of(state: State, given: Mapping, settings: Iterable[str], sweeps: Seq
     found = {}
     for name in settings:
         start, solver = parts_of(name)
-        ends = [solve(state, fixed(solver, k), *given[start]) for k in sweeps]
+        ends = (solve(state, fixed(solver, k), *given[start]) for k in sweeps)
         found[name] = [metrics.nearest_velocity_error(state, end, references) for end in ends]
     return found
 
@@ -101,14 +106,12 @@ def errors_on_scenes(
     starts that all of `FOLLOWING` follow; PGS follows the others. kinds: what each changes of `TRAINED`.
     Returns for each kind, scene by scene, {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
-    common = {**options, "starts": starts, "settings": [*starts, *settings_of(several, FOLLOWING[1:])]}
-    tasks = [
-        common | {"kind": {**TRAINED, **kind}, "number": i, "seed": s}
-        for i, kind in enumerate(kinds)
-        for s in seeds(seed + i, options["scenes"])
-    ]
-    scenes = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    return [[scene for scene, task in zip(scenes, tasks) if task["number"] == i] for i in range(len(kinds))]
+    common, count = {**options, "starts": starts}, options["scenes"]
+    common["settings"] = [*starts, *settings_of(several, FOLLOWING[1:])]
+    scenes = [({**TRAINED, **kind}, s) for i, kind in enumerate(kinds) for s in seeds(seed + i, count)]
+    tasks = [common | {"kind": kind, "seed": s} for kind, s in scenes]
+    found = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
+    return [found[i : i + count] for i in range(0, len(found), count)]
 
 
 def _errors_on_scene(task: Mapping) -> dict:
@@ -171,7 +174,7 @@ def best_errors(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "
 
 
 def ratios_of(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Ratio of the means over scenes of two errors, (scenes, k), with its interval, (k, 3)."""
+    """Ratio of the means over scenes of two errors, (scenes,) or (scenes, k), with its interval, (3,) or (k, 3)."""
     one, other = np.asarray(one), np.asarray(other)
     return interval(lambda drawn: one[drawn].mean(axis=1) / other[drawn].mean(axis=1), len(one)).T
 
@@ -186,9 +189,9 @@ def ratios_to_best(scenes: Sequence[Mapping], start: str, where: str = "all") ->
     return ratios_of(best_errors(scenes, [start], where), best_errors(scenes, CLASSICAL, where))
 
 
-def cells_of(ratios: np.ndarray, digits: int = 3) -> list[str]:
-    """Ratios with their intervals as text, one for each number of sweeps."""
-    return [f"{r:.{digits}f} ({low:.{digits}f}–{high:.{digits}f})" for r, low, high in ratios]
+def text_of(ratio: Sequence[float], digits: int = 2) -> str:
+    """A ratio with its interval as text."""
+    return "{:.{d}f} ({:.{d}f}–{:.{d}f})".format(*ratio, d=digits)
 
 
 # ---- times of starts and sweeps ----
@@ -278,16 +281,14 @@ def sweeps_to(errors: Sequence[float], sweeps: Sequence[int], error: float) -> f
 
     errors: after each of `sweeps`, increasing.
     """
-    off = np.asarray(errors, dtype=np.float64)
-    above = np.flatnonzero(~(off <= error))
+    above = np.flatnonzero(np.asarray(errors) > error)
     if above.size == 0:
         return float(sweeps[0])
-    last = int(above[-1])
-    if last == len(off) - 1:
+    last = above[-1]
+    if last == len(errors) - 1:
         return np.inf
-    high, low = np.log(off[last]), np.log(max(off[last + 1], 1e-300))
-    share = (high - np.log(error)) / (high - low) if high > low else 1.0
-    return float(sweeps[last] + share * (sweeps[last + 1] - sweeps[last]))
+    high, low = np.log(errors[last]), np.log(max(errors[last + 1], 1e-300))
+    return float(sweeps[last] + (high - np.log(error)) / (high - low) * (sweeps[last + 1] - sweeps[last]))
 
 
 def price_of(piles: Iterable[Mapping]) -> dict[str, float]:
@@ -305,14 +306,13 @@ def best_timed(
     The time is infinite where the error is not reached, and there are no states where nothing was solved.
     """
 
-    def seconds(start, solver, name):
-        return np.array([
-            start_seconds + sweeps_to(errors, sweeps, error) * pile["sweep_seconds"][solver]
+    timed = {}
+    for name, (start, solver) in ((name, parts_of(name)) for name in TIMED if parts_of(name)[0] in starts):
+        timed[name] = np.array([
+            seconds + sweeps_to(errors, sweeps, error) * pile["sweep_seconds"][solver]
             for pile in piles
-            for start_seconds, errors in zip(pile["start_seconds"][start], pile["errors"][name])
+            for seconds, errors in zip(pile["start_seconds"][start], pile["errors"][name])
         ])  # fmt: skip
-
-    timed = {name: seconds(*parts_of(name), name) for name in TIMED if parts_of(name)[0] in starts}
     return min(timed.items(), key=lambda one: np.median(one[1]) if one[1].size else np.inf)
 
 
@@ -348,14 +348,12 @@ def error_along_run(task: Mapping) -> float:
     task: "circles", "seed", "setting", "start": its description, "sweeps", "steps", "every": steps between two that
     are judged, "past_need": sweeps of NNCG from where a step ends to its reference.
     """
-    solver = fixed(parts_of(task["setting"])[1], task["sweeps"])
-    start, errors = start_of(task["start"]), []
-    scene = _falling(task["circles"], task["seed"])
+    solver, far = fixed(parts_of(task["setting"])[1], task["sweeps"]), NNCG(sweeps=task["past_need"], tolerance=1e-9)
+    start, scene, errors = start_of(task["start"]), _falling(task["circles"], task["seed"]), []
     run = simulate(scene, steps=task["steps"], solver=solver, warm_start=start, record=task["every"])
     for state in list(run.trajectory)[1:]:
         if state.contacts.count:
             end = solve(state, solver, *start(state, solver))
-            far = NNCG(sweeps=task["past_need"], tolerance=1e-9)
             reference = solve(state, far, end.normal_impulses, end.tangent_impulses)
             errors.append(metrics.velocity_error(state, end, reference))
     return float(np.mean(errors))
@@ -409,7 +407,7 @@ def at_equal_times(runs: Mapping, columns: Sequence[int]) -> list[dict]:
     """Errors of all settings at the time of so many sweeps of `BASE` from Builtin, for every size.
 
     Returns [{"circles": as text, "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best":
-    the classical setting of the least mean error, "ratios": {setting: `ratio_of_means` to it, or None}}].
+    the classical setting of the least mean error, "ratios": {setting: `ratios_of` it to that one, or None}}].
     """
     found = []
     for circles, curves in runs.items():
@@ -418,12 +416,7 @@ def at_equal_times(runs: Mapping, columns: Sequence[int]) -> list[dict]:
             errors = {name: error_at(seconds, curve) for name, curve in curves.items()}
             means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}
             best = min(means, key=means.get)
-            ratios = {n: None if e is None else ratio_of_means(e, errors[best]) for n, e in errors.items()}
+            ratios = {n: None if e is None else ratios_of(e, errors[best]).tolist() for n, e in errors.items()}
             cell = {"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors}
             found.append(cell | {"best": best, "ratios": ratios})
     return found
-
-
-def ratio_of_means(one: Sequence[float], other: Sequence[float]) -> list[float]:
-    """[ratio, low, high] of the mean errors of two settings, (scenes,) each."""
-    return ratios_of(np.array(one)[:, None], np.array(other)[:, None])[0].tolist()

@@ -57,10 +57,12 @@ def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWit
 
 def starts_of(state: StateWithContacts, model: str) -> dict:
     """Start -> what makes its impulses, from rows that have been built, as a run has them."""
-    nothing, problem = np.zeros(state.contacts.count), step_problem(state)
-    given = {"support": Support(), LEARNED: LearnedSupport(model)}
-    made = {name: partial(start.from_problem, state, None, problem) for name, start in given.items()}
-    return {"zero": lambda: (nothing, nothing)} | made
+    nothing, given = np.zeros(state.contacts.count), (state, None, step_problem(state))
+    return {
+        "zero": lambda: (nothing, nothing),
+        "support": partial(Support().from_problem, *given),
+        LEARNED: partial(LearnedSupport(model).from_problem, *given),
+    }
 
 
 def measure(n_bodies: int, kind: str, radii: str, seed: int, options: Mapping, **_) -> dict:
@@ -81,9 +83,9 @@ def measure(n_bodies: int, kind: str, radii: str, seed: int, options: Mapping, *
         for method, make in METHODS.items()
     }
     jolts = {name: jolt(state, start, options["first"][name]) for name, start in given.items()}
+    jolts |= {"simulate": jolt(state), "past": jolt(past)}
     found = {"n_bodies": n_bodies, "kind": kind, "radii": radii, "seed": seed, "after": options["sweeps"]}
-    found |= {"contacts": state.contacts.count, "errors": errors}
-    return found | {"jolt": jolts | {"simulate": jolt(state), "past": jolt(past)}}
+    return found | {"contacts": state.contacts.count, "errors": errors, "jolt": jolts}
 
 
 def times(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:

@@ -33,6 +33,9 @@ from deep_contact.state import State
 from deep_contact.studies import peers, piles, timing
 from deep_contact.studies.verdicts import interval
 
+RESULTS = {"results": "data/reference/run_tradeoff.json"}
+"""The option of figures that draw the study: its results file."""
+
 INTERVAL = 5 * TIME_STEP
 """Between two observations, s."""
 
@@ -86,9 +89,6 @@ TWENTY = METHODS["PGS"](sweeps=20, tolerance=None)
 
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
-
-LIMIT = [{"method": "PGS", "sweeps": 20, "dt": TIME_STEP / k} for k in (1, 2, 4, 8, 16, 32)]
-"""The settings whose errors show the convergence to the limit."""
 
 MODEL = {
     "a tenth of the slop": REFERENCE | {"slop": 0.1},
