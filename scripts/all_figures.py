@@ -55,7 +55,10 @@ def main(arguments=None, folder=HERE):
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
-    studies = missing_studies() if given.references else []
+    studies = []
+    if given.references:  # those whose files were not made by this commit
+        studies = [[*command, "--out", REFERENCE / f"{name}.json"] for name, command in STUDIES.items()]
+        studies = [command for command in studies if not results.is_current(command[-1])]
     if given.list:
         print(*(" ".join(map(str, command)) for command in studies), *map(str, chosen.values()), sep="\n")
         return 0
@@ -82,7 +85,7 @@ def main(arguments=None, folder=HERE):
 def parse(arguments):
     """The arguments, and the list of those that are passed on to every script."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    add, flags = parser.add_argument, ("quick", "resume", "replot")
+    add = parser.add_argument
     add("--quick", action="store_true", help="smaller runs, each within a minute")
     add("--resume", action="store_true", help="keep what is stored with the same settings and commit")
     add("--replot", action="store_true", help="draw all again from what is stored")
@@ -96,17 +99,9 @@ def parse(arguments):
     given = parser.parse_args(arguments)
     if given.references:
         given.out, given.resume = str(REFERENCE), True
-    passed_on = [f"--{name}" for name in flags if getattr(given, name)]
-    for name in ("out", "jobs", "seed", "scheduler"):
-        if getattr(given, name) is not None:
-            passed_on += [f"--{name}", str(getattr(given, name))]
-    return given, passed_on
-
-
-def missing_studies():
-    """Commands of the studies and benchmarks whose files were not made by this commit."""
-    commands = [[*command, "--out", REFERENCE / f"{name}.json"] for name, command in STUDIES.items()]
-    return [command for command in commands if not results.is_current(command[-1])]
+    flags = [f"--{name}" for name in ("quick", "resume", "replot") if getattr(given, name)]
+    values = [(f"--{name}", getattr(given, name)) for name in ("out", "jobs", "seed", "scheduler")]
+    return given, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
 
 
 def timed(command):

@@ -3,6 +3,7 @@
 import json
 import re
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 from conftest import load_script
@@ -143,6 +144,6 @@ def test_every_file_of_data_reference_is_made_by_one_of_the_commands(tmp_path, m
     names = [*module.STUDIES][:2]
     for name, commit in zip(names, ("0" * 40, "1" * 40)):  # what this commit made is kept
         (tmp_path / f"{name}.json").write_text(json.dumps({"provenance": results.provenance() | {"commit": commit}}))
-    assert [command[-1].stem for command in module.missing_studies()] == [*module.STUDIES][1:]
     assert module.main(["--references", "--list"]) == 0
-    assert len(capsys.readouterr().out.splitlines()) == len(module.STUDIES) - 1 + len(figures)
+    listed = [Path(line.split()[-1]).stem for line in capsys.readouterr().out.splitlines()]
+    assert listed[: -len(figures)] == [*module.STUDIES][1:]

@@ -19,16 +19,15 @@ from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, Wo
 from deep_contact.state.scales import BOX2D
 from deep_contact.studies import peers
 
-MODULES = {peers.Box2D23: "Box2D", peers.Pymunk: "pymunk", peers.Box2D3: "pyb2d3"}
 FLOAT32 = 1e-6
 """A few roundings of float32 (6e-8) at values of up to ten."""
 
 pytestmark = pytest.mark.peers
 
 
-@pytest.fixture(params=MODULES, ids=lambda engine: engine.name)
+@pytest.fixture(params=peers.ENGINES.values(), ids=peers.ENGINES)
 def engine(request):
-    pytest.importorskip(MODULES[request.param])
+    pytest.importorskip(request.param.package)
     return request.param
 
 
@@ -200,15 +199,11 @@ def test_recording_does_not_change_the_run(box2d):
     assert state.solved
 
 
-@pytest.mark.parametrize("adapter", MODULES, ids=lambda adapter: adapter.name)
-def test_missing_engine_is_named_with_its_extra(adapter, monkeypatch):
-    monkeypatch.setitem(sys.modules, MODULES[adapter], None)
-    with pytest.raises(ImportError, match=rf"{MODULES[adapter]}.*deep-contact\[peers\]"):
-        adapter(scene([[5, 5]]))
-
-
-def test_bad_state_is_refused_by_name(engine):
+def test_a_missing_engine_and_a_bad_state_are_refused_by_name(engine, monkeypatch):
     state = scene([[5, 5]])
     bad = state.bodies._replace(mass=np.array([np.nan]))
     with pytest.raises(ValueError, match=r"bodies\.mass"):
         engine(state.replace(bodies=bad))
+    monkeypatch.setitem(sys.modules, engine.package, None)
+    with pytest.raises(ImportError, match=rf"{engine.package}.*deep-contact\[peers\]"):
+        engine(state)

@@ -16,22 +16,18 @@ from deep_contact.studies.parts import done
 COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
 
 
-def test_an_observation_is_read_as_it_was_stored():
-    stored = runs.observed("mixed radii", 40, 3, COARSE, seconds=1.5)
-    seen = runs.observation(json.loads(json.dumps(stored)))
-    assert seen.kinetic.shape == (30,)
-    assert seen.kinetic.max() > 1  # it has fallen some radii
-    again = runs.observed("mixed radii", 40, 3, COARSE, seconds=1.5)
-    assert again == stored
+def observed(kind, n_bodies, seed, setting, seconds):
+    """What is read of the stored observation of a run, which is the same every time."""
+    stored, again = (runs.observed(kind, n_bodies, seed, setting, seconds=seconds) for _ in range(2))
+    assert stored == again
+    return runs.observation(json.loads(json.dumps(stored)))
 
 
 @pytest.mark.parametrize("engine", list(peers.ENGINES))
 def test_other_engines_fall_as_ours(engine):
     pytest.importorskip(peers.ENGINES[engine].package)
-    ours = runs.observation(runs.observed("plain", 30, 2, COARSE, seconds=1.0))
-    theirs = runs.observation(
-        runs.observed("plain", 30, 2, {"engine": engine, "sweeps": 10, "dt": TIME_STEP}, seconds=1)
-    )
+    peer = {"engine": engine, "sweeps": 10, "dt": TIME_STEP}
+    ours, theirs = (observed("plain", 30, 2, setting, 1.0) for setting in (COARSE, peer))
     # Until the first contact with the floor the fall is the same in all of them, to float32 and half a step.
     np.testing.assert_allclose(theirs.kinetic[:10], ours.kinetic[:10], rtol=0.05, atol=0.02)
     assert theirs.loads is None
@@ -39,10 +35,7 @@ def test_other_engines_fall_as_ours(engine):
 
 def test_rows_hold_every_setting_against_the_reference():
     settings = [runs.REFERENCE, COARSE]
-    seen = {
-        runs.name_of(s): (s, [runs.observation(runs.observed("plain", 30, k, s, seconds=1.5)) for k in (1, 2)])
-        for s in settings
-    }
+    seen = {runs.name_of(s): (s, [observed("plain", 30, k, s, 1.5) for k in (1, 2)]) for s in settings}
     took = {runs.MOMENTS[0]: 6.0, runs.MOMENTS[1]: 8.0, "rest": 5.0}
     took = {("plain", 30, phase): {runs.name_of(COARSE): us} for phase, us in took.items()}
     reference, coarse = (runs.with_times(row, took) for row in runs.rows({("plain", 30): seen}))
@@ -83,11 +76,12 @@ def test_the_ratio_to_rivals_has_the_ends_of_the_errors():
     assert found["ratio"] == [12.0, 6.0, 36.0]
 
 
-@pytest.mark.parametrize("kind", ["gas", "drum"])
-def test_scenes_that_never_rest_are_observed(kind):
-    seen = runs.observation(runs.observed(kind, 40, 3, COARSE, seconds=1.0))
+@pytest.mark.parametrize("kind", ["mixed radii", "gas", "drum"])
+def test_scenes_are_observed(kind):
+    seen = observed(kind, 40, 3, COARSE, 1.0)
     assert (seen.force is None) == (kind == "gas")
-    assert seen.speed[-1] > runs.SETTLED
+    assert seen.speed[-1] > runs.SETTLED  # it still falls, or never rests
+    assert 0 < seen.kinetic.max()
     assert seen.penetration.max() < 1
 
 
@@ -105,23 +99,6 @@ def test_a_step_that_misses_the_observations_is_refused():
         runs.observed("plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
 
 
-def test_a_study_goes_on_where_it_stopped(tmp_path, monkeypatch):
-    parts = [("observed", {"n_bodies": 1, "k": k}) for k in range(4)]
-    calls = []
-
-    def compute(n_bodies, k):
-        calls.append(k)
-        if len(calls) == 3:
-            raise KeyboardInterrupt
-        return {"k": k}
-
-    with pytest.raises(KeyboardInterrupt):
-        done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts")
-    assert done(parts, {"observed": compute}, work=tmp_path, jobs=1, text="parts") == [{"k": k} for k in range(4)]
-    assert calls == [0, 1, 2, 2, 3]
-    assert not list(tmp_path.glob("*.tmp*"))
-
-
 @pytest.mark.parametrize("damage", [b"", b'{"k": ', b"\xff\x00", b"\0" * 8])
 def test_a_damaged_part_of_a_study_is_computed_again(tmp_path, damage):
     parts, calls = [("observed", {"n_bodies": 1, "k": k}) for k in range(3)], []
@@ -130,6 +107,27 @@ def test_a_damaged_part_of_a_study_is_computed_again(tmp_path, damage):
     sorted(tmp_path.iterdir())[1].write_bytes(damage)
     assert done(parts, functions, work=tmp_path, jobs=1, text="parts") == first
     assert len(calls) == 4
+
+
+def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_path, monkeypatch):
+    script = load_script("run_tradeoff")
+
+    def run(kind, n_bodies, seed, setting, seconds):
+        seen = {name: np.full(30, 1.0 + seed % 1000) for name in ("kinetic", "height", "speed", "contacts")}
+        seen |= {"penetration": np.zeros((30, 3)), "force": np.ones(29), "loads": None, "interval": 0.1}
+        return results.plain(seen)
+
+    monkeypatch.setattr(script, "FUNCTIONS", {"observed": run, "times": lambda settings, **_: {}})
+    more = {
+        "settings": {"20": []},
+        "seeds": {"20": {"plain": 9}},
+        "ladders": {"20": [COARSE]},
+        "ladder_seeds": {"20": 3},
+    }
+    options = {"seed": 0, "jobs": 1, "work": tmp_path, "errors_only": False}
+    (row,) = (row for row in script.study(tiny(script, **more), **options)["rows"] if row["errors"])
+    assert row["seeds"] == 3
+    assert row["errors"]["energy"] == (0.0, 0.0, 0.0)
 
 
 def tiny(script, **changes):
