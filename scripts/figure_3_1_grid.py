@@ -19,19 +19,15 @@ def draw(data, options):
     """Left: the whole scene. Right: one circle with the nodes, a cell and its sides."""
     from matplotlib.patches import Rectangle
 
-    figure, (whole, near) = plotting.subplots(1, 2, size=(8.6, 4.4))
     scene, d = plotting.state_of(data["scene"]), data["d"]
     x, y = np.array(data["x"]), np.array(data["y"])
     middle = np.mean(np.reshape(data["scene"]["box"], (2, 2)), axis=0)
     centre = scene.bodies.position[np.hypot(*(scene.bodies.position - middle).T).argmin()]
-    window = [*(centre - 4 * d - 0.5), *(centre + 4 * d + 0.5)]
-    for ax, nodes in ((whole, 0), (near, 4.0)):
-        plotting.draw_state(ax, scene, colour_by=None).set_alpha(0.6)
-        plotting.draw_grid(ax, x, y, node_size=nodes)
+    half = 4 * d + 0.5
+    figure, whole, near = plotting.scene_and_part(scene, x, y, centre=centre, half=half)
     whole.set_title(f"{len(x)} × {len(y)} nodes")
     near.set_title("nodes, and a cell")
-    plotting.zoom_into(near, window, outline_in=whole)
-    a, b = x[np.searchsorted(x, window[0]) + 1], y[np.searchsorted(y, window[1]) + 1]
+    a, b = (nodes[np.searchsorted(nodes, low) + 1] for nodes, low in zip((x, y), centre - half))
     near.add_patch(Rectangle((a, b), d, d, facecolor=plotting.YELLOW, edgecolor=plotting.BLACK, zorder=3))
     text = {"fontsize": 9, "zorder": 4, "bbox": {"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none"}}
     near.text(a + d / 2, b - 0.12 * d, "d$_x$ = d", ha="center", va="top", **text)

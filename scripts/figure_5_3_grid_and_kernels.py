@@ -51,28 +51,23 @@ def claims(data):
 
 def draw(data, options):
     """Left: the pile with its contacts' kernels. Right: a part of it with the nodes."""
-    from matplotlib.collections import PatchCollection
-    from matplotlib.patches import Circle
+    from matplotlib.collections import EllipseCollection
 
-    figure, (whole, near) = plotting.subplots(1, 2, size=(8.3, 4.8))
     state, h = plotting.state_of(data["scene"]), data["h"]
-    x, y = np.array(data["x"]), np.array(data["y"])
     points = state.contacts.position
     centre = points[np.hypot(*(points - np.median(points, axis=0)).T).argmin()]
-    window = [*(centre - 2.5), *(centre + 2.5)]
-    for ax, nodes in ((whole, 1.0), (near, 4.0)):
-        plotting.draw_state(ax, state, colour_by=None, contacts=False).set_alpha(0.5)
-        plotting.draw_grid(ax, x, y, lines=ax is near, node_size=nodes)
-        kernels = PatchCollection([Circle(point, h) for point in points], zorder=2.5)
-        kernels.set(facecolor="none", edgecolor=plotting.BLUE, linewidth=0.8 if ax is whole else 1.4)
-        ax.add_collection(kernels)
+    x, y = data["x"], data["y"]
+    figure, whole, near = plotting.scene_and_part(state, x, y, centre=centre, half=2.5)
+    for ax, width in ((whole, 0.8), (near, 1.4)):
+        look = {"facecolors": "none", "edgecolors": plotting.BLUE, "linewidths": width, "zorder": 2.5}
+        place = {"units": "xy", "offsets": points, "offset_transform": ax.transData}
+        ax.add_collection(EllipseCollection(2 * h, 2 * h, 0, **place, **look))
     near.plot(*points.T, "x", color=plotting.BLACK, markersize=5, zorder=3, label="contact points")
     near.plot([], [], "o", color=plotting.VERMILION, markersize=4, label="grid nodes")
     near.plot([], [], "o", color=plotting.BLUE, markerfacecolor="none", markersize=9, label="support radius h")
-    near.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncol=3, columnspacing=1.0)
+    plotting.legend_below(figure, near)
     whole.set_title(f"{len(points)} contacts, {len(x)} × {len(y)} nodes")
     near.set_title(f"d = {data['d']:g} m, h = {h:g} m")
-    plotting.zoom_into(near, window, outline_in=whole)
     return figure
 
 

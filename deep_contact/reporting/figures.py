@@ -74,10 +74,6 @@ class Figure:
     digits: int | None = 6
 
     def __post_init__(self):
-        if not re.search(results.ID_PATTERN, self.id):
-            raise ValueError(f"id: expected text like '3.7' or 'T 5.1', got {self.id!r}")
-        if self.draw is None and not self.is_table:
-            raise ValueError(f"draw: expected a function for figure {self.id}, got None")
         results.plain(self.options, where="options")
         for name in self.quick:
             one_of("quick", name, self.options)

@@ -183,6 +183,8 @@ def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
 
     box: (x_min, y_min, x_max, y_max), m.
     """
+    from matplotlib.patches import Rectangle
+
     x_min, y_min, x_max, y_max = box
     margin = 0.02 * max(x_max - x_min, y_max - y_min)
     ax.set(xlim=(x_min - margin, x_max + margin), ylim=(y_min - margin, y_max + margin), aspect="equal")
@@ -190,37 +192,30 @@ def scene_axes(ax, box: Sequence[float], *, walls: bool = True) -> None:
     ax.spines[:].set_visible(False)
     ax.tick_params(length=0)
     if walls:
-        _outline(ax, box, edgecolor=BLACK, linewidth=1.5)
+        ax.add_patch(Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, fill=False, linewidth=1.5))
     label_axes(ax, "x", "y", x_unit="m", y_unit="m")
 
 
-def _outline(ax, box: Sequence[float], **look) -> None:
+def scene_and_part(state, x: np.ndarray, y: np.ndarray, *, centre: np.ndarray, half: float):
+    """A scene and a grid in two axes: the whole, and with the nodes the square of ±`half`, m, around a centre (2,), m.
+
+    x, y: coordinates of the grid's columns and rows, m. Returns the figure and both axes.
+    """
     from matplotlib.patches import Rectangle
 
-    x_min, y_min, x_max, y_max = box
-    ax.add_patch(Rectangle((x_min, y_min), x_max - x_min, y_max - y_min, fill=False, **look))
-
-
-def draw_grid(ax, x: np.ndarray, y: np.ndarray, *, lines: bool = True, node_size: float = 0.0) -> None:
-    """Draw a grid from the coordinates of its columns x (n_x,) and rows y (n_y,), m.
-
-    lines: the edges of the cells, under the circles. node_size: of the nodes' dots over the circles, points; 0: none.
-    """
-    if lines:
+    figure, axes = subplots(1, 2, size=(PAGE, 4.4))
+    for ax in axes:
+        draw_state(ax, state, colour_by=None, contacts=False).set_alpha(0.5)
         look = {"colors": "#BBBBBB", "linewidths": 0.4, "zorder": 0.5}
         ax.vlines(x, y[0], y[-1], **look)
         ax.hlines(y, x[0], x[-1], **look)
-    if node_size:
-        a, b = np.meshgrid(x, y)
-        ax.plot(a.ravel(), b.ravel(), "o", color=VERMILION, markersize=node_size, markeredgewidth=0, zorder=1.2)
-
-
-def zoom_into(ax, window: Sequence[float], *, outline_in) -> None:
-    """Show only `window`, (x_min, y_min, x_max, y_max), m, and outline it in the axes `outline_in`."""
-    x_min, y_min, x_max, y_max = window
-    ax.set(xlim=(x_min, x_max), ylim=(y_min, y_max))
-    ax.spines[:].set(visible=True, color=BLUE)
-    _outline(outline_in, window, edgecolor=BLUE, linewidth=1.8, zorder=5)
+    whole, part = axes
+    (left, low), (right, high) = centre - half, centre + half
+    whole.add_patch(Rectangle((left, low), 2 * half, 2 * half, fill=False, edgecolor=BLUE, linewidth=1.8, zorder=5))
+    part.plot(*map(np.ravel, np.meshgrid(x, y)), "o", color=VERMILION, markersize=4, markeredgewidth=0, zorder=1.2)
+    part.set(xlim=(left, right), ylim=(low, high))
+    part.spines[:].set(visible=True, color=BLUE)
+    return figure, whole, part
 
 
 def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:

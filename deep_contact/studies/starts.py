@@ -385,13 +385,17 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         states = solved_states(scene, steps=max(steps) + 1, contacts_only=False)
         return {"snapshots": [plotting.state_data(states[step]) for step in steps]}
 
+    def end(values):  # so that one impact does not make all else alike
+        positive = [value for of_state in values for value in of_state if value > 0]
+        return float(np.percentile(positive, SHOWN)) if positive else 0.0
+
     def draw(data, options):
         states = [plotting.state_of(found) for found in data["snapshots"]]
         figure, panels = plotting.subplots(1, len(states), size=(8.3, 3.1), squeeze=False, sharey=True)
-        high = _end([plotting.body_values(state, colour_by)[0] for state in states])
-        impulse = _end([state.contacts.normal_impulse for state in states])
+        limits = 0.0, end(plotting.body_values(state, colour_by)[0] for state in states)
+        impulse = end(state.contacts.normal_impulse for state in states)
         for ax, state in zip(panels[0], states):
-            look = {"limits": (0.0, high), "largest_impulse": impulse or None}
+            look = {"limits": limits, "largest_impulse": impulse or None}
             circles = plotting.draw_state(ax, state, colour_by=colour_by, **look)
             ax.set_title(f"t = {state.time:.2f} s\n{state.contacts.count} contacts", loc="left")
             ax.label_outer()
@@ -403,9 +407,3 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
 
     options = {"n_bodies": 100, "size": 30.0, "times": list(times)}
     return Figure(id, title, compute, draw=draw, options=options)
-
-
-def _end(values: Sequence[np.ndarray]) -> float:
-    """The percentile `SHOWN` of the positive values, so that one impact does not make all else alike; 0 without any."""
-    together = np.concatenate(values)
-    return float(np.percentile(together[together > 0], SHOWN)) if (together > 0).any() else 0.0
