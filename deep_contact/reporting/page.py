@@ -70,29 +70,23 @@ def write_report(
 def _content(path: Path) -> dict:
     """Content of the page for a results file. Raises ResultsError where it cannot be read."""
     entry, reference, picture = results.read_results(path), results.reference(path.stem), path.with_suffix(".png")
-    made, other, name = entry["provenance"], _other_settings(entry, reference), results.name_of(entry["id"])
+    made, here, there = entry["provenance"], entry["options"], reference["options"] if reference else entry["options"]
+    other = {
+        name: f"{cell(here.get(name))} instead of {cell(there.get(name))}"
+        for name in {**here, **there}
+        if here.get(name) != there.get(name)
+    }
     run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs")}
-    return {
-        "id": entry["id"],
-        "title": entry["title"],
+    return entry | {
         "claims": [_judged(claim, reference if other else None) for claim in entry["claims"]],
         "full": None if reference is None else not other,
         "other": other,
-        "name": name,
-        "anchor": re.sub("[ .]", "-", name.lower()),
+        "name": results.name_of(entry["id"]),
+        "anchor": path.stem.replace("_", "-"),
         "picture": base64.b64encode(picture.read_bytes()).decode("ascii") if picture.exists() else None,
-        "settings": {**entry["options"], "seed": made["seed"]},
+        "settings": {**here, "seed": made["seed"]},
         "made": run | made["packages"] | made.get("inputs", {}),
     }
-
-
-def _other_settings(entry: dict, reference: dict | None) -> dict[str, str]:
-    """Name -> value here and in the reference run, of the settings in which they differ."""
-    if reference is None:
-        return {}
-    here, there = entry["options"], reference["options"]
-    names = [name for name in {**here, **there} if here.get(name) != there.get(name)]
-    return {name: f"{cell(here.get(name))} instead of {cell(there.get(name))}" for name in names}
 
 
 def _judged(claim: dict, beside: dict | None) -> dict:

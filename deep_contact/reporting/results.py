@@ -38,7 +38,6 @@ REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
 OPEN = "too few states to tell"
 """Verdict on a claim of a small run that does not agree with the reference run."""
 
-ID_PATTERN = SCHEMA["properties"]["id"]["pattern"]
 _VALIDATOR = jsonschema.Draft202012Validator(SCHEMA)
 
 

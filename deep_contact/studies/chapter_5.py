@@ -73,30 +73,25 @@ PRINTED_HYPERPARAMETERS = PRINTED["hyperparameters"]
 """Table 5.2 as the thesis prints it; its "1 × 5 × 10⁻³" is 0.005."""
 
 
-def layers_of(model) -> list[dict]:
-    """The layers of a Keras model from its input to its output, input included.
-
-    Each {"name", "kind": as in Table 5.1, "shape": of the output without the batch, "parameters", "trainable",
-    "kernel": sides of a convolution's kernel or None}.
-    """
-    given = {"name": "input", "kind": "Input", "shape": list(model.input_shape[1:])}
-    found = [given | {"parameters": 0, "trainable": 0, "kernel": None}]
-    for layer in (layer for layer in model.layers if type(layer).__name__ != "InputLayer"):
-        kind, kernel = type(layer).__name__, getattr(layer, "kernel_size", None)
-        kind = LAYER_TITLES.get(kind, kind) + (f"({layer.filters})" if kernel else "")
-        about = {"name": layer.name, "kind": kind, "shape": list(layer.output.shape[1:])}
-        trainable = int(sum(np.prod(v.shape) for v in layer.trainable_variables))
-        about |= {"parameters": int(layer.count_params()), "trainable": trainable}
-        found.append(about | {"kernel": list(kernel) if kernel else None})
-    return found
-
-
 def thesis_layers(channels: int = 5) -> list[dict]:
-    """`layers_of` the thesis's network as built here; channels: of its input."""
+    """The layers of the thesis's network as built here, input included; channels: of its input.
+
+    Each {"kind": as in Table 5.1, "shape": of the output without the batch, "parameters", "trainable", "kernel": sides
+    of a convolution's kernel or None}.
+    """
     one_thread()
     from deep_contact.cnn import architectures
 
-    return layers_of(architectures.thesis(channels=channels))
+    model = architectures.thesis(channels=channels)
+    given = {"kind": "Input", "shape": list(model.input_shape[1:])}
+    found = [given | {"parameters": 0, "trainable": 0, "kernel": None}]
+    for layer in model.layers:
+        kind, kernel = type(layer).__name__, getattr(layer, "kernel_size", None)
+        kind = LAYER_TITLES.get(kind, kind) + (f"({layer.filters})" if kernel else "")
+        trainable = int(sum(np.prod(v.shape) for v in layer.trainable_variables))
+        about = {"kind": kind, "shape": list(layer.output.shape[1:]), "parameters": int(layer.count_params())}
+        found.append(about | {"trainable": trainable, "kernel": list(kernel) if kernel else None})
+    return found
 
 
 def thesis_hyperparameters() -> dict[str, str]:
