@@ -134,8 +134,6 @@ def _of_the_solver(scene: State, solver, left: Mapping) -> Iterator[Choice]:
     least, most = getattr(solver, "substeps", 1), getattr(solver, "most_substeps", None) or 1
     why = f"{least} a step" if most <= least else f"{least} a step, up to {most} where something is about to hit"
     yield Choice("substeps", max(least, most) > 1, why, "each costs what a step without them does")
-    saving = f"without it a sweep costs {left['single']}"
-    yield Choice("double precision", solver.precision == "double", f"precision is {solver.precision}", saving)
     n, in_batches = scene.bodies.count, isinstance(solver, BatchedPGS)
     saving = "eight contacts at a time, in another order than PGS's: sooner at some thousand circles"
     yield Choice("batches of contacts", in_batches, f"{describe(solver)} for {n:,} circles", saving)

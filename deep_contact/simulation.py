@@ -22,7 +22,6 @@ from deep_contact.physics.step import StepLog, make_log
 from deep_contact.physics.substeps import shift_flights
 from deep_contact.state import (
     LIMITS,
-    SINGLE_LIMITS,
     Bodies,
     Contacts,
     State,
@@ -383,7 +382,7 @@ def _raise_diverged(bodies: Bodies, step: int) -> None:
     circle = int(np.flatnonzero(~np.isfinite(bodies.position).all(axis=1))[0])
     raise FloatingPointError(
         f"up to step {step}: circle {circle} (mass {bodies.mass[circle]:g} kg, radius {bodies.radius[circle]:g} m) has "
-        "come to a position that is not finite: the solver diverged; try PGS, precision='double', a smaller dt"
+        "come to a position that is not finite: the solver diverged; try PGS, a smaller dt"
     )
 
 
@@ -442,6 +441,4 @@ def checked_solver(solver, state: State):
     """The solver, or the state's, or PGS, for this state. Raises ValueError where it does not fit the state."""
     solver = next(one for one in (solver, state.solver, PGS()) if one is not None)
     entry_of(solver)
-    if solver.precision == "single":
-        check_limits(state, SINGLE_LIMITS)
     return for_state(solver, state)

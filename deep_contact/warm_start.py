@@ -16,7 +16,7 @@ import numpy as np
 from deep_contact.physics.contact_solver import NORMAL, TANGENT, best_share
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.support import supported
-from deep_contact.state import LARGEST_SINGLE_START, LARGEST_START, State, StateWithContacts
+from deep_contact.state import LARGEST_START, State, StateWithContacts
 from deep_contact.validation import expect, integer, one_of
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
@@ -229,15 +229,14 @@ def starting_impulses(start, state: State, solver, problem: StepProblem | None =
     """The impulses of a start, or the two arrays that are given in its place, checked: own float64 arrays, (m,), N·s.
 
     problem: the state's contact problem, if it has been built. A start with a method `from_problem(state, solver,
-    problem)` is handed it, so that rows are built once a step; it has to have tangents, in float64.
+    problem)` is handed it, so that rows are built once a step, where it has tangents.
     Raises ValueError on impulses that do not fit the contacts or are beyond `state.LARGEST_START`.
     """
     if start is None or isinstance(start, str) or callable(start):
         start = warm_start_of(start)
         if isinstance(start, Builtin):
             return start(state, solver)  # the state's own, which have been checked
-        fits = problem is not None and problem.friction is not None and problem.solver_bodies.dtype == np.float64
-        if fits and hasattr(start, "from_problem"):
+        if problem is not None and problem.friction is not None and hasattr(start, "from_problem"):
             start = start.from_problem(state, solver, problem)
         else:
             start = start(state, solver)
@@ -245,10 +244,10 @@ def starting_impulses(start, state: State, solver, problem: StepProblem | None =
         normal, tangent = (np.array(values, dtype=np.float64, order="C") for values in start)
     except (TypeError, ValueError) as error:
         raise ValueError(f"start: expected two arrays of impulses (normal, tangent), got {start!r}") from error
-    m, largest = state.contacts.count, LARGEST_SINGLE_START if solver.precision == "single" else LARGEST_START
+    m = state.contacts.count
     for name, values in (("normal", normal), ("tangent", tangent)):
         expected = f"start: expected {name} impulses of"
         expect(values.shape == (m,), f"{expected} shape ({m},), one a contact, got {values.shape}")
-        for bad in np.flatnonzero(~(np.abs(values) <= largest))[:1]:
-            raise ValueError(f"{expected} at most {largest:g} N·s, got {values[bad]} at contact {bad}")
+        for bad in np.flatnonzero(~(np.abs(values) <= LARGEST_START))[:1]:
+            raise ValueError(f"{expected} at most {LARGEST_START:g} N·s, got {values[bad]} at contact {bad}")
     return normal, tangent

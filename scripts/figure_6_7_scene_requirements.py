@@ -12,7 +12,6 @@ from deep_contact.studies import savings
 
 NAMES = {
     "frictionless": "no tangent rows, no spin: a sweep",
-    "single": "single precision: a sweep",
     "asleep": "asleep: a step",
     "asleep but for one": "asleep but for one circle: a step",
     "no position correction": "no position correction: a step",
@@ -33,7 +32,10 @@ def compute(options, seed, jobs, progress):
     """Every saving, one after the other: nothing may run beside what is timed."""
     n, repeats = options["n_bodies"], options["repeats"]
     sizes = progress(options["sizes"], text="sweeps")
-    sweeps = {str(size): savings.sweep_savings(size, seed, steps=options["timed"], repeats=repeats) for size in sizes}
+    sweeps = {
+        str(size): {"frictionless": savings.sweep_saving(size, seed, steps=options["timed"], repeats=repeats)}
+        for size in sizes
+    }
     found = dict(sweeps[str(options["sizes"][0])])
     found |= savings.step_savings(n, seed, steps=options["timed"], repeats=repeats)
     islands = {}
@@ -70,9 +72,9 @@ def claims(data):
 
 def named_savings(data):
     """(name, number of circles or None, saving) of all savings: those of a sweep by number of circles, then others."""
-    rows = [(NAMES[name], int(n), saving) for n, one in data["sweeps"].items() for name, saving in one.items()]
-    of_a_sweep = next(iter(data["sweeps"].values()))
-    return rows + [(NAMES[name], None, one) for name, one in data["savings"].items() if name not in of_a_sweep]
+    of_a_sweep, *others = NAMES
+    rows = [(NAMES[of_a_sweep], int(n), one[of_a_sweep]) for n, one in data["sweeps"].items()]
+    return rows + [(NAMES[name], None, data["savings"][name]) for name in others]
 
 
 def table(data):

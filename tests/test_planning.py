@@ -43,14 +43,14 @@ def test_a_start_with_tangents_keeps_the_rows():
 def test_options_that_are_asked_for_are_used():
     chosen = dc.plan(
         dc.column(3),
-        solver=dc.PGS(islands=True, precision="single", position_sweeps=0),
+        solver=dc.PGS(islands=True, position_sweeps=0),
         warm_start=lambda state, solver: None,
         sleep=True,
     )
     used = {choice.part for choice in chosen.choices if choice.used}
     assert used == {"tangent rows and spin", "islands", "sleeping", "calls between steps"}
     default = {choice.part for choice in dc.plan(dc.column(3)).choices if choice.used}
-    assert default == {"tangent rows and spin", "position correction", "double precision"}
+    assert default == {"tangent rows and spin", "position correction"}
 
 
 def test_a_plan_prints_every_choice_its_reason_and_its_saving():

@@ -123,18 +123,6 @@ def doubled(context, x):
 
 
 @intrinsic
-def widened(context, x):
-    """The same numbers in float64."""
-    lanes = Lanes(types.float64, x.width)
-
-    def emit(context, builder, signature, values):
-        kind = context.get_value_type(lanes)
-        return values[0] if values[0].type == kind else builder.fpext(values[0], kind)
-
-    return lanes(x), emit
-
-
-@intrinsic
 def lane(context, x, i):
     """The number in lane i."""
 

@@ -34,10 +34,6 @@ def doubled(x):
     return np.concatenate([x, x])
 
 
-def widened(x):
-    return x.astype(np.float64)
-
-
 def lane(x, i):
     return x[i]
 

@@ -116,12 +116,12 @@ def make_plan(n, capacity):
 
 
 @njit(cache=True)
-def make_tiles(n, blocks, tiles, dtype):
+def make_tiles(n, blocks, tiles):
     """Buffers for so many tiles and blocks of contacts of n circles."""
     rows = n + 5 * blocks
     return Tiles(
-        np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH), dtype), np.empty((tiles, 2, WIDTH), dtype),
-        np.empty((rows, 4), dtype), np.empty((rows, 4)),
+        np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
+        np.empty((rows, 4)), np.empty((rows, 4)),
     )  # fmt: skip
 
 
@@ -254,7 +254,7 @@ def with_room(plan, tiles):
     """The tiles, larger ones if the plan needs them; walls and idle bodies at rest."""
     n, blocks, last = plan.count[CIRCLES], plan.count[BLOCKS], plan.count[TILES]
     if last > tiles.body.shape[0] or n + 5 * blocks > tiles.solver_bodies.shape[0]:
-        tiles = make_tiles(n, blocks + blocks // 2 + 1, last + last // 2, tiles.solver_bodies.dtype)
+        tiles = make_tiles(n, blocks + blocks // 2 + 1, last + last // 2)
     tiles.solver_bodies[n : n + 5 * blocks] = 0.0
     return tiles
 

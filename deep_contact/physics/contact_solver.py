@@ -66,11 +66,10 @@ SUMS = {"contract", "reassoc"}
 """Fast-math flags of sums over all rows: several partial sums at once, in an order fixed at compile time."""
 
 
-def make_rows(capacity, dtype, friction):
-    """Uninitialised rows for `capacity` contacts, in the precision of the solver bodies."""
+def make_rows(capacity, friction):
+    """Uninitialised rows for `capacity` contacts."""
     columns, kinds = (3, 1) if friction is None else (6, 2)
-    body, data = np.empty((capacity, 2), np.uint32), np.empty((capacity, columns), dtype)
-    return Rows(body, data, np.empty((capacity, kinds), dtype))
+    return Rows(np.empty((capacity, 2), np.uint32), np.empty((capacity, columns)), np.empty((capacity, kinds)))
 
 
 more_rows = njit(cache=True)(make_rows)
@@ -97,7 +96,7 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction):
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], solver_bodies.shape[0] - 1
     if m > buffer.body.shape[0]:
-        buffer = more_rows(m, buffer.data.dtype, friction)
+        buffer = more_rows(m, friction)
     rows = Rows(buffer.body[:m], buffer.data[:m], buffer.impulse[:m])
     for i in range(m):
         a, b = contacts.body_a[i], min(contacts.body_b[i], last)
@@ -148,8 +147,7 @@ def move_surfaces(contacts, segments, solver_bodies, rows):
 @njit(cache=True)
 def apply_impulses(rows, solver_bodies, friction):
     """Give the velocities, in place, the impulses that the rows start from: v ← v + M⁻¹ Jᵀ λ."""
-    nothing = solver_bodies.dtype.type(0.0)
-    arms, p_t = (nothing, nothing), nothing
+    arms, p_t = (0.0, 0.0), 0.0
     for i in range(rows.body.shape[0]):
         normal, p_n = (rows.data[i, N_X], rows.data[i, N_Y]), rows.impulse[i, NORMAL]
         if friction is not None:
@@ -159,17 +157,17 @@ def apply_impulses(rows, solver_bodies, friction):
 
 @njit(cache=True)
 def apply_impulse(v, a, b, normal, arms, impulse):
-    """Give two solver bodies, in place, an impulse (λ_n, λ_t), N·s. arms: over radii. All in their precision."""
-    two, (n_x, n_y), (p_n, p_t) = v.dtype.type(2.0), normal, impulse
+    """Give two solver bodies, in place, an impulse (λ_n, λ_t), N·s. arms: over radii."""
+    (n_x, n_y), (p_n, p_t) = normal, impulse
     p_x = p_n * n_x + p_t * n_y
     p_y = p_n * n_y - p_t * n_x
     w_a, w_b = v[a, INVERSE_MASS], v[b, INVERSE_MASS]
     v[a, V_X] -= w_a * p_x
     v[a, V_Y] -= w_a * p_y
-    v[a, V_S] += two * w_a * arms[0] * p_t
+    v[a, V_S] += 2.0 * w_a * arms[0] * p_t
     v[b, V_X] += w_b * p_x
     v[b, V_Y] += w_b * p_y
-    v[b, V_S] += two * w_b * arms[1] * p_t
+    v[b, V_S] += 2.0 * w_b * arms[1] * p_t
 
 
 @njit(cache=True, fastmath=CONTRACT)
@@ -181,9 +179,7 @@ def sweep(rows, friction, solver_bodies):
     """
     v = solver_bodies
     body, data, impulse = rows.body, rows.data, rows.impulse
-    # In the precision of the velocities: a float64 among float32 would make all of them float64.
-    two, nothing = v.dtype.type(2.0), v.dtype.type(0.0)
-    theta = nothing
+    theta = 0.0
     # Contacts are sorted by body a, so its velocity stays in registers until the next a: successive contacts of one
     # body need not wait for a trip through memory.
     held = np.uint32(0)
@@ -200,14 +196,14 @@ def sweep(rows, friction, solver_bodies):
         # The change −k (v_b − v_a)·n, cut to what keeps λ admissible. What a contributes comes last, and λ is added
         # outside of the chain of operations that the next contact waits for.
         x_n, y_n = k_n * n_x, k_n * n_y
-        free_n = nothing - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
+        free_n = 0.0 - x_n * b_x - y_n * b_y + x_n * a_x + y_n * a_y
         p_n = max(free_n, -old_n)
         largest = abs(p_n)
         impulse[i, NORMAL] = old_n + p_n
         if friction is not None:
             # Likewise along t = (n_y, −n_x).
             b_s, k_t, arm_a, arm_b = v[b, V_S], data[i, TANGENT_MASS], data[i, ARM_A], data[i, ARM_B]
-            old_t, bound = impulse[i, TANGENT], v.dtype.type(friction) * max(old_n, nothing)
+            old_t, bound = impulse[i, TANGENT], friction * max(old_n, 0.0)
             x_t, y_t = k_t * n_y, k_t * n_x
             free_t = -(k_t * arm_b) * b_s - x_t * b_x + y_t * b_y + x_t * a_x - y_t * a_y - k_t * arm_a * a_s
             p_t = max(-bound - old_t, min(free_t, bound - old_t))
@@ -222,10 +218,10 @@ def sweep(rows, friction, solver_bodies):
         if friction is not None:
             a_x = a_x - w_a * n_y * p_t
             a_y = a_y + w_a * n_x * p_t
-            a_s = a_s + two * w_a * arm_a * p_t
+            a_s = a_s + 2.0 * w_a * arm_a * p_t
             b_x = b_x + w_b * n_y * p_t
             b_y = b_y - w_b * n_x * p_t
-            v[b, V_S] = b_s + two * w_b * arm_b * p_t
+            v[b, V_S] = b_s + 2.0 * w_b * arm_b * p_t
         v[b, V_X], v[b, V_Y] = b_x, b_y
     v[held, V_X], v[held, V_Y], v[held, V_S] = a_x, a_y, a_s
     return theta

@@ -32,7 +32,6 @@ from deep_contact.physics.convergence import ConvergenceRecord, convergence_reco
 from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import positions_before, segments_of
-from deep_contact.physics.solvers import PRECISIONS
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import (
     Motion,
@@ -147,8 +146,8 @@ class Steps:
         key = given.friction is None
         if key not in self._memory:
             n, m = given.bodies.count, given.contacts.count
-            dtype, sweeps = PRECISIONS[self._solver.precision], self._solver.sweeps
-            self._memory[key] = make_memory(n, max(4 * n, m + m // 2) + 64, dtype, sweeps, given.friction, self._sleep)
+            sweeps, capacity = self._solver.sweeps, max(4 * n, m + m // 2) + 64
+            self._memory[key] = make_memory(n, capacity, sweeps, given.friction, self._sleep)
         return self._memory[key]
 
     def parts(self, given: StepInput) -> int:
@@ -185,7 +184,7 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 def build_rows(given, solver_bodies):
     """Fill the solver bodies of a step, after its impacts, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
-    buffer = more_rows(given.contacts.body_a.shape[0], solver_bodies.dtype, given.friction)
+    buffer = more_rows(given.contacts.body_a.shape[0], given.friction)
     return contact_rows(given.contacts, given.bodies.radius, given.segments, solver_bodies, buffer, given.friction)
 
 
@@ -308,9 +307,9 @@ def after_impacts(state: State) -> State:
 
 
 def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
-    """The contact problem of the next step; by default with tangents, in float64. scales: the state's, if at hand."""
+    """The contact problem of the next step; by default with tangents. scales: the state's, if at hand."""
     state = after_impacts(state)
-    solver_bodies = np.empty((state.bodies.count + 4, 4), PRECISIONS[solver.precision if solver else "double"])
+    solver_bodies = np.empty((state.bodies.count + 4, 4))
     given = step_input(state, solver, scales)
     return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
 
@@ -343,15 +342,14 @@ def solve(
     else:
         rows = Rows(problem.rows.body, problem.rows.data.copy(), problem.rows.impulse.copy())
         solver_bodies = problem.solver_bodies.copy()
-        with np.errstate(over="ignore"):  # in float32 the largest become infinite
-            rows.impulse[:] = np.column_stack([normal_start, tangent_start])[:, : rows.impulse.shape[1]]
+        rows.impulse[:] = np.column_stack([normal_start, tangent_start])[:, : rows.impulse.shape[1]]
     theta = np.empty(solver.sweeps)
     sweeps = solve_velocities(rows, problem.friction, settings, solver_bodies, theta)
-    impulse = rows.impulse.astype(np.float64)
+    impulse = rows.impulse
     return ContactSolution(
         normal_impulses=impulse[:, NORMAL].copy(),
         tangent_impulses=impulse[:, TANGENT].copy() if problem.friction is not None else np.zeros(len(impulse)),
-        velocities=solver_bodies[:n, : V_Y + 1].astype(np.float64),
+        velocities=solver_bodies[:n, : V_Y + 1].copy(),
         angular_velocities=solver_bodies[:n, V_S] / state.bodies.radius,
         record=convergence_record(theta[:sweeps], solver, len(impulse)),
     )

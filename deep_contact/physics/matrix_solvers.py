@@ -65,15 +65,13 @@ def solve_problem(
 ) -> tuple[np.ndarray, ConvergenceRecord]:
     """Impulses of a contact problem with friction, (2 m,), and how the sweeps went. The problem stays as it is.
 
-    solver: `PGS` (the default) or `NesterovPGS`, in double precision; its tolerance is a number, or None. start: λ to
-    start from, (2 m,); by default 0. error: stop as well once `siconos_error` is no larger, looked at every
-    `CHECK_EVERY` sweeps; the record's status is "converged" then. Impulses are returned in the friction cone. Raises
-    ValueError naming the argument.
+    solver: `PGS` (the default) or `NesterovPGS`; its tolerance is a number, or None. start: λ to start from, (2 m,); by
+    default 0. error: stop as well once `siconos_error` is no larger, looked at every `CHECK_EVERY` sweeps; the record's
+    status is "converged" then. Impulses are returned in the friction cone. Raises ValueError naming the argument.
     """
     solver = PGS(tolerance=None) if solver is None else solver
-    known = "one of PGS, NesterovPGS, in double precision and without islands"
-    fits = type(solver) in (PGS, NesterovPGS) and solver.precision == "double" and not solver.islands
-    expect(fits, f"solver: expected {known}, got {solver!r}")
+    fits = type(solver) in (PGS, NesterovPGS) and not solver.islands
+    expect(fits, f"solver: expected one of PGS, NesterovPGS, without islands, got {solver!r}")
     problem = check_problem(problem)
     impulse = np.zeros(problem.b.size) if start is None else finite("start", start, problem.b.shape)
     tolerance = -1.0 if solver.tolerance is None else number("tolerance", solver.tolerance, low=0)

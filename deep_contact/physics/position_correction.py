@@ -176,7 +176,7 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
         distance = simd.root(square)
         push = least(times(share, wanted - distance), longest) / (m_a + m_b)
         # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
-        found_x, found_y = simd.widened(load(normal, stride * t)), simd.widened(load(normal, stride * t + 1))
+        found_x, found_y = load(normal, stride * t), load(normal, stride * t + 1)
         push = where_less(distance, times(tiny, reach), push, push / distance)
         push = where_less(square, times(wanted, wanted), push, none)
         n_x = where_less(distance, times(tiny, reach), found_x, d_x)

@@ -69,9 +69,9 @@ class StepOptions(NamedTuple):
 class StepMemory(NamedTuple):
     """Where the steps work. What it holds from one call to the next changes no bit of what they compute.
 
-    solver_bodies: (n + 4, 4), in the precision of the sweeps; each step fills them
-    (`contact_solver.integrate_velocities`). theta: buffer for the θ of one step's sweeps; its length is the largest
-    number of sweeps. contacts: two buffers, which the steps fill by turns. sleep: None where nothing may sleep.
+    solver_bodies: (n + 4, 4); each step fills them (`contact_solver.integrate_velocities`). theta: buffer for the θ of
+    one step's sweeps; its length is the largest number of sweeps. contacts: two buffers, which the steps fill by turns.
+    sleep: None where nothing may sleep.
     """
 
     solver_bodies: np.ndarray
@@ -83,14 +83,13 @@ class StepMemory(NamedTuple):
     sleep: SleepMemory | None
 
 
-def make_memory(n: int, capacity: int, dtype, sweeps: int, friction, sleep: SleepMemory | None = None) -> StepMemory:
+def make_memory(n: int, capacity: int, sweeps: int, friction, sleep: SleepMemory | None = None) -> StepMemory:
     """Memory of steps of n circles, with room for so many contacts; where there are more, single steps take their own.
 
-    dtype: of the solver bodies. sweeps: the most of a step. friction: None for rows without tangents.
+    sweeps: the most of a step. friction: None for rows without tangents.
     """
-    dtype = np.dtype(dtype)
     return StepMemory(
-        np.empty((n + 4, 4), dtype), np.empty(sweeps), make_rows(capacity, dtype, friction),
+        np.empty((n + 4, 4)), np.empty(sweeps), make_rows(capacity, friction),
         make_correction_room(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)),
         sleep,
     )  # fmt: skip

@@ -62,31 +62,28 @@ def apart(one: State, other: State) -> float:
     return float(np.hypot(*(one.bodies.position - other.bodies.position).T).max())
 
 
-def sweep_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:
-    """What rows without tangents, and single precision, save a sweep of a resting pile, ns per contact and sweep.
+def sweep_saving(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict:
+    """What rows without tangents save a sweep of a resting pile, ns per contact and sweep.
 
-    "apart": what they change in so many steps. Friction of 1e-300 needs tangent rows, and moves nothing.
+    "apart": what it changes in so many steps. Friction of 1e-300 needs tangent rows, and moves nothing.
     """
     pile = ready(at_rest(piles.scene(n_bodies, seed)))
     contacts = pile.contacts._replace(tangent_start=np.zeros(pile.contacts.count))
     frictionless, nearly = (
         pile.replace(world=replace(pile.world, friction=friction), contacts=contacts) for friction in (0.0, 1e-300)
     )
-    many, single = FEW + ENOUGH // pile.contacts.count, {"precision": "single"}
-    ways = {"general": (pile, {}), "frictionless": (frictionless, {}), "single": (pile, single)}
-
-    def sweep(state, options, sweeps):
-        solve_contacts(state, solver=PGS(sweeps=sweeps, tolerance=None, **options))
-
-    def end(state, **options):
-        return simulate(state, steps=steps, solver=replace(STEP, **options)).state
-
-    runs = {(name, k): functools.partial(sweep, *way, k) for name, way in ways.items() for k in (FEW, many)}
+    many, ways = FEW + ENOUGH // pile.contacts.count, {"general": pile, "frictionless": frictionless}
+    solvers = {k: PGS(sweeps=k, tolerance=None) for k in (FEW, many)}
+    runs = {
+        (name, k): functools.partial(solve_contacts, state, solver=solver)
+        for name, state in ways.items()
+        for k, solver in solvers.items()
+    }
     times = interleaved(runs, repeats=repeats)
     relaxations = (many - FEW) * pile.contacts.count
-    cost = {name: 1e9 * (times[name, many] - times[name, FEW]) / relaxations for name in ways}
-    distance = {"frictionless": apart(end(nearly), end(frictionless)), "single": apart(end(pile), end(pile, **single))}
-    return {name: timing.ratio(cost["general"], cost[name]) | {"apart": found} for name, found in distance.items()}
+    general, special = (1e9 * (times[name, many] - times[name, FEW]) / relaxations for name in ways)
+    ends = (simulate(state, steps=steps, solver=STEP).state for state in (nearly, frictionless))
+    return timing.ratio(general, special) | {"apart": apart(*ends)}
 
 
 def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[str, dict]:

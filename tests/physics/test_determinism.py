@@ -1,7 +1,7 @@
 """Bit for bit: the same run in this process, in others, with compiled code cold or warm, from any kind of array.
 
 Not promised, and not tested: other processors (fused operations and vector widths differ), other versions of Numba or
-LLVM, and `precision="single"` against "double".
+LLVM.
 """
 
 import hashlib

@@ -223,12 +223,11 @@ def test_circles_renumbered_find_the_same_contacts(seed):
 
 @st.composite
 def solvers(draw):
-    """Any method in any precision, with the options that it admits."""
+    """Any method, with the options that it admits."""
     name = draw(st.sampled_from(list(METHODS)))
     known = {
-        "precision": st.sampled_from(["double", "single"]), "sweeps": st.integers(1, 30),
-        "tolerance": st.sampled_from([None, 1e-6, "scene"]), "position_sweeps": st.integers(0, 10),
-        "substeps": st.sampled_from([1, 2]),
+        "sweeps": st.integers(1, 30), "tolerance": st.sampled_from([None, 1e-6, "scene"]),
+        "position_sweeps": st.integers(0, 10), "substeps": st.sampled_from([1, 2]),
     }  # fmt: skip
     own = {"BatchedPGS": {"threads": st.sampled_from([1, 2])}, "PGS": {"islands": st.booleans()}}
     return METHODS[name](**draw(st.fixed_dictionaries(known | own.get(name, {}))))
@@ -242,7 +241,7 @@ def test_every_combination_keeps_the_first_principles_and_its_bits(state, solver
     options = {"solver": solver, "warm_start": start, "sleep": sleep}
     solved = []
     after = dc.simulate(state, steps=6, on_step=lambda s, record: solved.append(s), **options).state
-    n, mass, double = state.bodies.count, state.bodies.mass, solver.precision == "double"
+    n, mass = state.bodies.count, state.bodies.mass
     assert all((one.contacts.normal_impulse >= 0).all() for one in solved)
     # Newton: between two circles nothing changes their common momentum, which the walls and gravity alone do.
     if solver.substeps == 1 and not sleep:
@@ -254,7 +253,7 @@ def test_every_combination_keeps_the_first_principles_and_its_bits(state, solver
         pushed = found.normal_impulses[:, None] * normal + found.tangent_impulses[:, None] * tangent
         change = mass @ (found.velocities - state.bodies.velocity - state.dt * np.array(state.world.gravity))
         scale = 1.0 + np.abs(pushed).sum() + mass @ np.abs(state.bodies.velocity).sum(axis=1)
-        np.testing.assert_allclose(change, -pushed[wall].sum(axis=0), atol=(1e-12 if double else 1e-4) * scale)
+        np.testing.assert_allclose(change, -pushed[wall].sum(axis=0), atol=1e-12 * scale)
     # The same bits again, and from a file.
     for same in (state, parse_state(format_state(state), "memory")):
         assert_same_bits(dc.simulate(same, steps=6, **options).state, after)

@@ -42,7 +42,6 @@ REFUSED = [
     (dc.PSOR, {"omega": 2.0}, "omega: expected a number above 0, below 2, got 2.0"),
     (dc.PSOR, {"omega": 0}, "omega: expected a number above 0, below 2, got 0"),
     (dc.PSOR, {"friction_omega": 2}, "friction_omega: expected a number above 0, below 2, got 2"),
-    (dc.NNCG, {"precision": "half"}, "precision: expected one of double, single, got 'half'"),
     (dc.NNCG, {"sweeps": -1}, "sweeps: expected an integer >= 0, got -1"),
     (dc.BatchedPGS, {"threads": 0}, "threads: expected an integer >= 1, got 0"),
     (dc.BatchedPGS, {"islands": True}, "islands: expected False, since BatchedPGS sweeps them together"),

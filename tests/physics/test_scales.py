@@ -97,7 +97,6 @@ def test_a_scene_times_a_power_of_four_is_the_same_run_to_the_last_bit(method, s
         (falling(EQUAL, restitution=0.0), {}),
         (falling(gravity=(3.0, -5.0)), {"warm_start": None}),
         (falling(), {"solver": dc.PGS(islands=True), "warm_start": "copy"}),
-        (falling(), {"solver": dc.PGS(sweeps=20, precision="single")}),
         # No gravity gives a time, so Δt does: the same number of steps.
         (dc.drifting_circles(30, size=16.0, speed=4.0, seed=3, restitution=0.5), {"solver": dc.PGS()}),
         (dc.drum(40, froude=0.1, seed=4, radius=(0.7, 1.0)), {"solver": dc.PGS(sweeps=30)}),

@@ -20,10 +20,7 @@ from deep_contact.state import State, World, make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 LEVEL = ((5.0, 10.0), (55.0, 10.0))
-SOLVERS = {name: METHODS[name]() for name in METHODS} | {
-    "islands": dc.PGS(islands=True),
-    "single": dc.PGS(precision="single"),
-}
+SOLVERS = {name: METHODS[name]() for name in METHODS} | {"islands": dc.PGS(islands=True)}
 G = 9.81
 
 
@@ -78,7 +75,7 @@ def test_box2d_refuses_a_belt():
         dc.peers.Box2D23(on_belt(1.0))
 
 
-@pytest.mark.parametrize("name", [name for name in SOLVERS if name != "single"])
+@pytest.mark.parametrize("name", SOLVERS)
 def test_matrices_and_solvers_agree_in_a_drum(turning, name):
     solution = dc.solve_contacts(turning, solver=replace(SOLVERS[name], sweeps=3000, tolerance=None))
     error = natural_residual(contact_problem(turning), stacked(solution))

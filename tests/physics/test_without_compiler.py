@@ -16,7 +16,6 @@ CASES = {
     **{name: {"solver": method(sweeps=12)} for name, method in METHODS.items()},
     "PSOR, two ω": {"solver": dc.PSOR(sweeps=12, omega=1.8, friction_omega=1.4)},
     "islands": {"solver": dc.PGS(sweeps=12, islands=True)},
-    "single precision": {"solver": dc.PGS(sweeps=12, precision="single")},
     "sleep": {"solver": dc.PGS(sweeps=12), "sleep": True, "steps": 70},
     **{f"start {name}": {"solver": dc.PGS(sweeps=12), "warm_start": name} for name in (None, "copy", "scaled", "sph")},
     "no friction": {"solver": dc.PGS(sweeps=12), "friction": 0.0},
@@ -66,7 +65,6 @@ def test_interpreted_functions_compute_what_the_compiled_ones_do(interpreted, na
     error = interpreted / f"{stem}.txt"
     assert not error.exists(), error.read_text()
     # The compiler may fuse a multiplication and an addition, which changes the last bits.
-    close = {"rtol": 1e-4, "atol": 1e-5} if name == "single precision" else {"rtol": 1e-9, "atol": 1e-9}
     with np.load(interpreted / f"{stem}.npz") as found:
         for key, wanted in zip(found, simulated(name), strict=True):
-            np.testing.assert_allclose(found[key], wanted, **close, err_msg=key)
+            np.testing.assert_allclose(found[key], wanted, rtol=1e-9, atol=1e-9, err_msg=key)

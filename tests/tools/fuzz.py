@@ -301,7 +301,7 @@ def api_call(whole: State):
     solvers = (PGS(sweeps=3), PGS(sweeps=3, islands=True), METHODS["NNCG"](sweeps=3))
     numbers = {name: (lambda v, cls=cls, name=name: cls(**{name: v})) for cls, name in (
         (PGS, "sweeps"), (METHODS["PSOR"], "omega"), (METHODS["BatchedPGS"], "threads"), (PGS, "tolerance"),
-        (PGS, "precision"), (PGS, "substeps"), (World, "box"), (World, "scales"),
+        (PGS, "slop"), (PGS, "substeps"), (World, "box"), (World, "scales"),
     )}  # fmt: skip
     numbers |= {
         "make_bodies": lambda v: dc.make_bodies(v),

@@ -78,7 +78,7 @@ BatchSettings = namedtuple("BatchSettings", ["tolerance"])
 def sweep_tiles(tiles, first, last, friction):
     """`contact_solver.sweep` over the tiles from `first` to before `last`, in place. Returns θ, N·s."""
     body, data, impulse, solver_bodies = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
-    mu, none = spread(solver_bodies.dtype.type(friction)), spread(solver_bodies.dtype.type(0.0))
+    mu, none = spread(friction), spread(0.0)
     theta = none
     for t in range(first, last):
         a_x, a_y, a_s, w_a = load_rows(solver_bodies, body, 2 * t)
@@ -105,7 +105,7 @@ def sweep_tiles(tiles, first, last, friction):
     largest = lane(theta, 0)
     for j in range(1, WIDTH):
         largest = max(largest, lane(theta, j))
-    return np.float64(largest)
+    return largest
 
 
 @njit(cache=True)
@@ -181,7 +181,7 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
     plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
-    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1, solver_bodies.dtype))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1))
     sweeps = relax_tiles(settings, plan, tiles, friction, theta, Team(0, 1, np.zeros(24, np.int64)))
     batches.empty_tiles(plan, tiles, rows, solver_bodies)
     return sweeps
@@ -235,7 +235,7 @@ else:
 def make_shared(contacts, memory, size):
     """A `Shared` for a team of that size, that starts from these contacts."""
     n = memory.cells.cell.shape[0]
-    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n, 1, 1, memory.solver_bodies.dtype)
+    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n, 1, 1)
     flags, counts = np.zeros((size, 8), np.bool_), np.zeros((size, 8), np.int64)
     return Shared(plan, tiles, contacts, contacts, memory, flags, counts)
 

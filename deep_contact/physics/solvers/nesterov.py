@@ -96,19 +96,18 @@ def next_momentum(k, impulse, swept_from, last, memory):
 
 @njit(cache=True, fastmath=SUMS)
 def step_and_slope(x, swept_from, last):
-    """Σ (x − swept_from)² and Σ (x − swept_from) (x − last), summed in float64."""
+    """Σ (x − swept_from)² and Σ (x − swept_from) (x − last)."""
     size = slope = 0.0
     for i in range(x.shape[0]):
-        change = np.float64(x[i] - swept_from[i])
+        change = x[i] - swept_from[i]
         size += change * change
-        slope += change * np.float64(x[i] - last[i])
+        slope += change * (x[i] - last[i])
     return size, slope
 
 
 @njit(cache=True, fastmath=CONTRACT)
 def extrapolate(x, last, share):
     """x ← x + share (x − last), and last ← the x of the right-hand sides. In place."""
-    share = x.dtype.type(share)
     for i in range(x.shape[0]):
         new = x[i]
         x[i] = new + share * (new - last[i])

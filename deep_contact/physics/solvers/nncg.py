@@ -41,8 +41,8 @@ class Directions(NamedTuple):
 @njit(cache=True)
 def make_directions(rows, solver_bodies):
     """Workspace for as many rows and solver bodies."""
-    size, width, dtype = rows.impulse.size, solver_bodies.size, solver_bodies.dtype
-    return Directions(np.empty(size, dtype), np.empty(size, dtype), np.empty(width, dtype), np.empty(width, dtype))
+    size, width = rows.impulse.size, solver_bodies.size
+    return Directions(np.empty(size), np.empty(size), np.empty(width), np.empty(width))
 
 
 @njit(cache=True)
@@ -81,10 +81,10 @@ def relax_nncg(settings, rows, friction, solver_bodies, theta, workspace):
 
 @njit(cache=True, fastmath=SUMS)
 def squared_distance(one, other):
-    """Σ (one − other)², summed in float64."""
+    """Σ (one − other)²."""
     total = 0.0
     for i in range(one.shape[0]):
-        change = np.float64(one[i] - other[i])
+        change = one[i] - other[i]
         total += change * change
     return total
 
@@ -92,9 +92,8 @@ def squared_distance(one, other):
 @njit(cache=True, fastmath=CONTRACT)
 def extrapolate(x, last, along, beta):
     """x ← x + β p, p ← β p + (x − last), last ← x; the p of the right-hand sides is the old one. In place."""
-    share = x.dtype.type(beta)
     for i in range(x.shape[0]):
-        momentum = share * along[i]
+        momentum = beta * along[i]
         along[i] = momentum + x[i] - last[i]
         x[i] += momentum
         last[i] = x[i]
@@ -103,7 +102,7 @@ def extrapolate(x, last, along, beta):
 @njit(cache=True)
 def reset(x, last, along):
     """p ← 0, last ← x, in place."""
-    along[:] = x.dtype.type(0.0)
+    along[:] = 0.0
     last[:] = x
 
 

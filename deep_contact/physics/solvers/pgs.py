@@ -6,7 +6,6 @@ from collections import namedtuple
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import numpy as np
 from numba import njit
 
 from deep_contact import validation
@@ -16,9 +15,6 @@ from deep_contact.physics.islands import make_islands_workspace, sort_by_island
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
 from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE, theta_tolerance
-
-PRECISIONS = {"double": np.float64, "single": np.float32}
-"""Name -> type of the numbers that the sweeps work on. The state is float64 with either."""
 
 MOST_SWEEPS = 10_000_000
 """Upper limit of every count: the θ of each sweep is kept, which takes 8 bytes."""
@@ -31,7 +27,7 @@ class PGS:
     sweeps: at most so many velocity sweeps. tolerance: stop once θ (the largest change of an impulse in the last
     sweep, N·s) is no larger; None sweeps to the end, "scene" takes 6e-5 N·s times the scene's m g Δt over
     the thesis's (`scales.theta_tolerance`). position_sweeps: at most so many sweeps of position correction.
-    precision: of the rows and velocities in the sweeps, "double" or "single". islands: sweep each island on its own.
+    islands: sweep each island on its own.
     substeps: divide every step of a run into so many, each with sweeps and position sweeps of its own (Macklin et al.,
     Small Steps in Physics Simulation, 2019). Contacts carry the impulses of the last one times their number, so that a
     start fits any division of Δt; where that is a power of two, a run that is read back goes on bit for bit.
@@ -43,14 +39,12 @@ class PGS:
 
     Weakness: it is slow, not unstable. Every sweep lowers the energy of the error, but information travels one contact
     a sweep, so the number of sweeps grows with the square of a pile's height and with the mass ratio.
-    Islands are stopped separately, which saves nothing for one pile, or without a tolerance. Only PGS has them. Single
-    precision saves little (Figure 6.7), and never meets a tight tolerance.
+    Islands are stopped separately, which saves nothing for one pile, or without a tolerance. Only PGS has them.
     """
 
     sweeps: int = 3000
     tolerance: float | str | None = FOLLOWS_SCENE
     position_sweeps: int = 10
-    precision: str = "double"
     islands: bool = False
     substeps: int = 1
     most_substeps: int | None = None
@@ -68,7 +62,6 @@ class PGS:
                 raise ValueError(f"most_substeps: expected {self.substeps} times a power of two, got {most}")
         validation.number("approach", self.approach, above=0)
         validation.number("slop", self.slop, low=0, high=100)
-        validation.one_of("precision", self.precision, PRECISIONS)
         if validation.flag("islands", self.islands) and type(self) is not PGS:
             raise ValueError(f"islands: expected False, since {type(self).__name__} sweeps them together, got True")
         if self.tolerance is not None and not (isinstance(self.tolerance, str) and self.tolerance == FOLLOWS_SCENE):

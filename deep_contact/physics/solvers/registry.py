@@ -18,7 +18,7 @@ from numba.extending import overload
 from deep_contact.physics.convergence import mark_divergence
 from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE
-from deep_contact.validation import flag, one_of
+from deep_contact.validation import expect, one_of
 
 
 class Loop(NamedTuple):
@@ -56,6 +56,13 @@ METHODS: dict[str, type] = {}
 GONE = ("SoftSteps", "APGD", "SymmetricPGS")
 """Methods that old files may name."""
 
+_GONE_OPTIONS = {
+    "order": ("BatchedPGS", "colours", "levels"),
+    "adaptive": ("PSOR", False, True),
+    "precision": (None, "double", "single"),
+}
+"""Options that old files may name: of which method (None: of all), the value that is left, and the one that is gone."""
+
 _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}
 
@@ -63,7 +70,7 @@ _LOOPS: dict[type, Loop] = {}
 def register(options: type, settings: Callable, loops: tuple[Loop, ...], *, advance: Callable | None = None) -> None:
     """Make a solver known, under the name of its options. Raises ValueError if another solver has that name.
 
-    options: frozen dataclass with `sweeps`, `tolerance`, `position_sweeps` and `precision`. settings: function of the
+    options: frozen dataclass with `sweeps`, `tolerance` and `position_sweeps`. settings: function of the
     options -> NamedTuple of a type that one of the loops has. advance: function of the options -> function in place of
     `engine.advance`, for a step by several threads, which always has tangent rows and puts nothing to sleep.
     """
@@ -109,14 +116,14 @@ def solver_from(method: str, options: Mapping):
 
     Raises ValueError for an unknown method, and what the method raises for its options.
     """
-    options = dict(options)
-    order = options.pop("order", "colours") if method == "BatchedPGS" else "colours"
-    adaptive = flag("adaptive", options.pop("adaptive", False)) if method == "PSOR" else False
-    if order not in ("colours", "levels"):
-        raise ValueError(f"order: expected colours, got {order!r}")
-    if order == "levels" or adaptive or method in GONE:
-        name = "BatchedPGS(order='levels')" if order == "levels" else "PSOR(adaptive=True)" if adaptive else method
-        warnings.warn(f"solver: {name} is no longer part of Deep Contact; the default is taken instead", stacklevel=2)
+    options, missing = dict(options), method if method in GONE else None
+    for name, (owner, left, gone) in _GONE_OPTIONS.items():
+        if owner in (method, None) and (value := options.pop(name, left)) != left:
+            expect(value == gone, f"{name}: expected {left}, got {value!r}")
+            missing = f"{method}({name}={gone!r})"
+    if missing:
+        text = f"solver: {missing} is no longer part of Deep Contact; the default is taken instead"
+        warnings.warn(text, stacklevel=2)
         return None
     return METHODS[one_of("method", method, METHODS)](**options)
 

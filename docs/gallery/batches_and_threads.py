@@ -15,7 +15,6 @@ pile = dc.simulate(
 ).state
 solvers = {
     "PGS": dc.PGS(sweeps=20, tolerance=None),
-    "PGS, single": dc.PGS(precision="single", sweeps=20, tolerance=None),
     "colours, 1 thread": dc.BatchedPGS(threads=1, sweeps=20, tolerance=None),
     "colours, 2 threads": dc.BatchedPGS(threads=2, sweeps=20, tolerance=None),
 }
