@@ -12,10 +12,8 @@ problem whose velocities are shifted by q; the shift is then withdrawn, t q from
 state λ is linear in t, and each change (a pivot) tells which way t goes on: with friction it may have to grow again for
 a while. ε falls while steps are easy.
 
-Where the bodies are known the path is followed in the space of velocities (`proximal_path`): a matrix of one 3 × 3
-block a body and touching pair is factorised once a step, and a pivot is a solve with its factors. A problem of matrices
-alone has a system of 2 m rows, which SuperLU factorises at every pivot. Either is for references, not
-for the steps of a run.
+Where the bodies are known a pivot is a solve with factors of a sparse matrix (`proximal_path`); a problem of matrices
+alone is factorised at every pivot. Either is for references, not for the steps of a run.
 
 A path is sure to lead to a solution without friction, where the problem is monotone. With friction ε may be too small
 against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε. Settling piles
@@ -29,16 +27,23 @@ from typing import NamedTuple
 
 import numpy as np
 from numba import njit
-from scipy import sparse
-from scipy.sparse.linalg import splu
 
-from deep_contact.physics import metrics, proximal_path
+from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite, natural_residual
 from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
-from deep_contact.physics.proximal_path import MOST_TURNS, OPEN, SLIP_DOWN, SLIP_UP, STICK, first_change, slack
+from deep_contact.physics.proximal_path import (
+    OPEN,
+    SLIP_DOWN,
+    SLIP_UP,
+    STICK,
+    bodies_of,
+    follow,
+    rates_by_bodies,
+    rates_by_matrices,
+)
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.state import LARGEST_START, State, check_limits, check_state
 from deep_contact.validation import expect, integer, number
@@ -130,7 +135,9 @@ def solve_exactly(
         solution = solve(state, PGS(sweeps=0), *projected(impulse[::2], impulse[1::2], state.world.friction))
         least = metrics.residual(state, solution)
     else:
-        solution, least = _solution(problem, impulse), natural_residual(problem, impulse)
+        velocity = np.empty((0, 3)) if problem.jacobian is None else problem.velocities(impulse).reshape(-1, 3)
+        parts = (impulse[::2], impulse[1::2], velocity[:, :2], velocity[:, 2])
+        solution, least = ContactSolution(*map(np.copy, parts), record=None), natural_residual(problem, impulse)
     converged = bool(least <= residual)
     status = "no_contacts" if impulse.size == 0 else "converged" if converged else "max_sweeps"
     solution = solution._replace(record=ConvergenceRecord(np.empty(0), 0, status))
@@ -144,19 +151,19 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
     best, least = impulse, natural_residual(problem, impulse.ravel())
     wrong = least
     epsilon, factorizations, pivots, idle, restarts = FIRST_EPSILON, 0, 0, 0, 0
-    bodies = None if least <= residual else proximal_path.bodies_of(problem)
-    step, least_epsilon = _step_of_matrices(problem), LEAST_OF_MATRICES
+    bodies = None if least <= residual else bodies_of(problem)
+    rates, least_epsilon = rates_by_matrices(problem), LEAST_OF_MATRICES
     if bodies is not None:
-        step, least_epsilon = _step_of_bodies(problem, bodies), LEAST_EPSILON
+        rates, least_epsilon = rates_by_bodies(problem, bodies), LEAST_EPSILON
     while least > residual and pivots + factorizations < most_pivots:
         if restarts > MOST_RESTARTS and bodies is None:
             break
         if restarts > MOST_RESTARTS:
             # Rounding does not let it: with μ of 1e6 the matrix of the velocities has no digits left.
-            step, least_epsilon, restarts, bodies = _step_of_matrices(problem), LEAST_OF_MATRICES, 0, None
+            rates, least_epsilon, restarts, bodies = rates_by_matrices(problem), LEAST_OF_MATRICES, 0, None
         limit = min(MOST_PIVOTS, most_pivots - pivots - factorizations)
         start = impulse
-        found, done, factorized = step(blocks, start, epsilon, limit)
+        found, done, factorized = _step(rates, blocks, start, epsilon, limit)
         factorizations, pivots = factorizations + factorized, pivots + done
         if found is None:
             # From where it stands the path leads nowhere: a larger ε makes the next one shorter. Sweeps move on as
@@ -186,13 +193,6 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
         if idle == MOST_IDLE:
             impulse, epsilon, idle, restarts = _swept(blocks, impulse, SWEEPS_ELSEWHERE), FIRST_EPSILON, 0, restarts + 1
     return best.ravel(), factorizations, pivots
-
-
-def _solution(problem: ContactProblem, impulse: np.ndarray) -> ContactSolution:
-    """A problem's impulses as a solution, with the velocities of the bodies where there are any."""
-    velocity = np.empty((0, 3)) if problem.jacobian is None else problem.velocities(impulse).reshape(-1, 3)
-    parts = impulse[::2], impulse[1::2], velocity[:, :2], velocity[:, 2]
-    return ContactSolution(*(part.copy() for part in parts), ConvergenceRecord(np.empty(0), 0, "max_sweeps"))
 
 
 def _start_of_problem(problem: ContactProblem) -> np.ndarray:
@@ -284,70 +284,9 @@ def _shown(blocks: Blocks, impulse):
     return states, x, u, q
 
 
-def _step_of_bodies(problem: ContactProblem, bodies: proximal_path.Bodies) -> Callable:
-    """A proximal step of a problem by bodies (`proximal_path`): a function of impulses c, (m, 2), in the cone.
+def _step(rates: Callable, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
+    """The contact problem with ε diag(A) (λ − c) added to its velocities, c being impulses in the cone, (m, 2).
 
-    It solves the contact problem with ε diag(A) (λ − c) added to its velocities, from c on the bounds of the states
-    that it shows: (blocks, c, ε, most pivots) -> (λ, or None where it is given up, pivots, factorisations).
+    From c on the bounds of the states that it shows: (λ, or None where it is given up, pivots, factorisations).
     """
-    inverse, diagonal = proximal_path.make_inverse(bodies), problem.A.diagonal().reshape(-1, 2).copy()
-
-    def step(blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
-        states, x, u, q = _shown(blocks, impulse)
-        reached, pivots, factorizations = proximal_path.follow(
-            bodies, diagonal, blocks.mu, epsilon, states, x, u, q, limit, inverse
-        )
-        return x if reached else None, pivots, factorizations
-
-    return step
-
-
-def _step_of_matrices(problem: ContactProblem) -> Callable:
-    """The same of a problem without bodies, by the equations of its impulses, which every pivot factorises anew."""
-
-    def step(blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
-        friction = blocks.mu
-        states, *start = _shown(blocks, impulse)
-        x, u, q = (array.ravel() for array in start)
-        A = problem.A + sparse.diags_array(epsilon * problem.A.diagonal(), format="csr")
-        t, sign, last, previous, pivots, turns = 1.0, -1.0, -1, OPEN, 0, 0
-        while True:
-            # How λ and u change as t grows. The path is that of `proximal_path.follow`.
-            dx = _rates(A, q, friction, states)
-            du = A @ dx + q
-            if pivots:
-                k = 2 * last
-                rate = slack(states[last], previous, friction[last], dx[k], dx[k + 1], du[k], du[k + 1])
-                sign = 1.0 if rate > 0 else -1.0
-                turns += sign > 0
-            pairs = (array.reshape(-1, 2) for array in (x, u, dx, du))
-            length, contact, new = first_change(states, friction, *pairs, sign)
-            if sign < 0 and length >= t and np.isfinite(du).all():
-                return (x - t * dx).reshape(-1, 2), pivots, 1
-            if contact < 0 or pivots == limit or turns > MOST_TURNS:
-                return None, pivots, 1
-            x, u, t, pivots = x + sign * length * dx, u + sign * length * du, t + sign * length, pivots + 1
-            last, previous = contact, states[contact]
-            states[contact] = new if previous != OPEN else SLIP_UP if u[2 * contact + 1] < 0 else SLIP_DOWN
-
-    return step
-
-
-def _rates(A, q: np.ndarray, friction: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """dλ / dt, (2 m,): A dλ = −q in the rows where u stays 0, and λ on its bounds in the others; NaN if it is singular.
-
-    Bounds are scaled by the diagonal of A, so that all rows are of one size whatever the masses.
-    """
-    still = np.column_stack([states != OPEN, states == STICK]).ravel()
-    slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
-    ratio = np.where(states[slips // 2] == SLIP_UP, -1.0, 1.0) * friction[slips // 2]
-    scale = A.diagonal()
-    edges = sparse.coo_array((ratio * scale[slips], (slips, slips - 1)), shape=A.shape)
-    bounds = sparse.diags_array(np.where(still, 0.0, scale))
-    B = sparse.csr_array(sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges)
-    try:
-        # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
-        factors = splu(B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
-    except RuntimeError:
-        return np.full(q.size, np.nan)
-    return factors.solve(np.where(still, -q, 0.0), trans="T")
+    return follow(rates, blocks.mu, epsilon, *_shown(blocks, impulse), limit)

@@ -1,20 +1,25 @@
-"""A proximal step of `exact` in the space of velocities: the path of Lemke's algorithm with factors of 3 n rows.
+"""The path of a proximal step of `exact`, by Lemke's algorithm, and how impulses change along it.
 
-With the contacts in given states, the impulses that change along the path are dλ = −S (q + J dv), where S holds, for
-every contact, the 2 × 2 block diag(1 / ε d_n, 1 / ε d_t) if it sticks, ((1 / ε d_n, 0), (±μ / ε d_n, 0)) if it slips,
-and 0 if it is open. With velocities scaled by the roots of the masses, dv = Jᵀ dλ gives (I + Jᵀ S J) dv = −Jᵀ S q: one
-block of 3 × 3 for each body and each touching pair, whatever the number of contacts, where the equations of the
-impulses have two rows a contact and couple all contacts of a body. A contact that changes its state changes S by a
-product of two vectors, so the inverse by one column (Sherman and Morrison 1950).
+Where the bodies are known this is found in the space of velocities. With the contacts in given states, as t grows
+dλ = −S (q + J dv), where S holds, for every contact, the 2 × 2 block diag(1 / ε d_n, 1 / ε d_t) if it sticks,
+((1 / ε d_n, 0), (±μ / ε d_n, 0)) if it slips, and 0 if it is open. With velocities scaled by the roots of the masses,
+dv = Jᵀ dλ gives (I + Jᵀ S J) dv = −Jᵀ S q: one block of 3 × 3 for each body and each touching pair, whatever the number
+of contacts. A contact that changes its state changes S by a product of two vectors, so the inverse by one column
+(Sherman and Morrison 1950).
+
+Of matrices alone there are the equations of the impulses, 2 m rows, which SuperLU factorises at every pivot.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from deep_contact.physics import block_lu
 from deep_contact.physics.lcp import ContactProblem
@@ -316,63 +321,97 @@ def _subtract(v, c, share):
 
 
 @njit(cache=True, error_model="numpy")
-def follow(bodies, diagonal, friction, epsilon, states, x, u, q, limit, inverse):
-    """Withdraw the shift q of the velocities, t q from t = 1 to 0, along the path. Impulses x, in place, (m, 2).
+def _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx, du):
+    """Fill dv, and dx and du, (m, 2), for states in which `contact` has changed; −1: for those of a new step.
 
-    states, x and u, changed in place, belong to t = 1; the inverse is that of the last step, and is left for the next.
-    Returns (whether t = 0 was reached, pivots, factorisations).
+    dv is that of the last call. NaN where the matrix is singular. Returns the factorisations.
     """
-    m, n = states.shape[0], bodies.pattern.place.shape[0]
-    weight = 1.0 / (epsilon * diagonal)
-    dv, dx, du = np.empty((n + 1, 3)), np.empty((m, 2)), np.empty((m, 2))
-    factorizations = 0
-    if not _take_over(bodies, weight, epsilon, friction, states, inverse):
-        factorizations = 1
-        if not _factorise(bodies, weight, epsilon, friction, states, inverse):
-            return False, 0, factorizations
-    _solve(bodies, weight, friction, q, inverse, dv)
-    t, sign, last, previous = 1.0, -1.0, -1, OPEN
-    pivots, turns = 0, 0
-    while True:
-        if pivots > 0:
-            # The contact has to go on into its new state, whichever way that makes t go.
-            x_n, x_t, u_n, u_t = _rates(bodies, weight, friction, states[last], q, dv, last)
-            sign = 1.0 if slack(states[last], previous, friction[last], x_n, x_t, u_n, u_t) > 0.0 else -1.0
-            if sign > 0.0:
-                turns += 1
-        total = 0.0
-        for i in range(m):
-            x_n, x_t, u_n, u_t = _rates(bodies, weight, friction, states[i], q, dv, i)
-            dx[i, 0], dx[i, 1], du[i, 0], du[i, 1] = x_n, x_t, u_n, u_t
-            total += 0.0 * (u_n + u_t + x_n)
-        length, contact, new = first_change(states, friction, x, u, dx, du, sign)
-        if sign < 0.0 and length >= t and total == 0.0:
-            x -= t * dx
-            return True, pivots, factorizations
-        if contact < 0 or pivots + factorizations > limit or turns > MOST_TURNS or not total == 0.0:
-            return False, pivots, factorizations
-        step = sign * length
-        for i in range(m):
-            x[i, 0] += step * dx[i, 0]
-            x[i, 1] += step * dx[i, 1]
-            u[i, 0] += step * du[i, 0]
-            u[i, 1] += step * du[i, 1]
-        t += step
-        pivots += 1
-        last, previous = contact, states[contact]
-        if previous == OPEN:
-            new = SLIP_UP if u[contact, 1] < 0.0 else SLIP_DOWN
-        states[contact] = new
-        if inverse.used[0] == REFRESH:
-            factorizations += 1
-            if not _factorise(bodies, weight, epsilon, friction, states, inverse):
-                return False, pivots, factorizations
-            _solve(bodies, weight, friction, q, inverse, dv)
-        else:
-            if not _change(bodies, weight, friction, contact, new, inverse):
-                return False, pivots, factorizations
+    m, factorizations, is_regular = states.shape[0], 0, True
+    if contact >= 0 and inverse.used[0] < REFRESH:
+        is_regular = _change(bodies, weight, friction, contact, states[contact], inverse)
+        if is_regular:
             k = inverse.used[0] - 1
             g_n, g_t = _product(bodies.jacobian, bodies.end, dv, contact)
             r_n, r_t = inverse.coefficient[k, 0], inverse.coefficient[k, 1]
             share = r_n * (g_n + q[contact, 0]) + r_t * (g_t + q[contact, 1])
             _subtract(dv, inverse.column[k], share)
+    else:
+        if contact >= 0 or not _take_over(bodies, weight, epsilon, friction, states, inverse):
+            factorizations, is_regular = 1, _factorise(bodies, weight, epsilon, friction, states, inverse)
+        if is_regular:
+            _solve(bodies, weight, friction, q, inverse, dv)
+    if not is_regular:
+        dv[:] = np.nan
+    for i in range(m):
+        dx[i, 0], dx[i, 1], du[i, 0], du[i, 1] = _rates(bodies, weight, friction, states[i], q, dv, i)
+    return factorizations
+
+
+def rates_by_bodies(problem: ContactProblem, bodies: Bodies) -> Callable:
+    """How λ and u change as t grows, in the space of velocities: see `follow`."""
+    inverse, diagonal, friction = make_inverse(bodies), problem.A.diagonal().reshape(-1, 2), problem.friction
+    dv, dx, du = np.empty((bodies.pattern.place.size + 1, 3)), np.empty(diagonal.shape), np.empty(diagonal.shape)
+
+    def rates(epsilon: float, states: np.ndarray, q: np.ndarray, contact: int):
+        weight = 1.0 / (epsilon * diagonal)
+        return dx, du, _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx, du)
+
+    return rates
+
+
+def rates_by_matrices(problem: ContactProblem) -> Callable:
+    """The same for a problem without bodies, by the equations of its impulses.
+
+    A dλ = −q in the rows where u stays 0, and λ on its bounds, scaled by the diagonal of A, in the others: so all rows
+    are of one size whatever the masses.
+    """
+    friction, diagonal = problem.friction, problem.A.diagonal()
+
+    def rates(epsilon: float, states: np.ndarray, q: np.ndarray, contact: int):
+        A = problem.A + sparse.diags_array(epsilon * diagonal, format="csr")
+        still = np.column_stack([states != OPEN, states == STICK]).ravel()
+        slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
+        ratio = np.where(states[slips // 2] == SLIP_UP, -1.0, 1.0) * friction[slips // 2]
+        scale = A.diagonal()
+        edges = sparse.coo_array((ratio * scale[slips], (slips, slips - 1)), shape=A.shape)
+        bounds = sparse.diags_array(np.where(still, 0.0, scale))
+        B = sparse.csr_array(sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges)
+        dx = np.full(q.size, np.nan)
+        try:
+            # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
+            factors = splu(B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
+            dx = factors.solve(np.where(still, -q.ravel(), 0.0), trans="T")
+        except RuntimeError:
+            pass  # it is singular
+        return dx.reshape(-1, 2), (A @ dx).reshape(-1, 2) + q, int(contact < 0)
+
+    return rates
+
+
+def follow(rates: Callable, friction, epsilon: float, states, x, u, q, limit: int):
+    """Withdraw the shift q of the velocities, t q from t = 1 to 0, along the path.
+
+    rates: function (ε, states, q, the contact that has changed since the last call or −1) -> dλ / dt and du / dt,
+    (m, 2) each, not finite where they are unknown, and its factorisations. states, λ and u, changed in place, belong to
+    t = 1. Returns (λ, or None where the path is given up, pivots, factorisations).
+    """
+    t, sign, contact, previous, pivots, turns, factorizations = 1.0, -1.0, -1, OPEN, 0, 0, 0
+    while True:
+        dx, du, factorized = rates(epsilon, states, q, contact)
+        factorizations += factorized
+        if not (np.isfinite(dx).all() and np.isfinite(du).all()):
+            return None, pivots, factorizations
+        if pivots > 0:
+            # The contact has to go on into its new state, whichever way that makes t go.
+            growth = slack(states[contact], previous, friction[contact], *dx[contact], *du[contact])
+            sign = 1.0 if growth > 0.0 else -1.0
+            turns += sign > 0.0
+        length, contact, new = first_change(states, friction, x, u, dx, du, sign)
+        if sign < 0.0 and length >= t:
+            return x - t * dx, pivots, factorizations
+        if contact < 0 or pivots + factorizations > limit or turns > MOST_TURNS:
+            return None, pivots, factorizations
+        x += sign * length * dx
+        u += sign * length * du
+        t, pivots, previous = t + sign * length, pivots + 1, states[contact]
+        states[contact] = new if previous != OPEN else SLIP_UP if u[contact, 1] < 0.0 else SLIP_DOWN

@@ -1,6 +1,7 @@
 """Exact solutions by pivoting against analytic ones, non-negative least squares, dense matrices, and what sweeps do."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -110,12 +111,13 @@ def bare(problem):
 
 
 def proximal_step(problem, kind):
-    """A proximal step of the problem in the space of velocities or in that of impulses, and its blocks."""
+    """A proximal step of the problem by its bodies or by its matrices alone: a function of c, ε and most pivots."""
     problem = check_problem(problem if kind == "bodies" else bare(problem))
     bodies = proximal_path.bodies_of(problem)
     assert (bodies is None) == (kind == "matrices")
-    step = exact._step_of_matrices(problem) if bodies is None else exact._step_of_bodies(problem, bodies)
-    return step, blocks_of(problem)
+    path = proximal_path
+    rates = path.rates_by_matrices(problem) if bodies is None else path.rates_by_bodies(problem, bodies)
+    return partial(exact._step, rates, blocks_of(problem))
 
 
 @pytest.mark.parametrize("friction", [0.5, 0.0])
@@ -127,8 +129,8 @@ def test_a_proximal_step_solves_its_problem_on_one_path_in_both_spaces(falling_s
     problem, start, epsilon, taken = contact_problem(state), np.zeros((state.contacts.count, 2)), 1e-2, []
     A = problem.A.toarray()
     for kind in ("bodies", "matrices"):
-        step, blocks = proximal_step(problem, kind)
-        found, pivots, _ = step(blocks, start, epsilon, 1000)
+        step = proximal_step(problem, kind)
+        found, pivots, _ = step(start, epsilon, 1000)
         impulse = found.ravel()
         u = A @ impulse + problem.b + epsilon * np.diag(A) * impulse
         free = impulse - u / np.diag(A)
@@ -136,7 +138,7 @@ def test_a_proximal_step_solves_its_problem_on_one_path_in_both_spaces(falling_s
         np.testing.assert_allclose(impulse[::2], normal, atol=1e-10)
         np.testing.assert_allclose(impulse[1::2], np.clip(free[1::2], -bound, bound), atol=1e-10)
         taken.append(pivots)
-        assert step(blocks, start, epsilon, 5)[:2] == (None, 5)
+        assert step(start, epsilon, 5)[:2] == (None, 5)
     assert taken[0] == taken[1] > 5
 
 
@@ -199,12 +201,12 @@ def test_epsilon_falls_while_steps_are_easy(falling_states, monkeypatch):
     # A fifth after up to 5 pivots, half after up to 12, and four times as much after a step that is given up.
     pivots, given = iter([5, 6, 12, 13, None]), []
 
-    def step(blocks, impulse, epsilon, limit):
+    def step(rates, blocks, impulse, epsilon, limit):
         given.append(epsilon)
         done = next(pivots, 99)
         return (None, 0, 1) if done is None else (impulse, done, 1)
 
-    monkeypatch.setattr(exact, "_step_of_bodies", lambda problem, bodies: step)
+    monkeypatch.setattr(exact, "_step", step)
     from_nothing(falling_states[4], residual=1e-300, most_pivots=42)
     np.testing.assert_allclose(given, [1e-4, 2e-5, 1e-5, 5e-6, 5e-6, 2e-5], rtol=1e-12)
 
@@ -254,22 +256,15 @@ def test_too_few_pivots_give_the_best_so_far(falling_states):
 
 def test_a_singular_step_is_given_up():
     # Two rows that say the same, and nothing to hold them apart.
-    A = exact.sparse.csr_array(np.ones((2, 2)))
-    problem = ContactProblem(A, -2 * np.ones(2), friction=np.array([2.0]))
-    step, blocks = proximal_step(problem, "matrices")
-    assert step(blocks, np.ones((1, 2)), 0.0, 9)[:2] == (None, 0)
+    problem = ContactProblem(sparse.csr_array(np.ones((2, 2))), -2 * np.ones(2), friction=np.array([2.0]))
+    assert proximal_step(problem, "matrices")(np.ones((1, 2)), 0.0, 9)[:2] == (None, 0)
 
 
 def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
     # Those between the steps are made to, once.
     steps = iter([(np.full((falling_states[4].contacts.count, 2), np.nan), 1, 1)])
-    made = exact._step_of_bodies
-
-    def make(problem, bodies):
-        step = made(problem, bodies)
-        return lambda *arguments: next(steps, None) or step(*arguments)
-
-    monkeypatch.setattr(exact, "_step_of_bodies", make)
+    step = exact._step
+    monkeypatch.setattr(exact, "_step", lambda *arguments: next(steps, None) or step(*arguments))
     check_solution(falling_states[4], from_nothing(falling_states[4]))
 
 
