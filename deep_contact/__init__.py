@@ -1,18 +1,14 @@
 """Deep Contact: rigid circles, contact solvers, and how much these gain from a learned start.
 
-Type checkers and editors see the imports below. At run time they are only read, and `__getattr__` imports a name when
-it is first used: `import deep_contact` costs next to nothing, and a job that predicts nothing never loads TensorFlow.
-(The stubs of `lazy_loader` know neither aliases nor the modules of a package.)
+A name is imported when it is first used (`lazy`), so a job that predicts nothing never loads TensorFlow.
 """
 
 from __future__ import annotations
 
-import importlib
-import re
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from deep_contact.constants import VERSION as __version__
+from deep_contact.lazy import attach
 
 # ruff: noqa: F401
 if TYPE_CHECKING:
@@ -45,27 +41,5 @@ if TYPE_CHECKING:
     from deep_contact.studies import starts as experiments
     from deep_contact.trajectory import Trajectory, load_trajectory
 
-_IMPORT = re.compile(r"^    from ([\w.]+) import (\([^)]*\)|.*)", re.MULTILINE)
-_HOME = {  # public name -> (module or package, name in it)
-    public or name: (module, name)
-    for module, names in _IMPORT.findall(Path(__file__).read_text(encoding="utf-8"))
-    for name, public in re.findall(r"(\w+)(?: as (\w+))?", names)
-}
-
-__all__ = [*_HOME, "__version__"]
-
-
-def __getattr__(public: str):
-    if public not in _HOME:
-        raise AttributeError(f"module 'deep_contact' has no attribute {public!r}")
-    module, name = _HOME[public]
-    home = importlib.import_module(module)
-    if module == __name__ or not hasattr(home, name):
-        return importlib.import_module(f"{module}.{name}")
-    # Kept, since looking it up takes 3 µs, a good part of what `step` takes beside its computation.
-    found = globals()[public] = getattr(home, name)
-    return found
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
+__all__ += ["__version__"]

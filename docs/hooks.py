@@ -17,6 +17,7 @@ from mkdocs.structure.files import File
 from PIL import Image
 
 import deep_contact
+from deep_contact import lazy
 
 ROOT = Path(__file__).resolve().parent.parent
 GALLERY = ROOT / "docs" / "gallery"
@@ -25,7 +26,7 @@ TIMEOUT_S = 600
 PATHS = {"PYTHONPATH": str(ROOT), "TF_CPP_MIN_LOG_LEVEL": "3"}
 NAMES = {}
 """Page of the API -> public names that it describes, and where they are: those of a module, or a module."""
-for _public, (_module, _name) in deep_contact._HOME.items():
+for _public, (_module, _name) in lazy.homes(deep_contact.__file__).items():
     _found = getattr(deep_contact, _public)
     _place = _found.__name__ if inspect.ismodule(_found) else f"{_module}.{_name}"
     _page = _public if inspect.ismodule(_found) else _module.split(".")[-1]

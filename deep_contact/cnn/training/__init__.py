@@ -5,14 +5,15 @@ trains, in `network`, and the far-field network, trained through the solver, in 
 TensorFlow.
 """
 
-from importlib import import_module
+from __future__ import annotations
 
-from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
+from typing import TYPE_CHECKING
 
-__all__ = ["Training", "TrainingConfig", "config_of", "far_field_config", "thesis_config", "train"]
+from deep_contact.lazy import attach
 
+# ruff: noqa: F401
+if TYPE_CHECKING:
+    from deep_contact.cnn.training.config import TrainingConfig, config_of, far_field_config, thesis_config
+    from deep_contact.cnn.training.run import Training, train
 
-def __getattr__(name: str):
-    if name not in ("Training", "train"):
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(f"{__name__}.run"), name)
+__getattr__, __dir__, __all__ = attach(__name__, __file__)
