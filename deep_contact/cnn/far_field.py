@@ -23,13 +23,13 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from dataclasses import asdict, dataclass
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numba import njit
 
-from deep_contact.cnn.images import stored_fields, with_contacts
+from deep_contact.cnn.images import Spec, with_contacts
 from deep_contact.compiled.simd import WIDTH, load, spread, store
 from deep_contact.physics.contact_solver import (
     ARM_A,
@@ -88,15 +88,12 @@ _SMALL = 1e-2
 _ROOM = -(-len(CONTACT_CHANNELS + BODY_CHANNELS) // WIDTH) * WIDTH
 """Channels of an image while it is painted, by vectors; the last ones stay zero."""
 
-_REMOVED = {"inputs": "all", "correction": True}
-"""Field of a spec in earlier files -> its only value that still has a meaning."""
-
 WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
 """Numbers of nodes along an edge of a window, n = 1 (mod 8): few, because the network is set up for each shape."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class FarFieldSpec:
+class FarFieldSpec(Spec):
     """The images of a far-field network.
 
     spacing: of the input's nodes, mean radii. support: h of the splat, mean radii.
@@ -108,6 +105,9 @@ class FarFieldSpec:
 
     channels = CONTACT_CHANNELS + BODY_CHANNELS
     targets = COEFFICIENTS
+    multiple = 8
+    constants: ClassVar = {"kind": "far field", "coarsening": COARSENING}
+    removed: ClassVar = {"inputs": "all", "correction": True}
 
     def __post_init__(self):
         number("spacing", self.spacing, above=0)
@@ -122,16 +122,6 @@ class FarFieldSpec:
         spacing = max(self.spacing * radius, extent / (WINDOW_SIDES[-1] - 3))
         shape = tuple(window_side((high[k] - low[k]) / spacing) for k in (1, 0))
         return Grid(origin=(low[0] - spacing, low[1] - spacing), spacing=spacing, shape=shape)
-
-    def to_dict(self) -> dict:
-        """All fields, the kind of the spec, and the coarsening."""
-        return {"kind": "far field", "coarsening": COARSENING, **asdict(self)}
-
-    @classmethod
-    def from_dict(cls, values: dict) -> FarFieldSpec:
-        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields."""
-        only = {"kind": "far field", "coarsening": COARSENING}
-        return cls(**stored_fields("far-field spec", cls, values, _REMOVED | only))
 
 
 def window_side(cells: float) -> int:

@@ -8,6 +8,7 @@ contacts is 0 where there are none.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from typing import ClassVar
 
 import numpy as np
 
@@ -39,13 +40,40 @@ TARGETS = {
 THESIS_CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
 """The five inputs of the thesis's network, in its order."""
 
-_REMOVED = {"kernel": "poly6", "transfer": "thesis", "normalization": "particle"}
-_REMOVED |= {"scale_free": False, "scales": 1.0, "target_scales": 1.0}
-"""Field of a spec in files of earlier versions -> its only value that still has a meaning."""
+
+class Spec:
+    """What the images of a network are: a dataclass that model files hold as JSON."""
+
+    multiple: ClassVar[int] = 1
+    """The network takes n = 1 (mod multiple) nodes along an edge."""
+    constants: ClassVar[dict] = {}
+    """Field of a file that is no field of the dataclass -> its value."""
+    removed: ClassVar[dict] = {}
+    """The same of files of earlier versions: name -> the only value that still has a meaning."""
+
+    def to_dict(self) -> dict:
+        """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
+        values = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
+        return self.constants | values
+
+    @classmethod
+    def from_dict(cls, values: dict):
+        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields, also of earlier versions."""
+        names, only = {field.name for field in fields(cls)}, cls.constants | cls.removed
+        if not isinstance(values, dict) or set(values) - only.keys() != names:
+            got = sorted(values) if isinstance(values, dict) else values
+            raise ValueError(f"{cls.__name__}: expected the fields {', '.join(sorted(names))}, got {got!r}")
+        for name in only.keys() & values:
+            given = values[name] if isinstance(values[name], list) else [values[name]]
+            if any(value != only[name] for value in given):
+                raise ValueError(
+                    f"{cls.__name__}: {name}: expected {only[name]!r}, the only one left, got {values[name]!r}"
+                )
+        return cls(**{name: values[name] for name in names})
 
 
 @dataclass(frozen=True, kw_only=True)
-class ImageSpec:
+class ImageSpec(Spec):
     """The definition of an image: a particle-normalised splat by poly6. The defaults are the thesis's.
 
     spacing: d of the grid, m. support: radius h of the kernel, m. channels: names of `CHANNELS`. targets: names of
@@ -56,6 +84,9 @@ class ImageSpec:
     support: float = 0.5
     channels: tuple[str, ...] = THESIS_CHANNELS
     targets: tuple[str, ...] = tuple(TARGETS)
+
+    removed: ClassVar = {"kernel": "poly6", "transfer": "thesis", "normalization": "particle"}
+    removed |= {"scale_free": False, "scales": 1.0, "target_scales": 1.0}
 
     def __post_init__(self):
         for name in ("spacing", "support"):
@@ -70,31 +101,6 @@ class ImageSpec:
     def shape(self, world: World) -> tuple[int, int]:
         """(n_y, n_x) of the images of this world's states."""
         return self.grid(world).shape
-
-    def to_dict(self) -> dict:
-        """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
-        return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, values: dict) -> ImageSpec:
-        """The spec of `to_dict`. Raises ValueError on missing, unknown or bad fields, also of earlier versions."""
-        return cls(**stored_fields("image spec", cls, values, _REMOVED))
-
-
-def stored_fields(what: str, kind: type, values, only: dict) -> dict:
-    """The fields of a dataclass in `values`, a dict with all of them and perhaps with those of `only`.
-
-    only: name -> its one value that has a meaning, of a field that the dataclass lacks. Raises ValueError otherwise.
-    """
-    names = {field.name for field in fields(kind)}
-    if not isinstance(values, dict) or set(values) - only.keys() != names:
-        got = sorted(values) if isinstance(values, dict) else values
-        raise ValueError(f"{what}: expected the fields {', '.join(sorted(names))}, got {got!r}")
-    for name in only.keys() & values:
-        given = values[name] if isinstance(values[name], list) else [values[name]]
-        if any(value != only[name] for value in given):
-            raise ValueError(f"{what}: {name}: expected {only[name]!r}, the only one left, got {values[name]!r}")
-    return {name: values[name] for name in names}
 
 
 def _names(name: str, given, table) -> tuple[str, ...]:

@@ -1,16 +1,4 @@
-"""Model files: a Keras network in .h5 together with all that is needed to use it.
-
-The layout is Keras's own HDF5 format, which plain `keras.models.load_model(path, compile=False)` opens. Beside it lies
-one more dataset, `deep_contact`, a JSON object:
-
-| field        | meaning                                                                                      |
-|--------------|----------------------------------------------------------------------------------------------|
-| format       | 1                                                                                            |
-| spec         | `ImageSpec.to_dict()`: channels, targets, grid, kernel, transfer; or `FarFieldSpec.to_dict()` |
-| coarsening   | k: the network takes n = 1 (mod k) nodes along an edge; 8 for far-field networks, else 1     |
-| box          | (width, height) that a network of one fixed size was made for, m; null if any fits           |
-| card         | where it comes from and what it is worth: data, seed, command, versions, errors              |
-| digest       | SHA-256 over the network's configuration, its weights and the other fields                   |
+"""Model files: a Keras network in .h5 together with all that is needed to use it; models/README.md has the format.
 
 A file is read by h5py. Only stock layers of a short list are accepted, and of each layer only the arguments that shape
 it (`_ARGUMENTS`): every Keras from 3.4 on knows these, and nothing else of the file reaches Keras. There is no pickle,
@@ -116,7 +104,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
 
     weights = weights_of(model)
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
-    metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": _coarsening(spec), "box": size, "card": card}
+    metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": spec.multiple, "box": size, "card": card}
     config = json.dumps(portable(json.loads(model.to_json())))
     _check_fit(model, weights, spec, size, path)
     # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
@@ -162,13 +150,9 @@ def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
         spec = kind.from_dict(metadata["spec"])
     except ValueError as error:
         raise ModelFileError(f"{path}: spec: {error}") from error
-    if metadata["coarsening"] != _coarsening(spec):
-        raise ModelFileError(f"{path}: coarsening: expected {_coarsening(spec)}, got {metadata['coarsening']!r}")
+    if metadata["coarsening"] != spec.multiple:
+        raise ModelFileError(f"{path}: coarsening: expected {spec.multiple}, got {metadata['coarsening']!r}")
     return spec
-
-
-def _coarsening(spec) -> int:
-    return 8 if isinstance(spec, FarFieldSpec) else 1
 
 
 def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box, path) -> None:
@@ -201,24 +185,27 @@ def portable(config) -> dict:
 
     Raises ModelFileError unless it consists of stock parts of the lists above.
     """
-    name = config.get("class_name") if isinstance(config, dict) else config
+    name, inner = _class_and_config(config, "model_config")
     if name not in _NETWORKS:
         raise ModelFileError(f"model_config: expected one of {', '.join(_NETWORKS)}, got {name!r}")
-    inner = config.get("config")
-    layers = inner.get("layers") if isinstance(inner, dict) else None
+    layers = inner.get("layers")
     if not isinstance(layers, list) or not layers:
         raise ModelFileError(f"model_config: expected a list of layers, got {type(layers).__name__}")
     kept = {key: inner[key] for key in _NETWORKS[name] if key in inner}
     return {"class_name": name, "config": kept | {"layers": [_layer(layer, i) for i, layer in enumerate(layers)]}}
 
 
+def _class_and_config(part, where: str) -> tuple:
+    config = part.get("config") if isinstance(part, dict) else None
+    if not isinstance(config, dict):
+        raise ModelFileError(f"{where}: expected an object with a config, got {str(part)[:200]}")
+    return part.get("class_name"), config
+
+
 def _layer(layer, i: int) -> dict:
     """A layer with only the arguments that shape it."""
     where = f"model_config.layers[{i}]"
-    given = layer.get("config") if isinstance(layer, dict) else None
-    if not isinstance(given, dict):
-        raise ModelFileError(f"{where}: expected an object with a config, got {str(layer)[:200]}")
-    name, module = layer.get("class_name"), layer.get("module", "keras.layers")
+    (name, given), module = _class_and_config(layer, where), layer.get("module", "keras.layers")
     if name not in _LAYERS or module != "keras.layers" or layer.get("registered_name") not in (None, name):
         expected = "a stock Keras layer of the list, no custom or Lambda layer"
         raise ModelFileError(f"{where}: expected {expected}, got {name!r} of {module!r}")
@@ -250,10 +237,9 @@ def _read(path: Path) -> tuple[StoredNetwork, dict]:
     with hdf5.opened(path, ModelFileError) as file:
         given = hdf5.attribute(file, "model_config")
         config = portable(_parsed(given, "model_config"))
-        is_here = isinstance(file.get("model_weights", getlink=True), h5py.HardLink)
-        expect(is_here, "model_weights: expected the network's weights, got none")
-        group = file["model_weights"]
-        datasets, metadata = _datasets(group), _metadata(file)
+        group, metadata = hdf5.member(file, "model_weights"), _metadata(file)
+        expect(isinstance(group, h5py.Group), f"model_weights: expected the network's weights, got {group}")
+        datasets = _datasets(group)
         whole = _digest(given, datasets, metadata) == metadata["digest"]
         expect(whole, "digest: expected that of the file's contents, got another; it was changed or damaged")
         for name, array in datasets.items():
