@@ -5,17 +5,14 @@
     python scripts/generate_data.py --packings [--simulations 640] [--out data/generated/packings]
     python scripts/generate_data.py --sample [--out data/sample]
 
-Writes <out>/sim_0000.h5, …, one file per simulation (`deep_contact.io.simulation_h5`, data/README.md), without the
-states that have no contacts. --xml also writes every state as <out>/xml/sim_0000/sim_0000_<step>.xml, with --gzip as
-.xml.gz. --quick makes four short simulations of few circles, in <out>/quick. --sample makes the few states that are
-tracked with the source. --packings makes the data of the start `learned support`: four states of a pile that settles,
-whose contacts start from the support; five eighths have 50 to 3,000 circles, the others 600 to 6,000.
+data/README.md says what is made: <out>/sim_0000.h5, …, and with --xml every state as
+<out>/xml/sim_0000/sim_0000_<step>.xml. --quick makes four short simulations of few circles, in <out>/quick, --packings
+the data of the start `learned support`: four states of a pile that settles, whose contacts start from the support;
+five eighths of the piles have 50 to 3,000 circles, the others 600 to 6,000.
 
 Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be
-stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind.
-
-With --scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`). They return every simulation as the
-bytes of its file, which this process writes; XML files are made from these afterwards, by processes of this machine.
+stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind. With
+--scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`); this process writes the files.
 """
 
 from __future__ import annotations

@@ -8,7 +8,6 @@ other files, fills memory with fill values that no file holds, and unpacks a chu
 from __future__ import annotations
 
 import math
-import stat
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -19,6 +18,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 
+from deep_contact.io.files import refuse_special
 from deep_contact.validation import expect
 
 MOST_PACKED = 1032
@@ -38,8 +38,7 @@ def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
     Raises OSError where it cannot be opened.
     """
     path = Path(path)
-    if not stat.S_ISREG(path.stat().st_mode):  # a pipe would wait for somebody to write into it
-        raise error(f"{path}: expected a file, got a folder, pipe or device")
+    refuse_special(path, error)
     if damage := damaged_heap(path):
         raise error(f"{path}: expected an HDF5 file, whole and undamaged, got {damage}")
     try:
@@ -51,12 +50,15 @@ def opened(path, error: type[ValueError] = ValueError) -> Iterator[h5py.File]:
         raise error(f"{path}: expected an HDF5 file, whole and undamaged: {fault}") from fault
 
 
+def member(group, name: str):
+    """The group or array of this name, or the link itself where it leads to another place, or None."""
+    link = group.get(name, getlink=True)
+    return group[name] if isinstance(link, h5py.HardLink) else link
+
+
 def dataset(group, name: str) -> h5py.Dataset:
-    """The array at `name`, a path below the group, before it is read. Raises ValueError unless it is in this file."""
-    found, where = group, f"{group.name}/{name}".strip("/")
-    for part in name.split("/"):
-        link = found.get(part, getlink=True) if isinstance(found, h5py.Group) else None
-        found = found[part] if isinstance(link, h5py.HardLink) else link
+    """An array of the group, before it is read. Raises ValueError unless it is in this file."""
+    found, where = member(group, name), f"{group.name}/{name}".strip("/")
     is_here = isinstance(found, h5py.Dataset) and not (found.is_virtual or found.external)
     expect(is_here, f"{where}: expected an array in this file, got {found}")
     is_held = found.nbytes <= MOST_PACKED * found.id.get_storage_size()
@@ -69,8 +71,7 @@ def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> di
     """All arrays below the group by their paths, as `dataset` finds them. Raises ValueError for one met twice."""
     found, seen = {}, seen or set()
     for name in sorted(group):
-        link = group.get(name, getlink=True)
-        item = group[name] if isinstance(link, h5py.HardLink) else link
+        item = member(group, name)
         if isinstance(item, (h5py.Group, h5py.Dataset)):
             place = h5py.h5o.get_info(item.id).addr
             expect(place not in seen, f"{group.name}/{name}: expected every object once, got a second link to one")

@@ -1,17 +1,7 @@
 """State files of the thesis's authors, put into the canonical form of `state_xml` before they are read.
 
-There are two dialects:
-
-* pybox2d exports with `velocity vx vy`, `angle theta`, `angular_velocity omega`, `normal nx ny`, `impulse ni ti` and
-  shapes printed as `dcCircleShape(radius=1)`, `dcLoopShape(vertices=[(30, 0), …])`, the box as body 0 and the master of
-  its contacts; `vel_iter`, `vel_thres` and `pos_iter` of the root are `State.solver`, a PGS;
-* exports with bodies and contacts directly under the root (also spelt `Configuration`), normals printed as
-  `b2Vec2(-1,2.9819e-05)` and shapes as `master_shape`, `slave_shape` of the contacts.
-
-Only these gaps are filled: settings by the thesis's values (`constants`); the step by the number that ends the file's
-name, else 0; starts by zero; impulses, if no contact has them, by the starts, with `solved=False`; a radius by the
-shape that a contact prints, else by sqrt(2 I / m). `state_xml` fills two more: separations by the geometry; the box, if
-the file has none or calls it `ground`, by the thesis's, if all centres are inside.
+data/README.md describes the two dialects, and how the gaps are filled. `state_xml` fills two of them: separations, and
+the box where the file has none.
 """
 
 from __future__ import annotations

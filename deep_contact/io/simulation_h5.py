@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import itertools
 import json
 import math
 from collections.abc import Iterable
@@ -26,7 +25,7 @@ import numpy as np
 from deep_contact.io import hdf5
 from deep_contact.io.files import FileError, write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import Bodies, Contacts, State, World, check_state
+from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World, check_state
 from deep_contact.state.scales import ContactScales
 from deep_contact.validation import expect, number, one_of
 
@@ -110,7 +109,7 @@ class StoredSimulation:
         """Number of contacts of each state, (T,)."""
         return np.diff(self.arrays["contact_offset"])
 
-    def state(self, index: int) -> State:
+    def state(self, index: int) -> StateWithContacts:
         """State `index`, 0 … T − 1, in arrays of its own; to the last bit what was written."""
         if not 0 <= index < self.count:
             raise IndexError(f"index: expected one from 0 to {self.count - 1}, got {index}")
@@ -219,10 +218,8 @@ def simulation_file(simulation: StoredSimulation, *, compression="gzip") -> byte
                 rows = max(1, 2**18 // max(1, array.nbytes // array.shape[0]))
                 options = {"chunks": (min(rows, array.shape[0]), *array.shape[1:]), "shuffle": True}
                 options |= {"compression": compression, "compression_opts": 1 if compression == "gzip" else None}
-            dataset = file.create_dataset(name, data=array.astype(_ARRAYS[name][0]), **options)
-            # Now, not when it is closed: whatever looks at running frames, as profilers do (Dask's workers have one),
-            # may hold it open for a moment, and then its bytes would come to lie behind those of the next.
-            dataset.flush()
+            # Flushed now: what holds it open for a moment, as profilers do, would put its bytes behind the next one's.
+            file.create_dataset(name, data=array.astype(_ARRAYS[name][0]), **options).flush()
     return buffer.getvalue()
 
 
@@ -251,15 +248,13 @@ class SimulationInfo(NamedTuple):
     header: dict
     digest: str
     count: int
-    bytes: int
 
 
 def simulation_info(path) -> SimulationInfo:
     """The header of a file. Errors as for `read_simulation`."""
     with hdf5.opened(path, DataFileError) as file:
         attributes, datasets = _read_attributes(file), _datasets(file)
-        size = sum(8 * array.size for array in datasets.values())
-        return SimulationInfo(_header(attributes), attributes["digest"], datasets["step"].size, size)
+        return SimulationInfo(_header(attributes), attributes["digest"], datasets["step"].size)
 
 
 # ---- details of a file ----
@@ -288,8 +283,8 @@ def _attributes(header: dict) -> dict:
     """The attributes of a file but its digest. Optional ones only where they are set: digests without them stay."""
     solver, world = header["solver"], header["world"]
     settings = None if solver is None else {"method": type(solver).__name__, **asdict(solver)}
-    segments = tuple(itertools.chain.from_iterable(world.segments))
-    optional = {"scales": tuple(world.scales or ()), "segments": segments, "surface_speeds": world.surface_speeds}
+    optional = {"scales": tuple(world.scales or ()), "segments": tuple(np.ravel(world.segments).tolist())}
+    optional["surface_speeds"] = world.surface_speeds
     return {
         "format": FORMAT,
         "version": VERSION,

@@ -1,36 +1,8 @@
 """States as XML files, one file a step (thesis, section 5.2.1): `read_state` and `write_state`.
 
-Canonical form, written by `write_state` (one element a line, floats by `repr`: the round trip is exact)::
-
-    <configuration name time step dt gravity_x gravity_y friction restitution solved>
-      <solver method …options/>
-      <scales slop wall_skin …/>
-      <bodies>
-        <body index type="free">
-          <mass value/> <position x y/> <velocity x y/> <orientation theta/> <inertia value/> <spin omega/>
-          <shape value="circle" radius/>
-        </body> …
-        <body index type="fixed"> … <shape value="box"> <corner x y/> four times </shape> </body>
-      </bodies>
-      <segments> <segment index x_0 y_0 x_1 y_1 speed/> … </segments>
-      <contacts>
-        <contact index master slave separation>
-          <position x y/> <normal x y/> <impulse n t/> <start n t/>
-        </contact> …
-      </contacts>
-    </configuration>
-
-* `master` and `slave` are `body_a` and `body_b` of `deep_contact.state`. The box is one fixed body, numbered after the
-  circles. A contact's normal tells which wall is meant: the one whose normal is nearest in direction. Static segments
-  are numbered after the box; `speed` is left out where their surface rests.
-* A contact whose master comes after its slave is turned round: n, t and the relative velocity flip together, so the
-  impulses keep their signs.
-* `<solver>` is left out where `State.solver` is None, `<scales>` where `World.scales` is (they follow the scene),
-  `<segments>` where there are none, and `<contacts>` where no contacts have been searched for yet.
-* The inertia is written for other readers, and checked on reading: only solid discs, m r²/2, are modelled.
-
-The dialects of the thesis's authors are read as well (`old_dialects`). Every fault of a file is a `StateFileError` that
-names file, line, element and value. `xml_tree` says which files are refused before they are parsed.
+data/README.md describes the canonical form, in which `write_state` writes. The dialects of the thesis's authors are
+read as well (`old_dialects`). Every fault of a file is a `StateFileError` that names file, line, element and value.
+`xml_tree` says which files are refused before they are parsed.
 """
 
 from __future__ import annotations
@@ -48,6 +20,7 @@ from deep_contact.io import xml_tree
 from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
+from deep_contact.physics.collision import write_geometry
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.state.scales import ContactScales, mean
@@ -68,7 +41,7 @@ _CONTACT_TEXT = xml_tree.text_of('contact index="%d" master="%d" slave="%d" sepa
 
 
 def read_state(path) -> State:
-    """The state in a file `….xml` or `….xml.gz`, in canonical form or an older dialect (module docstring).
+    """The state in a file `….xml` or `….xml.gz`, in canonical form or an older dialect.
 
     Raises StateFileError naming file, line, element and value, and OSError where the file cannot be opened.
     """
@@ -290,13 +263,17 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
     for element, pair in zip(rows.elements, zip(a.tolist(), b.tolist())):
         first = pairs.setdefault(pair, element)
         expect(first is element, element, "expected no second contact of a pair, the first is", first.get("index"))
-    separation = _separations(a, b, bodies, box)
-    for i, element in enumerate(rows.elements):
-        if not is_old or "separation" in element.attrib:
-            separation[i] = read_number(element, "separation")
     position, impulse, start = (rows.numbers(tag, CONTACT[tag]) for tag in ("position", "impulse", "start"))
     rows.refuse(impulse[:, 0] < 0, "impulse", "n", "a normal impulse >= 0")
-    return Contacts(a, b, position, normal, separation, *impulse.T, *start.T)
+    measured = Contacts(a, b, *np.empty((2, len(a), 2)), *np.empty((5, len(a))))
+    if is_old:  # without scales and segments
+        with np.errstate(over="ignore"):
+            skin = WALL_SKIN * mean(bodies.radius)
+        write_geometry(bodies.position, bodies.radius, box, None, skin, measured)
+    for i, element in enumerate(rows.elements):
+        if not is_old or "separation" in element.attrib:
+            measured.separation[i] = read_number(element, "separation")
+    return Contacts(a, b, position, normal, measured.separation, *impulse.T, *start.T)
 
 
 def _read_pairs(elements, rank: dict) -> np.ndarray:
@@ -314,20 +291,6 @@ def _read_pairs(elements, rank: dict) -> np.ndarray:
 def _nearest_wall(normal: np.ndarray) -> np.ndarray:
     """Walls (BOTTOM … LEFT) nearest in direction to normals (m, 2) from circle to wall."""
     return np.argmax(normal @ WALL_NORMALS.T, axis=1)
-
-
-def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
-    """Gap between the surfaces of the pairs, m. As in the engine, walls begin a skin before the box.
-
-    For old files, which set no scales and have no segments; the canonical form has separations.
-    """
-    position, radius, n = bodies.position, bodies.radius, bodies.count
-    other, x, y = np.minimum(b, n - 1), *position[a].T
-    with np.errstate(all="ignore"):
-        to_walls = y - box[1], box[2] - x, box[3] - y, x - box[0]  # in the order BOTTOM … LEFT
-        to_wall = np.choose(np.clip(b - n, 0, 3), to_walls) - radius[a] - WALL_SKIN * mean(radius)
-        to_circle = np.hypot(*(position[other] - position[a]).T) - radius[a] - radius[other]
-    return np.where(b < n, to_circle, to_wall)
 
 
 # ---- writing ----

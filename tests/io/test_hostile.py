@@ -3,6 +3,7 @@
 Those of text are in `test_state_xml` and `test_fc2d`.
 """
 
+import os
 import zlib
 
 import h5py
@@ -11,6 +12,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.cnn.model_file import ModelFileError, read_metadata
+from deep_contact.cnn.registry import path_of
 from deep_contact.io import hdf5
 from deep_contact.io.simulation_h5 import DataFileError, read_simulation, simulation_info, write_simulation
 
@@ -27,7 +29,7 @@ def path(tmp_path):
 
 def read(path):
     with hdf5.opened(path) as file:
-        return hdf5.read({"a/x": hdf5.dataset(file, "a/x")}, MOST)["a/x"]
+        return hdf5.read(hdf5.datasets(file), MOST)["a/x"]
 
 
 def change(path, name, value, **options):
@@ -74,13 +76,22 @@ def test_a_chunk_that_was_left_unpacked_is_read(path):
     assert read(path).tobytes() == noise
 
 
-@pytest.mark.parametrize("kind", ["soft loop", "hard loop", "other file", "text"])
+@pytest.mark.parametrize("kind", ["soft loop", "hard loop", "other file", "text", "raw file", "virtual"])
 def test_what_is_no_array_of_this_file_is_refused(path, kind):
     with h5py.File(path, "r+") as file:
         del file["a/x"]
         links = {"soft loop": h5py.SoftLink("/a/x"), "other file": h5py.ExternalLink("other.h5", "/")}
-        file["a/x"] = links.get(kind, file["a"] if kind == "hard loop" else "text")
-    with pytest.raises(ValueError, match=r"hostile.h5: a/x: expected (an array in this file|numbers)"):
+        links |= {"hard loop": file["a"], "text": "text"}
+        if kind in links:
+            file["a/x"] = links[kind]
+        elif kind == "raw file":
+            file.create_dataset("a/x", (4,), "u1", external=[(str(path), 0, 4)])
+        else:
+            layout = h5py.VirtualLayout((1,), "f4")
+            layout[:] = h5py.VirtualSource(str(path), "data", (1,))
+            file.create_virtual_dataset("a/x", layout)
+    expected = "an array in this file|numbers|every object once"
+    with pytest.raises(ValueError, match=rf"hostile.h5: /?a/x: expected ({expected})"):
         read(path)
 
 
@@ -130,6 +141,27 @@ def simulation(tmp_path_factory):
     path = tmp_path_factory.mktemp("simulation") / "sim_0000.h5"
     write_simulation(path, [dc.simulate(dc.column(3), steps=3).state], options={"a": 1})
     return path.read_bytes()
+
+
+@pytest.mark.parametrize(("read", "error"), [(read_simulation, DataFileError), (read_metadata, ModelFileError)])
+def test_what_is_cut_off_foreign_or_no_file_is_refused_by_name(simulation, read, error, tmp_path):
+    path, pipe = tmp_path / "a.h5", tmp_path / "pipe.h5"
+    whole = simulation if read is read_simulation else path_of("comparison/width_4").read_bytes()
+    cut_off = [whole[: int(share * len(whole))] for share in (0.001, 0.1, 0.5, 0.9, 0.999)]
+    for data in (b"", b"<configuration/>", b"\x89HDF\r\n\x1a\n" + bytes(200), *cut_off, whole[:-1]):
+        path.write_bytes(data)
+        with pytest.raises(error, match=r"a\.h5: expected an HDF5 file, whole and undamaged"):
+            read(path)
+    with h5py.File(path, "w") as file:
+        file["weights"] = np.zeros(3)
+    with pytest.raises(error, match=r"a\.h5: (format|model_config): expected this attribute, got none"):
+        read(path)
+    os.mkfifo(pipe)
+    for special in (tmp_path, pipe):
+        with pytest.raises(error, match="expected a file, got a folder, pipe or device"):
+            read(special)
+    with pytest.raises(FileNotFoundError):
+        read(tmp_path / "none.h5")
 
 
 @pytest.mark.parametrize("name", ["solver", "options"])

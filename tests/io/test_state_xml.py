@@ -350,13 +350,16 @@ def test_pipes_and_folders_are_refused(tmp_path):
             read_state(path)
 
 
-def test_gzip_bomb_is_refused_while_it_is_unpacked(tmp_path):
-    """300 MiB of blanks in 300 kB; the limit is 64 MiB, and what is held of it twice that for a moment."""
+@pytest.mark.parametrize("data", [300 * gzip.compress(b" " * 2**20), 2_000_000 * gzip.compress(b"")])
+def test_gzip_bomb_is_refused_while_it_is_unpacked(tmp_path, data):
+    """In many members, of which two million took 6 s; `test_fc2d` has one in one member."""
     path = tmp_path / "bomb.xml.gz"
-    path.write_bytes(gzip.compress(b" " * 2**20) * 300)
+    path.write_bytes(data)
     tracemalloc.start()
+    start = time.process_time()
     with pytest.raises(StateFileError, match=r"bomb\.xml\.gz.*67108864 bytes"):
         read_state(path)
+    assert time.process_time() - start < 1
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 150 * 2**20
@@ -371,15 +374,6 @@ def test_many_attributes_of_one_element_are_refused_in_linear_time():
     with pytest.raises(StateFileError, match="x: attribute is missing"):
         parse_state(OLD_A.read_bytes().replace(b'<position x="0.0" y="0.0"', b"<position " + names), "x.xml")
     assert time.process_time() - start < 2
-
-
-def test_many_empty_gzip_members_are_refused(tmp_path):
-    """Two million took 6 s."""
-    (tmp_path / "s.xml.gz").write_bytes(gzip.compress(b"") * 2_000_000)
-    start = time.process_time()
-    with pytest.raises(StateFileError, match=r"s\.xml\.gz: .* 1000 members"):
-        read_state(tmp_path / "s.xml.gz")
-    assert time.process_time() - start < 1
 
 
 @pytest.mark.parametrize("damage", [lambda d: d[:-9], lambda d: d[:20] + b"\xff" + d[21:], lambda d: b"<xml>"])
