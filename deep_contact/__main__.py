@@ -146,17 +146,17 @@ def _method(given, scene) -> dict:
 
     import deep_contact as dc
     from deep_contact.physics.solvers import METHODS
-    from deep_contact.validation import one_of
+    from deep_contact.validation import expect, one_of
 
-    options = {name: getattr(given, name) for name in ("sweeps", "tolerance") if getattr(given, name) is not None}
+    names = ("solver", "sweeps", "tolerance", "warm_start")
+    options = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
     if given.accuracy is not None:
-        if options or given.solver is not None or given.warm_start is not None:
-            raise ValueError("--accuracy: expected no --solver, --sweeps, --tolerance or --warm-start beside it")
+        expect(not options, "--accuracy: expected no --solver, --sweeps, --tolerance or --warm-start beside it")
         return {"accuracy": given.accuracy}
-    start = {"warm_start": given.warm_start or "builtin"}
-    if given.solver is not None:
-        return {"solver": METHODS[one_of("--solver", given.solver, METHODS)](**options), **start}
-    return {"solver": replace(scene.solver or dc.PGS(), **options), **start} if options else start
+    start = {"warm_start": options.pop("warm_start", "builtin")}
+    if "solver" in options:
+        return start | {"solver": METHODS[one_of("--solver", options.pop("solver"), METHODS)](**options)}
+    return start | ({"solver": replace(scene.solver or dc.PGS(), **options)} if options else {})
 
 
 def _view(given) -> int:

@@ -1,10 +1,8 @@
 """Where independent tasks run: in processes of this machine, or on the workers of a Dask cluster.
 
 An argument `jobs` takes the number of local processes, or an executor such as that of `cluster("tcp://10.0.0.1:8786")`;
-the results have the same bits. A cluster is started by Dask's own commands, in an environment where this package and
-the extra `cluster` are installed: `dask scheduler`, and on every machine `dask worker ADDRESS --nworkers auto
---nthreads 1`. Workers need no file system of the client: tasks and results are sent. A task that reads a file, such as
-a network of `models/`, reads the worker's own, below the folder in which the worker was started.
+the results have the same bits. docs/guide.md says how a cluster is started. Workers need no file system of the client:
+tasks and results are sent. A task that reads a file, such as a network of `models/`, reads the worker's own.
 
 The local pool is not joblib's: its workers outlive a killed parent and get Ctrl-C themselves.
 """
@@ -26,6 +24,7 @@ from pathlib import Path
 
 from deep_contact.constants import VERSION
 from deep_contact.io import provenance
+from deep_contact.validation import integer
 
 _PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow")
 """Packages on whose versions results depend."""
@@ -49,10 +48,8 @@ def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -
     begun, and ends local processes at once; use `contextlib.closing` where the loop itself may raise. Results are
     handed on and not kept. Raises ValueError for other `jobs`.
     """
-    items, is_local = list(items), not isinstance(jobs, Executor)
-    if is_local and (isinstance(jobs, bool) or not isinstance(jobs, int) or jobs < 1):
-        raise ValueError(f"jobs: expected an integer >= 1 or an Executor, got {jobs!r}")
-    if is_local and (jobs == 1 or len(items) < 2):
+    items = list(items)
+    if not isinstance(jobs, Executor) and (integer("jobs", jobs, 1) == 1 or len(items) < 2):
         return ((i, function(item)) for i, item in enumerate(items))
     return _finished(function, items, jobs)  # a generator, which would raise at the first item alone
 
@@ -96,16 +93,16 @@ def cluster(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
             f"scheduler: expected the package `distributed` to be installed for {address}, got none: "
             "it comes with the extra `cluster`, pip install 'deep-contact[cluster]'"
         ) from None
-    client, expected = None, f"a Dask scheduler that answers at {address} within {timeout:g} s"
     try:
-        client = Client(address, timeout=timeout, set_as_default=False)
+        client, fault = Client(address, timeout=timeout, set_as_default=False), None
     except Exception as error:  # OSError, ValueError, TypeError and others, depending on what is wrong with the address
-        got = str(error) or type(error).__name__
-    if client is None:
+        fault = str(error) or type(error).__name__
+    if fault is not None:
         # The client that came to nothing closes itself here. Left to the garbage collector it may do so while another
         # one starts, and both wait for each other for ever.
         gc.collect()
-        raise ClusterError(f"scheduler: expected {expected}, got none: {got}")
+        expected = f"a Dask scheduler that answers at {address} within {timeout:g} s"
+        raise ClusterError(f"scheduler: expected {expected}, got none: {fault}")
     with client:
         try:
             yield _Cluster(client)
@@ -133,9 +130,6 @@ class _Cluster(Executor):
             return on_worker(task, expected)
 
         return self._executor.submit(task_of_deep_contact)
-
-    def shutdown(self, wait=True, *, cancel_futures=False):
-        self._executor.shutdown(wait=wait and not cancel_futures)
 
 
 def on_worker(task: bytes, expected: dict[str, str]):

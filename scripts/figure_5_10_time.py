@@ -27,7 +27,7 @@ def compute(options, seed, jobs, progress):
         flat, refused = [state for of_scene in states for state in of_scene], {}
         for name in networks:
             try:
-                every[name].model.check_scene(flat[0])
+                every[name].model.input(flat[0])
             except ModelFileError as error:
                 refused[name] = str(error)
         fitting = {name: start for name, start in every.items() if name not in refused}

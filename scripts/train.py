@@ -118,9 +118,9 @@ def run(data, out, model, quick, **given) -> None:
     errors = done.model.card["held_out"]
     print("mean relative velocity error after", ", ".join(map(str, errors["sweeps"])), "sweeps, test states")
     for phase, found in errors["phases"].items():
-        for start in (name for name in ("none", "builtin", "cnn") if name in found):
-            numbers = "  ".join(f"{value:8.4f}" for value in found[start]["mean"])
-            print(f"  {phase:9s} ({found['states']:4d})  {start:8s} {numbers}")
+        count = found.pop("states")
+        for start, values in found.items():
+            print(f"  {phase:9s} ({count:4d})  {start:8s} {'  '.join(f'{value:8.4f}' for value in values['mean'])}")
     if model:
         write_bytes(model, done.path.read_bytes())
         for name in ("history.png", "history.csv"):

@@ -33,7 +33,8 @@ dc.plotting.draw_state(ax, state)
 dc.plotting.save(figure, "s.png")
 normal, tangent = dc.load_model().predict(state)
 assert normal.shape == (state.contacts.count,)
-dc.simulate(state, steps=1, solver=dc.PGS(sweeps=5), warm_start="cnn")
+for start in ("cnn", "sph"):
+    dc.simulate(state, steps=1, solver=dc.PGS(sweeps=5), warm_start=start)
 assert main(["predict", "s.xml"]) == 0
 assert main(["figure", "5.3", "--quick"]) == 0
 print("all of it")

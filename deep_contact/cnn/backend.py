@@ -5,7 +5,6 @@ from __future__ import annotations
 import importlib
 import os
 import sys
-import tempfile
 from contextlib import contextmanager, suppress
 
 from deep_contact.validation import integer
@@ -22,7 +21,7 @@ def __getattr__(name: str):
         # TensorFlow's later messages are below this level. The first ones do not know any level yet.
         os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
         try:
-            with _standard_error_held_back():
+            with _silent():
                 importlib.import_module(name)
         except ModuleNotFoundError as error:
             needs = "expected the package, which training and networks on images need"
@@ -50,27 +49,22 @@ def one_thread() -> None:
 def _apply_limit() -> None:
     if _threads is not None and "tensorflow" in sys.modules:
         pools = sys.modules["tensorflow"].config.threading
-        if (pools.get_intra_op_parallelism_threads(), pools.get_inter_op_parallelism_threads()) != (_threads, 1):
-            pools.set_intra_op_parallelism_threads(_threads)
-            pools.set_inter_op_parallelism_threads(1)
+        pools.set_intra_op_parallelism_threads(_threads)
+        pools.set_inter_op_parallelism_threads(1)
 
 
 @contextmanager
-def _standard_error_held_back():
-    """Keep what is written to file descriptor 2, by C++ as well, and show it only after an exception."""
+def _silent():
+    """Drop what is written to file descriptor 2, by C++ as well."""
     try:
         before = os.dup(2)
     except OSError:  # a process without one, as under pythonw
         yield
         return
-    with tempfile.TemporaryFile() as kept:
-        os.dup2(kept.fileno(), 2)
-        try:
-            yield
-        except BaseException:
-            kept.seek(0)
-            os.write(before, kept.read())
-            raise
-        finally:
-            os.dup2(before, 2)
-            os.close(before)
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(before, 2)
+        os.close(before)

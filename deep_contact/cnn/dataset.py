@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.io.simulation_h5 import PHASES, DataFileError, StoredSimulation, read_simulation, simulation_info
-from deep_contact.state import State
+from deep_contact.state import StateWithContacts
 from deep_contact.validation import integer, one_of
 
 CACHE_BYTES = 8 * 2**30
@@ -45,26 +45,27 @@ class Store:
         """Number of states in all."""
         return sum(self.info(sim).count for sim in self.simulations)
 
-    def info(self, sim: int):
-        """The `SimulationInfo`, read without the arrays. Raises KeyError on an unknown simulation."""
+    def _path(self, sim: int) -> Path:
         if sim not in self.simulations:
             raise KeyError(f"sim: expected a simulation of {self.folder}, got {sim!r}")
+        return simulation_path(self.folder, sim)
+
+    def info(self, sim: int):
+        """The `SimulationInfo`, read without the arrays. Raises KeyError on an unknown simulation."""
         if sim not in self._infos:
-            self._infos[sim] = simulation_info(simulation_path(self.folder, sim))
+            self._infos[sim] = simulation_info(self._path(sim))
         return self._infos[sim]
 
     def simulation(self, sim: int) -> StoredSimulation:
         """All states of a simulation, from memory if it was among the last ones read."""
         if sim not in self._cache:
-            needed = self.info(sim).bytes
-            # Make room first, so that the bound holds while the file is read.
-            while self._cache and needed + sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
+            self._cache[sim] = read_simulation(self._path(sim))
+            while len(self._cache) > 1 and sum(kept.bytes for kept in self._cache.values()) > self.cache_bytes:
                 self._cache.popitem(last=False)
-            self._cache[sim] = read_simulation(simulation_path(self.folder, sim))
         self._cache.move_to_end(sim)
         return self._cache[sim]
 
-    def state(self, sim: int, index: int) -> State:
+    def state(self, sim: int, index: int) -> StateWithContacts:
         """One state, to the last bit what was written."""
         return self.simulation(sim).state(index)
 

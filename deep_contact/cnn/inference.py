@@ -25,9 +25,6 @@ from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.physics.support import supported
 from deep_contact.state import State
 
-_SAME_BOX = 1e-6
-"""A box may differ by so much from the one a network of fixed size was made for, relative."""
-
 
 def load_model(path=None) -> LearnedModel:
     """The model of a file, or of a name in `models/registry.json`; by default the shipped model, "model".
@@ -72,10 +69,9 @@ class LearnedModel:
     def input(self, state: State) -> np.ndarray:
         """The image that the network takes, (n_y, n_x, channels), float32.
 
-        Raises ModelFileError where the network does not fit the scene, ValueError where no contacts have been looked
-        for yet.
+        Raises ModelFileError where the network does not fit the scene, ValueError where contacts have not been
+        searched.
         """
-        self.check_scene(state)
         return self._seen(state)[0]
 
     def impulses(self, state: State, output, *, project: bool = True) -> tuple[np.ndarray, np.ndarray]:
@@ -84,7 +80,6 @@ class LearnedModel:
         output: (n_y, n_x, targets), flat or not, with or without a batch of one. project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
         Raises ValueError naming the shape that was expected and the one that came.
         """
-        self.check_scene(state)
         image, read = self._seen(state)
         shape, given = self._output_shape(image.shape), np.asarray(output, np.float32)
         if given.size != np.prod(shape):
@@ -98,24 +93,20 @@ class LearnedModel:
         """
         if not isinstance(state, State):
             return [self.predict(one, project=project) for one in state]
-        self.check_scene(state)
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
         image, read = self._seen(state)
         return _cut(read(self.run(image)), state, project)
 
     def predict_image(self, state: State) -> np.ndarray:
-        """The predicted image of impulses, float32, (n_y, n_x, targets), in the network's units.
-
-        A far-field network's is of coefficients, (rows, columns, 12), at every second node of the window.
-        """
+        """The predicted image of impulses, or of a far-field network's coefficients: `run` of `input`."""
         return self.run(self.input(state))
 
     def run(self, image: np.ndarray) -> np.ndarray:
         """The network alone: image (n_y, n_x, channels) to image (n_y, n_x, targets), float32.
 
-        A far-field network takes n = 1 (mod 8) nodes a side, and gives as `predict_image`. Raises ValueError naming the
-        shape that was expected and the one that came.
+        A far-field network takes n = 1 (mod 8) nodes a side, and gives (rows, columns, 12), at every second node.
+        Raises ValueError naming the shape that was expected and the one that came.
         """
         image = np.asarray(image, np.float32)
         if image.shape not in self._compiled:
@@ -124,6 +115,7 @@ class LearnedModel:
 
     def _seen(self, state):
         """The network's input for a state, and a function of its output: (λ_n, λ_t)."""
+        self._check_scene(state)
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
 
     def _output_shape(self, shape):
@@ -141,14 +133,13 @@ class LearnedModel:
         concrete = traced.get_concrete_function(tf.TensorSpec((1, *shape), tf.float32))
         return lambda image: concrete(tf.constant(image[None])).numpy().reshape(output)
 
-    def check_scene(self, state: State) -> None:
-        """Raise ModelFileError naming the field unless the network can work on this scene."""
+    def _check_scene(self, state):
         spec, size = self.spec, self.network.input_shape[1:3]
         if len(spec.targets) != 2:
             raise ModelFileError(f"targets: expected a network for normal and tangent impulses, got {spec.targets}")
         x_min, y_min, x_max, y_max = state.world.box
         extent, shape = (x_max - x_min, y_max - y_min), spec.shape(state.world)
-        if None not in size and self.box and not np.allclose(extent, self.box, rtol=_SAME_BOX, atol=0.0):
+        if None not in size and self.box and not np.allclose(extent, self.box, rtol=1e-6, atol=0.0):
             expected = f"a scene of {self.box[0]:g} m × {self.box[1]:g} m, for which the network was trained"
             raise ModelFileError(f"box: expected {expected}, got {extent[0]:g} m × {extent[1]:g} m")
         if None not in size and shape != size:
@@ -188,9 +179,6 @@ class FarFieldModel(LearnedModel):
     def _compile(self, shape, output):
         return Program(weights_of(self.source), shape[:2])
 
-    def check_scene(self, state: State) -> None:
-        """Accept every scene."""
-
 
 def ends(spec: ImageSpec | FarFieldSpec, box=None) -> dict[str, str]:
     """What a network of this spec takes and gives, in words."""
@@ -212,8 +200,8 @@ def _cut(impulses, state: State, project: bool) -> tuple[np.ndarray, np.ndarray]
 class Cnn:
     """What a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
 
-    model: a `LearnedModel`, the path or name of a model file, or None for the one that is shipped. A file that this
-    process has read and that has not changed since is not read again.
+    model: a `LearnedModel`, the path or name of a model file, which is read again only if it changes, or None for the
+    one that is shipped.
     """
 
     model: LearnedModel | str | Path | None = None
@@ -232,7 +220,7 @@ class Cnn:
 class LearnedSupport(Cnn):
     """`warm_start.Support`, corrected by a far-field network that was trained on such starts, for piles without a past.
 
-    model: as of `Cnn`; by default "no_past". Where contacts carry impulses of a step before, Builtin is better.
+    model: as of `Cnn`. Where contacts carry impulses of a step before, Builtin is better.
     """
 
     model: LearnedModel | str | Path | None = "no_past"
@@ -256,10 +244,7 @@ class LearnedSupport(Cnn):
 
 
 def network_start(model) -> Cnn:
-    """The start by the network of a file or a name (Algorithm 7), on one thread, read again only if the file changes.
-
-    Raises FileNotFoundError where there is no such file, `ModelFileError` where it is damaged.
-    """
+    """`Cnn` on one thread."""
     one_thread()
     return Cnn(model)
 

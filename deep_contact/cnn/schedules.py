@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from deep_contact.validation import one_of
-
 
 def algorithm_6(epoch: int) -> float:
     """Algorithm 6 of the thesis, its gaps closed: 5e-3 below epoch 100, 2e-3 below 300, 1e-3 below 500, 2e-4 after.
@@ -39,15 +37,7 @@ SCHEDULES = {
     "cosine": cosine,
     "constant": lambda epochs, rate: lambda epoch: rate,
 }
-"""Name -> schedule by the number of epochs and the rate."""
+"""Name -> schedule by the number of epochs, which the `BY_LENGTH` use, and the rate."""
 
 BY_LENGTH = ("scaled appendix b", "cosine")
 """Schedules whose rates depend on the number of epochs."""
-
-
-def schedule(name: str, *, epochs: int, rate: float) -> Callable[[int], float]:
-    """The schedule of that name. The `BY_LENGTH` use epochs, "cosine" and "constant" the rate.
-
-    Raises ValueError on another name.
-    """
-    return SCHEDULES[one_of("schedule", name, SCHEDULES)](epochs, rate)

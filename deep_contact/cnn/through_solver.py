@@ -75,7 +75,12 @@ def loss_and_gradient(
     sweeps, weights, start = np.asarray(sweeps), np.asarray(weights, float), np.array(start, float)
     in_cone = np.column_stack(projected(*start.T.copy(), problem.friction))
     errors, gradient = _errors_and_gradient(problem, in_cone, sweeps, weights)
-    _before_projection(start, problem.friction, gradient)
+    # The adjoint of the projection.
+    normal, tangent = start.T
+    cut = np.abs(tangent) > problem.friction * np.maximum(normal, 0.0)
+    gradient[cut, 0] += np.copysign(problem.friction, tangent[cut]) * gradient[cut, 1]
+    gradient[cut, 1] = 0.0
+    gradient[(normal < 0.0) & (gradient[:, 0] > 0.0), 0] = 0.0
     return float(weights @ errors), gradient, errors
 
 
@@ -112,18 +117,6 @@ def _errors_and_gradient(problem, start, sweeps, weights):
         by_impulse[i, 0] += by_normal
         by_impulse[i, 1] += by_tangent
     return errors, by_impulse
-
-
-@njit(cache=True)
-def _before_projection(start, friction, gradient):
-    """The adjoint of the projection, in place: the derivative by the projected start becomes that by the start."""
-    for i in range(start.shape[0]):
-        largest = friction * max(start[i, 0], 0.0)
-        if abs(start[i, 1]) > largest:
-            gradient[i, 0] += math.copysign(friction, start[i, 1]) * gradient[i, 1]
-            gradient[i, 1] = 0.0
-        if start[i, 0] < 0.0 and gradient[i, 0] > 0.0:
-            gradient[i, 0] = 0.0
 
 
 @njit(cache=True)

@@ -106,7 +106,7 @@ def thesis_hyperparameters() -> dict[str, str]:
     for layer in model.layers:
         layers.setdefault(type(layer).__name__, []).append(layer)
     convolutions = layers["Conv2D"]
-    schedule = schedules.schedule(config.schedule, epochs=config.epochs, rate=config.rate)
+    schedule = schedules.SCHEDULES[config.schedule](config.epochs, config.rate)
     spelling = {"relu": "ReLU", "HeNormal": "He normal"}
 
     def only(values) -> str:

@@ -57,13 +57,13 @@ def test_masked_squared_error_is_eq_5_3():
     ],
 )
 def test_rates_are_those_of_the_thesis(name, rates):
-    rate = schedules.schedule(name, epochs=1, rate=1.0)
+    rate = schedules.SCHEDULES[name](1, 1.0)
     assert {epoch: rate(epoch) for epoch in rates} == rates
 
 
 @pytest.mark.parametrize("epochs", [7, 100, 1000])
 def test_scaled_scheduler_takes_each_rate_for_its_share(epochs):
-    rates = [schedules.schedule("scaled appendix b", epochs=epochs, rate=1.0)(epoch) for epoch in range(epochs)]
+    rates = [schedules.SCHEDULES["scaled appendix b"](epochs, 1.0)(epoch) for epoch in range(epochs)]
     for rate, share in ((0.05, 0.1), (0.02, 0.3), (0.01, 0.6)):
         assert rates.count(rate) / epochs == pytest.approx(share, abs=1.5 / epochs)  # 101, 300 and 599 of 1,000
 

@@ -130,7 +130,7 @@ def test_spec_goes_through_json():
     assert FarFieldSpec.from_dict(before) == FarFieldSpec()
     with pytest.raises(ValueError, match="inputs: expected 'all', the only one left, got 'bodies'"):
         FarFieldSpec.from_dict(before | {"inputs": "bodies"})
-    with pytest.raises(ValueError, match="far-field spec: expected the fields"):
+    with pytest.raises(ValueError, match="FarFieldSpec: expected the fields"):
         FarFieldSpec.from_dict({"kind": "far field"})
 
 

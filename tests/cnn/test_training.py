@@ -232,7 +232,7 @@ def test_what_is_wrong_is_said_in_one_line(flags, status, message, capsys):
 
 
 def test_ctrl_c_ends_training_with_one_line(data, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("deep_contact.cnn.training.run.train", Mock(side_effect=KeyboardInterrupt))
+    monkeypatch.setattr("deep_contact.cnn.training.train", Mock(side_effect=KeyboardInterrupt))
     assert load_script("train").main(["--data", str(data), "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err.splitlines()[-1].startswith("train: stopped; the same command goes on")
 

@@ -270,7 +270,7 @@ def test_the_error_of_an_item_does_not_wait_for_the_others():
 
 @pytest.mark.parametrize("jobs", [0, 1.5])
 def test_bad_jobs_are_refused(jobs):
-    with pytest.raises(ValueError, match=f"jobs: expected an integer >= 1 or an Executor, got {jobs}"):
+    with pytest.raises(ValueError, match=f"jobs: expected an integer >= 1, got {jobs}"):
         figures.parallel_map(abs, [1], jobs=jobs)
 
 

@@ -28,7 +28,7 @@ class TrainingConfig:
     targets: tuple[str, ...] = ("normal_impulse", "tangent_impulse")  # of `ImageSpec`: one impulse or both
     sweeps: tuple[int, ...] = (3, 10, 30)  # increasing
     optimizer: str = "adam"  # or "sgd"; Adam's gradients have norm 1 at most
-    schedule: str = "cosine"  # of `schedules.schedule`
+    schedule: str = "cosine"  # of `schedules.SCHEDULES`
     rate: float = 1.5e-3
     epochs: int = 30
     batch_size: int = 32

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from deep_contact.cnn.backend import tensorflow as tf
-from deep_contact.cnn.dataset import evenly
 from deep_contact.cnn.far_field import COARSENING, corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
 from deep_contact.cnn.training.network import NetworkRun
@@ -18,12 +17,9 @@ class FarFieldRun(NetworkRun):
     """A run whose network corrects Builtin, trained through the solver."""
 
     def __init__(self, config, store, split, network):
-        super().__init__(config, network)
-        self.store = store
-        self.states = self._states_with_error(split.train, _LEARN_FROM)
-        self.training_states = len(self.states)
+        sides = (split.train, _LEARN_FROM), (split.validation, _JUDGE_BY)
+        super().__init__(config, store, *(_states_with_error(store, *side) for side in sides), network)
         self.per_epoch = self.batches_per_epoch() * config.batch_size
-        self.validation = evenly(self._states_with_error(split.validation, _JUDGE_BY), config.validation_states)
         # Equal weight for each number of sweeps, although the errors get smaller.
         errors = self.errors(self.validation, learned=False)[:, 1:]
         self.weights = 1.0 / (errors.mean(axis=0) * len(config.sweeps))
@@ -37,11 +33,6 @@ class FarFieldRun(NetworkRun):
         """Coefficients (K, 12) at the contacts, from images and the arrays of `nodes_of`; differentiable."""
         nodes = tf.reshape(self.model(images, training=True), (-1, len(self.spec.targets)))
         return tf.reduce_sum(tf.gather(nodes, node) * weight[:, :, None], axis=1)
-
-    def _states_with_error(self, sims, least: float) -> np.ndarray:
-        """States (k, 2) of the simulations in which the relative error of Builtin's start is larger than `least`."""
-        found = [[sim, i] for sim in sims for i in np.flatnonzero(self.store.simulation(sim).start_errors() > least)]
-        return np.array(found, dtype=np.int64).reshape(-1, 2)
 
     def examples(self, states: np.ndarray, symmetry: np.ndarray):
         """(description, problem) of each of the states (k, 2), one after the other."""
@@ -66,19 +57,16 @@ class FarFieldRun(NetworkRun):
 
     def step(self, batch) -> tuple[float, int]:
         """One step by examples with windows of one shape. Returns the sum of their losses, and their number."""
+        descriptions, problems = zip(*batch)
         with tf.GradientTape() as tape:
-            coefficients = self.coefficients([description for description, _ in batch])
-        values = coefficients.numpy().astype(np.float64)
-        by_coefficient, total, first = np.empty_like(values), 0.0, 0
-        for description, problem in batch:
-            own = slice(first, first + len(description.start))
-            start = corrected(description, values[own])
+            coefficients = self.coefficients(descriptions)
+        total, by_coefficient = 0.0, []
+        for description, problem, start in zip(descriptions, problems, _starts(descriptions, coefficients)):
             loss, gradient, _ = loss_and_gradient(problem, start, self.config.sweeps, self.weights)
-            by_coefficient[own] = np.einsum("ik,ijk->ij", gradient, description.features)
+            by_coefficient.append(np.einsum("ik,ijk->ij", gradient, description.features))
             total += loss
-            first = own.stop
         # Divided by a full batch, so that a few states with a rare window do not count as much as a batch.
-        given = tf.constant(by_coefficient / self.config.batch_size, tf.float32)
+        given = tf.constant(np.concatenate(by_coefficient) / self.config.batch_size, tf.float32)
         self._apply(tape.gradient(coefficients, self.model.trainable_variables, output_gradients=given))
         return total, len(batch)
 
@@ -90,9 +78,7 @@ class FarFieldRun(NetworkRun):
             descriptions, problems = zip(*batch)
             starts = [problem.rows.impulse for problem in problems]
             if learned:
-                values = self.coefficients(descriptions).numpy().astype(np.float64)
-                parts = np.split(values, np.cumsum([len(start) for start in starts])[:-1])
-                starts = [corrected(description, part) for description, part in zip(descriptions, parts)]
+                starts = _starts(descriptions, self.coefficients(descriptions))
             found += [errors_after(problem, start, sweeps) for problem, start in zip(problems, starts)]
         return np.array(found)[:, [0, *(sweeps.index(k) for k in self.config.sweeps)]]
 
@@ -102,6 +88,19 @@ class FarFieldRun(NetworkRun):
         found = {"validation_loss": float(errors[1:] @ self.weights), "validation_velocity_error": float(errors[0])}
         after = zip(self.config.sweeps, errors[1:].tolist())
         return found | {f"validation_velocity_error_{k}": error for k, error in after}
+
+
+def _states_with_error(store, sims, least: float) -> np.ndarray:
+    """States (k, 2) of the simulations in which the relative error of Builtin's start is larger than `least`."""
+    found = [[sim, i] for sim in sims for i in np.flatnonzero(store.simulation(sim).start_errors() > least)]
+    return np.array(found, dtype=np.int64).reshape(-1, 2)
+
+
+def _starts(descriptions, coefficients) -> list[np.ndarray]:
+    """The corrected start of each description, by its rows of the coefficients (K, 12)."""
+    ends = np.cumsum([len(description.start) for description in descriptions])
+    parts = np.split(coefficients.numpy().astype(np.float64), ends[:-1])
+    return [corrected(description, part) for description, part in zip(descriptions, parts)]
 
 
 def _by_shape(examples, size: int):

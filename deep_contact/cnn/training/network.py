@@ -20,22 +20,25 @@ from deep_contact.cnn.model_file import save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.io.files import replacing
 from deep_contact.io.provenance import package_versions, processor
+from deep_contact.validation import expect
 
 SAVE_EVERY = 20.0
 """Seconds from one last.npz to the next within an epoch."""
 
 
 class NetworkRun:
-    """A network in training. Subclasses have `batches`, `step` and `validate`, and set `training_states`, their number.
+    """A network in training. Subclasses have `batches`, `step` and `validate`.
 
-    box: the world's box of a network of one size, or None. position: where the run is: the epoch, its batches and
-    states that are done, and the sum of their losses. history: a dict an epoch, by column.
+    states, validation: those to learn from and to judge by, (k, 2), as `Store.states`. box: the world's box of a
+    network of one size, or None. position: where the run is: the epoch, its batches and states that are done, and the
+    sum of their losses. history: a dict an epoch, by column.
     """
 
     box = None
 
-    def __init__(self, config: TrainingConfig, network: keras.Model | None, **options):
-        self.config, self.spec = config, config.spec()
+    def __init__(self, config: TrainingConfig, store: Store, states, validation, network, **options):
+        self.config, self.spec, self.store = config, config.spec(), store
+        self.states, self.validation = states, evenly(validation, config.validation_states)
         sizes = {"channels": len(self.spec.channels), "outputs": len(self.spec.targets)}
         self.model = network or architectures.build(config.architecture, **sizes, **(options | config.options))
         if config.optimizer == "sgd":  # Eq 4.8
@@ -51,9 +54,8 @@ class NetworkRun:
 
     def batches_per_epoch(self) -> int:
         """Number of full batches of an epoch. Raises ValueError where there are fewer states than one batch has."""
-        states, size = self.training_states, self.config.batch_size
-        if states < size:
-            raise ValueError(f"batch_size: expected at most the {states} states to train on, got {size}")
+        states, size = len(self.states), self.config.batch_size
+        expect(states >= size, f"batch_size: expected at most the {states} states to train on, got {size}")
         return max(1, min(states, self.config.states_per_epoch or states) // size)
 
     def resume(self, out: Path, about: dict) -> None:
@@ -66,12 +68,12 @@ class NetworkRun:
             with np.load(out / "last.npz", allow_pickle=False) as file:
                 stored = json.loads(file["state"].tobytes())
                 before, settings = stored["settings"], about["config"]
-                for name in before.keys() | settings.keys():
-                    # The length of a run may change, unless the rates depend on it.
-                    fixed = name != "epochs" or settings["schedule"] in schedules.BY_LENGTH
-                    if fixed and before.get(name) != settings.get(name):
-                        expected = f"{before.get(name)!r}, with which the run in {out} was started"
-                        raise ValueError(f"{name}: expected {expected}, got {settings.get(name)!r}")
+                # The length of a run may change, unless the rates depend on it.
+                free = () if settings["schedule"] in schedules.BY_LENGTH else {"epochs"}
+                for name in (before.keys() | settings.keys()).difference(free):
+                    expected = f"{before.get(name)!r}, with which the run in {out} was started"
+                    same = before.get(name) == settings.get(name)
+                    expect(same, f"{name}: expected {expected}, got {settings.get(name)!r}")
                 self.history, self.position = stored["history"], stored["position"]
                 for name, variable in self.variables.items():
                     variable.assign(file[name])
@@ -82,31 +84,25 @@ class NetworkRun:
         Not `keras.Model.fit`, which takes no gradient that comes from elsewhere and goes on from no point in an epoch.
         Keras's `BackupAndRestore` loses the optimizer's state and the random states of dropout.
         """
-        epochs, per_epoch = self.config.epochs, self.batches_per_epoch() * self.config.batch_size
-        called = keras.callbacks.CallbackList(callbacks, model=self.model, epochs=epochs, verbose=verbose)
+        options = {"epochs": self.config.epochs, "steps": None, "verbose": verbose}
+        called = keras.callbacks.CallbackList(callbacks, add_progbar=bool(verbose), model=self.model, **options)
         self.model.stop_training = False
         called.on_train_begin()
-        for epoch in range(self.position["epoch"], epochs):
+        for epoch in range(self.position["epoch"], self.config.epochs):
             called.on_epoch_begin(epoch)
-            if verbose:
-                print(f"Epoch {epoch + 1}/{epochs}")
-            bar = keras.utils.Progbar(per_epoch, verbose=verbose, unit_name="state", stateful_metrics=["loss"])
             at, start, saved = self.position, perf_counter(), perf_counter()
             for k, batch in itertools.islice(enumerate(self.batches(epoch)), at["batches"], None):
                 called.on_train_batch_begin(k)
                 loss, count = self.step(batch)
                 at.update(batches=k + 1, states=at["states"] + count, loss=at["loss"] + loss)
-                mean = at["loss"] / at["states"]
-                if perf_counter() - saved >= SAVE_EVERY and math.isfinite(mean):
+                if perf_counter() - saved >= SAVE_EVERY and math.isfinite(at["loss"]):
                     self.save()
                     saved = perf_counter()
-                called.on_train_batch_end(k, {"loss": mean})
-                bar.update(at["states"], [("loss", mean)], finalize=False)
+                called.on_train_batch_end(k, {"loss": at["loss"] / at["states"]})
             mean = at["loss"] / at["states"]
             if not math.isfinite(mean):
                 raise FloatingPointError(f"loss: expected a finite number, got {mean} in epoch {epoch}; lower the rate")
             found = {"loss": mean} | self.validate()
-            bar.update(at["states"], [(name, found[name]) for name in ("loss", "validation_loss")], finalize=True)
             self._end_epoch(epoch, found, perf_counter() - start)
             called.on_epoch_end(epoch, found | {"val_loss": found["validation_loss"]})
             if self.model.stop_training:
@@ -142,7 +138,7 @@ class NetworkRun:
             "options": dict(self.config.options),
             "parameters": int(self.model.count_params()),
             "trainable_parameters": int(sum(np.prod(v.shape) for v in self.model.trainable_variables)),
-            "training_states": self.training_states,
+            "training_states": len(self.states),
             "seed": self.config.seed,
             "versions": {**package_versions(), "python": sys.version.split()[0], "backend": keras.backend.backend()},
             "cpu": processor(),
@@ -170,15 +166,12 @@ class ImageRun(NetworkRun):
     """A run whose network predicts images of impulses. Raises ValueError where images have different shapes."""
 
     def __init__(self, config: TrainingConfig, store: Store, split: Split, network: keras.Model | None):
-        self.store, self.states = store, store.states(split.train)
-        self.validation = evenly(store.states(split.validation), config.validation_states)
-        self.training_states, spec = len(self.states), config.spec()
         worlds = [store.info(sim).header["world"] for sim in split.train + split.validation]
-        boxes = {spec.shape(world): world.box for world in worlds}
-        if len(boxes) > 1:
-            raise ValueError(f"data: expected boxes of one size, got {' and '.join(map(str, boxes.values()))}")
+        boxes = {config.spec().shape(world): world.box for world in worlds}
+        expect(len(boxes) == 1, f"data: expected boxes of one size, got {' and '.join(map(str, boxes.values()))}")
         self.box = worlds[0].box
-        super().__init__(config, network, shape=next(iter(boxes)))
+        sides = store.states(split.train), store.states(split.validation)
+        super().__init__(config, store, *sides, network, shape=next(iter(boxes)))
         metrics = [masked_squared_error]  # without the weights' penalty, which the loss has
         self.model.compile(self.optimizer, loss=masked_squared_error, metrics=metrics, jit_compile=False)
 

@@ -91,11 +91,10 @@ def train(
         verbose = 1 if sys.stdout.isatty() else 2
     if len(run.history) < config.epochs:
         if verbose:
-            last = sum(np.prod(v.shape) * np.dtype(v.dtype).itemsize for v in run.variables.values()) / 1e6
-            weights = run.model.count_params()
-            print(f"{weights:,} weights, {run.training_states:,} states to train on")
-            print(f"{out} will hold last.npz {last:.1f} MB, best.h5 and model.h5 {4e-6 * weights:.1f} MB each")
-        rates = schedules.schedule(config.schedule, epochs=config.epochs, rate=config.rate)
+            size = 4e-6 * sum(np.prod(v.shape) for v in run.variables.values())
+            print(f"{run.model.count_params():,} weights, {len(run.states):,} states to train on")
+            print(f"{out} will hold last.npz, {size:.1f} MB, and best.h5 and model.h5, which are smaller")
+        rates = schedules.SCHEDULES[config.schedule](config.epochs, config.rate)
         scheduler = keras.callbacks.LearningRateScheduler(lambda epoch, rate: rates(epoch))
         run.fit([scheduler, *callbacks], verbose=verbose)
     best_epoch = min(range(len(run.history)), key=lambda k: run.history[k]["validation_loss"])
