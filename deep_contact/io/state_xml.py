@@ -20,7 +20,6 @@ from deep_contact.io import xml_tree
 from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
-from deep_contact.physics.collision import write_geometry
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
 from deep_contact.state.scales import ContactScales, mean
@@ -265,15 +264,11 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
         expect(first is element, element, "expected no second contact of a pair, the first is", first.get("index"))
     position, impulse, start = (rows.numbers(tag, CONTACT[tag]) for tag in ("position", "impulse", "start"))
     rows.refuse(impulse[:, 0] < 0, "impulse", "n", "a normal impulse >= 0")
-    measured = Contacts(a, b, *np.empty((2, len(a), 2)), *np.empty((5, len(a))))
-    if is_old:  # without scales and segments
-        with np.errstate(over="ignore"):
-            skin = WALL_SKIN * mean(bodies.radius)
-        write_geometry(bodies.position, bodies.radius, box, None, skin, measured)
+    separation = _separations(a, b, bodies, box)
     for i, element in enumerate(rows.elements):
         if not is_old or "separation" in element.attrib:
-            measured.separation[i] = read_number(element, "separation")
-    return Contacts(a, b, position, normal, measured.separation, *impulse.T, *start.T)
+            separation[i] = read_number(element, "separation")
+    return Contacts(a, b, position, normal, separation, *impulse.T, *start.T)
 
 
 def _read_pairs(elements, rank: dict) -> np.ndarray:
@@ -291,6 +286,20 @@ def _read_pairs(elements, rank: dict) -> np.ndarray:
 def _nearest_wall(normal: np.ndarray) -> np.ndarray:
     """Walls (BOTTOM … LEFT) nearest in direction to normals (m, 2) from circle to wall."""
     return np.argmax(normal @ WALL_NORMALS.T, axis=1)
+
+
+def _separations(a, b, bodies: Bodies, box) -> np.ndarray:
+    """Gap between the surfaces of the pairs, m. As in the engine, walls begin a skin before the box.
+
+    For old files, which set no scales and have no segments; the canonical form has separations.
+    """
+    position, radius, n = bodies.position, bodies.radius, bodies.count
+    other, x, y = np.minimum(b, n - 1), *position[a].T
+    with np.errstate(all="ignore"):
+        to_walls = y - box[1], box[2] - x, box[3] - y, x - box[0]  # in the order BOTTOM … LEFT
+        to_wall = np.choose(np.clip(b - n, 0, 3), to_walls) - radius[a] - WALL_SKIN * mean(radius)
+        to_circle = np.hypot(*(position[other] - position[a]).T) - radius[a] - radius[other]
+    return np.where(b < n, to_circle, to_wall)
 
 
 # ---- writing ----
