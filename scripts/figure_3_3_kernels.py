@@ -1,5 +1,7 @@
 """python scripts/figure_3_3_kernels.py: the smoothing kernels W(r), with the thesis's constants and in 2-D."""
 
+from itertools import product
+
 import numpy as np
 from scipy.integrate import quad
 
@@ -7,35 +9,32 @@ from deep_contact import sph
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 
-SHELLS = {"the plane": lambda r: 2 * np.pi * r, "space": lambda r: 4 * np.pi * r**2}
+SPACES = {"the plane": lambda r: 2 * np.pi * r, "space": lambda r: 4 * np.pi * r**2}
+"""Where a kernel is integrated -> size of the shell at a distance."""
 DIMENSIONS = {"3": "in space, the constants of Eq 3.8 and 3.11", "2": "on the plane, as the simulation is"}
 
 
 def compute(options, seed, jobs, progress):
     """W at distances up to 1.1 h, and its integrals over space and over the plane by quadrature."""
-    h, r = options["h"], np.linspace(0.0, 1.1 * options["h"], options["points"])
-    curves, integrals = {}, {}
-    for kernel in options["kernels"]:
-        curves[kernel] = {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS}
-        integrals[kernel] = {
-            f"{dim}-D constant over {place}": quad(lambda r: shell(r) * sph.value(kernel, r, h, dim=int(dim)), 0, h)[0]  # noqa: B023
-            for dim in DIMENSIONS
-            for place, shell in SHELLS.items()
-        }
+    h, r, kernels = options["h"], np.linspace(0.0, 1.1 * options["h"], options["points"]), options["kernels"]
+    curves = {kernel: {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS} for kernel in kernels}
+    integrals = {}
+    for kernel, dim, (space, shell) in product(kernels, DIMENSIONS, SPACES.items()):
+        found = quad(lambda r: shell(r) * sph.value(kernel, r, h, dim=int(dim)), 0, h)  # noqa: B023
+        integrals[f"{kernel}, {dim}-D constant over {space}"] = found[0]
     return {"h": h, "r": r, "curves": curves, "integrals": integrals}
 
 
 def claims(data):
     """Eq 3.2: the integral of a kernel is one. The thesis uses the constants of space on the plane."""
-    found = data["integrals"]
-    right = {f"{kernel}, {name}": of[name] for kernel, of in found.items()
-             for name in ("2-D constant over the plane", "3-D constant over space")}  # fmt: skip
-    thesis = {kernel: of["3-D constant over the plane"] for kernel, of in found.items()}
-    for text, place, integrals in (
+    right = "2-D constant over the plane", "3-D constant over space"
+    for text, thesis, chosen in (
         ("each kernel integrates to one in the dimension of its constant", "Eq 3.2", right),
-        ("the kernels of Eq 3.8 and 3.11 integrate to one on the plane of the simulation", "Eq 3.8, Eq 3.11", thesis),
-    ):
-        yield Claim(text, place, all(abs(value - 1) < 1e-6 for value in integrals.values()), integrals)
+        ("the kernels of Eq 3.8 and 3.11 integrate to one on the plane of the simulation", "Eq 3.8, Eq 3.11",
+         "3-D constant over the plane"),
+    ):  # fmt: skip
+        integrals = {name: value for name, value in data["integrals"].items() if name.endswith(chosen)}
+        yield Claim(text, thesis, all(abs(value - 1) < 1e-6 for value in integrals.values()), integrals)
     least = {kernel: min(min(w) for w in curves.values()) for kernel, curves in data["curves"].items()}
     yield Claim("no kernel is negative anywhere", "Eq 3.4b", min(least.values()) >= 0, least)
 

@@ -8,32 +8,19 @@ from deep_contact.reporting.figures import Claim, Figure
 
 DIMENSIONS = {"3": "in space, the constants of Eq 3.9 and 3.12", "2": "on the plane"}
 CENTRE = 1e-9
-"""Distance from the centre at which the gradient there is taken, in support radii."""
+"""The smallest distance from the centre, in support radii: at the centre itself no direction is defined."""
 
 
 def compute(options, seed, jobs, progress):
-    """dW/dx on the x axis, the largest size of the gradient, and its size at the centre."""
+    """dW/dx on the positive x axis; on the negative one its sign is the other."""
     h = options["h"]
-    x = np.linspace(-1.1 * h, 1.1 * h, 2 * options["points"])  # even: at the centre itself no direction is defined
-    centre, radius = np.array([CENTRE * h]), np.linspace(CENTRE * h, h, 2001)
-    curves, sizes = {}, {}
-    for kernel in options["kernels"]:
-        curves[kernel] = {dim: along_x(kernel, x, h, dim) for dim in DIMENSIONS}
-        sizes[kernel] = {
-            dim: {
-                "at the centre": float(abs(along_x(kernel, centre, h, dim)[0])),
-                "largest": float(np.abs(along_x(kernel, radius, h, dim)).max()),
-            }
-            for dim in DIMENSIONS
-        }
-    return {"h": h, "x": x, "curves": curves, "sizes": sizes}
+    x = np.concatenate([[CENTRE * h], np.linspace(0, 1.1 * h, options["points"])[1:]])
 
+    def along_x(kernel, dim):
+        return sph.gradient(kernel, x[:, None] * np.eye(dim)[0], h, dim=dim)[:, 0]
 
-def along_x(kernel, x, h, dim):
-    """dW/dx at (x, 0) or (x, 0, 0)."""
-    displacement = np.zeros((x.size, int(dim)))
-    displacement[:, 0] = x
-    return sph.gradient(kernel, displacement, h, dim=int(dim))[:, 0]
+    curves = {kernel: {dim: along_x(kernel, int(dim)) for dim in DIMENSIONS} for kernel in options["kernels"]}
+    return {"h": h, "x": x, "curves": curves}
 
 
 def claims(data):
@@ -41,9 +28,8 @@ def claims(data):
         "poly6": "poly6's gradient vanishes at the centre",
         "spiky": "spiky's gradient does not vanish at the centre: it is largest there",
     }
-    for kernel in (name for name in texts if name in data["sizes"]):
-        share = {f"{dim}-D, centre / largest": size["at the centre"] / size["largest"]
-                 for dim, size in data["sizes"][kernel].items()}  # fmt: skip
+    for kernel in (name for name in texts if name in data["curves"]):
+        share = {f"{dim}-D, centre / largest": w[0] / min(w) for dim, w in data["curves"][kernel].items()}
         holds = max(share.values()) < 1e-6 if kernel == "poly6" else min(share.values()) > 1 - 1e-6
         yield Claim(texts[kernel], "section 3.2.2", holds, share)
 
@@ -51,12 +37,11 @@ def claims(data):
 def draw(data, options):
     """One panel for each dimension; the jump of the spiky kernel's gradient is left open."""
     figure, panels = plotting.subplots(1, 2, size=(8.4, 3.6), sharey=True)
-    styles = plotting.styles_of(data["curves"])
-    half = len(data["x"]) // 2
+    styles, x = plotting.styles_of(data["curves"]), np.array(data["x"])
     for ax, (dim, text) in zip(panels, DIMENSIONS.items()):
         for kernel, curves in data["curves"].items():
-            ax.plot(data["x"][:half], curves[dim][:half], **styles[kernel])
-            ax.plot(data["x"][half:], curves[dim][half:], **{**styles[kernel], "label": None})
+            ax.plot(x, curves[dim], **styles[kernel])
+            ax.plot(-x, -np.array(curves[dim]), **{**styles[kernel], "label": None})
         title = f"{dim}-D: {text}"
         plotting.label_axes(ax, "x", "∂W/∂x", x_unit="m", y_unit=f"m$^{{-{int(dim) + 1}}}$", title=title)
         ax.yaxis.set_tick_params(labelleft=True)

@@ -234,24 +234,20 @@ def body_values(state, colour_by: str) -> tuple[np.ndarray, str]:
 
 def state_data(state) -> dict:
     """The part of a state that `draw_state` needs, for the data of a results file; `state_of` reads it back."""
-    contacts, world = state.contacts, state.world
-    data = {"name": state.name, "time": state.time, "box": world.box, "bodies": state.bodies}
-    return data | ({"segments": world.segments} if world.segments else {}) | {"contacts": contacts}
+    from deep_contact.state import no_contacts
+
+    data = {"name": state.name, "time": state.time, "box": state.world.box, "segments": state.world.segments}
+    return data | {"bodies": state.bodies, "contacts": state.contacts or no_contacts()}
 
 
 def state_of(data: Mapping):
     """The state that `state_data` stored. It can be drawn, not simulated: it lacks gravity and solver settings."""
-    from deep_contact.state import Bodies, Contacts, State, World
+    from deep_contact.state import Bodies, Contacts, State, World, no_contacts
 
-    def arrays(fields):
-        kinds = {"body_a": np.int64, "body_b": np.int64}
-        shapes = dict.fromkeys(("position", "velocity", "normal"), (-1, 2))
-        return {k: np.array(v, kinds.get(k, np.float64)).reshape(shapes.get(k, -1)) for k, v in fields.items()}
-
-    bodies = Bodies(**arrays(data["bodies"]))
-    contacts = None if data["contacts"] is None else Contacts(**arrays(data["contacts"]))
+    bodies, contacts = ({name: np.array(of) for name, of in data[part].items()} for part in ("bodies", "contacts"))
+    contacts = Contacts(**contacts) if contacts["body_a"].size else no_contacts()
     world = World(box=tuple(data["box"]), segments=data.get("segments", ()))
-    return State(name=data["name"], world=world, bodies=bodies, contacts=contacts, time=data["time"])
+    return State(name=data["name"], world=world, bodies=Bodies(**bodies), contacts=contacts, time=data["time"])
 
 
 def draw_state(
