@@ -20,8 +20,9 @@ import shutil
 import sys
 import tempfile
 from collections import Counter, defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from queue import SimpleQueue
 from time import perf_counter
@@ -57,7 +58,7 @@ cnn/inference.py=tests/cnn/test_far_field.py,tests/cnn/test_inference.py::test_a
 """Modules of which the sample of mutants from all of physics and sph has few or none, and their tests."""
 
 TESTS = "tests/physics tests/sph tests/test_state.py tests/test_warm_start.py"
-COVERAGE = "--durations 0 -vvv --timeout 10 --cov=deep_contact --cov-context=test --cov-report="
+COVERAGE = "--durations 0 -vvv --timeout 10 --maxfail 10 --cov=deep_contact --cov-context=test --cov-report="
 QUICK, INTERPRETED_S, COMPILED_S = 60, 180, 900
 """How many tests run without the compiler; seconds that they may take, and that the compiled tests may take."""
 SKIPPED = re.compile(r"Decorator|Exception|Variable|BitOr_|_(.Shift|Bit\w+|Is|IsNot)$")
@@ -100,17 +101,27 @@ def run_pytest(folder: Path, arguments: str, limit: float, *, compiled: bool) ->
     return run_tests(f'sh -c "cd {folder} && {environment} exec {pytest}"', limit)
 
 
-def tests_of_lines(folder: Path, tests: str) -> dict[tuple[str, int], list[str]]:
-    """(File, line) -> the quickest tests that execute it, among those that pass without the compiler."""
-    _, output = run_pytest(folder, f"{tests} {COVERAGE}", 7200, compiled=False)
+def tests_of_lines(folder: Path, file: str) -> dict[tuple[str, int], dict[str, float]]:
+    """(Source file, line) -> tests of a file that execute it and pass without the compiler, and their times, s.
+
+    A file of tests has a process of its own: pytest-timeout can end pytest itself, without times and lines.
+    """
+    _, output = run_pytest(folder, f"{file} {COVERAGE}", 7200, compiled=False)
     seconds = {test: float(time) for time, test in re.findall(r"^([\d.]+)s call +(.+)$", output, re.MULTILINE)}
     passed, data, of_lines = seconds.keys() - FAILED.findall(output), CoverageData(str(folder / ".coverage")), {}
     data.read()
-    for path in data.measured_files():
+    for path in data.measured_files() if passed else ():
         for line, contexts in data.contexts_by_lineno(path).items():
             found = passed & {name.removesuffix("|run") for name in contexts}
-            of_lines[str(Path(path).relative_to(folder)), line] = sorted(found, key=seconds.get)[:QUICK]
+            of_lines[str(Path(path).relative_to(folder)), line] = {test: seconds[test] for test in found}
     return of_lines
+
+
+def files_of(tests: str) -> list[str]:
+    """The files of tests that folders, files and single tests name; a single test is as good as a file."""
+    paths = [ROOT / name for name in tests.split()]
+    files = ((path.rglob("test_*.py") if path.is_dir() else [path]) for path in paths)
+    return [str(file.relative_to(ROOT)) for of_path in files for file in sorted(of_path)]
 
 
 def try_mutant(mutant: dict, folder: Path, of_line: list[str], tests: str) -> dict:
@@ -146,27 +157,39 @@ def main() -> None:
     kept = {name for name, found in stored.items() if found["outcome"] == "killed" or found["explained"]}
     done = {name: stored[name] | mutants[name] for name in mutants if name in kept}
     with tempfile.TemporaryDirectory() as temporary, ThreadPoolExecutor(given.jobs) as pool:
-        for job in range(given.jobs):
-            folder = Path(temporary) / str(job)
-            for part in ("deep_contact", "tests", "scripts", "models"):
-                shutil.copytree(ROOT / part, folder / part)  # with the compiled code of what does not change
-            shutil.copy(ROOT / "setup.cfg", folder)
-            folders.put(folder)
+        folder = Path(temporary) / "0"
+        for part in ("deep_contact", "tests", "scripts", "models"):
+            shutil.copytree(ROOT / part, folder / part)
+        shutil.copy(ROOT / "setup.cfg", folder)
         outcome, output = run_pytest(folder, f"-x {all_tests}", 4 * COMPILED_S, compiled=True)
         if outcome == "killed":
             raise SystemExit(f"expected tests that pass without a mutant, got {FAILED.findall(output) or output}")
-        tests = tests_of_lines(folder, all_tests)
+        folders.put(folder)
+        for job in range(1, given.jobs):  # with the compiled code of what does not change
+            folders.put(shutil.copytree(folder, Path(temporary) / str(job)))
+        of_lines = defaultdict(dict)
 
-        def in_free_folder(name: str) -> tuple[str, dict]:
-            folder, mutant = folders.get(), mutants[name]
-            of_line = tests.get((mutant["file"], mutant["line"]), [])
+        def in_free_folder(function: Callable, *given):
+            folder = folders.get()
+            try:
+                return function(folder, *given)
+            finally:
+                folders.put(folder)
+
+        def try_one(folder: Path, name: str) -> tuple[str, dict]:
+            mutant = mutants[name]
+            seconds = of_lines[mutant["file"], mutant["line"]]
             of_file = named.get(mutant["file"], f"tests/{Path(mutant['file']).parts[1]}")
-            entry = try_mutant(mutant, folder, of_line, of_file)
-            folders.put(folder)
-            return name, entry
+            return name, try_mutant(mutant, folder, sorted(seconds, key=seconds.get)[:QUICK], of_file)
 
+        files = files_of(all_tests)
+        mapped = pool.map(partial(in_free_folder, tests_of_lines), files)
+        for found in progress_bar(mapped, total=len(files), text="lines of tests"):
+            for place, seconds in found.items():
+                of_lines[place] |= seconds
         waiting = [name for name in mutants if name not in done]
-        for name, entry in progress_bar(pool.map(in_free_folder, waiting), total=len(waiting), text="mutants"):
+        tried = pool.map(partial(in_free_folder, try_one), waiting)
+        for name, entry in progress_bar(tried, total=len(waiting), text="mutants"):
             done[name] = entry
             counts = Counter(found["outcome"] for found in done.values())
             record = {"tried": len(done), **counts, "provenance": results.provenance(seed=given.seed), "mutants": done}
