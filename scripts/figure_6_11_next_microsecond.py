@@ -20,20 +20,15 @@ SOLVED = 20
 
 def compute(options, seed, jobs, progress):
     """The study's rows of PGS by step and sweeps."""
-    names = {runs.name_of(setting): what for what, setting in runs.MODEL.items()}
-    found, model = [], []
+    found = []
     for row in runs.read_study(options["results"])["rows"]:
-        if not row["errors"]:
-            continue
-        setting, same = row["setting"], {"n_bodies": row["n_bodies"]}
-        same["errors"] = {name: row["errors"][name] and row["errors"][name][0] for name in SHOWN}
-        if row["name"] in names:
-            model.append(same | {"what": names[row["name"]]})
-        plain = setting.keys() == {"method", "sweeps", "dt"} and setting["method"] == "PGS"
-        if plain and row["kind"] == "plain" and row["us"] is not None:
-            timed = {"sweeps": setting["sweeps"], "us": row["us"]}
-            found.append(same | timed | {"divisor": TIME_STEP / setting["dt"]})
-    return {"rows": found, "model": model}
+        setting = row["setting"]
+        plain = row["kind"] == "plain" and setting.keys() == {"method", "sweeps", "dt"} and setting["method"] == "PGS"
+        if plain and row["errors"] and row["us"] is not None:
+            errors = {name: row["errors"][name] and row["errors"][name][0] for name in SHOWN}
+            about = {"n_bodies": row["n_bodies"], "divisor": TIME_STEP / setting["dt"], "sweeps": setting["sweeps"]}
+            found.append(about | {"us": row["us"], "errors": errors})
+    return {"rows": found}
 
 
 def line(data, n, divisor):
@@ -42,14 +37,9 @@ def line(data, n, divisor):
     return sorted(rows, key=lambda row: row["sweeps"])
 
 
-def solved_with(data, n, divisor):
-    """The row of a size and a step whose sweeps count as solved."""
-    return next(row for row in line(data, n, divisor) if row["sweeps"] == SOLVED)
-
-
 def claims(data):
     for n in runs.sizes_of(data["rows"]):
-        solved = solved_with(data, n, 1)
+        solved = next(row for row in line(data, n, 1) if row["sweeps"] == SOLVED)
         smaller = [row for row in data["rows"] if row["n_bodies"] == n and row["divisor"] > 1]
         cheaper = [row for row in smaller if row["us"] <= solved["us"]]
         best = min(cheaper, key=lambda row: row["errors"][ABSOLUTE])
@@ -65,8 +55,6 @@ def table(data):
     for n in runs.sizes_of(data["rows"]):
         for row in (row for divisor in DIVISORS for row in line(data, n, divisor)):
             rows.append([n, int(row["divisor"]), row["sweeps"], row["us"], *(row["errors"][name] for name in SHOWN)])
-        for row in (row for row in data["model"] if row["n_bodies"] == n):
-            rows.append([n, row["what"], None, None, *(row["errors"][name] for name in SHOWN)])
     return rows
 
 

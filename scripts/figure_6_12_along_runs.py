@@ -12,7 +12,7 @@ DRAWN = (NETWORK, BUILTIN, f"scaled, {BASE}", f"none, {BASE}", "builtin, Nestero
 
 
 def compute(options, seed, jobs, progress):
-    """Runs first, in parallel; then their times, one after the other."""
+    """Of each size first runs, in parallel; then their times, one after the other."""
     starts = study.starts_with(options["model"])
     return {"columns": options["columns"], "runs": study.measure_runs(starts, options, seed, jobs, progress)}
 

@@ -31,13 +31,6 @@ def unearned(cell):
     return cell["energy"] - (cell["correction"] or 0.0)
 
 
-def is_inelastic(cell):
-    """Whether a cell has e = 0, and a start that the sweeps can correct in spite of rounding."""
-    if cell["quantity"].startswith("start"):
-        return cell["value"] <= MILD_START
-    return cell["quantity"] != "restitution" or cell["value"] == 0
-
-
 def claims(data):
     mine = [cell for cell in data["cells"] if cell["engine"] == "ours"]
     accepted = [cell for cell in mine if cell["verdict"] != REFUSED]
@@ -48,24 +41,24 @@ def claims(data):
     explained = all("expected" in message and "got" in message for message in refusals)
     text = "every refusal names the quantity, its limits and the value"
     yield Claim(text, None, explained, {"refused": len(refusals)})
-    inelastic = [cell for cell in accepted if is_inelastic(cell)]
-    if inelastic:
-        worst = max(inelastic, key=unearned)
-        measured = {"scenes": len(inelastic), "largest rise": unearned(worst), "of": worst["quantity"]}
+    inelastic = [cell for cell in accepted if cell["quantity"] != "restitution" or cell["value"] == 0]
+    mild = [c for c in inelastic if not c["quantity"].startswith("start") or c["value"] <= MILD_START]
+    if mild:
+        worst = max(mild, key=unearned)
+        measured = {"scenes": len(mild), "largest rise": unearned(worst), "of": worst["quantity"]}
         text = f"with e = 0 the energy never rises by more than {ROUNDING:g} and the work of position correction"
         yield Claim(text, None, unearned(worst) <= ROUNDING, {**measured, "at": worst["value"]})
-    speeds = [cell["speed"] for cell in accepted if cell["quantity"] in ("overlap", "coinciding circles")]
-    if speeds:
+    if speeds := [cell["speed"] for cell in accepted if cell["quantity"] in ("overlap", "coinciding circles")]:
         text = "circles that overlap, up to the whole diameter, are parted without giving them any speed"
         yield Claim(text, None, max(speeds) == 0.0, {"largest speed (m/s)": max(speeds)})
 
 
 def by_quantity(data):
-    """quantity -> engine -> its cells, by rising value."""
-    found = {}
+    """quantity -> engine -> its cells, by rising value; none of an engine that does not have the quantity."""
+    found = {name: {engine: [] for engine in ENGINES} for name in data["units"]}
     for cell in sorted(data["cells"], key=lambda cell: cell["value"]):
-        found.setdefault(cell["quantity"], {}).setdefault(cell["engine"], []).append(cell)
-    return {name: found[name] for name in data["units"] if name in found}
+        found[cell["quantity"]][cell["engine"]].append(cell)
+    return found
 
 
 def ranges(cells, verdict):
@@ -86,11 +79,10 @@ def table(data):
     rows = [["quantity", "unit", *(f"ours: {v}" for v in verdicts), *(f"{engine}: safe" for engine in ENGINES[1:])]]
     rows[0] += [f"{engine}: {what}" for what in ("slops at rest", "µs a step") for engine in ENGINES]
     for name, engines in by_quantity(data).items():
-        safe = [ranges(engines.get(engine, []), SAFE) for engine in ENGINES[1:]]
-        medians = [
-            of and of[1] for key in ("settled", "us") for of in (spread(engines.get(e, []), key) for e in ENGINES)
-        ]
-        rows.append([name, data["units"][name], *(ranges(engines["ours"], v) for v in verdicts), *safe, *medians])
+        mine, *others = engines.values()
+        row = [ranges(mine, verdict) for verdict in verdicts] + [ranges(cells, SAFE) for cells in others]
+        spreads = [spread(cells, key) for key in ("settled", "us") for cells in engines.values()]
+        rows.append([name, data["units"][name], *row, *(of and of[1] for of in spreads)])
     return rows
 
 
@@ -108,7 +100,7 @@ def draw(data, options):
     size = (plotting.PAGE, 1.4 + 0.36 * len(grouped))
     figure, (left, middle, right) = plotting.subplots(1, 3, size=size, sharey=True, width_ratios=(1.3, 1, 1))
     for (row, engines), (stripe, engine) in product(enumerate(grouped.values()), enumerate(ENGINES)):
-        cells, y, (colour, marker) = engines.get(engine, []), row + 0.25 * (stripe - 1), LOOKS[engine]
+        cells, y, (colour, marker) = engines[engine], row + 0.25 * (stripe - 1), LOOKS[engine]
         for i, cell in enumerate(cells):
             if cell["verdict"] != ABSENT:
                 left.barh(y, 1 / len(cells), 0.21, i / len(cells), color=COLOURS[cell["verdict"]])

@@ -17,7 +17,7 @@ import sys
 import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
-from itertools import islice, product
+from itertools import product
 from pathlib import Path
 from types import MappingProxyType
 
@@ -103,7 +103,6 @@ FULL = {
     | {"10000": {kind: 6 for kind in runs.KINDS if kind != "drum"}},  # ten times as dear, by its segments
     "peer_seeds": {"100": 12, "1000": 3, "3000": 3, "10000": 3},
     "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
-    "model": [100, 1000],
     "seconds": 6.0,
     "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
     "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
@@ -116,7 +115,6 @@ QUICK = {
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
     "peer_seeds": {"100": 4, "300": 3},
     "ladder_seeds": {"100": 4, "300": 3},
-    "model": [],
     "seconds": 4.0,
     "settings": {"100": SMALL, "300": MEDIUM},
     "ladders": {"100": LADDER, "300": LARGE_LADDER},
@@ -138,8 +136,7 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
         for kind, count in options["seeds"][str(n)].items():
             cases = [(setting, count) for setting in (*ours, runs.REFERENCE)]
             if kind == "plain":
-                more = [*on_plain, *(runs.MODEL.values() if n in options["model"] else ())]
-                cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in more]
+                cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in on_plain]
                 cases += [(setting, options["peer_seeds"][str(n)]) for setting in rivals]
             # Of a name that is there twice, the first has the most seeds.
             by_name = {runs.name_of(setting): (setting, wanted) for setting, wanted in reversed(cases)}
@@ -255,30 +252,29 @@ def recommended(kind: str, n_bodies: int, seed: int, dt: float, preset: str) -> 
 
 def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool) -> dict | None:
     """Errors of the presets on scenes outside the study, and their times beside the predicted ones."""
-    cases, parts = [], []
+    cases = []
     for n, (kind, dt) in product(options["sizes"], options["kinds"].items()):
         count = options["more_seeds"].get(str(n), 0) if kind == "plain" else 0
         seeds = figures.seeds(seed + 5000, max(count, options["seeds"][str(n)]))  # that no study starts from
         for preset in [None, *PRESETS]:
             setting = runs.REFERENCE if preset is None else recommended(kind, n, seeds[0], dt, preset)[0]
             common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-            cases.append(({"n_bodies": n, "kind": kind, "preset": preset, "setting": setting}, len(seeds)))
-            parts += [("observed", common | {"seed": s}) for s in seeds]
-    found = done(parts, FUNCTIONS, work=work, jobs=jobs, text="scenes")
+            case = {"n_bodies": n, "kind": kind, "preset": preset, "setting": setting}
+            cases.append((case, [("observed", common | {"seed": s}) for s in seeds]))
+    found = done([part for _, parts in cases for part in parts], FUNCTIONS, work=work, jobs=jobs, text="scenes")
     if errors_only:
         return None
     rows, reference, seen = [], None, map(runs.observation, found)
-    for case, count in cases:
-        ensemble = list(islice(seen, count))
+    for case, parts in cases:
+        ensemble = [next(seen) for _ in parts]
         if case["preset"] is None:
             reference = ensemble
             continue
         errors = runs.intervals(ensemble, reference)
         # Within the interval: the tolerance is not exceeded beyond what the seeds can tell.
-        judged = [(name, errors[name], most) for name, most in PRESETS[case["preset"]].items() if errors[name]]
-        met = {name: value <= most for name, (value, _, _), most in judged}
-        within = {name: low <= most for name, (_, low, _), most in judged}
-        rows.append(case | {"errors": errors, "met": met, "within": within})
+        tolerances = PRESETS[case["preset"]].items()
+        within = {name: errors[name][1] <= most for name, most in tolerances if errors[name]}
+        rows.append(case | {"errors": errors, "within": within})
     timed = []
     for n, kind in ((int(n), kind) for n, kinds in options["timed"].items() for kind in kinds):
         wanted = {preset: recommended(kind, n, seed + 5000, TIME_STEP, preset) for preset in PRESETS}

@@ -199,9 +199,8 @@ def text_of(ratio: Sequence[float], digits: int = 2) -> str:
 
 def start_time(start: WarmStart, state: State, repeats: int) -> float:
     """Seconds of a start on a state whose rows have been built: the least of the repeats."""
-    call = partial(start, state, PGS())
-    if hasattr(start, "from_problem"):
-        call = partial(start.from_problem, state, PGS(), step_problem(state))
+    by_rows = hasattr(start, "from_problem")
+    call = partial(start.from_problem, state, PGS(), step_problem(state)) if by_rows else partial(start, state, PGS())
     return timing.fastest(call, repeats)
 
 
@@ -371,24 +370,23 @@ def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: C
     "every", "past_need", "repeats". No time is longer than that of more sweeps: a run of very few sweeps can take
     longer, because it has more positions to correct.
     """
-    tasks = []
+    found = {}
     for text, plan in options["runs"].items():
         common = {"circles": int(text)} | {key: options[key] for key in ("steps", "every", "past_need")}
         chosen = [int(s % 100_000) + 300_000 for s in seeds(seed + int(text), plan["scenes"])]
-        for name, sweeps, s in product(DRIVING, plan["sweeps"], chosen):
-            tasks.append(common | {"setting": name, "start": starts[parts_of(name)[0]], "sweeps": sweeps, "seed": s})
-    errors, found = iter(parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text="runs")), {}
-    for text, plan in options["runs"].items():
-        run, calls = partial(simulate, _falling(int(text), 1), steps=options["steps"]), {}
+        run, tasks, calls = partial(simulate, _falling(int(text), 1), steps=options["steps"]), [], {}
         for name, sweeps in product(DRIVING, plan["sweeps"]):
             start, solver = parts_of(name)
+            setting = common | {"setting": name, "start": starts[start], "sweeps": sweeps}
+            tasks += [setting | {"seed": s} for s in chosen]
             calls[name, sweeps] = partial(run, solver=fixed(solver, sweeps), warm_start=start_of(starts[start]))
-        took, found[text] = timing.interleaved(calls, repeats=options["repeats"], clock=time.thread_time), {}
-        for name in DRIVING:
-            seconds = np.array([took[name, sweeps] / options["steps"] for sweeps in plan["sweeps"]])
-            of_scenes = [[next(errors) for _ in range(plan["scenes"])] for _ in plan["sweeps"]]
-            curve = {"sweeps": plan["sweeps"], "seconds": np.minimum.accumulate(seconds[::-1])[::-1]}
-            found[text][name] = curve | {"errors": np.array(of_scenes)}
+        errors = parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text=f"runs of {text}")
+        took = timing.interleaved(calls, repeats=options["repeats"], clock=time.thread_time)
+        shape = len(DRIVING), len(plan["sweeps"])
+        seconds = np.reshape(list(took.values()), shape) / options["steps"]
+        seconds = np.minimum.accumulate(seconds[:, ::-1], axis=1)[:, ::-1]
+        curves = zip(DRIVING, seconds, np.reshape(errors, (*shape, len(chosen))))
+        found[text] = {name: {"sweeps": plan["sweeps"], "seconds": s, "errors": e} for name, s, e in curves}
     return found
 
 

@@ -90,12 +90,6 @@ TWENTY = METHODS["PGS"](sweeps=20, tolerance=None)
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
 
-MODEL = {
-    "a tenth of the slop": REFERENCE | {"slop": 0.1},
-    "no position correction": REFERENCE | {"position_sweeps": 0},
-}
-"""What the contact model changes in the limit of small steps; the first has position correction leave less alone."""
-
 
 def scene(kind: str, n_bodies: int, seed: int) -> State:
     """A scene of a kind. Piles: the thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls."""
