@@ -31,11 +31,10 @@ import numpy as np
 from deep_contact.constants import FRICTION, GRAVITY, TIME_STEP
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.solvers import NNCG, PGS, describe, solver_from
-from deep_contact.physics.solvers.registry import GONE, entry_of
+from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.state import State, notebook
 from deep_contact.state.scales import FOLLOWS_SCENE, mean
 from deep_contact.validation import number, one_of
-from deep_contact.warm_start import STARTS
 
 TABLE = Path(__file__).parent / "reference" / "runs.json"
 """What the study installed, shipped with the package."""
@@ -277,7 +276,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
     kinds = known.intersection(kinds) or known
     for setting in study["settings"]:
         measured = {size: kinds <= of_size.keys() for size, of_size in setting["errors"].items()}
-        if not (measured.get(low) and measured.get(high)) or is_gone(setting["options"]):
+        if not (measured.get(low) and measured.get(high)):
             continue  # Large piles, and kinds other than plain ones, were run with fewer settings.
         alike = [setting["errors"][size][kind] for size in (low, high) for kind in kinds]
         names = dict.fromkeys(name for one in alike for name in one)
@@ -309,13 +308,6 @@ def _kinds_near(n: int, study: Mapping) -> set[str]:
         for size in _sizes_around(n, study)
     )
     return low & high
-
-
-def is_gone(setting: Mapping) -> bool:
-    """Whether a stored setting has a method or a start that is gone; batches by levels named no order."""
-    by_levels = setting.get("method") == "BatchedPGS" and "order" not in setting
-    method_is_gone = by_levels or setting.get("adaptive", False) or setting.get("method") in GONE
-    return method_is_gone or setting.get("start", "builtin") not in STARTS
 
 
 def _stiff_candidate(solver, candidates: list[dict]) -> dict:

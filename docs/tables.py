@@ -36,8 +36,7 @@ def _text(value, digits: int = 3) -> str:
         return "–".join(map(_text, value))
     if isinstance(value, float):
         return f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.{digits}g}"
-    # Files from before batches had one order name it.
-    text = "–" if value is None else str(value).replace(", order=colours", "").replace("|", "\\|")
+    text = "–" if value is None else str(value).replace("|", "\\|")
     return re.sub(r"(?<!\*)\*(?!\*)", r"\\*", text)  # v*, but not **bold**
 
 

@@ -26,7 +26,7 @@ from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import drum, lattice_in_box
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
-from deep_contact.presets import FASTEST, PRESETS, is_gone
+from deep_contact.presets import FASTEST, PRESETS
 from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
@@ -375,12 +375,12 @@ def with_times(row: Mapping, took: Mapping) -> dict:
 
 
 def read_study(path) -> dict:
-    """The "rows" of a results file whose settings this version still has, and the "presets" that they make.
+    """The "rows" of a results file, and the "presets" that they make.
 
     path: from the current folder, or else of a file that comes with the package.
     """
-    kept = [row for row in results.read_results(shipped.find(path))["data"]["rows"] if not is_gone(row["setting"])]
-    return {"rows": kept, "presets": presets(kept)}
+    found = results.read_results(shipped.find(path))["data"]["rows"]
+    return {"rows": found, "presets": presets(found)}
 
 
 def meets(errors: Mapping[str, Sequence[float] | None], tolerances: Mapping[str, float], at: int = 0) -> bool:

@@ -85,15 +85,6 @@ def test_scenes_are_observed(kind):
     assert seen.penetration.max() < 1
 
 
-def test_rows_of_what_is_gone_are_left_out(tmp_path):
-    gone = [COARSE | change for change in ({"method": "SoftSteps"}, {"method": "BatchedPGS"}, {"start": "learned"})]
-    kept = [COARSE, COARSE | {"method": "BatchedPGS", "order": "colours"}, COARSE | {"start": "scaled"}]
-    claims = {"id": "6.1", "title": "a study", "options": {}, "provenance": results.provenance(), "claims": []}
-    path = tmp_path / "study.json"
-    results.write_results(path, claims | {"data": {"rows": [row(s, 1.0, 0.0) for s in gone + kept]}})
-    assert [one["setting"] for one in runs.read_study(path)["rows"]] == kept
-
-
 def test_a_step_that_misses_the_observations_is_refused():
     with pytest.raises(ValueError, match=r"dt: expected a step that divides 0\.05 s, got 0\.02"):
         runs.observed("plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
@@ -156,7 +147,7 @@ def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys)
 
 def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
     script = load_script("run_tradeoff")
-    colours = {"method": "BatchedPGS", "sweeps": 3, "dt": TIME_STEP, "order": "colours"}
+    colours = {"method": "BatchedPGS", "sweeps": 3, "dt": TIME_STEP}
     settings = [runs.REFERENCE, COARSE, COARSE | {"method": "PSOR"}]
     small = tiny(script, settings={"20": settings})
     monkeypatch.setattr(script, "QUICK", small)
@@ -171,11 +162,11 @@ def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
     after = {row["name"]: row for row in found["data"]["rows"]}
     observed = [path for path in (tmp_path / "second").iterdir() if path.name.startswith("observed")]
     assert len(observed) == 2 * 2  # of the reference and of what is new, by two seeds
-    assert after.keys() - before.keys() == {"BatchedPGS, 3 sweeps, order=colours, Δt"}
+    assert after.keys() - before.keys() == {"BatchedPGS, 3 sweeps, Δt"}
     for name, row in before.items():
         assert after[name]["errors"] == row["errors"]
         assert row["setting"] == runs.REFERENCE or after[name]["us"] > 0
-    assert after["BatchedPGS, 3 sweeps, order=colours, Δt"]["errors"]["energy"]
+    assert after["BatchedPGS, 3 sweeps, Δt"]["errors"]["energy"]
     monkeypatch.setattr(script, "QUICK", small | {"seconds": 2.0})
     with pytest.raises(ValueError, match=r"seconds: expected 2\.0 in the results, got 1\.0"):
         script.main([*arguments, str(tmp_path / "third"), "--add"])
