@@ -100,12 +100,11 @@ class Peer:
         self.world.run(steps, TIME_STEP, sweeps, POSITION_SWEEPS)
 
     def count(self, steps: int, sweeps: int) -> int:
-        contacts = 0
+        counts = [self.world.contact_count()]
         for _ in range(steps):
-            before = self.world.contact_count() if self.world.counts_next_step else 0
             self.run(1, sweeps)
-            contacts += before if self.world.counts_next_step else self.world.contact_count()
-        return contacts
+            counts.append(self.world.contact_count())
+        return sum(counts[:-1] if self.world.counts_next_step else counts[1:])
 
 
 PEERS = {

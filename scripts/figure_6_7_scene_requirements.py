@@ -30,15 +30,10 @@ CONTEXTS = {"islands, one pile": ("the thesis's scene", {}), "islands, heaps": (
 
 def compute(options, seed, jobs, progress):
     """Every saving, one after the other: nothing may run beside what is timed."""
-    n, repeats = options["n_bodies"], options["repeats"]
-    sizes = progress(options["sizes"], text="sweeps")
-    sweeps = {
-        str(size): {"frictionless": savings.sweep_saving(size, seed, steps=options["timed"], repeats=repeats)}
-        for size in sizes
-    }
-    found = dict(sweeps[str(options["sizes"][0])])
-    found |= savings.step_savings(n, seed, steps=options["timed"], repeats=repeats)
-    islands = {}
+    n, timed, sweeps, islands = options["n_bodies"], {"steps": options["timed"], "repeats": options["repeats"]}, {}, {}
+    for size in progress(options["sizes"], text="sweeps"):
+        sweeps[str(size)] = {"frictionless": savings.sweep_saving(size, seed, **timed)}
+    found = next(iter(sweeps.values())) | savings.step_savings(n, seed, **timed)
     for name, (_, scene) in CONTEXTS.items():
         seeds = progress(figures.seeds(seed, options["scenes"]), text=name)
         scenes = (dc.circles_in_box(n, seed=s, **scene) for s in seeds)

@@ -28,8 +28,6 @@ TABLE = {
         entry("few", 0.01, 10.0, 0.95, method="PGS", sweeps=2, tolerance=None),
         entry("enough", 0.01, 20.0, 0.8, method="PGS", sweeps=9, tolerance=None),
         entry("small", 0.0025, 50.0, 0.01, method="PSOR", omega=1.3, sweeps=2, tolerance=None, start="none"),
-        entry("soft", 0.01, 1.0, 0.001, method="SoftSteps", substeps=4),  # gone, like batches by levels
-        entry("levels", 0.01, 1.0, 0.001, method="BatchedPGS", sweeps=2, tolerance=None),
     ],
 }
 

@@ -54,10 +54,10 @@ class _Peer:
         vectors = (map(tuple, values.tolist()) for values in (bodies.position, bodies.velocity))
         return zip(*vectors, *(values.tolist() for values in (bodies.angle, bodies.spin, bodies.mass, bodies.radius)))
 
-    def run(self, steps: int, dt: float, sweeps: int, position_sweeps: int) -> None:
-        """So many steps."""
+    def run(self, steps: int, *options) -> None:
+        """So many steps. options: of `step`."""
         for _ in range(steps):
-            self.step(dt, sweeps, position_sweeps)
+            self.step(*options)
 
     def bodies(self) -> Bodies:
         """The bodies now. The masses are the engine's (float32 in Box2D), the radii ours."""
@@ -151,16 +151,10 @@ class Pymunk(_Peer):
 
     def contact_count(self) -> int:
         """Arbiters of the last step. (Circles touch anything in one point at most.)"""
-        static = self.space.static_body
-        ends = [0, 0]
-
-        def count(arbiter):
-            # A pair of circles is seen from either body, a wall only from the circle.
-            ends[any(body is static for body in arbiter.bodies)] += 1
-
+        static, at_walls = self.space.static_body, []
         for body in self._bodies:
-            body.each_arbiter(count)
-        return ends[0] // 2 + ends[1]
+            body.each_arbiter(lambda arbiter: at_walls.append(any(one is static for one in arbiter.bodies)))
+        return (len(at_walls) + sum(at_walls)) // 2  # a pair of circles is seen from either, a wall from the circle
 
 
 class Box2D3(_Peer):

@@ -124,23 +124,6 @@ def test_wall_contacts_are_numbered_and_point_from_circle_to_wall(box2d):
     np.testing.assert_allclose(contacts.normal_impulse, np.pi, rtol=1e-5)  # m v
 
 
-def test_tangent_impulse_acts_along_our_tangent(box2d):
-    """A disc sliding to +x on the floor (normal (0, -1), tangent (-1, 0)) feels -λ_t t, so λ_t < 0."""
-    state = scene([[5, 1.005]], velocity=(3, 0))
-    recorded = box2d(state).record_step(0.01, 50, 3).state.contacts
-    assert recorded.tangent_impulse[0] == pytest.approx(-0.5 * np.pi * 9.81 * 0.01, rel=1e-4)
-
-
-def test_contact_point_is_the_middle_of_the_overlap(box2d):
-    world = box2d(falling_pile(3))
-    world.run(150, 0.01, 20, 3)
-    state = world.record_step(0.01, 20, 3).state
-    contacts, bodies = state.contacts, state.bodies
-    reach = bodies.radius[contacts.body_a] + 0.5 * contacts.separation
-    expected = bodies.position[contacts.body_a] + reach[:, None] * contacts.normal
-    np.testing.assert_allclose(contacts.position, expected, atol=5e-6)  # float32 at 20 m: 1e-6
-
-
 def test_a_step_starts_from_what_the_last_one_solved(box2d):
     """Box2D's warm starting: pairs that stay in touch start from their old impulses, new ones from zero."""
     world = box2d(falling_pile(4))

@@ -46,10 +46,6 @@ def test_the_garbage_collector_waits_and_is_enabled_again_after_an_error():
     assert gc.isenabled()
 
 
-def test_slope_and_overhead_solve_the_linear_model():
-    assert timing.slope_and_overhead((10, 7 + 3 * 10), (40, 7 + 3 * 40)) == (3.0, 7.0)
-
-
 def test_the_ratio_is_that_of_paired_times():
     found = timing.ratio(np.array([2.0, 9.0, 8.0]), np.array([1.0, 3.0, 2.0]))
     assert (found["ratio"], found["general"], found["special"]) == (3.0, 2.0, 1.0)
