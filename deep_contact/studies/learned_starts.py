@@ -38,6 +38,7 @@ BASE = "PSOR 1.75 | 1.45"
 SOLVERS = {
     "PGS": PGS(),
     "PSOR 1.3": PSOR(omega=1.3),
+    "PSOR 1.5": PSOR(omega=1.5),
     "PSOR 1.7": PSOR(omega=1.7),
     BASE: PSOR(omega=1.75, friction_omega=1.45),
     "NesterovPGS": NesterovPGS(),

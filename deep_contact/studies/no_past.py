@@ -13,20 +13,15 @@ from functools import partial
 import numpy as np
 
 from deep_contact.cnn.inference import LearnedSupport
-from deep_contact.physics import metrics
 from deep_contact.physics.engine import step_problem
-from deep_contact.physics.solvers import NNCG, PSOR, NesterovPGS
+from deep_contact.physics.solvers import NNCG
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles, timing
+from deep_contact.studies.learned_starts import BASE, errors_of, fixed, settings_of
 from deep_contact.warm_start import Support
 
-METHODS = {
-    "PSOR 1.5": partial(PSOR, omega=1.5, tolerance=None),
-    "PSOR 1.75 | 1.45": partial(PSOR, omega=1.75, friction_omega=1.45, tolerance=None),
-    "NNCG": partial(NNCG, tolerance=None),
-    "NesterovPGS": partial(NesterovPGS, tolerance=None),
-}
+METHODS = ("PSOR 1.5", BASE, "NNCG", "NesterovPGS")
 REFERENCE_SWEEPS = 20_000
 LEARNED = "learned support"
 
@@ -51,7 +46,7 @@ def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWit
     ends = [solve_contacts(past, solver=NNCG(sweeps=REFERENCE_SWEEPS, tolerance=tolerance))]
     start = Support()(state, None)
     for name in ("PSOR 1.5", "NesterovPGS"):
-        ends.append(solve_contacts(state, solver=METHODS[name](sweeps=REFERENCE_SWEEPS // 4), start=start))
+        ends.append(solve_contacts(state, solver=fixed(name, REFERENCE_SWEEPS // 4), start=start))
     return state, piles.references_from(state, ends, exact=False) or ends[:1], past
 
 
@@ -73,15 +68,8 @@ def measure(n_bodies: int, kind: str, radii: str, seed: int, options: Mapping, *
     """
     state, references, past = pile(n_bodies, kind, options["radii"][radii], seed)
     given = {name: make() for name, make in starts_of(state, options["model"]).items()}
-
-    def error(make, start, sweeps):
-        solution = solve_contacts(state, solver=make(sweeps=sweeps), start=start)
-        return metrics.nearest_velocity_error(state, solution, references)
-
-    errors = {
-        method: {name: [error(make, start, k) for k in options["sweeps"]] for name, start in given.items()}
-        for method, make in METHODS.items()
-    }
+    errors = errors_of(state, given, settings_of(given, METHODS), options["sweeps"], references)
+    errors = {method: {name: errors[f"{name}, {method}"] for name in given} for method in METHODS}
     jolts = {name: jolt(state, start, options["first"][name]) for name, start in given.items()}
     jolts |= {"simulate": jolt(state), "past": jolt(past)}
     found = {"n_bodies": n_bodies, "kind": kind, "radii": radii, "seed": seed, "after": options["sweeps"]}
@@ -94,8 +82,8 @@ def times(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:
     starts: of `starts_of`.
     """
     found, swept = {}, partial(solve_contacts, state)
-    for name, make in METHODS.items():
-        slope, overhead = timing.line(lambda k, make=make: swept(solver=make(sweeps=k)), 20, 220, repeats=repeats)
+    for name in METHODS:
+        slope, overhead = timing.line(lambda k, name=name: swept(solver=fixed(name, k)), 20, 220, repeats=repeats)
         found[name] = [max(overhead, 0.0), slope]
     price = timing.interleaved(starts, repeats=repeats)
     return {"contacts": state.contacts.count, "price": price, "sweeps": found}
@@ -108,7 +96,7 @@ def jolt(state: StateWithContacts, impulses=None, sweeps: int = 0) -> dict:
     """
     state = state.replace(step=0)
     if impulses is not None:
-        first = solve_contacts(state, solver=NesterovPGS(sweeps=sweeps, tolerance=None), start=impulses)
+        first = solve_contacts(state, solver=fixed("NesterovPGS", sweeps), start=impulses)
         contacts = state.contacts._replace(normal_start=first.normal_impulses, tangent_start=first.tangent_impulses)
         state = state.replace(contacts=contacts)
     run = simulate(state, steps=50, record=1, accuracy="fast")
