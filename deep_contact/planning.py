@@ -79,20 +79,20 @@ def plan(scene: State, *, solver=None, warm_start: Start = "builtin", sleep: boo
     scene = ready(scene)
     solver, start = method_of(scene, solver, warm_start, sleep=sleep)
     Steps(solver, scene.bodies.count, sleep=sleep)  # raises ValueError where the solver cannot sleep
-    found = installed_results()
+    study = installed_results()
     name = warm_start if isinstance(warm_start, str) else type(start).__name__
     left = {
         part: f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
-        for part, one in found["data"]["savings"].items()
+        for part, one in study["data"]["savings"].items()
     }
     choices = (
         *_of_the_scene(scene, solver, left),
         *_of_the_solver(scene, solver, left),
-        *_between_steps(start, name, sleep, left, found["data"]["jobs"]),
+        *_between_steps(start, name, sleep, left, study["data"]["jobs"]),
         _stiffness(scene, solver),
     )
     of_scene = {"scene": scene.name, "n_bodies": scene.bodies.count, "warm_start": name}
-    return Plan(**of_scene, solver=solver, choices=choices, cpu=found["provenance"]["cpu"])
+    return Plan(**of_scene, solver=solver, choices=choices, cpu=study["provenance"]["cpu"])
 
 
 @functools.cache
@@ -164,14 +164,14 @@ def _between_steps(start, name: str, sleep: bool, left: Mapping, jobs: Mapping) 
 
 
 def _stiffness(scene: State, solver) -> Choice:
-    found, substeps = stiffness(scene), getattr(solver, "substeps", 1)
-    if found is None or found.solver.tolerance is not None:
+    stiff, substeps = stiffness(scene), getattr(solver, "substeps", 1)
+    if stiff is None or stiff.solver.tolerance is not None:
         used = solver.tolerance is not None and solver.sweeps >= SWEEPS
         saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"
     else:
-        used = substeps >= found.solver.substeps
-        saving = f"it costs {found.solver.substeps} substeps of {found.solver.sweeps} sweeps"
-    why = found.why if found else "nothing is too stiff for a few sweeps"
-    if found and not used:
+        used = substeps >= stiff.solver.substeps
+        saving = f"it costs {stiff.solver.substeps} substeps of {stiff.solver.sweeps} sweeps"
+    why = stiff.why if stiff else "nothing is too stiff for a few sweeps"
+    if stiff and not used:
         why += f", but {describe(solver)} was asked for"
     return Choice("solving stiff piles", used, why, saving)

@@ -158,11 +158,11 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
         name = one_of("accuracy", accuracy or "fast", PRESETS)
         return _recommendation(scene, name, _cheapest(candidates, name), candidates, study)
     limit = 1e3 * number("budget_ms", budget_ms, above=0)
-    affordable = [found for found in candidates if found["us"] <= limit]
+    affordable = [one for one in candidates if one["us"] <= limit]
     if not affordable:
-        least = min(found["us"] for found in candidates)
+        least = min(one["us"] for one in candidates)
         raise ValueError(f"budget_ms: expected at least {least / 1e3:.3g}, the cheapest setting, got {budget_ms}")
-    best = min(affordable, key=lambda found: (_excess(found, "reference"), found["us"]))
+    best = min(affordable, key=lambda one: (_excess(one, "reference"), one["us"]))
     kept = [name for name in PRESETS if _excess(best, name) <= 1]
     return _recommendation(scene, kept[-1] if kept else "preview", best, candidates, study)
 
@@ -193,7 +193,7 @@ def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False)
 def _chosen(accuracy: str, sleep: bool, n: int, kinds: tuple, substeps: tuple, stiff) -> dict:
     """The setting of the installed study (`_candidates`) for a preset."""
     candidates = _candidates(n, kinds, dict(substeps), stiff, installed())
-    return _cheapest([found for found in candidates if not sleep or entry_of(found["solver"]).can_sleep], accuracy)
+    return _cheapest([one for one in candidates if not sleep or entry_of(one["solver"]).can_sleep], accuracy)
 
 
 @functools.cache
@@ -232,16 +232,16 @@ def _parts(ratio: float) -> int:
 def _cheapest(candidates: list[dict], accuracy: str) -> dict:
     """The cheapest that keeps the preset by `_MARGIN`, or at all; otherwise the one that comes nearest."""
     for most in (_MARGIN, 1.0):
-        keeping = [found for found in candidates if _excess(found, accuracy) <= most]
+        keeping = [one for one in candidates if _excess(one, accuracy) <= most]
         if keeping:
-            return min(keeping, key=lambda found: found["us"])
-    return min(candidates, key=lambda found: (_excess(found, accuracy), found["us"]))
+            return min(keeping, key=lambda one: one["us"])
+    return min(candidates, key=lambda one: (_excess(one, accuracy), one["us"]))
 
 
-def _excess(found: Mapping, accuracy: str) -> float:
+def _excess(candidate: Mapping, accuracy: str) -> float:
     """The largest error in units of its tolerance."""
     tolerances = PRESETS[accuracy]
-    return max(value / tolerances[name] for name, value in found["errors"].items())
+    return max(value / tolerances[name] for name, value in candidate["errors"].items())
 
 
 def _recommendation(scene: State, accuracy: str, best: dict, candidates: list[dict], study: Mapping) -> Recommendation:
@@ -270,7 +270,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
     slowest of these kinds, interpolated between the sizes by powers.
     For a scene that is too stiff for the study there is one setting alone, `stiff`: see `stiffness`.
     """
-    found = []
+    candidates = []
     low, high = _sizes_around(n, study)
     known = _kinds_near(n, study)
     kinds = known.intersection(kinds) or known
@@ -290,8 +290,8 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
         if k > 1:
             most = solver.most_substeps and k * solver.most_substeps
             solver = replace(solver, substeps=k, most_substeps=most)
-        found.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
-    return found if stiff is None else [_stiff_candidate(stiff, found)]
+        candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
+    return candidates if stiff is None else [_stiff_candidate(stiff, candidates)]
 
 
 def _sizes_around(n: int, study: Mapping) -> tuple[str, str]:
@@ -315,8 +315,8 @@ def _stiff_candidate(solver, candidates: list[dict]) -> dict:
 
     us: at most, with all its sweeps, each at the price of one of the study's cheapest. errors: of the study's best.
     """
-    best = min(candidates, key=lambda found: _excess(found, "reference"))
-    each = min(found["us"] / (found["solver"].sweeps * getattr(found["solver"], "substeps", 1)) for found in candidates)
+    best = min(candidates, key=lambda one: _excess(one, "reference"))
+    each = min(one["us"] / (one["solver"].sweeps * getattr(one["solver"], "substeps", 1)) for one in candidates)
     us = each * solver.sweeps * solver.substeps
     return {"solver": solver, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}
 
@@ -326,16 +326,16 @@ def kinds_of(scene: State) -> list[str]:
     radius, world = scene.bodies.radius, scene.world
     if not any(world.gravity):
         return ["gas"]
-    found = ["drum"] if any(world.surface_speeds) else []
+    kinds = ["drum"] if any(world.surface_speeds) else []
     if world.friction < FRICTION:
-        found.append("no friction")
+        kinds.append("no friction")
     if 0 < world.restitution < 0.8:
-        found.append("elastic 0.3")
+        kinds.append("elastic 0.3")
     if world.restitution > 0.3:
-        found.append("elastic 0.8")
+        kinds.append("elastic 0.8")
     if scene.bodies.count and radius.max() > 1.05 * radius.min():
-        return [*found, "mixed radii"]
-    return [*found, "plain"] if world.friction > 0 and world.restitution < 0.3 else found
+        return [*kinds, "mixed radii"]
+    return [*kinds, "plain"] if world.friction > 0 and world.restitution < 0.3 else kinds
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:
@@ -353,29 +353,29 @@ def outside(scene: State, study: Mapping) -> list[str]:
     """Sentences on what of a scene lies outside the study; none where nothing does."""
     bodies, world, sizes = scene.bodies, scene.world, study["sizes"]
     radius, mass, speed = bodies.radius, bodies.mass / bodies.radius**2, _fastest(scene)
-    fastest, found = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean()), []
+    fastest, sentences = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean()), []
     if not min(sizes) / 3 <= bodies.count <= 3 * max(sizes):
-        found.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")
+        sentences.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")
     if missing := set(kinds_of(scene)) - _kinds_near(bodies.count, study):
         kinds = ", ".join(sorted(missing))
-        found.append(f"{bodies.count:,} circles of the kind {kinds}; it has none of about this size")
+        sentences.append(f"{bodies.count:,} circles of the kind {kinds}; it has none of about this size")
     if radius.max() > 3.001 * radius.min():
-        found.append(f"radii that differ {radius.max() / radius.min():.3g} times; it has up to 3")
+        sentences.append(f"radii that differ {radius.max() / radius.min():.3g} times; it has up to 3")
     if mass.max() > 1.001 * mass.min():
-        found.append(f"densities that differ {mass.max() / mass.min():.3g} times; it has equal ones")
+        sentences.append(f"densities that differ {mass.max() / mass.min():.3g} times; it has equal ones")
     if world.friction > 0.5:
-        found.append(f"friction {world.friction:g}; it has 0 and 0.5")
+        sentences.append(f"friction {world.friction:g}; it has 0 and 0.5")
     if world.restitution > 0.8:
-        found.append(f"restitution {world.restitution:g}; it has 0, 0.3 and 0.8")
+        sentences.append(f"restitution {world.restitution:g}; it has 0, 0.3 and 0.8")
     if stiff := stiffness(scene):
-        found.append(
+        sentences.append(
             f"{stiff.why}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
             "at rest needs few, and the errors are those of the study's best setting"
         )
-    found += _too_long(scene, max(setting["dt"] for setting in study["settings"]))
+    sentences += _too_long(scene, max(setting["dt"] for setting in study["settings"]))
     if fastest > 0 and speed > fastest:
-        found.append(f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}")
-    return found
+        sentences.append(f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}")
+    return sentences
 
 
 def _too_long(scene: State, dt: float) -> list[str]:
@@ -467,5 +467,5 @@ def _load(scene: State, *, column: bool) -> float:
 def _is_heap(scene: State, high: float, wide: float) -> bool:
     if high <= HEAP or math.sqrt(0.75) * scene.bodies.count >= FILLED * high * wide:
         return False
-    found = scene.contacts if scene.contacts is not None else contacts_of(scene)
-    return found.count > TOUCHING * scene.bodies.count
+    contacts = scene.contacts if scene.contacts is not None else contacts_of(scene)
+    return contacts.count > TOUCHING * scene.bodies.count

@@ -51,9 +51,9 @@ def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_wh
     assert plan["solving stiff piles"].used
     assert plan["solving stiff piles"].why == stiffness(scene).why
     assert "20,000 sweeps" in plan["solving stiff piles"].saving
-    told = dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"]
-    assert not told.used
-    assert "PGS(sweeps=50, tolerance=None) was asked for" in told.why
+    other = dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"]
+    assert not other.used
+    assert "PGS(sweeps=50, tolerance=None) was asked for" in other.why
 
 
 @pytest.mark.parametrize(

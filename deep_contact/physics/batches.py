@@ -54,53 +54,29 @@ BATCHES, PHASE_BITS = range(2)
 
 
 class Plan(NamedTuple):
-    """Where each contact goes: buffers for M contacts of n circles in B blocks.
+    """Where each contact goes: buffers for M contacts of n circles in B blocks."""
 
-    | field | meaning                                                                           | shape  |
-    |-------|-----------------------------------------------------------------------------------|--------|
-    | mark  | of a circle: its colours in the current block, and its phases, as bits            | (n, 2) |
-    | batch | of a contact: its batch, counted from 0 in each block                             | (M,)   |
-    | place | of a contact: 8 · tile + lane                                                     | (M,)   |
-    | fill  | of a batch: contacts in it, then the next free place                              | (M,)   |
-    | used  | of a tile: lanes in use                                                           | (M,)   |
-    | first | of a block: its first tile; one more at the end                                   | (B+1,) |
-    | phase | of a block: its phase                                                             | (B,)   |
-    | order | blocks by phase                                                                   | (B,)   |
-    | start | of a phase: where it starts in `order`; one more at the end                       | (B+2,) |
-    | worst | of a block: the θ of a sweep, or the deepest separation, by turns                 | (B, 2) |
-    | count | contacts, blocks, tiles and phases in use, circles                                | (5,)   |
-    """
-
-    mark: np.ndarray
-    batch: np.ndarray
-    place: np.ndarray
-    fill: np.ndarray
-    used: np.ndarray
-    first: np.ndarray
-    phase: np.ndarray
-    order: np.ndarray
-    start: np.ndarray
-    worst: np.ndarray
-    count: np.ndarray
+    mark: np.ndarray  # (n, 2): of a circle: its colours in the current block, and its phases, as bits
+    batch: np.ndarray  # (M,): of a contact: its batch, counted from 0 in each block
+    place: np.ndarray  # (M,): of a contact: 8 · tile + lane
+    fill: np.ndarray  # (M,): of a batch: contacts in it, then the next free place
+    used: np.ndarray  # (M,): of a tile: lanes in use
+    first: np.ndarray  # (B+1,): of a block: its first tile; one more at the end
+    phase: np.ndarray  # (B,): of a block: its phase
+    order: np.ndarray  # (B,): blocks by phase
+    start: np.ndarray  # (B+2,): of a phase: where it starts in `order`; one more at the end
+    worst: np.ndarray  # (B, 2): of a block: the θ of a sweep, or the deepest separation, by turns
+    count: np.ndarray  # (5,): contacts, blocks, tiles and phases in use, circles
 
 
 class Tiles(NamedTuple):
-    """Eight contacts each, in the order in which they are relaxed; and the circles, with five rows for each block.
+    """Eight contacts each, in the order in which they are relaxed; and the circles, with five rows for each block."""
 
-    | field   | meaning                                                               | shape     |
-    |---------|-----------------------------------------------------------------------|-----------|
-    | body    | a, b as rows of `solver_bodies` and `centre`                          | (T, 2, 8) |
-    | data    | as in `Rows`                                                          | (T, 6, 8) |
-    | impulse | λ_n, λ_t, N·s                                                         | (T, 2, 8) |
-    | solver_bodies | as in the engine, with the bodies of the blocks                 | (n+5B, 4) |
-    | centre  | see `position_correction.fill_ground`                                 | (n+5B, 4) |
-    """
-
-    body: np.ndarray
-    data: np.ndarray
-    impulse: np.ndarray
-    solver_bodies: np.ndarray
-    centre: np.ndarray
+    body: np.ndarray  # (T, 2, 8): a, b as rows of `solver_bodies` and `centre`
+    data: np.ndarray  # (T, 6, 8): as in `Rows`
+    impulse: np.ndarray  # (T, 2, 8): λ_n, λ_t, N·s
+    solver_bodies: np.ndarray  # (n+5B, 4): as in the engine, with the bodies of the blocks
+    centre: np.ndarray  # (n+5B, 4): see `position_correction.fill_ground`
 
 
 @njit(cache=True)

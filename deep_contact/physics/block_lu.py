@@ -16,24 +16,14 @@ from scipy.sparse.linalg import splu
 
 
 class Pattern(NamedTuple):
-    """Where the factors of n rows of blocks have blocks. All indices are places in the order of elimination.
+    """Where the factors of n rows of blocks have blocks. All indices are places in the order of elimination."""
 
-    | field         | meaning                                                                     | shape    |
-    |---------------|-----------------------------------------------------------------------------|----------|
-    | place         | of every body in the order of elimination                                   | (n,)     |
-    | first         | the blocks below the diagonal in column k are first[k] to first[k + 1]      | (n + 1,) |
-    | row           | their rows, rising; the blocks of U are those mirrored                      | (k,)     |
-    | updates_first | the blocks of row j are those at updates_first[j] to updates_first[j + 1]   | (n + 1,) |
-    | update        | the index of the block, in `row`                                            | (k,)     |
-    | column        | and its column                                                              | (k,)     |
-    """
-
-    place: np.ndarray
-    first: np.ndarray
-    row: np.ndarray
-    updates_first: np.ndarray
-    update: np.ndarray
-    column: np.ndarray
+    place: np.ndarray  # (n,): of every body in the order of elimination
+    first: np.ndarray  # (n + 1,): the blocks below the diagonal in column k are first[k] to first[k + 1]
+    row: np.ndarray  # (k,): their rows, rising; the blocks of U are those mirrored
+    updates_first: np.ndarray  # (n + 1,): the blocks of row j are those at updates_first[j] to updates_first[j + 1]
+    update: np.ndarray  # (k,): the index of the block, in `row`
+    column: np.ndarray  # (k,): and its column
 
 
 class Factors(NamedTuple):

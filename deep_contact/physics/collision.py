@@ -52,35 +52,20 @@ class Cells(NamedTuple):
 
     As long as no circle has moved by more than half of what near means, apart from the motion common to all, pairs that
     touch are among those. A list is not made where it would not last.
-
-    | field  | meaning                                                                       | shape        |
-    |--------|-------------------------------------------------------------------------------|--------------|
-    | start  | circles `order[start[c]:start[c + 1]]` are in cell c                          | (8n + 1000,) |
-    | order  | circles by level and cell, in a cell by index                                 | (n,)         |
-    | cell   | of each circle: row * columns + column in the grid of its level               | (n,)         |
-    | circle | x, y, radius in the order of `order`                                          | (n, 3)       |
-    | anchor | positions at the last sorting                                                 | (n, 2)       |
-    | first  | circles `near[first[a]:first[a + 1]]` are near a and come after it            | (n + 1,)     |
-    | near   | circles, for each a by index                                                  | (8n + 40,)   |
-    | memory | searches since the last sorting, -1 before the first; pairs in `near`, or -1; | (3,)         |
-    |        | searches until a list is tried again, after one that did not fit              |              |
-    | level  | of size of each circle: 0 holds the largest                                    | (n,)         |
-    | grid   | of a level: corner, m, cells per metre, columns, rows, first cell in `start`, | (16, 7)      |
-    |        | largest radius, m                                                             |              |
-    | gap    | below which a pair is near, m                                                  | (1,)         |
     """
 
-    start: np.ndarray
-    order: np.ndarray
-    cell: np.ndarray
-    circle: np.ndarray
-    anchor: np.ndarray
-    first: np.ndarray
-    near: np.ndarray
-    memory: np.ndarray
-    level: np.ndarray
-    grid: np.ndarray
-    gap: np.ndarray
+    start: np.ndarray  # (8n + 1000,): circles `order[start[c]:start[c + 1]]` are in cell c
+    order: np.ndarray  # (n,): circles by level and cell, in a cell by index
+    cell: np.ndarray  # (n,): of each circle: row * columns + column in the grid of its level
+    circle: np.ndarray  # (n, 3): x, y, radius in the order of `order`
+    anchor: np.ndarray  # (n, 2): positions at the last sorting
+    first: np.ndarray  # (n + 1,): circles `near[first[a]:first[a + 1]]` are near a and come after it
+    near: np.ndarray  # (8n + 40,): circles, for each a by index
+    memory: np.ndarray  # (3,): searches since the last sorting, -1 before the first; pairs in `near`, or -1; searches
+    # until a list is tried again, after one that did not fit
+    level: np.ndarray  # (n,): of size of each circle: 0 holds the largest
+    grid: np.ndarray  # (16, 7): of a level: corner, m, cells per metre, columns, rows, first cell, largest radius, m
+    gap: np.ndarray  # (1,): below which a pair is near, m
 
 
 def make_cells(n):

@@ -45,18 +45,11 @@ NORMAL, TANGENT = range(2)
 
 
 class Rows(NamedTuple):
-    """The rows of m contacts. All numbers of one contact lie side by side, so that a sweep reads memory in order.
+    """The rows of m contacts. All numbers of one contact lie side by side, so that a sweep reads memory in order."""
 
-    | field   | meaning                                                  | shape          |
-    |---------|----------------------------------------------------------|----------------|
-    | body    | rows of the solver bodies: `BODY_A`, `BODY_B`            | (m, 2)         |
-    | data    | `N_X` … `ARM_B`; without friction … `NORMAL_MASS`        | (m, 6), (m, 3) |
-    | impulse | λ_n and λ_t, N·s: `NORMAL`, `TANGENT`                    | (m, 2), (m, 1) |
-    """
-
-    body: np.ndarray
-    data: np.ndarray
-    impulse: np.ndarray
+    body: np.ndarray  # (m, 2): rows of the solver bodies: `BODY_A`, `BODY_B`
+    data: np.ndarray  # (m, 6), (m, 3): `N_X` … `ARM_B`; without friction … `NORMAL_MASS`
+    impulse: np.ndarray  # (m, 2), (m, 1): λ_n and λ_t, N·s: `NORMAL`, `TANGENT`
 
 
 CONTRACT = {"contract"}

@@ -252,15 +252,11 @@ class ContactSolution(NamedTuple):
 
 
 class StepProblem(NamedTuple):
-    """The contact problem of a state's next step, after its impacts, built once for the start and for the solver.
+    """The contact problem of a state's next step, after its impacts, built once for the start and for the solver."""
 
-    rows: `Rows`; their impulses are those that the state starts from. solver_bodies: after gravity, before impulses,
-    (n + 4, 4). friction: μ, or None where there are no tangent rows.
-    """
-
-    rows: Rows
-    solver_bodies: np.ndarray
-    friction: float | None
+    rows: Rows  # their impulses are those that the state starts from
+    solver_bodies: np.ndarray  # (n + 4, 4): after gravity, before impulses
+    friction: float | None  # μ, or None where there are no tangent rows
 
 
 def leaves_tangents_out(state: State, solver) -> bool:

@@ -36,8 +36,6 @@ def rebound(given, contacts):
     rebound, so that piles come to rest.
     """
     bodies, restitution, half = given.bodies, given.restitution, -0.5 * given.dt
-    if restitution == 0.0:
-        return
     ground, fastest = (half * given.gravity[0], half * given.gravity[1]), 0.0
     for i in range(contacts.body_a.shape[0]):
         fastest = max(fastest, -parting_speed(bodies, contacts, i, ground))

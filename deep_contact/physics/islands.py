@@ -16,20 +16,12 @@ from deep_contact.state import State
 
 
 class IslandsWorkspace(NamedTuple):
-    """Workspace: the islands of n circles, and the rows of m contacts sorted by island.
+    """Workspace: the islands of n circles, and the rows of m contacts sorted by island."""
 
-    | field  | meaning                                                                              | shape   |
-    |--------|--------------------------------------------------------------------------------------|---------|
-    | parent | of each circle in the forest of the union-find; roots are their own                  | (n,)    |
-    | start  | rows `start[k]` to `start[k + 1]` of the sorted ones belong to the k-th island       | (n + 1,)|
-    | order  | where each sorted row was before                                                     | (m,)    |
-    | rows   | `Rows` sorted by island, and within it as they were                                  |         |
-    """
-
-    parent: np.ndarray
-    start: np.ndarray
-    order: np.ndarray
-    rows: Rows
+    parent: np.ndarray  # (n,): of each circle in the forest of the union-find; roots are their own
+    start: np.ndarray  # (n + 1,): rows `start[k]` to `start[k + 1]` of the sorted ones belong to the k-th island
+    order: np.ndarray  # (m,): where each sorted row was before
+    rows: Rows  # `Rows` sorted by island, and within it as they were
 
 
 @njit(cache=True)

@@ -22,26 +22,17 @@ from deep_contact.validation import expect
 class ContactProblem(NamedTuple):
     """Find λ with 0 ≤ λ_n ⟂ (A λ + b)_n ≥ 0, and |λ_t| ≤ μ λ_n against the slip (A λ + b)_t (Eq 2.27, 2.29).
 
-    | field         | meaning                                                                 | shape    | unit |
-    |---------------|-------------------------------------------------------------------------|----------|------|
-    | A             | J M⁻¹ Jᵀ, sparse (CSR)                                                  | (r, r)   | 1/kg |
-    | b             | J (v + Δt M⁻¹ F) and surfaces that move; v after the step's impacts     | (r,)     | m/s  |
-    | jacobian      | J, sparse (CSR); J v is what circles give to contacts                   | (r, 3n)  |      |
-    | inverse_mass  | diagonal of M⁻¹ for (v_x, v_y, ω) of every circle                       | (3n,)    |      |
-    | free_velocity | v + Δt M⁻¹ F, likewise                                                  | (3n,)    |      |
-    | friction      | μ of every contact                                                      | (m,)     |      |
-
     r = 2 m; the rows of contact i are 2 i (normal) and 2 i + 1 (tangent). Where the bodies are not known, as in
     problems that were read from a file of matrices, jacobian, inverse_mass and free_velocity are None.
     The thesis writes A = J M⁻¹ Jᵀ Δt because its λ is a force; ours is an impulse.
     """
 
-    A: sparse.csr_array
-    b: np.ndarray
-    jacobian: sparse.csr_array | None = None
-    inverse_mass: np.ndarray | None = None
-    free_velocity: np.ndarray | None = None
-    friction: np.ndarray | None = None
+    A: sparse.csr_array  # (r, r), 1/kg: J M⁻¹ Jᵀ
+    b: np.ndarray  # (r,), m/s: J (v + Δt M⁻¹ F) and surfaces that move; v after the step's impacts
+    jacobian: sparse.csr_array | None = None  # (r, 3n): J; J v is what circles give to contacts
+    inverse_mass: np.ndarray | None = None  # (3n,): diagonal of M⁻¹ for (v_x, v_y, ω) of every circle
+    free_velocity: np.ndarray | None = None  # (3n,), m/s, rad/s: v + Δt M⁻¹ F, likewise
+    friction: np.ndarray | None = None  # (m,): μ of every contact
 
     def velocities(self, impulse: np.ndarray) -> np.ndarray:
         """(v_x, v_y, ω) of every circle after the impulses, v + M⁻¹ (Δt F + Jᵀ λ), (3n,)."""

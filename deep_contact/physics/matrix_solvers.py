@@ -25,23 +25,14 @@ CHECK_EVERY = 10
 
 
 class Blocks(NamedTuple):
-    """A problem as 2 × 2 blocks of a row of contacts: those beside the diagonal by contact, and those on it.
+    """A problem as 2 × 2 blocks of a row of contacts: those beside the diagonal by contact, and those on it."""
 
-    | field    | meaning                                                          | shape    |
-    |----------|------------------------------------------------------------------|----------|
-    | first    | the blocks of contact i are first[i] to first[i + 1]             | (m + 1,) |
-    | contact  | the contact whose impulses a block multiplies                    | (k,)     |
-    | entry    | nn, nt, tn, tt of every block                                    | (k, 4)   |
-    | diagonal | the same of the block on the diagonal, and the inverses of nn, tt| (m, 6)   |
-    | b, mu    | of the problem: velocities without impulses, and μ               | (m, 2), (m,) |
-    """
-
-    first: np.ndarray
-    contact: np.ndarray
-    entry: np.ndarray
-    diagonal: np.ndarray
-    b: np.ndarray
-    mu: np.ndarray
+    first: np.ndarray  # (m + 1,): the blocks of contact i are first[i] to first[i + 1]
+    contact: np.ndarray  # (k,): the contact whose impulses a block multiplies
+    entry: np.ndarray  # (k, 4): nn, nt, tn, tt of every block
+    diagonal: np.ndarray  # (m, 6): the same of the block on the diagonal, and the inverses of nn, tt
+    b: np.ndarray  # (m, 2): of the problem: velocities without impulses
+    mu: np.ndarray  # (m,): and μ
 
 
 def blocks_of(problem: ContactProblem) -> Blocks:

@@ -44,26 +44,15 @@ SWEEPS, WAIT = range(2)
 
 
 class CorrectionRoom(NamedTuple):
-    """Buffers of `correct_positions` for n circles and M contacts.
+    """Buffers of `correct_positions` for n circles and M contacts."""
 
-    | field  | meaning                                                        | shape      |
-    |--------|----------------------------------------------------------------|------------|
-    | level  | of a circle: the first level that none of its contacts is in   | (n,)       |
-    | batch  | of a contact: its level                                        | (M,)       |
-    | fill   | of a level: contacts in it, then its next free place           | (M,)       |
-    | body   | a, b as rows of `centre`, eight contacts a tile                | (T, 2, 8)  |
-    | normal | of the contacts, likewise                                      | (T, 2, 8)  |
-    | centre | see `fill_ground`; first the circles                           | (n + 5, 4) |
-    | memory | sweeps of the last correction; corrections without levels left | (2,)       |
-    """
-
-    level: np.ndarray
-    batch: np.ndarray
-    fill: np.ndarray
-    body: np.ndarray
-    normal: np.ndarray
-    centre: np.ndarray
-    memory: np.ndarray
+    level: np.ndarray  # (n,): of a circle: the first level that none of its contacts is in
+    batch: np.ndarray  # (M,): of a contact: its level
+    fill: np.ndarray  # (M,): of a level: contacts in it, then its next free place
+    body: np.ndarray  # (T, 2, 8): a, b as rows of `centre`, eight contacts a tile
+    normal: np.ndarray  # (T, 2, 8): of the contacts, likewise
+    centre: np.ndarray  # (n + 5, 4): see `fill_ground`; first the circles
+    memory: np.ndarray  # (2,): sweeps of the last correction; corrections without levels left
 
 
 def make_correction_room(n, capacity):

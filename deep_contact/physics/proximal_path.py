@@ -38,43 +38,24 @@ MOST_KEPT = 16
 
 
 class Bodies(NamedTuple):
-    """A contact problem by bodies, those that move and touch something.
+    """A contact problem by bodies, those that move and touch something."""
 
-    | field    | meaning                                                                        | shape   |
-    |----------|--------------------------------------------------------------------------------|---------|
-    | pattern  | of the factors (`block_lu.Pattern`)                                            |         |
-    | end      | places of a contact's two bodies; the number of bodies stands for one at rest  | (m, 2)  |
-    | block    | index of the pair's block below the diagonal, or −1                            | (m,)    |
-    | jacobian | J M^(−½): two rows of three columns for each of the two bodies                 | (m, 12) |
-    """
-
-    pattern: block_lu.Pattern
-    end: np.ndarray
-    block: np.ndarray
-    jacobian: np.ndarray
+    pattern: block_lu.Pattern  # of the factors
+    end: np.ndarray  # (m, 2): places of a contact's two bodies; the number of bodies stands for one at rest
+    block: np.ndarray  # (m,): index of the pair's block below the diagonal, or −1
+    jacobian: np.ndarray  # (m, 12): J M^(−½): two rows of three columns for each of the two bodies
 
 
 class Inverse(NamedTuple):
-    """The inverse of I + Jᵀ S J for some states and one ε, as factors for other states and columns that change them.
-
-    | field       | meaning                                                                              | shape     |
-    |-------------|--------------------------------------------------------------------------------------|-----------|
-    | factors     | `block_lu.Factors`                                                                   |           |
-    | states      | what the inverse stands for                                                          | (m,)      |
-    | column      | c of every change since the factors: it takes c r·(J v)_i from a v                   | (k, n, 3) |
-    | coefficient | r of every change                                                                    | (k, 2)    |
-    | contact     | i of every change                                                                    | (k,)      |
-    | used        | the number of changes, and −1 before the first factorisation                         | (1,)      |
-    | epsilon     | ε of the factors                                                                     | (1,)      |
-    """
+    """The inverse of I + Jᵀ S J for some states and one ε, as factors for other states and columns that change them."""
 
     factors: block_lu.Factors
-    states: np.ndarray
-    column: np.ndarray
-    coefficient: np.ndarray
-    contact: np.ndarray
-    used: np.ndarray
-    epsilon: np.ndarray
+    states: np.ndarray  # (m,): what the inverse stands for
+    column: np.ndarray  # (k, n, 3): c of every change since the factors: it takes c r·(J v)_i from a v
+    coefficient: np.ndarray  # (k, 2): r of every change
+    contact: np.ndarray  # (k,): i of every change
+    used: np.ndarray  # (1,): the number of changes, and −1 before the first factorisation
+    epsilon: np.ndarray  # (1,): ε of the factors
 
 
 def make_inverse(bodies: Bodies) -> Inverse:

@@ -24,20 +24,12 @@ from deep_contact.state import Contacts
 
 
 class SleepMemory(NamedTuple):
-    """Who sleeps of n circles, and buffers.
+    """Who sleeps of n circles, and buffers."""
 
-    | field    | meaning                                                            | shape |
-    |----------|--------------------------------------------------------------------|-------|
-    | still    | time for which a circle has been still, s; infinite while it sleeps | (n,)  |
-    | active   | buffer for the `Contacts` of circles that are awake                |       |
-    | parent   | buffer: islands                                                    | (n,)  |
-    | shortest | buffer: the shortest time of an island                             | (n,)  |
-    """
-
-    still: np.ndarray
-    active: Contacts
-    parent: np.ndarray
-    shortest: np.ndarray
+    still: np.ndarray  # (n,): time for which a circle has been still, s; infinite while it sleeps
+    active: Contacts  # buffer for the `Contacts` of circles that are awake
+    parent: np.ndarray  # (n,): buffer: islands
+    shortest: np.ndarray  # (n,): buffer: the shortest time of an island
 
 
 def make_sleep_memory(n: int, capacity: int) -> SleepMemory:

@@ -17,31 +17,27 @@ from deep_contact.state.scales import ContactScales
 
 
 class Motion(NamedTuple):
-    """How steps are divided by motion (`substeps`). most: parts of a step, a power of two; 1: never. reach: m."""
+    """How steps are divided by motion (`substeps`)."""
 
-    most: int
-    reach: float
+    most: int  # parts of a step, a power of two; 1: never
+    reach: float  # m
 
 
 class StepInput(NamedTuple):
     """What the steps read. None is a type of its own: what nothing in the scene requires is not compiled.
 
-    bodies: `Bodies`; they move in place. contacts: `Contacts` at their positions, with the impulses to start from.
-    box, gravity, friction, restitution: of the `World`; friction None, in place of 0, leaves the tangent rows out.
-    segments: (S, 5), m and m/s (`segments.segments_of`).
-    dt: s. scales: `ContactScales` of the state that the steps begin with. motion: how steps are divided by it.
     segments, restitution and motion are None where all of them are idle: see `with_rare`.
     """
 
-    bodies: Bodies
-    contacts: Contacts
-    box: tuple
-    segments: np.ndarray | None
+    bodies: Bodies  # they move in place
+    contacts: Contacts  # at their positions, with the impulses to start from
+    box: tuple  # of the `World`, as gravity, friction and restitution
+    segments: np.ndarray | None  # (S, 5), m and m/s (`segments.segments_of`)
     gravity: tuple
-    friction: float | None
+    friction: float | None  # None, in place of 0, leaves the tangent rows out
     restitution: float | None
-    dt: float
-    scales: ContactScales
+    dt: float  # s
+    scales: ContactScales  # of the state that the steps begin with
     motion: Motion | None = None
 
 
@@ -55,32 +51,23 @@ def with_rare(given: StepInput) -> StepInput:
 
 
 class StepOptions(NamedTuple):
-    """How the steps solve.
+    """How the steps solve."""
 
-    settings: of the solver (`solvers.registry`); their type picks the loop. position_sweeps: most sweeps of position
-    correction. carry: start the steps after the first from the impulses of the step before; otherwise from zero.
-    """
-
-    settings: NamedTuple
-    position_sweeps: int
-    carry: bool
+    settings: NamedTuple  # of the solver (`solvers.registry`); their type picks the loop
+    position_sweeps: int  # most sweeps of position correction
+    carry: bool  # start the steps after the first from the impulses of the step before; otherwise from zero
 
 
 class StepMemory(NamedTuple):
-    """Where the steps work. What it holds from one call to the next changes no bit of what they compute.
+    """Where the steps work. What it holds from one call to the next changes no bit of what they compute."""
 
-    solver_bodies: (n + 4, 4); each step fills them (`contact_solver.integrate_velocities`). theta: buffer for the θ of
-    one step's sweeps; its length is the largest number of sweeps. contacts: two buffers, which the steps fill by turns.
-    sleep: None where nothing may sleep.
-    """
-
-    solver_bodies: np.ndarray
-    theta: np.ndarray
+    solver_bodies: np.ndarray  # (n + 4, 4); each step fills them (`contact_solver.integrate_velocities`)
+    theta: np.ndarray  # buffer for the θ of one step's sweeps; its length is the largest number of sweeps
     rows: Rows
     correction: CorrectionRoom
     cells: Cells
-    contacts: tuple[Contacts, Contacts]
-    sleep: SleepMemory | None
+    contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill by turns
+    sleep: SleepMemory | None  # None where nothing may sleep
 
 
 def make_memory(n: int, capacity: int, sweeps: int, friction, sleep: SleepMemory | None = None) -> StepMemory:
@@ -96,18 +83,14 @@ def make_memory(n: int, capacity: int, sweeps: int, friction, sleep: SleepMemory
 
 
 class StepLog(NamedTuple):
-    """What the steps log, (steps,) each: contacts, sweeps, last θ (N·s), relaxations, parts of a step.
-
-    Of a divided step: contacts and θ of the last part, sums of the others.
-    progress: (2,), the steps that this call has done, and the work, in relaxations, after which it ends.
-    """
+    """What the steps log, (steps,) each. Of a divided step: contacts and θ of the last part, sums of the others."""
 
     contacts: np.ndarray
     sweeps: np.ndarray
-    theta: np.ndarray
+    theta: np.ndarray  # the last, N·s
     relaxations: np.ndarray
-    parts: np.ndarray
-    progress: np.ndarray
+    parts: np.ndarray  # of a step
+    progress: np.ndarray  # (2,): the steps that this call has done; the work, in relaxations, after which it ends
 
 
 def make_log(steps: int) -> StepLog:

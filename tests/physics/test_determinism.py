@@ -43,11 +43,6 @@ def in_another_process(seed, *, method="PGS", folder=None, **environment):
     return done.stdout.strip()
 
 
-@pytest.mark.parametrize("method", METHODS)
-def test_a_second_run_is_the_first(method):
-    assert run(5, method=method) == run(5, method=method)
-
-
 @pytest.mark.parametrize("method", ["PGS", "NNCG"])
 def test_another_process_with_other_threads_and_hash_seeds_computes_the_same(method):
     environment = {"NUMBA_NUM_THREADS": "1", "PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "3"}

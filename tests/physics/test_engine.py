@@ -113,13 +113,6 @@ def test_resumed_from_xml_as_if_never_stopped(tmp_path, solver, warm_start, solv
     assert_same_run(resumed, through)
 
 
-def test_simulate_records_every_step():
-    run = dc.simulate(dc.circles_in_box(30, seed=11), steps=80, solver=dc.PGS(sweeps=20))
-    assert run.contacts.shape == run.sweeps.shape == run.theta.shape == run.status.shape == (80,)
-    assert set(run.status) <= {"converged", "max_sweeps", "no_contacts"}
-    assert (run.theta[run.status == "converged"] <= run.state.solver.tolerance).all()
-
-
 def test_a_state_of_the_engine_passes_the_quick_check():
     """The slow check would accept it, too, but costs more than a step."""
     state = dc.simulate(dc.circles_in_box(30, seed=1), steps=160, solver=dc.PGS(sweeps=20)).state
