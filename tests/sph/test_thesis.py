@@ -7,7 +7,7 @@ import deep_contact as dc
 from deep_contact import sph
 from deep_contact.sph import kernels
 from deep_contact.studies import starts
-from deep_contact.warm_start import TRANSFERS, Sph
+from deep_contact.warm_start import Sph
 
 GRID = sph.Grid.over_box((0.0, 0.0, 4.0, 3.0), 0.5)
 
@@ -74,14 +74,6 @@ def test_sharing_loses_nothing():
     assert starts.transfer_loss(alone, Sph(transfer="thesis")) > 0.1
 
 
-def test_transfers_by_name():
-    state = starts.solved_states(dc.circles_in_box(40, seed=0), steps=200, every=190)[-1]
-    given = np.column_stack([state.contacts.normal_impulse, state.contacts.tangent_impulse])
-    found = {name: np.column_stack(Sph(transfer=name).round_trip(state, given)) for name in TRANSFERS}
-    grid = sph.Grid.over_box(state.world.box, 0.5)
-    options = {"h": 0.5, "normalization": "particle", "outside": "clamp", "unreached": "zero"}
-    image = sph.splat(grid, state.contacts.position, given, **options)
-    np.testing.assert_array_equal(found["spline"], sph.read_by_spline(grid, image, state.contacts.position))
-    np.testing.assert_array_equal(found["shared"], sph.share_out(grid, image, state.contacts.position, h=0.5))
+def test_an_unknown_transfer_is_refused():
     with pytest.raises(ValueError, match="transfer: expected one of thesis, consistent, spline, shared, got 'cubic'"):
         Sph(transfer="cubic")
