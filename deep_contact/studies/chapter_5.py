@@ -236,18 +236,6 @@ VARIANTS = {
 """Name of a variant of Table 6.1 -> targets of each of its networks."""
 
 
-def train_on_targets(task: tuple) -> str:
-    """Train a network on images, or continue its training; the path of its model file.
-
-    task: (settings of `thesis_config`, data, folder of the run).
-    """
-    one_thread()
-    from deep_contact.cnn import training
-
-    settings, data, out = task
-    return str(training.train(training.thesis_config(**settings), data, out, verbose=0).path)
-
-
 def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], seed: int, progress: Callable) -> Path:
     """A small data set of the thesis's scene, like that of `scripts/generate_data.py`. Existing files are kept."""
     folder = Path(folder)
@@ -265,9 +253,10 @@ def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], 
 def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Sequence[int]) -> dict:
     """Held-out errors of one network for both impulses, or of two networks for one each.
 
-    Returns means over the states: "normal" and "tangent", ‖λ'_n − λ_n‖ and ‖λ'_t − λ_t‖ relative to ‖λ‖ of the whole
-    solution, before any sweep; "velocity", the relative velocity error after each number of `sweeps`, from both
-    impulses projected on the cone. States with nothing to solve are omitted. Raises ValueError if no other is left.
+    Returns their "parameters" in all, the number of "states", and means over them: "normal" and "tangent", ‖λ'_n − λ_n‖
+    and ‖λ'_t − λ_t‖ relative to ‖λ‖ of the whole solution, before any sweep; "velocity", the relative velocity error
+    after each number of `sweeps`, from both impulses projected on the cone. States with nothing to solve are omitted.
+    Raises ValueError if no other is left.
     """
     models = [network_start(path).model for path in paths]
     errors = []
@@ -285,7 +274,30 @@ def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Se
     if not len(errors):
         raise ValueError("states: expected some with impulses to be found, got none")
     normal, tangent, *velocity = errors.mean(axis=0).tolist()
-    return {"states": len(errors), "normal": normal, "tangent": tangent, "velocity": velocity}
+    parameters = int(sum(model.network.count_params() for model in models))
+    means = {"normal": normal, "tangent": tangent, "velocity": velocity}
+    return {"parameters": parameters, "states": len(errors)} | means
+
+
+def train_and_measure(task: tuple) -> dict:
+    """Train the networks of a variant, or continue their training; their `errors_of_networks`.
+
+    task: (variant, seed, folder of simulations, folder of the runs, options of `one_or_two_networks`).
+    """
+    one_thread()
+    from deep_contact.cnn import training
+
+    variant, seed, data, out, options = task
+    store, held_out = Store(data), options["held_out"]
+    shared = options["settings"] | {"fractions": (0.8, 0.2, 0.0), "simulations": len(store.simulations) - held_out}
+    shared |= {"seed": seed, "options": {"stacks": options["deeper" if "as large" in variant else "stacks"]}}
+    paths = []
+    for number, targets in enumerate(VARIANTS[variant]):
+        folder = out / f"{variant.replace(',', '').replace(' ', '_')}_{number}_{seed}"
+        config = training.thesis_config(**shared, targets=targets)
+        paths.append(training.train(config, data, folder, verbose=0).path)
+    tested = evenly(store.states(store.simulations[-held_out:]), options["states"]).tolist()
+    return errors_of_networks(paths, [store.state(*state) for state in tested], options["sweeps"])
 
 
 def one_or_two_networks(
@@ -297,29 +309,15 @@ def one_or_two_networks(
     are for the errors after "sweeps", the other simulations for training; "stacks" of `architectures.thesis`, "deeper":
     of the network with more convolutions; "settings" of the training, in which every network sees the same states in
     the same order. Returns {"variants": {name: {"parameters", "errors": one a seed, see `errors_of_networks`}},
-    "sweeps", "seeds", "held-out states"}.
+    "sweeps", "seeds"}.
     """
-    store, held_out = Store(data), options["held_out"]
-    shared = options["settings"] | {"fractions": (0.8, 0.2, 0.0), "simulations": len(store.simulations) - held_out}
-    tasks = {}
-    for seed in seeds:
-        for variant, networks in VARIANTS.items():
-            stacks = options["deeper" if variant.endswith("as large as two") else "stacks"]
-            for number, targets in enumerate(networks):
-                own = {"targets": targets, "seed": seed, "options": {"stacks": stacks}}
-                name = f"{variant.replace(',', '').replace(' ', '_')}_{number}_{seed}"
-                tasks[variant, seed, number] = (shared | own, str(data), str(out / name))
-    trained = parallel_map(train_on_targets, tasks.values(), jobs=jobs, progress=progress, text="networks")
-    paths = dict(zip(tasks, trained))
-    tested = store.states(store.simulations[-held_out:])
-    tested = [store.state(*state) for state in evenly(tested, options["states"]).tolist()]
-    found = {}
-    for variant, networks in VARIANTS.items():
-        of_seeds = [[paths[variant, seed, number] for number in range(len(networks))] for seed in seeds]
-        errors = [errors_of_networks(of_seed, tested, options["sweeps"]) for of_seed in of_seeds]
-        parameters = sum(network_start(path).model.network.count_params() for path in of_seeds[-1])
-        found[variant] = {"parameters": int(parameters), "errors": errors}
-    return {"variants": found, "sweeps": options["sweeps"], "seeds": seeds, "held-out states": len(tested)}
+    tasks = [(variant, seed, data, out, dict(options)) for variant in VARIANTS for seed in seeds]
+    found: dict = {variant: {"errors": []} for variant in VARIANTS}
+    errors = parallel_map(train_and_measure, tasks, jobs=jobs, progress=progress, text="trainings")
+    for (variant, *_), one in zip(tasks, errors):
+        found[variant]["parameters"] = one.pop("parameters")
+        found[variant]["errors"].append(one)
+    return {"variants": found, "sweeps": options["sweeps"], "seeds": seeds}
 
 
 MEASURES = ("normal", "tangent", "velocity")
