@@ -36,18 +36,10 @@ for _small in QUICK.values():
     _small |= {"validation_states": 100, "fractions": (0.7, 0.15, 0.15)}
 
 
-class Parser(argparse.ArgumentParser):
-    """Reports a wrong option in one line, without the list of all options."""
-
-    def error(self, message: str):
-        self.exit(2, f"{self.prog}: {message}; --help lists the options\n")
-
-
 def arguments() -> argparse.ArgumentParser:
     """A flag for every field of the configuration, and those of this script."""
-    parser = Parser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter, argument_default=argparse.SUPPRESS
-    )
+    layout = {"formatter_class": argparse.RawDescriptionHelpFormatter, "usage": "%(prog)s [--quick] [--OPTION VALUE …]"}
+    parser = argparse.ArgumentParser(description=__doc__, argument_default=argparse.SUPPRESS, **layout)
     add = parser.add_argument
     add("--quick", action="store_true", default=False, help="a small network and its data, made in <out>/data")
     add("--data", default=None, help="folder of the simulations (data/generated)")

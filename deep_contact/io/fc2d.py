@@ -22,8 +22,9 @@ MAX_TEXT = 2**26
 """Bytes of the largest file, unpacked: 80,000 contacts."""
 
 _HEADER = ("dimension", "number of contacts", "storage of W", "rows", "columns")
-_SIZES = re.compile(r"\s*(\d+)-by-(\d+), nzmax: (-?\d+) nnz: (\d+)")
-_COLUMN = re.compile(r"\s*col (\d+) : locations (-?\d+) to (-?\d+)\s*$")
+_SIZES = re.compile(r"\s*(\d+)-by-(\d+), nzmax: -?\d+ nnz: (\d+)")
+_COLUMN = re.compile(r"\s*col (\d{1,9}) : locations")
+_ENTRY = re.compile(r"\s*(\d{1,9}) : (\S+)\s*$")
 
 
 def read_problem(path: str | os.PathLike) -> ContactProblem:
@@ -55,32 +56,27 @@ def _parse(lines: list[str]) -> ContactProblem:
     return check_problem(ContactProblem(sparse.csr_array(W), rest[:rows], friction=rest[rows:]))
 
 
-def _printed_by_csparse(lines: list[str], rows: int) -> tuple[sparse.csc_array, int]:
+def _printed_by_csparse(lines: list[str], rows: int) -> tuple[sparse.coo_array, int]:
     """The matrix of CSparse's print, and the line after it. A title may stand before its sizes."""
     found = ((at, match) for at, line in enumerate(lines[5:9], 5) if (match := _SIZES.match(line)))
     at, sizes = next(found, (0, None))
     expect(sizes, "W: expected CSparse's print, 'r-by-c, nzmax: … nnz: …', within 3 lines of line 6")
-    is_square = (int(sizes[1]), int(sizes[2])) == (rows, rows)
-    expect(is_square, f"W: expected {rows} rows and columns, got {sizes[1]} and {sizes[2]}")
-    end, wanted = at + 1 + rows + int(sizes[4]), f"W: expected {rows} columns and {sizes[4]} entries, got "
-    expect(len(lines) >= end, f"{wanted}{len(lines) - at - 1} lines")
-    starts, indices, data = [], [], []
-    for number, line in enumerate(lines[at + 1 : end], at + 2):
-        if column := _COLUMN.match(line):
-            follows = (int(column[1]), int(column[2])) == (len(starts), len(data))
-            expected = f"column {len(starts)} with entries from {len(data)}"
-            expect(follows, f"line {number}: expected {expected}, got {line[:60]!r}")
-            starts.append(len(data))
-            continue
-        row, _, value = line.partition(":")
-        try:
-            indices.append(int(row))
-            data.append(float(value))
-        except ValueError:
-            raise ValueError(f"line {number}: expected 'row : value', got {line[:60]!r}") from None
-        expect(0 <= indices[-1] < rows, f"line {number}: expected a row from 0 to {rows - 1}, got {indices[-1]}")
-    expect((len(starts), len(data)) == (rows, int(sizes[4])), f"{wanted}{len(starts)} and {len(data)}")
-    return sparse.csc_array((data, indices, [*starts, len(data)]), shape=(rows, rows)), end
+    end, columns, entries = at + 1, 0, []
+    for end, line in enumerate(lines[at + 1 :], at + 1):
+        if match := _COLUMN.match(line):
+            expect(int(match[1]) == columns, f"line {end + 1}: expected column {columns}, got {line[:60]!r}")
+            columns += 1
+        elif match := _ENTRY.match(line):
+            expect(int(match[1]) < rows, f"line {end + 1}: expected a row from 0 to {rows - 1}, got {match[1]}")
+            entries.append((int(match[1]), columns - 1, float(match[2])))
+        else:
+            break
+    height, width, count = map(int, sizes.groups())
+    got = f"{height} and {width}, {columns} columns with {len(entries)} entries"
+    fits = height == width == columns == rows and len(entries) == count
+    expect(fits, f"W: expected {rows} rows and columns with {count} entries, got {got}")
+    i, j, values = np.reshape(entries, (-1, 3)).T
+    return sparse.coo_array((values, (i.astype(int), j.astype(int))), shape=(rows, rows)), end
 
 
 def _numbers(lines: list[str], count: int) -> np.ndarray:
