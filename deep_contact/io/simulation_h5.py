@@ -104,11 +104,6 @@ class StoredSimulation:
         """Memory of the arrays."""
         return sum(array.nbytes for array in self.arrays.values())
 
-    @property
-    def contacts(self) -> np.ndarray:
-        """Number of contacts of each state, (T,)."""
-        return np.diff(self.arrays["contact_offset"])
-
     def state(self, index: int) -> StateWithContacts:
         """State `index`, 0 … T − 1, in arrays of its own; to the last bit what was written."""
         if not 0 <= index < self.count:
@@ -128,7 +123,7 @@ class StoredSimulation:
         a = self.arrays
         off = (a["normal_start"] - a["normal_impulse"]) ** 2 + (a["tangent_start"] - a["tangent_impulse"]) ** 2
         size = a["normal_impulse"] ** 2 + a["tangent_impulse"] ** 2
-        state = np.repeat(np.arange(self.count), self.contacts)
+        state = np.repeat(np.arange(self.count), np.diff(a["contact_offset"]))
         off, size = (np.bincount(state, weights, self.count) for weights in (off, size))
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(off == 0, 0.0, np.sqrt(off / size))

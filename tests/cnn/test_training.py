@@ -98,8 +98,9 @@ def test_interrupted_run_goes_on_to_the_same_history(undisturbed, data, tmp_path
     assert_same_weights(resumed.model, undisturbed.model)
 
 
-def test_history_is_written_as_csv_and_the_best_epoch_is_kept(undisturbed):
+def test_history_is_written_as_csv_and_drawn_and_the_best_epoch_is_kept(undisturbed, tmp_path):
     assert read_history(undisturbed.path.with_name("history.csv")) == undisturbed.history
+    assert learning_curve(undisturbed.history, tmp_path / "curve.png").stat().st_size > 10_000
     losses = [line["validation_loss"] for line in undisturbed.history]
     assert undisturbed.best_epoch == int(np.argmin(losses))
     assert_same_weights(load_model(undisturbed.path.with_name("best.h5")), undisturbed.model)
@@ -253,8 +254,3 @@ def test_a_script_goes_on_from_a_model(undisturbed):
     assert (settings.epochs, settings.rate, settings.options) == (2, 0.01, {"dropout": 0.2})
     quick = script.configuration({"epochs": 2}, None, quick=True)
     assert (quick.epochs, quick.options, quick.states_per_epoch) == (2, {"width": 8}, 960)
-
-
-def test_the_learning_curve_is_drawn_from_the_history(undisturbed, tmp_path):
-    history = read_history(undisturbed.path.with_name("history.csv"))
-    assert learning_curve(history, tmp_path / "curve.png").stat().st_size > 10_000
