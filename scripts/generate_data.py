@@ -194,9 +194,11 @@ def parse(arguments=None) -> argparse.Namespace:
     add("--packings", action="store_true", help="packed piles without a past")
     add("--sample", action="store_true", help="the states of data/sample; takes no option but --out")
     args = parser.parse_args(arguments)
-    of_scene = args.xml or args.steps or args.bodies or args.seed or (args.sample and args.simulations)
-    if (args.sample or args.packings) and of_scene:
-        parser.error(f"--{'sample' if args.sample else 'packings'}: expected no options of scenes beside it")
+    of_scene = args.xml or args.steps or args.bodies or args.seed
+    if args.sample and (of_scene or args.simulations):
+        parser.error("--sample: expected no other option but --out")
+    if args.packings and of_scene:
+        parser.error("--packings: expected no --steps, --bodies, --seed or --xml beside it")
     folder = "data/sample" if args.sample else "data/generated/packings" if args.packings else "data/generated"
     args.out = (args.out or Path(folder)) / ("quick" if args.quick else "")
     for name, value in (QUICK if args.quick else FULL).items():
