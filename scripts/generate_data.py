@@ -1,10 +1,5 @@
 """The data sets: simulations of the thesis's scene, every solved state kept; and packed piles without a past.
 
-    python scripts/generate_data.py [--simulations 150] [--steps 600] [--bodies 70 110] [--seed 0]
-                                    [--out data/generated] [--jobs 2] [--scheduler ADDRESS] [--xml] [--gzip] [--quick]
-    python scripts/generate_data.py --packings [--simulations 640] [--out data/generated/packings]
-    python scripts/generate_data.py --sample [--out data/sample]
-
 data/README.md says what is made: <out>/sim_0000.h5, …, and with --xml every state as
 <out>/xml/sim_0000/sim_0000_<step>.xml. --quick makes four short simulations of few circles, in <out>/quick, --packings
 the data of the start `learned support`: four states of a pile that settles, whose contacts start from the support;
