@@ -21,10 +21,9 @@ SOLVED = 20
 def compute(options, seed, jobs, progress):
     """The study's rows of PGS by step and sweeps."""
     found = []
-    for row in runs.read_study(options["results"])["rows"]:
+    for row in runs.read_study(options["results"])["plain"]:
         setting = row["setting"]
-        plain = row["kind"] == "plain" and setting.keys() == {"method", "sweeps", "dt"} and setting["method"] == "PGS"
-        if plain and row["errors"] and row["us"] is not None:
+        if setting.keys() == {"method", "sweeps", "dt"} and setting["method"] == "PGS" and row["us"] is not None:
             errors = {name: row["errors"][name] and row["errors"][name][0] for name in SHOWN}
             about = {"n_bodies": row["n_bodies"], "divisor": TIME_STEP / setting["dt"], "sweeps": setting["sweeps"]}
             found.append(about | {"us": row["us"], "errors": errors})

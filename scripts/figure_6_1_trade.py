@@ -18,8 +18,8 @@ def compute(options, seed, jobs, progress):
     rows = [
         {key: row[key] for key in ("n_bodies", "name", "us", "errors")}
         | {"group": row["setting"].get("engine") or row["setting"]["method"]}
-        for row in found["rows"]
-        if row["kind"] == "plain" and row["errors"] and row["us"] is not None
+        for row in found["plain"]
+        if row["us"] is not None
     ]
     return {"rows": rows, "presets": found["presets"]}
 

@@ -375,12 +375,12 @@ def with_times(row: Mapping, took: Mapping) -> dict:
 
 
 def read_study(path) -> dict:
-    """The "rows" of a results file, and the "presets" that they make.
+    """The "plain" rows of a results file, of plain piles with errors, and the "presets" that all of its rows make.
 
     path: from the current folder, or else of a file that comes with the package.
     """
     found = results.read_results(shipped.find(path))["data"]["rows"]
-    return {"rows": found, "presets": presets(found)}
+    return {"plain": [row for row in found if row["kind"] == "plain" and row["errors"]], "presets": presets(found)}
 
 
 def meets(errors: Mapping[str, Sequence[float] | None], tolerances: Mapping[str, float], at: int = 0) -> bool:
