@@ -100,15 +100,15 @@ class Simulation(NamedTuple):
         return notebook.shown("Simulation", self._summary().items()) + self.state._repr_html_()
 
     def _summary(self) -> dict[str, str]:
-        found = {"steps": notebook.counted(self.sweeps.size, "step")}
+        summary = {"steps": notebook.counted(self.sweeps.size, "step")}
         if self.sweeps.size:
             ends, times = np.unique(self.status, return_counts=True)
-            found["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
+            summary["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
             if self.substeps.max() > 1:
-                found["substeps"] = f"{self.substeps.mean():.1f} substeps a step"
-            found["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
-            found["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
-        return found | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
+                summary["substeps"] = f"{self.substeps.mean():.1f} substeps a step"
+            summary["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
+            summary["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
+        return summary | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
 
 
 def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:
@@ -228,9 +228,9 @@ def simulate_many(
             raise type(error)(f"states[{number}]: {error}") from error
 
     with ThreadPoolExecutor(min(threads, max(1, len(states)))) as pool:
-        found = [pool.submit(run, number) for number in range(len(states))]
+        runs = [pool.submit(run, number) for number in range(len(states))]
         try:
-            return [future.result() for future in found]
+            return [future.result() for future in runs]
         except BaseException:
             stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
@@ -326,8 +326,8 @@ def _with_a_past(state: StateWithContacts) -> StateWithContacts:
         return state
     least, most = FIRST_SWEEPS
     solver = NesterovPGS(sweeps=min(max(least, state.bodies.count), most), tolerance=None)
-    found = solve_contacts(state, solver=solver, start="support")
-    normal, tangent = found.normal_impulses, found.tangent_impulses
+    solution = solve_contacts(state, solver=solver, start="support")
+    normal, tangent = solution.normal_impulses, solution.tangent_impulses
     contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
     if not state.solved:
         contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
