@@ -21,7 +21,7 @@ def main():
     scene = dc.lattice_in_box(150, columns=12, radius=(0.6, 1.4), seed=2)
     run = dc.simulate(scene, steps=STEPS, record=EVERY, accuracy="accurate")
     out = Path(__file__).resolve().parent.parent / "docs" / "pile.gif"
-    plotting.animate(run.trajectory, out, draw=draw, panels=[1.0], fps=12, size=4.4, dpi=80)
+    plotting.animate(run.trajectory, out, draw=draw, panels=[1.0], fps=12, size=4.4)
 
 
 if __name__ == "__main__":
