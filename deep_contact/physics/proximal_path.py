@@ -130,6 +130,39 @@ def first_change(states, friction, x, u, dx, du, sign):
     return least, contact, new
 
 
+AT_END, NOWHERE = -1, -2
+"""In place of a contact that changes: t = 0 is reached before, or the path leads nowhere."""
+
+
+@njit(cache=True, error_model="numpy")
+def _next_pivot(states, friction, x, u, dx, du, t, contact, previous):
+    """Go on, in place, from the change of `contact` (−1: from t = 1) to the next.
+
+    Returns (t, the next contact, its state before, whether t grew).
+    """
+    total, sign = 0.0, -1.0
+    for i in range(states.shape[0]):
+        total += 0.0 * (dx[i, 0] + dx[i, 1] + du[i, 0] + du[i, 1])
+    if total != 0.0:
+        return t, NOWHERE, previous, False
+    if contact >= 0:
+        # The contact has to go on into its new state, whichever way that makes t go.
+        x_n, x_t, u_n, u_t = dx[contact, 0], dx[contact, 1], du[contact, 0], du[contact, 1]
+        sign = 1.0 if slack(states[contact], previous, friction[contact], x_n, x_t, u_n, u_t) > 0.0 else -1.0
+    length, contact, new = first_change(states, friction, x, u, dx, du, sign)
+    if sign < 0.0 and length >= t:
+        x -= t * dx
+        return 0.0, AT_END, previous, False
+    if contact < 0:
+        return t, NOWHERE, previous, sign > 0.0
+    step = sign * length
+    x += step * dx
+    u += step * du
+    previous = states[contact]
+    states[contact] = new if previous != OPEN else SLIP_UP if u[contact, 1] < 0.0 else SLIP_DOWN
+    return t + step, contact, previous, sign > 0.0
+
+
 @njit(cache=True)
 def _side(state):
     """The sign of λ_t / μ λ_n where the contact slips, otherwise 0."""
@@ -331,10 +364,11 @@ def _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx
 def rates_by_bodies(problem: ContactProblem, bodies: Bodies) -> Callable:
     """How λ and u change as t grows, in the space of velocities: see `follow`."""
     inverse, diagonal, friction = make_inverse(bodies), problem.A.diagonal().reshape(-1, 2), problem.friction
-    dv, dx, du = np.empty((bodies.pattern.place.size + 1, 3)), np.empty(diagonal.shape), np.empty(diagonal.shape)
+    dv, (dx, du, weight) = np.empty((bodies.pattern.place.size + 1, 3)), np.empty((3, *diagonal.shape))
 
     def rates(epsilon: float, states: np.ndarray, q: np.ndarray, contact: int):
-        weight = 1.0 / (epsilon * diagonal)
+        if contact < 0:
+            weight[:] = 1.0 / (epsilon * diagonal)
         return dx, du, _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx, du)
 
     return rates
@@ -376,23 +410,13 @@ def follow(rates: Callable, friction, epsilon: float, states, x, u, q, limit: in
     (m, 2) each, not finite where they are unknown, and its factorisations. states, λ and u, changed in place, belong to
     t = 1. Returns (λ, or None where the path is given up, pivots, factorisations).
     """
-    t, sign, contact, previous, pivots, turns, factorizations = 1.0, -1.0, -1, OPEN, 0, 0, 0
+    t, contact, previous, pivots, turns, factorizations = 1.0, -1, OPEN, 0, 0, 0
     while True:
         dx, du, factorized = rates(epsilon, states, q, contact)
         factorizations += factorized
-        if not (np.isfinite(dx).all() and np.isfinite(du).all()):
-            return None, pivots, factorizations
-        if pivots > 0:
-            # The contact has to go on into its new state, whichever way that makes t go.
-            growth = slack(states[contact], previous, friction[contact], *dx[contact], *du[contact])
-            sign = 1.0 if growth > 0.0 else -1.0
-            turns += sign > 0.0
-        length, contact, new = first_change(states, friction, x, u, dx, du, sign)
-        if sign < 0.0 and length >= t:
-            return x - t * dx, pivots, factorizations
-        if contact < 0 or pivots + factorizations > limit or turns > MOST_TURNS:
-            return None, pivots, factorizations
-        x += sign * length * dx
-        u += sign * length * du
-        t, pivots, previous = t + sign * length, pivots + 1, states[contact]
-        states[contact] = new if previous != OPEN else SLIP_UP if u[contact, 1] < 0.0 else SLIP_DOWN
+        t, contact, previous, grows = _next_pivot(states, friction, x, u, dx, du, t, contact, previous)
+        turns += grows
+        if contact >= 0 and pivots + factorizations <= limit and turns <= MOST_TURNS:
+            pivots += 1
+        else:
+            return x if contact == AT_END else None, pivots, factorizations
