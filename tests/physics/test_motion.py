@@ -11,7 +11,7 @@ from deep_contact.physics.collision import make_cells
 from deep_contact.physics.engine import step_input
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.segments import segments_of
-from deep_contact.physics.substeps import parts_of
+from deep_contact.physics.substeps import parts_of, shift_flights
 from deep_contact.simulation import ready
 from deep_contact.studies.extremes import mechanical_energy
 
@@ -128,3 +128,11 @@ def test_bounces_by_motion_keep_their_energy_and_their_bits(solver):
     assert energy[1] == pytest.approx(energy[0], rel=0.01)
     watched = dc.simulate(scene, steps=600, solver=motion, on_step=lambda state, record: None)
     np.testing.assert_array_equal(watched.state.bodies.velocity, run.state.bodies.velocity)
+
+
+def test_a_change_of_the_step_shifts_only_what_touches_nothing():
+    # v(t − Δt / 2) of the leapfrog: half of g times the change, but for two circles in contact and one on the floor.
+    bodies = dc.make_bodies([[2.0, 5.0], [4.0, 5.0], [8.0, 1.0], [6.0, 8.0]], velocity=np.ones((4, 2)))
+    state = ready(dc.State(name="four", world=dc.World(box=(0, 0, 10, 10)), bodies=bodies))
+    shift_flights(bodies, state.contacts, (2.0, -10.0), 0.01)
+    np.testing.assert_allclose(bodies.velocity, [[1, 1], [1, 1], [1, 1], [1.01, 0.95]], rtol=1e-15)

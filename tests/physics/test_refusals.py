@@ -76,6 +76,7 @@ REFUSED = [
     (dc.circles_in_box, {"restitution": 1.5}, "restitution: expected a number from 0 to 1, got 1.5"),
     (dc.circles_in_box, {"gravity": (0, math.nan)}, "gravity: expected two finite numbers"),
     (dc.circles_in_box, {"n_bodies": 50, "size": 5.0}, r"got 50; \d+ fitted in a box of 5 x 5 m"),
+    (dc.column, {"n_bodies": 0}, "n_bodies: expected an integer >= 1, got 0"),
     (dc.column, {"width": 1.0}, "width: expected a finite number >= the diameter"),
     (dc.two_bodies, {"offset": 3.0}, "offset: expected less than the sum of the radii"),
     (dc.drum, {"gravity": (0.0, 0.0)}, r"froude: expected 0 without gravity, which it is measured by, got 0\.05"),

@@ -39,6 +39,9 @@ def test_every_contact_has_one_place_of_its_own(pile):
     tiles = plan.count[batches.TILES]
     assert plan.place[:m].min() >= 0
     np.testing.assert_array_equal(np.bincount(plan.place[:m] // 8, minlength=tiles), plan.used[:tiles])
+    of_two = (body[: 2 * batches.BLOCK] for body in pile.contacts[:2])
+    two = batches.plan_batches(*of_two, pile.bodies.count, batches.make_plan(pile.bodies.count, m))
+    assert two.count[batches.BLOCKS] == 2  # full ones: no empty block after them
 
 
 def test_a_plan_holds_as_long_as_the_pairs_are_the_same(pile):
