@@ -40,9 +40,8 @@ from deep_contact.physics.proximal_path import (
     SLIP_UP,
     STICK,
     bodies_of,
-    follow,
-    rates_by_bodies,
-    rates_by_matrices,
+    path_by_bodies,
+    path_by_matrices,
 )
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.state import LARGEST_START, State, check_limits, check_state
@@ -152,18 +151,18 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
     wrong = least
     epsilon, factorizations, pivots, idle, restarts = FIRST_EPSILON, 0, 0, 0, 0
     bodies = None if least <= residual else bodies_of(problem)
-    rates, least_epsilon = rates_by_matrices(problem), LEAST_OF_MATRICES
+    path, least_epsilon = path_by_matrices(problem), LEAST_OF_MATRICES
     if bodies is not None:
-        rates, least_epsilon = rates_by_bodies(problem, bodies), LEAST_EPSILON
+        path, least_epsilon = path_by_bodies(problem, bodies), LEAST_EPSILON
     while least > residual and pivots + factorizations < most_pivots:
         if restarts > MOST_RESTARTS and bodies is None:
             break
         if restarts > MOST_RESTARTS:
             # Rounding does not let it: with μ of 1e6 the matrix of the velocities has no digits left.
-            rates, least_epsilon, restarts, bodies = rates_by_matrices(problem), LEAST_OF_MATRICES, 0, None
+            path, least_epsilon, restarts, bodies = path_by_matrices(problem), LEAST_OF_MATRICES, 0, None
         limit = min(MOST_PIVOTS, most_pivots - pivots - factorizations)
         start = impulse
-        found, done, factorized = _step(rates, blocks, start, epsilon, limit)
+        found, done, factorized = _step(path, blocks, start, epsilon, limit)
         factorizations, pivots = factorizations + factorized, pivots + done
         if found is None:
             # From where it stands the path leads nowhere: a larger ε makes the next one shorter. Sweeps move on as
@@ -284,9 +283,11 @@ def _shown(blocks: Blocks, impulse):
     return states, x, u, q
 
 
-def _step(rates: Callable, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
+def _step(path: Callable, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
     """The contact problem with ε diag(A) (λ − c) added to its velocities, c being impulses in the cone, (m, 2).
 
     From c on the bounds of the states that it shows: (λ, or None where it is given up, pivots, factorisations).
     """
-    return follow(rates, blocks.mu, epsilon, *_shown(blocks, impulse), limit)
+    states, x, u, q = _shown(blocks, impulse)
+    reached, pivots, factorizations = path(epsilon, states, x, u, q, limit)
+    return x if reached else None, pivots, factorizations

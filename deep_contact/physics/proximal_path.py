@@ -130,20 +130,20 @@ def first_change(states, friction, x, u, dx, du, sign):
     return least, contact, new
 
 
-AT_END, NOWHERE = -1, -2
-"""In place of a contact that changes: t = 0 is reached before, or the path leads nowhere."""
+AT_START, AT_END, NOWHERE = -1, -2, -3
+"""In place of a contact that changes: none has yet, t = 0 is reached before, or the path leads nowhere."""
 
 
 @njit(cache=True, error_model="numpy")
 def _next_pivot(states, friction, x, u, dx, du, t, contact, previous):
-    """Go on, in place, from the change of `contact` (−1: from t = 1) to the next.
+    """Go on, in place, from the change of `contact` to the next.
 
     Returns (t, the next contact, its state before, whether t grew).
     """
     total, sign = 0.0, -1.0
     for i in range(states.shape[0]):
         total += 0.0 * (dx[i, 0] + dx[i, 1] + du[i, 0] + du[i, 1])
-    if total != 0.0:
+    if total != 0.0:  # not finite
         return t, NOWHERE, previous, False
     if contact >= 0:
         # The contact has to go on into its new state, whichever way that makes t go.
@@ -336,7 +336,7 @@ def _subtract(v, c, share):
 
 @njit(cache=True, error_model="numpy")
 def _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx, du):
-    """Fill dv, and dx and du, (m, 2), for states in which `contact` has changed; −1: for those of a new step.
+    """Fill dv, and dx and du, (m, 2), for states in which `contact` has changed, or for those of a new step.
 
     dv is that of the last call. NaN where the matrix is singular. Returns the factorisations.
     """
@@ -361,62 +361,71 @@ def _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx
     return factorizations
 
 
-def rates_by_bodies(problem: ContactProblem, bodies: Bodies) -> Callable:
-    """How λ and u change as t grows, in the space of velocities: see `follow`."""
-    inverse, diagonal, friction = make_inverse(bodies), problem.A.diagonal().reshape(-1, 2), problem.friction
-    dv, (dx, du, weight) = np.empty((bodies.pattern.place.size + 1, 3)), np.empty((3, *diagonal.shape))
+@njit(cache=True, error_model="numpy")
+def _follow(bodies, weight, epsilon, friction, states, x, u, q, limit, inverse):
+    """`path_by_bodies`: one loop, since a call of Python a pivot would take as long as the pivot where m is small."""
+    t, contact, previous, pivots, turns, factorizations = 1.0, AT_START, OPEN, 0, 0, 0
+    dv, dx, du = np.empty((bodies.pattern.place.shape[0] + 1, 3)), np.empty_like(x), np.empty_like(x)
+    while True:
+        factorizations += _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx, du)
+        t, contact, previous, grows = _next_pivot(states, friction, x, u, dx, du, t, contact, previous)
+        turns += grows
+        if contact < 0 or pivots + factorizations > limit or turns > MOST_TURNS:
+            return contact == AT_END, pivots, factorizations
+        pivots += 1
 
-    def rates(epsilon: float, states: np.ndarray, q: np.ndarray, contact: int):
-        if contact < 0:
-            weight[:] = 1.0 / (epsilon * diagonal)
-        return dx, du, _turn(bodies, weight, epsilon, friction, states, contact, q, inverse, dv, dx, du)
 
-    return rates
+def path_by_bodies(problem: ContactProblem, bodies: Bodies) -> Callable:
+    """The path of a problem by bodies.
+
+    A path is a function (ε, states, λ, u, q, limit) -> (whether it ends at t = 0, pivots, factorisations). It withdraws
+    the shift q of the velocities, t q from t = 1 to 0. States, λ and u belong to t = 1 and are changed in place. It is
+    given up after `limit` pivots and factorisations.
+    """
+    inverse, diagonal = make_inverse(bodies), problem.A.diagonal().reshape(-1, 2)
+
+    def path(epsilon: float, states, x, u, q, limit: int):
+        weight = 1.0 / (epsilon * diagonal)
+        return _follow(bodies, weight, epsilon, problem.friction, states, x, u, q, limit, inverse)
+
+    return path
 
 
-def rates_by_matrices(problem: ContactProblem) -> Callable:
-    """The same for a problem without bodies, by the equations of its impulses.
+def path_by_matrices(problem: ContactProblem) -> Callable:
+    """The path (`path_by_bodies`) of a problem without bodies, by the equations of its impulses."""
+
+    def path(epsilon: float, states, x, u, q, limit: int):
+        t, contact, previous, pivots, turns = 1.0, AT_START, OPEN, 0, 0
+        while True:
+            dx, du = _rates_by_matrices(problem, epsilon, states, q)
+            t, contact, previous, grows = _next_pivot(states, problem.friction, x, u, dx, du, t, contact, previous)
+            turns += grows
+            if contact < 0 or pivots + 1 > limit or turns > MOST_TURNS:
+                return contact == AT_END, pivots, 1
+            pivots += 1
+
+    return path
+
+
+def _rates_by_matrices(problem: ContactProblem, epsilon: float, states: np.ndarray, q: np.ndarray):
+    """dλ / dt and du / dt, (m, 2) each; NaN where the equations are singular.
 
     A dλ = −q in the rows where u stays 0, and λ on its bounds, scaled by the diagonal of A, in the others: so all rows
     are of one size whatever the masses.
     """
-    friction, diagonal = problem.friction, problem.A.diagonal()
-
-    def rates(epsilon: float, states: np.ndarray, q: np.ndarray, contact: int):
-        A = problem.A + sparse.diags_array(epsilon * diagonal, format="csr")
-        still = np.column_stack([states != OPEN, states == STICK]).ravel()
-        slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
-        ratio = np.where(states[slips // 2] == SLIP_UP, -1.0, 1.0) * friction[slips // 2]
-        scale = A.diagonal()
-        edges = sparse.coo_array((ratio * scale[slips], (slips, slips - 1)), shape=A.shape)
-        bounds = sparse.diags_array(np.where(still, 0.0, scale))
-        B = sparse.csr_array(sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges)
-        dx = np.full(q.size, np.nan)
-        try:
-            # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
-            factors = splu(B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
-            dx = factors.solve(np.where(still, -q.ravel(), 0.0), trans="T")
-        except RuntimeError:
-            pass  # it is singular
-        return dx.reshape(-1, 2), (A @ dx).reshape(-1, 2) + q, int(contact < 0)
-
-    return rates
-
-
-def follow(rates: Callable, friction, epsilon: float, states, x, u, q, limit: int):
-    """Withdraw the shift q of the velocities, t q from t = 1 to 0, along the path.
-
-    rates: function (ε, states, q, the contact that has changed since the last call or −1) -> dλ / dt and du / dt,
-    (m, 2) each, not finite where they are unknown, and its factorisations. states, λ and u, changed in place, belong to
-    t = 1. Returns (λ, or None where the path is given up, pivots, factorisations).
-    """
-    t, contact, previous, pivots, turns, factorizations = 1.0, -1, OPEN, 0, 0, 0
-    while True:
-        dx, du, factorized = rates(epsilon, states, q, contact)
-        factorizations += factorized
-        t, contact, previous, grows = _next_pivot(states, friction, x, u, dx, du, t, contact, previous)
-        turns += grows
-        if contact >= 0 and pivots + factorizations <= limit and turns <= MOST_TURNS:
-            pivots += 1
-        else:
-            return x if contact == AT_END else None, pivots, factorizations
+    A = problem.A + sparse.diags_array(epsilon * problem.A.diagonal(), format="csr")
+    still = np.column_stack([states != OPEN, states == STICK]).ravel()
+    slips = 2 * np.flatnonzero(states >= SLIP_UP) + 1
+    ratio = np.where(states[slips // 2] == SLIP_UP, -1.0, 1.0) * problem.friction[slips // 2]
+    scale = A.diagonal()
+    edges = sparse.coo_array((ratio * scale[slips], (slips, slips - 1)), shape=A.shape)
+    bounds = sparse.diags_array(np.where(still, 0.0, scale))
+    B = sparse.csr_array(sparse.diags_array(still.astype(np.float64)) @ A + bounds + edges)
+    dx = np.full(q.size, np.nan)
+    try:
+        # The rows of B as columns: pivots are chosen within one row, whose entries are of one kind.
+        factors = splu(B.T, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=1e-3, options={"SymmetricMode": True})
+        dx = factors.solve(np.where(still, -q.ravel(), 0.0), trans="T")
+    except RuntimeError:
+        pass  # it is singular
+    return dx.reshape(-1, 2), (A @ dx).reshape(-1, 2) + q
