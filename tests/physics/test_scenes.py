@@ -46,6 +46,16 @@ def test_column_touches_and_stands():
     np.testing.assert_allclose(bodies.position[:, 0], 15.0, atol=1e-9)
 
 
+def test_a_drum_of_few_sides_holds_the_lattice_of_mixed_radii():
+    scene = dc.drum(200, sides=8, filling=0.45, radius=(0.3, 1.5), seed=2)
+    ends = np.reshape(scene.world.segments, (8, 2, 2))
+    middle = np.array(scene.world.box[2:]) / 2
+    outwards = ends.mean(axis=1) - middle
+    apothem = np.hypot(*outwards.T)
+    out = (scene.bodies.position - middle) @ (outwards / apothem[:, None]).T + scene.bodies.radius[:, None]
+    assert (out <= apothem).all()
+
+
 def test_bench_disks_are_siconos_s():
     scene = dc.bench_disks(4)
     assert scene.bodies.count == 16
