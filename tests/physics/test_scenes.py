@@ -47,8 +47,8 @@ def test_column_touches_and_stands():
 
 
 def test_a_drum_of_few_sides_holds_the_lattice_of_mixed_radii():
-    scene = dc.drum(200, sides=8, filling=0.45, radius=(0.3, 1.5), seed=2)
-    ends = np.reshape(scene.world.segments, (8, 2, 2))
+    scene = dc.drum(4000, sides=12, filling=0.45, radius=(0.01, 1.0), seed=2)
+    ends = np.reshape(scene.world.segments, (12, 2, 2))  # one faces a corner of the lattice
     middle = np.array(scene.world.box[2:]) / 2
     outwards = ends.mean(axis=1) - middle
     apothem = np.hypot(*outwards.T)
