@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.segments import END, START, time_to_touch, touches
+from deep_contact.physics.segments import END, START, hold_beside, segments_of, time_to_touch, touches
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World, make_bodies
 
@@ -223,6 +223,13 @@ def test_nothing_passes_through_a_segment(seed, speed, name, dt):
     positions = dc.simulate(state, steps=40, solver=METHODS[name](), record=1).trajectory.positions
     for before, after in zip(positions, positions[1:]):
         assert side_changes(before, after, state.world.segments) == 0
+
+
+def test_what_has_crossed_a_segment_is_put_half_way_to_it():
+    # From (4, 7) to (6, 3) it crosses y = 5 at (5, 5).
+    state = scene([[6.0, 3.0], [30.0, 3.0]], ((0, 5), (10, 5)))
+    hold_beside(state.bodies, np.array([[4.0, 7.0], [30.0, 7.0]]), segments_of(state.world))
+    np.testing.assert_allclose(state.bodies.position, [[4.5, 6.0], [30.0, 3.0]], rtol=1e-15)
 
 
 def test_a_crowd_pressed_against_a_segment_stays_on_its_side():
