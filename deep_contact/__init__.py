@@ -1,6 +1,6 @@
 """Deep Contact: rigid circles, contact solvers, and how much these gain from a learned start.
 
-A name is imported when it is first used (`lazy`), so a job that predicts nothing never loads TensorFlow.
+A name is imported when it is first used (`io.lazy`), so a job that predicts nothing never loads TensorFlow.
 """
 
 from __future__ import annotations
@@ -8,7 +8,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from deep_contact.constants import VERSION as __version__
-from deep_contact.lazy import attach
+from deep_contact.io.lazy import attach
 
 # ruff: noqa: F401
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from mkdocs.structure.files import File
 from PIL import Image
 
 import deep_contact
-from deep_contact import lazy
+from deep_contact.io import lazy
 
 ROOT = Path(__file__).resolve().parent.parent
 GALLERY = ROOT / "docs" / "gallery"
