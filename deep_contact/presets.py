@@ -287,9 +287,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: M
         options = dict(setting["options"])
         start = options.pop("start", "builtin")
         solver = solver_from(options.pop("method"), options)
-        if k > 1:
-            most = solver.most_substeps and k * solver.most_substeps
-            solver = replace(solver, substeps=k, most_substeps=most)
+        solver = replace(solver, substeps=k, most_substeps=solver.most_substeps and k * solver.most_substeps)
         candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
     return candidates if stiff is None else [_stiff_candidate(stiff, candidates)]
 
