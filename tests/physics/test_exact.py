@@ -115,9 +115,9 @@ def proximal_step(problem, kind):
     problem = check_problem(problem if kind == "bodies" else bare(problem))
     bodies = proximal_path.bodies_of(problem)
     assert (bodies is None) == (kind == "matrices")
-    path = proximal_path
-    rates = path.rates_by_matrices(problem) if bodies is None else path.rates_by_bodies(problem, bodies)
-    return partial(exact._step, rates, blocks_of(problem))
+    by_matrices, by_bodies = proximal_path.path_by_matrices, proximal_path.path_by_bodies
+    path = by_matrices(problem) if bodies is None else by_bodies(problem, bodies)
+    return partial(exact._step, path, blocks_of(problem))
 
 
 @pytest.mark.parametrize("friction", [0.5, 0.0])
