@@ -82,6 +82,9 @@ def test_what_stops_early_keeps_the_energy_of_its_height(speed):
     take_back_fall(velocity, time, (0.0, -g))
     assert velocity[0] == 3.0
     assert velocity[1] == pytest.approx(math.copysign(math.sqrt(speed**2 + 2 * g * time * speed), speed), rel=1e-14)
+    turned = np.array([0.8 * 3.0 - 0.6 * speed, 0.6 * 3.0 + 0.8 * speed])
+    take_back_fall(turned, time, (0.6 * g, -0.8 * g))
+    np.testing.assert_allclose(turned, [0.8 * 3.0 - 0.6 * velocity[1], 0.6 * 3.0 + 0.8 * velocity[1]], rtol=1e-14)
 
 
 def test_angular_momentum_changes_by_position_correction_alone():
