@@ -156,6 +156,12 @@ def test_a_budget_buys_the_most_accurate_setting(study):
         dc.recommend(scene, budget_ms=0.001)
 
 
+def test_an_error_as_large_as_its_tolerance_keeps_it(monkeypatch):
+    exact = entry("exact", 0.01, 20.0, 1.0, method="PGS", sweeps=9, tolerance=None)
+    monkeypatch.setattr(presets, "installed", lambda: TABLE | {"settings": [exact]})
+    assert dc.recommend(dc.circles_in_box(100), budget_ms=1).accuracy == "fast"
+
+
 def test_times_follow_the_number_of_circles_by_powers():
     assert presets._us_at(1000, {100: 10.0, 1000: 100.0}) == pytest.approx(100)
     assert presets._us_at(316, {100: 10.0, 1000: 100.0}) == pytest.approx(31.6)

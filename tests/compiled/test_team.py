@@ -107,6 +107,13 @@ def test_without_the_compiler_there_is_one_thread(monkeypatch):
     assert team_size(4, 10**6, 1500) == 1
 
 
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system has no affinity")
+def test_cores_are_those_that_the_process_may_use(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: {0})
+    monkeypatch.setattr(os, "cpu_count", lambda: 8)
+    assert teams.cores() == 1
+
+
 @needs_threads
 def test_a_team_has_as_many_threads_as_pay(monkeypatch):
     monkeypatch.setattr(teams, "cores", lambda: 4)
