@@ -164,7 +164,7 @@ def noticed() -> list[list]:
         return [f"mutants of {text}", record["tried"], record["killed"], explained]
 
     return [
-        ["tried", "how many", "found", "change nothing"],
+        ["tried", "how many", "found", "explained"],
         mutants("`physics/` and `sph/`", "mutants"),
         mutants("modules that the first sample hardly met", "mutants_late"),
         *(

@@ -68,7 +68,10 @@ def _printed_by_csparse(lines: list[str], rows: int) -> tuple[sparse.coo_array, 
             columns += 1
         elif match := _ENTRY.match(line):
             expect(int(match[1]) < rows, f"line {end + 1}: expected a row from 0 to {rows - 1}, got {match[1]}")
-            entries.append((int(match[1]), columns - 1, float(match[2])))
+            try:
+                entries.append((int(match[1]), columns - 1, float(match[2])))
+            except ValueError:
+                raise ValueError(f"line {end + 1}: expected 'row : value', got {line[:60]!r}") from None
         else:
             break
     height, width, count = map(int, sizes.groups())

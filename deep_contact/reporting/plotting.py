@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.io.files import replacing
-from deep_contact.validation import one_of
+from deep_contact.validation import expect, number, one_of
 
 DPI = 150
 """Dots per inch of every picture."""
@@ -416,12 +416,13 @@ def animate(
     """Write states, one frame each, as a GIF, and as an MP4 beside it if matplotlib finds ffmpeg. Returns the paths.
 
     path: of the GIF. draw: `draw(axes, state)`, with an axes for each panel, empty. panels: their widths, side by side,
-    in heights. fps: frames a second. size: height of a frame, inches.
+    in heights. fps: frames a second. size: height of a frame, inches. Raises ValueError for no states or a bad fps.
     """
     from matplotlib import animation
     from matplotlib.figure import Figure
 
-    states, path = list(states), Path(path).with_suffix(".gif")
+    states, path, fps = list(states), Path(path).with_suffix(".gif"), number("fps", fps, above=0)
+    expect(states, "states: expected at least one, got none")
     path.parent.mkdir(parents=True, exist_ok=True)
     writers = {path: animation.PillowWriter(fps=fps)}
     if animation.writers.is_available("ffmpeg"):

@@ -57,7 +57,7 @@ def test_sparse_and_dense_problems_are_read(tmp_path, zipped):
         ("nnz: 6", "nnz: 99999999", "W: .* with 99999999 entries, got 4 and 4, 4 columns with 6"),
         ("col 1", "col 2", "line 11: expected column 1, got"),
         ("1 : 3", "1 3", "W: .* got 4 and 4, 2 columns with 2 entries"),
-        ("1 : 3", "1 : x", "could not convert string to float: 'x'"),
+        ("1 : 3", "1 : x", "line 12: expected 'row : value', got '.*1 : x'"),
         ("    col 0 : locations 0 to 1\n", "", "line 10: expected column 0"),
         ("1 : 3", "4 : 3", "line 12: expected a row from 0 to 3, got 4"),
         ("1 : 3", "1 : nan", "A: expected finite entries, got nan"),

@@ -470,5 +470,8 @@ def test_an_mp4_is_written_where_ffmpeg_is_found(tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(fake.parent), prepend=os.pathsep)
     film = {"draw": lambda axes, state: plotting.draw_state(axes[0], state), "panels": [1.0], "size": 2.0}
     written = plotting.animate([three_circles()] * 2, tmp_path / "pile.gif", **film)
+    for states, fps, field in (([], 5, "states"), ([three_circles()], 0, "fps")):
+        with pytest.raises(ValueError, match=f"{field}: expected"):
+            plotting.animate(states, tmp_path / "none.gif", fps=fps, **film)
     assert [path.name for path in written] == ["pile.gif", "pile.mp4"]
     assert (tmp_path / "pile.mp4").stat().st_size == 2 * 160 * 160 * 4

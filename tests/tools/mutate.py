@@ -187,6 +187,8 @@ def main() -> None:
         for found in progress_bar(mapped, total=len(files), text="lines of tests"):
             for place, seconds in found.items():
                 of_lines[place] |= seconds
+        if not of_lines:
+            raise SystemExit("expected tests that pass without the compiler, got none")
         waiting = [name for name in mutants if name not in done]
         tried = pool.map(partial(in_free_folder, try_one), waiting)
         for name, entry in progress_bar(tried, total=len(waiting), text="mutants"):
