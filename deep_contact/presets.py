@@ -8,11 +8,12 @@ A setting's time step is that of circles of r = 1 m under g = 9.81 m/s²; for ot
 step that a user gives is divided into substeps where it is longer. Most settings divide it further where something is
 about to hit (`physics.substeps`), and have a slop of their own.
 
-The study has no scenes that a few sweeps cannot solve: a sweep carries information one contact further, and a light
-circle under a heavy load gives way, so Projected Gauss-Seidel needs sweeps in proportion to height times load.
+The study has piles of two densities, to 1 : 100, but no scenes that a few sweeps cannot solve: a sweep carries
+information one contact further, so in a column Projected Gauss-Seidel needs sweeps in proportion to height times load.
 `stiffness` recognises such scenes and takes conjugate gradients to a tolerance that the lightest circle can feel, in
-substeps, which a ratio of masses of 1e8 needs (Figure 6.6). A high pyramid creeps apart at one step of 10 ms however
-well it is solved, since the next solve does not expect what position correction moves: it gets substeps of two sweeps.
+substeps, which a ratio of masses of 1e8 needs (Figure 6.6); a run says so, with the price. A high pyramid creeps apart
+at one step of 10 ms however well it is solved, since the next solve does not expect what position correction moves: it
+gets substeps of two sweeps.
 """
 
 from __future__ import annotations
@@ -20,7 +21,6 @@ from __future__ import annotations
 import functools
 import json
 import math
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -73,10 +73,21 @@ FASTEST = 10.0
 """Speed of circles, in √(g r), up to which the study's time steps hold; faster ones get shorter steps."""
 
 MASS_RATIO, LOAD = 100.0, 250.0
-"""Largest ratio of masses that is left to the study's settings, and largest height in circles times load (`_load`)."""
+"""Largest ratio of masses that is left to the study's settings, and the largest height of a column, in circles, times
+its load (`_load`)."""
 
-SLENDER = 8.0
-"""A column is so many times as high as it is wide. In wider piles the study has the load of equal densities."""
+SLENDER, NARROW = 8.0, 2.0
+"""A column is so many times as high as it is wide, or narrower than so many circles."""
+
+DENSITIES = {"densities": (2, 10, 100), "heavy on light": (10, 100), "light on heavy": (10,)}
+"""Ratios of two densities that the study has, mixed and in layers."""
+
+LAYERED = 0.25
+"""Difference of the mean heights of dense and light circles, in the height of all, from which they count as layers."""
+
+SPREAD, DENSE = 2.5, 0.5
+"""A dam that breaks is so many times as high as its circles would lie if they filled the width of the box, and they
+cover at least the second of the rectangle around them."""
 
 HEAP, FILLED, TOUCHING = 50.0, 0.75, 1.5
 """A heap is more circles high than the first, fills less than the second of the rectangle around it (a pyramid half),
@@ -167,26 +178,36 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     return _recommendation(scene, kept[-1] if kept else "preview", best, candidates, study)
 
 
-def solver_and_start(scene: State, accuracy: str | None, *, sleep: bool = False) -> tuple[object, str]:
-    """What `simulate(accuracy=…)` takes: (solver, name of the start); without a name, those of "fast".
+class Decision(NamedTuple):
+    """What `simulate(accuracy=…)` takes for a scene: a solver, the name of a start, what a step of the scene's Δt costs
+    on the study's processor, μs (at most, for what is solved to a tolerance), and what a run warns of."""
 
-    sleep: only solvers that can put circles to sleep. Raises ValueError on another name, and warns where no setting of
-    the study keeps the preset that was asked for.
+    solver: object
+    start: str
+    us: float
+    warnings: tuple[str, ...]
+
+
+def decide(scene: State, accuracy: str | None, *, sleep: bool = False) -> Decision:
+    """What a preset takes; without a name, what "fast" takes. Raises ValueError on another name.
+
+    sleep: only solvers that can put circles to sleep. That no setting of the study keeps a preset is a warning only
+    where it was asked for by name.
     """
     name, n = one_of("accuracy", accuracy or "fast", PRESETS), scene.bodies.count
     substeps = _substeps(scene, installed())
     stiff = stiffness(scene, substeps[TIME_STEP])
     best = _chosen(name, sleep, n, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver)
     sentences = _too_long(scene, best["dt"])
-    if accuracy is not None:
-        if _excess(best, name) > 1:
-            sentences.append(
-                f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
-                f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
-            )
-    for sentence in sentences:
-        warnings.warn(f"accuracy={name!r}: {sentence}", PresetWarning, stacklevel=5)
-    return best["solver"], best["start"]
+    if stiff and stiff.solver.tolerance is not None:
+        price = f"up to {best['us'] / 1e3:.3g} ms a step of {scene.dt:g} s"
+        sentences.append(f"{stiff.why}: solved to a tolerance, which takes {price}")
+    if accuracy is not None and _excess(best, name) > 1:
+        sentences.append(
+            f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
+            f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
+        )
+    return Decision(best["solver"], best["start"], best["us"], tuple(f"accuracy={name!r}: {one}" for one in sentences))
 
 
 @functools.lru_cache(256)
@@ -229,12 +250,16 @@ def _parts(ratio: float) -> int:
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
+def keeping(candidates: list[dict], accuracy: str, *, margin: bool = True) -> list[dict]:
+    """Those that keep a preset: where there are any, and with `margin`, those that keep it by `_MARGIN`."""
+    shares = (_MARGIN, 1.0) if margin else (1.0,)
+    return next(filter(None, ([one for one in candidates if _excess(one, accuracy) <= most] for most in shares)), [])
+
+
 def _cheapest(candidates: list[dict], accuracy: str) -> dict:
-    """The cheapest that keeps the preset by `_MARGIN`, or at all; otherwise the one that comes nearest."""
-    for most in (_MARGIN, 1.0):
-        keeping = [one for one in candidates if _excess(one, accuracy) <= most]
-        if keeping:
-            return min(keeping, key=lambda one: one["us"])
+    """The cheapest that keeps the preset; otherwise the one that comes nearest."""
+    if kept := keeping(candidates, accuracy):
+        return min(kept, key=lambda one: one["us"])
     return min(candidates, key=lambda one: (_excess(one, accuracy), one["us"]))
 
 
@@ -325,6 +350,9 @@ def kinds_of(scene: State) -> list[str]:
     if not any(world.gravity):
         return ["gas"]
     kinds = ["drum"] if any(world.surface_speeds) else []
+    kinds += _of_densities(scene)
+    if _is_dam(scene):
+        kinds.append("dam break")
     if world.friction < FRICTION:
         kinds.append("no friction")
     if 0 < world.restitution < 0.8:
@@ -334,6 +362,34 @@ def kinds_of(scene: State) -> list[str]:
     if scene.bodies.count and radius.max() > 1.05 * radius.min():
         return [*kinds, "mixed radii"]
     return [*kinds, "plain"] if world.friction > 0 and world.restitution < 0.3 else kinds
+
+
+def _of_densities(scene: State) -> list[str]:
+    """The study's kinds of two densities that a scene is like: the next larger ratio, mixed, and layered if it is."""
+    if scene.bodies.count < 2:
+        return []
+    density = scene.bodies.mass / scene.bodies.radius**2
+    ratio = float(density.max() / density.min())
+    if ratio <= 1.001:
+        return []
+    up, dense = _up_and_across(scene)[0], density > math.sqrt(float(density.max() * density.min()))
+    apart = float(up[dense].mean() - up[~dense].mean()) / (float(np.ptp(up)) or 1.0)
+    names = ["densities"]
+    if abs(apart) > LAYERED:
+        names.append("heavy on light" if apart > 0 else "light on heavy")
+    studied = ((name, next((r for r in DENSITIES[name] if ratio <= 1.001 * r), DENSITIES[name][-1])) for name in names)
+    return [f"{name} 1 : {most}" for name, most in studied]
+
+
+def _is_dam(scene: State) -> bool:
+    """Whether circles stand so much higher than they could lie that they will flow apart."""
+    bodies, (left, _, right, _) = scene.bodies, scene.world.box
+    if bodies.count < 2:
+        return False
+    up, across = np.ptp(_up_and_across(scene), axis=1) + 2.0 * mean(bodies.radius)
+    squares = float((bodies.radius**2).sum())
+    lying = max(2.0 * math.sqrt(3.0) * squares / (right - left), 2.0 * mean(bodies.radius))
+    return bool(up > SPREAD * lying and math.pi * squares > DENSE * up * across)
 
 
 def _us_at(n: int, times: Mapping[int, float]) -> float:
@@ -359,8 +415,8 @@ def outside(scene: State, study: Mapping) -> list[str]:
         sentences.append(f"{bodies.count:,} circles of the kind {kinds}; it has none of about this size")
     if radius.max() > 3.001 * radius.min():
         sentences.append(f"radii that differ {radius.max() / radius.min():.3g} times; it has up to 3")
-    if mass.max() > 1.001 * mass.min():
-        sentences.append(f"densities that differ {mass.max() / mass.min():.3g} times; it has equal ones")
+    if mass.max() > 1.001 * DENSITIES["densities"][-1] * mass.min():
+        sentences.append(f"densities that differ {mass.max() / mass.min():.3g} times; it has up to 100")
     if world.friction > 0.5:
         sentences.append(f"friction {world.friction:g}; it has 0 and 0.5")
     if world.restitution > 0.8:
@@ -404,11 +460,10 @@ def stiffness(scene: State, substeps: int = 1) -> Stiffness | None:
     if bodies.count < 2:
         return None
     ratio = float(bodies.mass.max() / bodies.mass.min())
-    if ratio > MASS_RATIO:
+    if ratio > 1.001 * MASS_RATIO:
         return Stiffness(f"masses differ {ratio:.3g} times", _to_tolerance(scene, substeps))
     high, wide = _height_and_width(scene)
-    load = _load(scene, column=high > SLENDER * wide)
-    if high * load > LOAD:
+    if (high > SLENDER * wide or wide < NARROW) and (high * (load := _load(scene)) > LOAD):
         why = f"{load:.0f} times its own mass lies on a circle, {high:.0f} circles high"
         return Stiffness(why, _to_tolerance(scene, substeps))
     if not _is_heap(scene, high, wide):
@@ -439,27 +494,18 @@ def _height_and_width(scene: State) -> tuple[float, float]:
     return min(float(high), scene.bodies.count), float(wide)  # what falls from far above is no column
 
 
-def _load(scene: State, *, column: bool) -> float:
-    """The most mass that lies above a circle, over its own. In a pile that is no column: what it is more than there
-    would be with equal densities, which the study has.
+def _load(scene: State) -> float:
+    """The most mass that lies above a circle, over its own.
 
     What lies above is counted in strips as wide as the largest circle; a circle takes the share of its width.
     """
     bodies, (up, across) = scene.bodies, _up_and_across(scene)
-    density = bodies.mass / bodies.radius**2
-    if not column and density.max() <= 1.001 * density.min():
-        return 0.0
     widest = float(bodies.radius.max())
     strip = np.floor((across - across.min()) / (2.0 * widest) + 1e-9)
     order = np.lexsort((-up, strip))
     first = np.searchsorted(strip[order], strip[order])  # of the strip that each circle is in
-
-    def above(mass: np.ndarray) -> np.ndarray:
-        sums = np.concatenate([[0.0], np.cumsum(mass[order])])
-        return (sums[:-1] - sums[first]) * (bodies.radius / widest / mass)[order]
-
-    load = above(bodies.mass)
-    return float((load if column else load - above(bodies.radius**2)).max())
+    sums = np.concatenate([[0.0], np.cumsum(bodies.mass[order])])
+    return float(((sums[:-1] - sums[first]) * (bodies.radius / widest / bodies.mass)[order]).max())
 
 
 def _is_heap(scene: State, high: float, wide: float) -> bool:

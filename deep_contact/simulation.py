@@ -422,7 +422,9 @@ def _has_engine_arrays(state: State) -> bool:
     )
 
 
-def method_of(state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep: bool = False) -> tuple:
+def method_of(
+    state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep: bool = False, warn: bool = True
+) -> tuple:
     """(Solver, start) of a run from this state: those of a preset, or the given ones, or the state's solver.
 
     Without any of these the solver is that of the preset "fast". Raises ValueError where they do not fit each other.
@@ -432,7 +434,9 @@ def method_of(state: State, solver=None, start="builtin", accuracy: str | None =
     if accuracy is not None or (solver is None and state.solver is None):
         from deep_contact import presets  # which reads the study
 
-        solver, of_preset = presets.solver_and_start(state, accuracy, sleep=sleep)
+        solver, of_preset, _, sentences = presets.decide(state, accuracy, sleep=sleep)
+        for sentence in sentences if warn else ():
+            warnings.warn(sentence, presets.PresetWarning, stacklevel=4)
         start = start if accuracy is None else of_preset
     return checked_solver(solver, state), warm_start_of(start)
 

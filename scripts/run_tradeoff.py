@@ -13,17 +13,19 @@ these the numbers that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 a
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Executor
+from concurrent.futures import Executor, ProcessPoolExecutor
 from itertools import product
+from multiprocessing import get_context
 from pathlib import Path
 from types import MappingProxyType
 
 from deep_contact import parallel
 from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS, TABLE, recommend
+from deep_contact.presets import PRESETS, TABLE, keeping, recommend
 from deep_contact.reporting import figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
@@ -77,6 +79,21 @@ LARGE = [
     *settings({2: (10,), 4: (3,), (1, 8, 0.5): (6, 10), HALF: (5, 10), QUARTER: (5, 10)}, **COLOURS, **FEW),
 ]
 
+DENSE = [
+    *settings({1: (10, 20), 2: (5, 10, 20), 4: (10, 20)}, **COLOURS, **FEW),
+    *settings({(1, 8, 0.5): (10, 20), HALF: (10, 20), QUARTER: (10, 20, 40)}, **COLOURS, **FEW),
+    *settings({(1, 16, 0.25): (20,), HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
+]
+"""For circles of two densities, at every size: more sweeps in more substeps."""
+
+DENSE_SMALL = [
+    *DENSE,
+    *settings({1: (6, 10), 2: (4, 10, 20), 4: (5, 10, 20)}, **PGS, **FEW),
+    *settings({(1, 8, 0.25): (10,), HALF: (5,), QUARTER: (20,)}, method="PSOR", omega=1.5),
+    *settings({HALF: (10,)}, method="NNCG"),
+]
+"""The same, and methods that sweep contact by contact, which cost less in small piles."""
+
 LADDER = [
     *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
     *settings({8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}, **PGS),
@@ -90,29 +107,44 @@ LADDER = [
 LARGE_LADDER = settings(
     {1: (4, 6, 10, 20, 50), 2: (2, 3, 5, 10), 4: (1, 2, 3, 5, 10), 8: (1, 2, 4, 20), 32: (20,)}, **PGS
 )
+PYMUNK, BOX2D, BOX2D_V3 = {"engine": "pymunk"}, {"engine": "Box2D 2.3"}, {"engine": "Box2D v3"}
+BY_SLOP = {1: (4, 6, 10, 20, 30), 2: (2, 3, 4, 6, 10), 4: (1, 2, 3, 4), 8: (1, 2)}
+BY_POSITIONS = {1: (4, 10, 20, 30), 2: (2, 4, 6, 10), 4: (1, 2, 4), 8: (1, 2)}
+BY_STIFFNESS = {1: (1, 2, 4, 6, 8), 2: (1, 2, 4), 4: (1, 2), 8: (1,)}
 PEERS = [
-    *settings({1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)}, engine="Box2D 2.3"),
-    *settings({1: (4, 10, 30), 2: (2, 4, 10), 4: (2, 4), 8: (1, 2)}, engine="pymunk"),
-    *settings({1: (2, 4, 8), 2: (1, 2, 4), 4: (1, 2), 8: (1,)}, engine="Box2D v3"),
+    *settings(BY_SLOP, **PYMUNK),
+    *settings(BY_SLOP, **PYMUNK, slop=0.25),
+    *settings({1: (10,), 2: (4,), 4: (2,)}, **PYMUNK, bias=0.1),
+    *settings({1: (4, 10), 2: (2, 4), 4: (1, 2)}, **PYMUNK, bias=0.4),
+    *(one for most in (1, 3) for one in settings(BY_POSITIONS, **BOX2D, position_sweeps=most)),
+    *settings(BY_POSITIONS, **BOX2D),
+    *settings(BY_STIFFNESS, **BOX2D_V3),
+    *(one for hertz in (60.0, 120.0) for one in settings(BY_STIFFNESS, **BOX2D_V3, hertz=hertz)),
 ]
-FEW_PEERS = [s for s in PEERS if s["sweeps"] in (2, 4, 10) and s["dt"] > TIME_STEP / 8]
+"""Settings of other engines by iterations, Δt and their own knobs: slop and bias, position iterations, stiffness."""
+
+DEAR = ("drum", "light on heavy 1 : 10")
+"""Kinds that are not run with 10,000 circles: the drum's segments make it ten times as dear."""
 
 FULL = {
     "sizes": [100, 1000, 3000, 10_000],
     "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000", "3000")}
-    | {"10000": {kind: 6 for kind in runs.KINDS if kind != "drum"}},  # ten times as dear, by its segments
-    "peer_seeds": {"100": 12, "1000": 3, "3000": 3, "10000": 3},
+    | {"10000": {kind: 4 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS if kind not in DEAR}},
+    "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
     "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
     "seconds": 6.0,
     "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
+    "dense": {"100": DENSE_SMALL, "1000": DENSE_SMALL, "3000": DENSE, "10000": DENSE},
     "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
-    "peers": {"100": PEERS, "1000": PEERS, "3000": FEW_PEERS, "10000": FEW_PEERS},
+    "peers": {"100": PEERS, "1000": PEERS, "3000": [], "10000": []},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
-    "repeats": {"100": 5, "1000": 4, "3000": 3, "10000": 3},
+    "repeats": {"100": 4, "1000": 3, "3000": 2, "10000": 2},
+    "processes": 3,
 }
 QUICK = {
     "sizes": [100, 300],
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
+    "dense": {},
     "peer_seeds": {"100": 4, "300": 3},
     "ladder_seeds": {"100": 4, "300": 3},
     "seconds": 4.0,
@@ -121,68 +153,124 @@ QUICK = {
     "peers": {"100": PEERS[::3], "300": []},
     "steps": {"100": 50, "300": 20},
     "repeats": {"100": 3, "300": 3},
+    "processes": 1,
 }
 FUNCTIONS = {"observed": runs.observed, "times": runs.times}
 
 
-def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, list, dict]:
-    """The parts as (name, arguments): observations, the quick ones first, and times; and the known rows that stay.
+def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, dict]:
+    """The observations as (name, arguments), the quick ones first, and the known rows that stay.
 
     known: rows by (kind, n_bodies, name), whose errors need no observation; those of fewer seeds are left out of it.
     """
-    seen, timed, kept = [], [], {}
+    seen, kept = [], {}
+
+    def is_known(kind, n, name, wanted):
+        row = known.get((kind, n, name))
+        return row is not None and row["errors"] is not None and row["seeds"] >= wanted
+
     for n in options["sizes"]:
         ours, rivals, on_plain = (options[name].get(str(n), []) for name in ("settings", "peers", "ladders"))
         for kind, count in options["seeds"][str(n)].items():
-            cases = [(setting, count) for setting in (*ours, runs.REFERENCE)]
+            more = options["dense"][str(n)] if kind in runs.DENSE_KINDS else []
+            cases = [(setting, count) for setting in (*ours, *more, runs.REFERENCE)]
             if kind == "plain":
                 cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in on_plain]
                 cases += [(setting, options["peer_seeds"][str(n)]) for setting in rivals]
             # Of a name that is there twice, the first has the most seeds.
             by_name = {runs.name_of(setting): (setting, wanted) for setting, wanted in reversed(cases)}
+            stays = {name for name, (_, wanted) in by_name.items() if is_known(kind, n, name, wanted)}
+            if stays == by_name.keys() - {runs.name_of(runs.REFERENCE)}:
+                stays = by_name.keys()  # the reference is needed for what is new
             for name, (setting, wanted) in by_name.items():
-                row = known.get((kind, n, name))
-                if row and row["seeds"] >= wanted:
-                    kept[kind, n, name] = row
+                if name in stays:
+                    kept[kind, n, name] = known[kind, n, name]
                     continue
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
                 seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, wanted)]
-            settings = [setting for setting, _ in by_name.values() if setting["dt"] >= TIME_STEP / 8]
-            times = {"kind": kind, "n_bodies": n, "seed": seed, "settings": settings}
-            times |= {name: options[name][str(n)] for name in ("steps", "repeats")}
-            phases = (*runs.MOMENTS, *(runs.PHASES if kind == "plain" else ()))
-            timed += [("times", times | {"phase": phase}) for phase in phases]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
-    return seen, timed, kept
+    return seen, kept
+
+
+def timed(options: dict, seed: int, process: int, rows: list) -> list:
+    """The times of rows as parts (name, arguments), as one of several processes measures them, on scenes of its own.
+
+    Rivals that keep no preset even at the lower ends of their intervals are not timed. The first process times all
+    kinds, and phases of plain piles; the others the contenders there: what a preset takes, and what cost at most
+    `CONTENDS` times as much at first.
+    """
+    parts = []
+    for n, kinds in options["seeds"].items():
+        for kind in kinds if process == 0 else ("plain",):
+            of_scene = [row for row in rows if (row["kind"], row["n_bodies"]) == (kind, int(n)) and row["errors"]]
+            chosen = [row for row in of_scene if any(keeps(row, preset) for preset in PRESETS) or is_ours(row)]
+            chosen = [row for row in chosen if row["setting"]["dt"] >= TIME_STEP / 8]
+            if process > 0:
+                chosen = contenders(chosen)
+            given = {"kind": kind, "n_bodies": int(n), "seed": seed + process}
+            given |= {"settings": [row["setting"] for row in chosen]}
+            given |= {name: options[name][n] for name in ("steps", "repeats")}
+            phases = (*runs.MOMENTS, *(runs.PHASES if kind == "plain" and process == 0 else ()))
+            parts += [("times", given | {"phase": phase}) for phase in phases]
+    return parts
+
+
+CONTENDS = 1.5
+"""Cost, in that of the cheapest that keeps a preset, up to which a setting is timed more than once."""
+
+
+def is_ours(row: Mapping) -> bool:
+    """Whether a row is of our engine."""
+    return "engine" not in row["setting"]
+
+
+def keeps(row: Mapping, preset: str, at: int = 1) -> bool:
+    """Whether a row's errors are within the tolerances. at: 0 the values, 1 the lower ends of their intervals."""
+    return bool(keeping([{"errors": {name: of[at] for name, of in row["errors"].items() if of}}], preset, margin=False))
+
+
+def contenders(rows: list) -> list:
+    """Of rows with times those that may be the cheapest to keep a preset, of ours and of the rivals."""
+    found = {}
+    for preset, ours in product(PRESETS, (True, False)):
+        able = [row for row in rows if is_ours(row) == ours and keeps(row, preset)]
+        least = min((row["us"] for row in able if keeps(row, preset, 0)), default=math.inf)
+        found |= {row["name"]: row for row in able if row["us"] <= CONTENDS * least}
+    return list(found.values())
 
 
 def known_rows(file: Mapping, options: dict, seed: int) -> dict:
-    """Rows of a results file by (kind, n_bodies, name), but for the references. Raises ValueError on other options."""
+    """Rows of a results file by (kind, n_bodies, name). Raises ValueError on other options."""
     for key in ("sizes", "seconds"):
         if file["options"][key] != options[key]:
             raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
     if file["provenance"]["seed"] != seed:
         raise ValueError(f"seed: expected {seed} in the results, got {file['provenance']['seed']}")
-    return {key_of(row): row for row in file["data"]["rows"] if row["errors"]}
+    return {key_of(row): row for row in file["data"]["rows"]}
 
 
 def study(
     options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool, before: Mapping | None = None
 ) -> dict | None:
     """The data of the results file. before: one whose errors are taken over; times are measured anew."""
-    seen, timed, known = plan(options, seed, known_rows(before, options, seed) if before else {})
+    seen, kept = plan(options, seed, known_rows(before, options, seed) if before else {})
     found = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
     if errors_only:
         return None
-    took = done(timed, FUNCTIONS, work=work, jobs=1, text="times")
     ensembles: dict = {}  # runs in the order of their seeds, so that each meets the reference of its own scene
     for (_, part), stored in zip(seen, found):
         ensemble = ensembles.setdefault((part["kind"], part["n_bodies"]), {})
         _, runs_seen = ensemble.setdefault(runs.name_of(part["setting"]), (part["setting"], []))
         runs_seen.append(runs.observation(stored))
-    times = {(part["kind"], part["n_bodies"], part["phase"]): us for (_, part), us in zip(timed, took)}
-    rows = known | {key_of(row): row for row in runs.rows(ensembles)}
-    rows = [runs.with_times(row, times) for row in rows.values()]
+    rows = [*(kept | {key_of(row): row for row in runs.rows(ensembles)}).values()]
+    took: list[dict] = []
+    for process in range(options["processes"]):
+        parts = timed(options, seed, process, rows)
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
+            jobs = alone if options["processes"] > 1 else 1
+            times = done(parts, FUNCTIONS, work=work, jobs=jobs, text="times")
+        took.append({(of["kind"], of["n_bodies"], of["phase"]): us for (_, of), us in zip(parts, times)})
+        rows = [runs.with_times(row, took) for row in rows]
     return {"errors": runs.ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
 

@@ -10,7 +10,7 @@ import pytest
 import deep_contact as dc
 from deep_contact import presets
 from deep_contact.presets import PRESETS
-from deep_contact.studies.runs import ERRORS, KINDS
+from deep_contact.studies.runs import ERRORS, KINDS, dam_break, two_densities
 
 
 def entry(name, dt, us, share, **options):
@@ -128,15 +128,10 @@ def test_a_projectile_gets_steps_as_short_as_each_preset_needs(study):
 
 def test_what_a_preset_cannot_keep_is_said_once_with_what_to_do(study):
     small = dc.lattice_in_box(10, radius=(1e-3, 1e-3)).replace(dt=1.0)
-    with pytest.warns(presets.PresetWarning) as said:
-        presets.solver_and_start(small, None)
-    assert len(said) == 1
-    text = str(said[0].message)
+    (text,) = presets.decide(small, None).warnings
     assert "dt = 1 s: circles of 0.001 m at up to 0 m/s need" in text
     least = float(text.split("give a dt of at most ")[1].split(" s")[0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        presets.solver_and_start(small.replace(dt=least), None)
+    assert not presets.decide(small.replace(dt=least), None).warnings
 
 
 def test_a_warning_names_the_line_of_the_user_and_a_loop_says_it_once(study):
@@ -243,6 +238,40 @@ def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():
 def test_a_scene_is_like_kinds_of_the_study(options, kinds):
     assert set(presets.kinds_of(dc.circles_in_box(20, seed=1, **options))) == kinds
     assert kinds <= KINDS.keys()
+
+
+@pytest.mark.parametrize(
+    ("ratio", "heavy", "kinds"),
+    [
+        (1.5, "mixed", {"densities 1 : 2"}),
+        (2, "above", {"densities 1 : 2", "heavy on light 1 : 10"}),
+        (3, "mixed", {"densities 1 : 10"}),
+        (10, "below", {"densities 1 : 10", "light on heavy 1 : 10"}),
+        (100, "above", {"densities 1 : 100", "heavy on light 1 : 100"}),
+    ],
+)
+def test_two_densities_are_the_next_larger_ratio_of_the_study(ratio, heavy, kinds):
+    scene = two_densities(200, ratio=ratio, heavy=heavy, seed=1)
+    assert set(presets.kinds_of(scene)) - {"plain"} == kinds
+    assert kinds <= KINDS.keys()
+    assert presets.stiffness(scene) is None
+
+
+@pytest.mark.parametrize(("aspect", "room", "is_dam"), [(2, 4, True), (2, 1.2, False), (6, 3, True)])
+def test_what_stands_higher_than_it_can_lie_is_a_dam(aspect, room, is_dam):
+    assert ("dam break" in presets.kinds_of(dam_break(300, aspect=aspect, room=room))) == is_dam
+
+
+def test_a_run_solved_to_a_tolerance_says_so_once_with_the_price_and_a_plan_prints_it():
+    scene = dc.column(120, width=3.0)
+    with warnings.catch_warnings(record=True) as said:
+        warnings.simplefilter("default")
+        for _ in range(2):
+            dc.simulate(scene, steps=1)
+    (text,) = (str(one.message) for one in said)
+    most = dc.recommend(scene).us / 1e3
+    assert text.endswith(f"120 circles high: solved to a tolerance, which takes up to {most:.3g} ms a step of 0.01 s")
+    assert f"up to {most:.3g} ms a step" in dc.plan(scene)["solving stiff piles"].saving
 
 
 def test_a_preset_is_chosen_by_errors_and_times_of_the_kinds_that_a_scene_is_like(monkeypatch):

@@ -108,25 +108,26 @@ class Pymunk(_Peer):
     """Chipmunk 2D through `pymunk`.
 
     One iteration sweeps normal and friction rows once and corrects positions by pseudo-velocities in the
-    same pass, so `sweeps` is its `iterations`, and `position_sweeps` is ignored. Slop and walls are set as ours are,
-    and the positional bias to 20 % of the penetration a step. Chipmunk multiplies friction and restitution of the two
-    shapes (where Box2D takes root and maximum), so each shape is given the root. Two differences remain: restitution
-    acts at any approach speed, and positions are integrated before contacts are looked for.
+    same pass, so `sweeps` is its `iterations`, and `position_sweeps` is ignored. Walls are set as ours are, the slop to
+    `slop` times ours, and the positional bias to the share `bias` of the penetration a step. Chipmunk multiplies
+    friction and restitution of the two shapes (where Box2D takes root and maximum), so each shape is given the root.
+    Two differences remain: restitution acts at any approach speed, and positions are integrated before contacts are
+    looked for.
     """
 
     name = package = "pymunk"
     takes_threads = True
     _fields = ("position", "velocity", "angle", "angular_velocity", "mass")
 
-    def __init__(self, state: State, *, threads: int = 1):
+    def __init__(self, state: State, *, threads: int = 1, slop: float = 1.0, bias: float = constants.BAUMGARTE):
         super().__init__(state)
         pymunk, world = self._library, self._state.world
         self.space = pymunk.Space(threaded=threads > 1)
         self.space.threads = threads
         self.space.gravity = world.gravity
-        self.space.collision_slop = self._state.scales.slop
-        # Bias is the share of the penetration that is left after one second.
-        self.space.collision_bias = (1 - constants.BAUMGARTE) ** (1 / self._state.dt)
+        self.space.collision_slop = slop * self._state.scales.slop
+        # Chipmunk's bias is the share of the penetration that is left after one second.
+        self.space.collision_bias = (1 - bias) ** (1 / self._state.dt)
         self._material = math.sqrt(world.friction), math.sqrt(world.restitution)
         speeds = (0.0,) * 4 + (world.surface_speeds or (0.0,) * len(world.segments))
         for ends, speed in zip(_edges(world), speeds):
@@ -164,18 +165,20 @@ class Box2D3(_Peer):
     all contacts twice: once with soft position bias ("solve") and once without ("relax"), with an
     integration of positions in between. `sweeps` is the number of substeps here, so its "sweep" is such a
     pair; contacts are looked for once a step. `position_sweeps` is ignored. Walls are capsules of the skin's radius,
-    because v3's segments have none. It makes contacts ahead of touch, from `SPECULATIVE_DISTANCE` on.
+    because v3's segments have none. It makes contacts ahead of touch, from `SPECULATIVE_DISTANCE` on. hertz: stiffness
+    of its soft contacts, Hz, of which it takes a quarter of the rate of substeps at most.
     """
 
     name, package = "Box2D v3", "pyb2d3"
     counts_next_step = takes_threads = True
 
-    def __init__(self, state: State, *, threads: int = 1):
+    def __init__(self, state: State, *, threads: int = 1, hertz: float = 30.0):
         super().__init__(state)
         b3, world = self._library, _at_rest(self._state.world)
         self.world = b3.World(thread_pool=b3.ThreadPool(threads) if threads > 1 else None, gravity=world.gravity)
         self.world.sleeping_enabled = False
         self.world.continuous_enabled = False
+        self.world.set_contact_tuning(hertz, 10.0, 3.0)  # damping and speed of pushing apart, m/s, are the defaults
         material = b3.surface_material(friction=world.friction, restitution=world.restitution)
         ground = self.world.create_static_body()
         for ends in _edges(world):

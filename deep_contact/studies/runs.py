@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from typing import NamedTuple
@@ -26,12 +27,13 @@ from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import drum, lattice_in_box
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
-from deep_contact.presets import FASTEST, PRESETS
+from deep_contact.presets import FASTEST, PRESETS, keeping
 from deep_contact.reporting import results
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.studies import peers, piles, timing
 from deep_contact.studies.verdicts import interval
+from deep_contact.validation import one_of
 
 RESULTS = {"results": "data/reference/run_tradeoff.json"}
 """The option of figures that draw the study: its results file."""
@@ -52,6 +54,31 @@ def gas(n_bodies: int, *, gap: float = 1.0, restitution: float = 0.8, seed: int 
     return lattice.replace(name=f"gas_{n_bodies}", bodies=lattice.bodies._replace(velocity=velocity))
 
 
+def two_densities(n_bodies: int, *, ratio: float, heavy: str = "mixed", seed: int = 0) -> State:
+    """A pile in which some circles are `ratio` times as dense as the others.
+
+    heavy: which of them: "mixed", 30 % drawn by chance, or the half "above" or "below" at the start.
+    """
+    pile = piles.scene(n_bodies, seed)
+    height = pile.bodies.position[:, 1]
+    chosen = {
+        "mixed": np.random.default_rng((seed, 1)).permutation(n_bodies) < 0.3 * n_bodies,
+        "above": height > np.median(height),
+        "below": height < np.median(height),
+    }[one_of("heavy", heavy, ("mixed", "above", "below"))]
+    return pile.replace(bodies=pile.bodies._replace(mass=np.where(chosen, ratio, 1.0) * pile.bodies.mass))
+
+
+def dam_break(n_bodies: int, *, aspect: float = 2.0, room: float = 4.0, seed: int = 0, **options) -> State:
+    """A loose lattice `aspect` times as high as wide at the left wall of a box `room` times as wide: it collapses.
+
+    options: those of `lattice_in_box`.
+    """
+    lattice = lattice_in_box(n_bodies, columns=max(1, round(math.sqrt(n_bodies / aspect))), seed=seed, **options)
+    _, _, width, height = lattice.world.box
+    return lattice.replace(name=f"dam_{n_bodies}", world=replace(lattice.world, box=(0, 0, room * width, height)))
+
+
 KINDS = {
     "plain": {},
     "mixed radii": {"radius": (0.5, 1.5)},
@@ -60,8 +87,18 @@ KINDS = {
     "elastic 0.8": {"restitution": 0.8},
     "gas": {"make": gas},
     "drum": {"make": drum, "froude": 0.1, "sides": 24},
+    "densities 1 : 2": {"make": two_densities, "ratio": 2.0},
+    "densities 1 : 10": {"make": two_densities, "ratio": 10.0},
+    "heavy on light 1 : 10": {"make": two_densities, "ratio": 10.0, "heavy": "above"},
+    "light on heavy 1 : 10": {"make": two_densities, "ratio": 10.0, "heavy": "below"},
+    "densities 1 : 100": {"make": two_densities, "ratio": 100.0},
+    "heavy on light 1 : 100": {"make": two_densities, "ratio": 100.0, "heavy": "above"},
+    "dam break": {"make": dam_break},
 }
 """Kind of scene -> options of `piles.scene`, or of the scene that is named."""
+
+DENSE_KINDS = [kind for kind in KINDS if "1 : " in kind or kind == "dam break"]
+"""Kinds that need more sweeps: two densities, and a dam that breaks."""
 
 HELD_OUT_KINDS = {
     "plain": {},
@@ -80,6 +117,9 @@ MOMENTS = (0.75, 2.25, 3.75, 5.25)
 
 POSITION_SWEEPS = 10
 """Of Box2D 2.3, at most."""
+
+WARM = 5
+"""Steps of another engine before its time counts: the first ones fill its memory and find all contacts anew."""
 
 PHASES = ("impact", "rest")
 """Phases in which piles are timed as well, to show how a cost changes in a run."""
@@ -144,11 +184,21 @@ def _states(state: State, setting: Mapping, frames: int) -> Iterator[State]:
         yield state
 
 
+def _world(start: State, setting: Mapping, **threads):
+    """The scene in the engine that a setting names, with the setting's knobs."""
+    knobs = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
+    return peers.ENGINES[setting["engine"]](start.replace(dt=setting["dt"], contacts=None), **knobs, **threads)
+
+
+def _run(world, setting: Mapping, steps: int) -> None:
+    """So many steps of the setting's Δt."""
+    world.run(steps, setting["dt"], setting["sweeps"], setting.get("position_sweeps", POSITION_SWEEPS))
+
+
 def _states_of_peer(start: State, setting: Mapping, frames: int) -> Iterator[State]:
-    world = peers.ENGINES[setting["engine"]](start.replace(dt=setting["dt"]))
-    each = round(INTERVAL / setting["dt"])
+    world, each = _world(start, setting), round(INTERVAL / setting["dt"])
     for k in range(frames):
-        world.run(each, setting["dt"], setting["sweeps"], POSITION_SWEEPS)
+        _run(world, setting, each)
         state = start.replace(bodies=world.bodies(), time=(k + 1) * INTERVAL)
         yield state.replace(contacts=contacts_of(state))
 
@@ -319,27 +369,31 @@ def times(
     """Wall time of TIME_STEP of a scene with each setting, μs, by name; they take turns, the least counts.
 
     phase: one of `PHASES` of a pile, or seconds after the start. steps: of TIME_STEP in each run. Other engines start
-    from the same bodies; what their Python wrapper costs a step is part of what their users pay. Of scenes for which
-    ours takes two threads, they are run on one and on two, where they can, and the lesser time counts.
+    from the same bodies, in worlds that have done `WARM` steps before and are not destroyed until the times are known;
+    what their Python wrapper costs a step is part of what their users pay. Of scenes for which ours takes two threads,
+    they are run on one and on two, where they can, and the lesser time counts.
     """
     if phase in PHASES:
         start = piles.pile(phase, n_bodies, seed, solver=TWENTY, most=6000, make=partial(scene, kind))
     else:
         start = simulate(scene(kind, n_bodies, seed), steps=round(phase / TIME_STEP), solver=TWENTY).state
     runs, setup, worlds = {}, {}, {}
+
+    def warmed(key, setting, threads):
+        worlds[key] = _world(start, setting, **threads)  # here the world of the run before is destroyed
+        _run(worlds[key], setting, WARM)
+
     for setting in settings:
         name, count = name_of(setting), round(steps * TIME_STEP / setting["dt"])
-        scene_of_run = start.replace(dt=setting["dt"])
         if "engine" not in setting:
             options = {"solver": solver_of(setting), "warm_start": setting.get("start", "builtin")}
-            runs[name, 1] = partial(simulate, scene_of_run, steps=count, **options)
+            runs[name, 1] = partial(simulate, start.replace(dt=setting["dt"]), steps=count, **options)
             continue
-        adapter, scene_of_run = peers.ENGINES[setting["engine"]], scene_of_run.replace(contacts=None)
-        two = adapter.takes_threads and n_bodies >= 2 * CIRCLES_A_THREAD
-        for key, make in ((name, 1), adapter), *([((name, 2), partial(adapter, threads=2))] if two else []):
-            setup[key] = lambda key=key, make=make, scene=scene_of_run: worlds.update({key: make(scene)})
-            given = count, setting["dt"], setting["sweeps"], POSITION_SWEEPS
-            runs[key] = lambda key=key, given=given: worlds.pop(key).run(*given)
+        two = peers.ENGINES[setting["engine"]].takes_threads and n_bodies >= 2 * CIRCLES_A_THREAD
+        for threads in (1, 2) if two else (1,):
+            key = name, threads
+            setup[key] = partial(warmed, key, setting, {"threads": threads} if threads > 1 else {})
+            runs[key] = lambda key=key, setting=setting, count=count: _run(worlds[key], setting, count)
     found: dict[str, float] = {}
     for (name, _), seconds in timing.interleaved(runs, repeats=repeats, setup=setup).items():
         found[name] = min(found.get(name, math.inf), 1e6 * seconds / steps)
@@ -363,15 +417,22 @@ def rows(ensembles: Mapping) -> list[dict]:
     return found
 
 
-def with_times(row: Mapping, took: Mapping) -> dict:
-    """The row with its times, μs: "us", the mean over `MOMENTS`, or None, and "phases", those of the phases.
+def with_times(row: Mapping, took: Sequence[Mapping]) -> dict:
+    """The row with its times, μs: "times", the mean over `MOMENTS` in each process that measured them, "us", their
+    median, or None, and "phases", the medians of the phases.
 
-    took: (kind, n_bodies, phase) -> {name: μs}.
+    took: for each process (kind, n_bodies, phase) -> {name: μs}.
     """
     scene, name = (row["kind"], row["n_bodies"]), row["name"]
-    phases = {phase: by_name[name] for (*of, phase), by_name in took.items() if (*of,) == scene and name in by_name}
-    moments = [phases.pop(moment) for moment in MOMENTS if moment in phases]
-    return row | {"us": math.fsum(moments) / len(moments) if moments else None, "phases": phases}
+    by_phase: dict = {}
+    for of_process in took:
+        for (*of, phase), by_name in of_process.items():
+            if (*of,) == scene and name in by_name:
+                by_phase.setdefault(phase, []).append(by_name[name])
+    moments = [by_phase.pop(moment) for moment in MOMENTS if moment in by_phase]
+    times = np.mean(moments, axis=0).tolist() if moments else []
+    phases = {phase: float(np.median(us)) for phase, us in by_phase.items()}
+    return row | {"us": float(np.median(times)) if times else None, "times": times, "phases": phases}
 
 
 def read_study(path) -> dict:
@@ -383,38 +444,41 @@ def read_study(path) -> dict:
     return {"plain": [row for row in found if row["kind"] == "plain" and row["errors"]], "presets": presets(found)}
 
 
-def meets(errors: Mapping[str, Sequence[float] | None], tolerances: Mapping[str, float], at: int = 0) -> bool:
-    """Whether every error of a row that is known is within its tolerance.
-
-    at: 0 for the value, 1 and 2 for the ends of its interval.
-    """
-    return all(errors[name][at] <= most for name, most in tolerances.items() if errors.get(name))
-
-
 def presets(found: Sequence[Mapping]) -> list[dict]:
-    """For each size and preset the cheapest setting that keeps it.
+    """For each size and preset the setting that it takes, and the cheapest of each rival that keeps it.
 
     found: rows. Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}] of
-    {"name", "us", "impact", "rest"} or None each.
-    ratio: time of the fastest other engine over ours on plain piles, [value, low, high] or None each. Low is that where
-    all our errors are at the upper and all of theirs at the lower ends of their intervals; high the other way round.
+    {"name", "us", "times", "seeds", "impact", "rest"} or None each. Ours is what `simulate(accuracy=…)` takes, which
+    leaves a margin (`presets.keeping`); a rival's setting may use up all of its tolerances.
+    ratio: time of the fastest rival over ours on plain piles, [value, low, high] or None each. The value is the median
+    over the processes that measured times. Low is the least of them where all our errors are at the upper and all of
+    theirs at the lower ends of their intervals; high the largest the other way round.
     """
 
     def cheapest(n, engine, preset, kind="plain", at=0):
-        kept = (
-            {"name": row["name"], "us": row["us"], **row["phases"]}
+        candidates = [
+            {"name": row["name"], "us": row["us"], "times": row["times"], "seeds": row["seeds"], **row["phases"]}
+            | {"errors": {name: error[at] for name, error in row["errors"].items() if error}}
             for row in found
             if (row["n_bodies"], row["kind"], row["setting"].get("engine")) == (n, kind, engine)
             and row["us"] is not None
             and row["errors"]
-            and meets(row["errors"], PRESETS[preset], at)
-        )
-        return min(kept, key=lambda one: one["us"], default=None)
+        ]
+        kept = keeping(candidates, preset, margin=engine is None and at == 0)
+        best = min(kept, key=lambda one: one["us"], default=None)
+        return best and {key: value for key, value in best.items() if key != "errors"}
 
-    def ratio(n, preset, ours, theirs):
+    def ratios(n, preset, ours, theirs):
         mine = cheapest(n, None, preset, at=ours)
-        rivals = [rival["us"] for name in peers.ENGINES if (rival := cheapest(n, name, preset, at=theirs))]
-        return min(rivals) / mine["us"] if mine and rivals else None
+        rivals = [rival for name in peers.ENGINES if (rival := cheapest(n, name, preset, at=theirs))]
+        fastest = min(rivals, key=lambda one: one["us"], default=None)
+        return (
+            [a / b for a, b in zip(fastest["times"], mine["times"])] if mine and fastest else None
+        )  # the same processes
+
+    def ratio(n, preset):
+        of_ends = zip((np.median, np.min, np.max), ((0, 0), (2, 1), (1, 2)))
+        return [None if (of := ratios(n, preset, *ends)) is None else float(take(of)) for take, ends in of_ends]
 
     kinds = {n: dict.fromkeys(row["kind"] for row in found if row["n_bodies"] == n) for n in sizes_of(found)}
     return [
@@ -423,7 +487,7 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
             "preset": preset,
             "kinds": {kind: cheapest(n, None, preset, kind) for kind in kinds[n]},
             "peers": {engine: cheapest(n, engine, preset) for engine in peers.ENGINES},
-            "ratio": [ratio(n, preset, *ends) for ends in ((0, 0), (2, 1), (1, 2))],
+            "ratio": ratio(n, preset),
         }
         for n, preset in product(kinds, PRESETS)
     ]

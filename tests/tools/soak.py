@@ -18,7 +18,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact.io.files import write_json
-from deep_contact.presets import PRESETS, solver_and_start
+from deep_contact.presets import PRESETS, decide
 from deep_contact.reporting import results
 from deep_contact.studies.extremes import mechanical_energy
 
@@ -53,7 +53,7 @@ def soak(n, steps, preset, parts=20):
     began = time.perf_counter()
     scene = dc.lattice_in_box(n, radius=(0.8, 1.0), seed=n)
     # A preset looks at the state that it begins with, so both runs take what it picks for the first.
-    solver, start = solver_and_start(scene, preset)
+    solver, start, *_ = decide(scene, preset)
     options = {"solver": solver, "warm_start": start}
     weight = float(scene.bodies.mass.sum() * np.hypot(*scene.world.gravity) * scene.bodies.radius.mean())
     x_min, y_min, x_max, y_max = scene.world.box
