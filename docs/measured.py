@@ -74,18 +74,20 @@ def rivals() -> tuple[float, float]:
     return spread(ratio for ratio in found if ratio)
 
 
-def verified() -> tuple:
-    """Presets outside the study: cells; how many each kept; the most over a tolerance, %; least and most cost."""
+def verified(counted: str = "kept") -> list:
+    """How many cells outside of the study each preset kept, strictly or "within" the interval."""
     data = stored("run_tradeoff_verify")["data"]
-    kept = [sum(all(row["within"].values()) for row in data["rows"] if row["preset"] == preset) for preset in PRESETS]
-    over = (
-        100 * (row["errors"][name][0] / PRESETS[row["preset"]][name] - 1)
-        for row in data["rows"]
-        for name, within in row["within"].items()
-        if not within
-    )
-    costs = spread(row["us"] / row["predicted_us"] for row in data["times"])
-    return len(data["rows"]) // len(PRESETS), *kept, max(over, default=0.0), *costs
+    return [sum(all(row[counted].values()) for row in data["rows"] if row["preset"] == preset) for preset in PRESETS]
+
+
+def cells_outside() -> int:
+    """Kinds and sizes of scenes outside of the study."""
+    return len(stored("run_tradeoff_verify")["data"]["rows"]) // len(PRESETS)
+
+
+def costs_outside() -> tuple[float, float]:
+    """Least and most cost over the predicted one."""
+    return spread(row["us"] / row["predicted_us"] for row in stored("run_tradeoff_verify")["data"]["times"])
 
 
 def penetration(**setting) -> float:

@@ -187,12 +187,31 @@ def interval_of(value: float | None, low: float | None, high: float | None) -> s
 
 
 def rivals() -> list[list]:
-    """How many times as long as ours the fastest other engine takes for a preset on plain piles; of how many piles."""
-    found, piles = stored("figure_6_1")["data"]["presets"], stored("run_tradeoff")["options"]["peer_seeds"]
-    sizes = dict.fromkeys(row["n_bodies"] for row in found)
-    times = {(row["n_bodies"], row["preset"]): interval_of(*row["ratio"]) for row in found}
-    cells = ([times[n, preset] for preset in PRESETS] for n in sizes)
-    return [["circles", *PRESETS, "piles"], *([f"{n:,}", *row, piles[str(n)]] for n, row in zip(sizes, cells))]
+    """How many times as long as ours the fastest other engine takes for a preset on plain piles, and of how many settings."""
+    times, tried = ratios(stored("figure_6_1")["data"]["presets"]), settings_tried()
+    return [["circles", *PRESETS, "settings, ours / theirs"], *([f"{n:,}", *row, tried[n]] for n, row in times.items())]
+
+
+def rivals_before() -> list[list]:
+    """The same beside what was published when destroying a rival's world was part of its time."""
+    before, now = (stored(name)["data"][key] for name, key in (("ratios_before", "ratios"), ("figure_6_1", "presets")))
+    before, now = ratios(before), ratios(now)
+    return [["circles", "", *PRESETS], *([f"{n:,}", when, *of[n]] for n in now for when, of in (("before", before), ("now", now)))]
+
+
+def ratios(found: list[dict]) -> dict[int, list]:
+    """Circles -> the ratio of each preset with its interval."""
+    of = {(row["n_bodies"], row["preset"]): interval_of(*row["ratio"]) for row in found}
+    return {n: [of[n, preset] for preset in PRESETS] for n in dict.fromkeys(n for n, _ in of)}
+
+
+def settings_tried() -> dict[int, str]:
+    """Circles -> how many settings of ours and of the other engines have errors on plain piles."""
+    rows = [row for row in stored("run_tradeoff")["data"]["rows"] if row["kind"] == "plain" and row["errors"]]
+    counts = {n: [0, 0] for n in dict.fromkeys(row["n_bodies"] for row in rows)}
+    for row in rows:
+        counts[row["n_bodies"]]["engine" in row["setting"]] += 1
+    return {n: f"{ours} / {theirs}" for n, (ours, theirs) in counts.items()}
 
 
 def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
@@ -296,7 +315,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, figures)
+_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, rivals_before, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),

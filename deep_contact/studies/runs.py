@@ -24,7 +24,7 @@ import numpy as np
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.io import shipped
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.scenes import drum, lattice_in_box
+from deep_contact.physics.scenes import drum, hopper, lattice_in_box, terrain
 from deep_contact.physics.solvers import METHODS, solver_from
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.presets import FASTEST, PRESETS, keeping
@@ -109,6 +109,15 @@ HELD_OUT_KINDS = {
     "elastic": {"restitution": 0.6},
     "thin gas": {"make": gas, "gap": 2.0, "restitution": 0.9},
     "slow drum": {"make": drum, "froude": 0.05, "sides": 40},
+    "rough": {"friction": 1.0},
+    "wide radii": {"radius": (0.2, 2.0)},
+    "hopper": {"make": hopper},
+    "terrain": {"make": terrain},
+    "low dam": {"make": dam_break, "aspect": 1.0, "room": 3.0, "radius": (0.8, 1.0)},
+    "densities 1 : 5": {"make": two_densities, "ratio": 5.0},
+    "densities 1 : 30": {"make": two_densities, "ratio": 30.0},
+    "heavy on light 1 : 5": {"make": two_densities, "ratio": 5.0, "heavy": "above"},
+    "light on heavy 1 : 30": {"make": two_densities, "ratio": 30.0, "heavy": "below"},
 }
 """Kinds of the scenes outside the study."""
 
