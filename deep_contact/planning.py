@@ -18,10 +18,11 @@ from deep_contact.physics.engine import Steps, leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import BatchedPGS, describe
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
-from deep_contact.presets import SUBSTEPS, SWEEPS, decide, stiffness
+from deep_contact.presets import decide
 from deep_contact.reporting import results
 from deep_contact.simulation import method_of, ready
 from deep_contact.state import State, notebook
+from deep_contact.stiffness import SUBSTEPS, SWEEPS, stiffness
 from deep_contact.warm_start import Builtin, NoStart, Start
 
 TABLE = Path(__file__).parent / "reference" / "figure_6_7.json"
@@ -39,12 +40,16 @@ class Choice(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Plan:
-    """What a run does with a scene, made to be printed. cpu: processor that the savings were measured on."""
+    """What a run does with a scene, made to be printed. cpu: processor that the savings were measured on.
+
+    us: what a step costs, μs, at most for what is solved to a tolerance; None where no preset was asked for.
+    """
 
     scene: str
     n_bodies: int
     solver: object
     warm_start: str
+    us: float | None
     choices: tuple[Choice, ...]
     cpu: str
 
@@ -56,7 +61,10 @@ class Plan:
         return by_name[part]
 
     def _title(self) -> str:
-        return f"{self.scene}: {self.n_bodies:,} circles, {describe(self.solver)} from {self.warm_start}"
+        price = (
+            "" if self.us is None else f", {'at most' if self.solver.tolerance else 'about'} {self.us:,.0f} μs a step"
+        )
+        return f"{self.scene}: {self.n_bodies:,} circles, {describe(self.solver)} from {self.warm_start}{price}"
 
     def __str__(self) -> str:
         width, lines = max(len(choice.part) for choice in self.choices), [self._title()]
@@ -77,6 +85,7 @@ def plan(scene: State, *, solver=None, warm_start: Start = "builtin", sleep: boo
     Raises ValueError on arguments that do not hold together, FileNotFoundError where no results are installed.
     """
     scene = ready(scene)
+    us = decide(scene, None, sleep=sleep).us if solver is None and scene.solver is None else None
     solver, start = method_of(scene, solver, warm_start, sleep=sleep, warn=False)
     Steps(solver, scene.bodies.count, sleep=sleep)  # raises ValueError where the solver cannot sleep
     study = installed_results()
@@ -92,7 +101,7 @@ def plan(scene: State, *, solver=None, warm_start: Start = "builtin", sleep: boo
         _stiffness(scene, solver),
     )
     of_scene = {"scene": scene.name, "n_bodies": scene.bodies.count, "warm_start": name}
-    return Plan(**of_scene, solver=solver, choices=choices, cpu=study["provenance"]["cpu"])
+    return Plan(**of_scene, solver=solver, us=us, choices=choices, cpu=study["provenance"]["cpu"])
 
 
 @functools.cache
@@ -168,8 +177,6 @@ def _stiffness(scene: State, solver) -> Choice:
     if stiff is None or stiff.solver.tolerance is not None:
         used = solver.tolerance is not None and solver.sweeps >= SWEEPS
         saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"
-        if stiff:
-            saving += f": up to {decide(scene, None).us / 1e3:.3g} ms a step"
     else:
         used = substeps >= stiff.solver.substeps
         saving = f"it costs {stiff.solver.substeps} substeps of {stiff.solver.sweeps} sweeps"

@@ -199,6 +199,35 @@ def rivals_before() -> list[list]:
     return [["circles", "", *PRESETS], *([f"{n:,}", when, *of[n]] for n in now for when, of in (("before", before), ("now", now)))]
 
 
+def kinds() -> list[list]:
+    """What "fast" and "reference" cost for each kind of scene, in those of a plain pile of its size."""
+    costs = {(row["n_bodies"], row["preset"]): row["kinds"] for row in stored("figure_6_1")["data"]["presets"]}
+    sizes = dict.fromkeys(n for n, _ in costs)
+    rows = [["kind of scene", *(f"{n:,} circles" for n in sizes)]]
+    for kind in list(costs[next(iter(sizes)), "fast"])[1:]:
+        rows.append([kind, *(" / ".join(_over_plain(costs[n, name], kind) for name in ("fast", "reference")) for n in sizes)])
+    return rows
+
+
+def _over_plain(of: dict, kind: str) -> str:
+    """Such as "1.3": a kind's cost over that of plain piles; a dash where no setting keeps the preset for one of them."""
+    ours, plain = of.get(kind), of["plain"]
+    return f"{ours['us'] / plain['us']:.2g}" if ours and plain else "–"
+
+
+def missed() -> list[list]:
+    """The worst misses outside of the study, strictly counted."""
+    over = [
+        [f"{row['kind']}, {row['n_bodies']:,}", row["preset"], name, row["errors"][name], PRESETS[row["preset"]][name]]
+        for row in stored("run_tradeoff_verify")["data"]["rows"]
+        for name, kept in row["kept"].items()
+        if not kept
+    ]
+    over.sort(key=lambda one: -one[3][0] / one[4])
+    head = ["scene", "preset", "error", "value (95 %)", "tolerance", "over it, %"]
+    return [head, *([*of, interval_of(*value), f"{most:g}", f"{100 * (value[0] / most - 1):.0f}"] for *of, value, most in over[:12])]
+
+
 def ratios(found: list[dict]) -> dict[int, list]:
     """Circles -> the ratio of each preset with its interval."""
     of = {(row["n_bodies"], row["preset"]): interval_of(*row["ratio"]) for row in found}
@@ -315,7 +344,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, rivals_before, figures)
+_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, rivals_before, kinds, missed, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),
