@@ -42,8 +42,9 @@ STUDIES = {
 }
 """File of data/reference -> the script and options that write it; `--out` and the path follow."""
 
-ELSEWHERE = ("benchmark_disks", "benchmark_outside", "fuzz")
-"""Files that need problems and solvers of others (docs/benchmarks.md says which), and one that several runs fill."""
+ELSEWHERE = ("benchmark_disks", "benchmark_outside", "fuzz", "golden")
+"""Files that need problems and solvers of others (docs/benchmarks.md says which), one that several runs fill, and the
+golden runs, which are made anew only where a change of results is meant."""
 
 
 def main(arguments=None, folder=HERE):
