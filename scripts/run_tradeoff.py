@@ -80,19 +80,22 @@ LARGE = [
 ]
 
 DENSE = [
-    *settings({1: (10, 20), 2: (5, 10, 20), 4: (10, 20)}, **COLOURS, **FEW),
-    *settings({(1, 8, 0.5): (10, 20), HALF: (10, 20), QUARTER: (10, 20, 40)}, **COLOURS, **FEW),
-    *settings({(1, 16, 0.25): (20,), HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
+    *settings({1: (10, 20), 2: (10, 20), 4: (10, 20)}, **COLOURS, **FEW),
+    *settings({(1, 8, 0.5): (10, 20), HALF: (10, 20), QUARTER: (5, 10, 20, 40)}, **COLOURS, **FEW),
+    *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
 ]
-"""For circles of two densities, at every size: more sweeps in more substeps."""
+"""For circles of two densities, and a dam that breaks, at every size: more sweeps in more substeps."""
 
 DENSE_SMALL = [
+    *SMALL,
     *DENSE,
+    *settings({2: (5,)}, **COLOURS, **FEW),
+    *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
     *settings({1: (6, 10), 2: (4, 10, 20), 4: (5, 10, 20)}, **PGS, **FEW),
     *settings({(1, 8, 0.25): (10,), HALF: (5,), QUARTER: (20,)}, method="PSOR", omega=1.5),
     *settings({HALF: (10,)}, method="NNCG"),
 ]
-"""The same, and methods that sweep contact by contact, which cost less in small piles."""
+"""The same, and what costs less in small piles."""
 
 LADDER = [
     *settings({1: (2, 3, 4, 6, 10, 20, 50), 2: (1, 2, 3, 5, 10, 20), 4: (1, 2, 3, 5, 10, 20)}, **PGS),
@@ -138,8 +141,9 @@ DEAR = ("drum", "light on heavy 1 : 10")
 
 FULL = {
     "sizes": [100, 1000, 3000, 10_000],
-    "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000", "3000")}
-    | {"10000": {kind: 4 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS if kind not in DEAR}},
+    "seeds": {n: dict.fromkeys(runs.KINDS, 12 if n == "100" else 6) for n in ("100", "1000")}
+    | {"3000": {kind: 4 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS}}
+    | {"10000": {kind: 3 if kind in runs.DENSE_KINDS else 6 for kind in runs.KINDS if kind not in DEAR}},
     "peer_seeds": {"100": 12, "1000": 6, "3000": 6, "10000": 6},
     "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
     "seconds": 6.0,
@@ -180,10 +184,10 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
         return row is not None and row["errors"] is not None and row["seeds"] >= wanted
 
     for n in options["sizes"]:
-        ours, rivals, on_plain = (options[name].get(str(n), []) for name in ("settings", "peers", "ladders"))
+        rivals, on_plain = (options[name].get(str(n), []) for name in ("peers", "ladders"))
         for kind, count in options["seeds"][str(n)].items():
-            more = options["dense"][str(n)] if kind in runs.DENSE_KINDS else []
-            cases = [(setting, count) for setting in (*ours, *more, runs.REFERENCE)]
+            ours = options["dense" if kind in runs.DENSE_KINDS else "settings"][str(n)]
+            cases = [(setting, count) for setting in (*ours, runs.REFERENCE)]
             if kind == "plain":
                 cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in on_plain]
                 cases += [(setting, options["peer_seeds"][str(n)]) for setting in rivals]
