@@ -81,8 +81,8 @@ LARGE = [
 
 DENSE = [
     *settings({1: (10, 20), 2: (10, 20), 4: (10, 20)}, **COLOURS, **FEW),
-    *settings({(1, 8, 0.5): (10, 20), HALF: (10, 20), QUARTER: (5, 10, 20, 40)}, **COLOURS, **FEW),
-    *settings({HALF: (20,), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
+    *settings({(1, 8, 0.5): (10, 20), HALF: (10, 20, 40), QUARTER: (5, 10, 20, 40)}, **COLOURS, **FEW),
+    *settings({HALF: (20, 40), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
 ]
 """For circles of two densities, and a dam that breaks, at every size: more sweeps in more substeps."""
 
@@ -92,7 +92,7 @@ DENSE_SMALL = [
     *settings({2: (5,)}, **COLOURS, **FEW),
     *settings({(1, 16, 0.25): (20,)}, **COLOURS, **NEAR),
     *settings({1: (6, 10), 2: (4, 10, 20), 4: (5, 10, 20)}, **PGS, **FEW),
-    *settings({(1, 8, 0.25): (10,), HALF: (5,), QUARTER: (20,)}, method="PSOR", omega=1.5),
+    *settings({(1, 8, 0.25): (10,), HALF: (5, 10), QUARTER: (20,)}, method="PSOR", omega=1.5),
     *settings({HALF: (10,)}, method="NNCG"),
 ]
 """The same, and what costs less in small piles."""
