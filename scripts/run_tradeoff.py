@@ -86,6 +86,13 @@ DENSE = [
 ]
 """For circles of two densities, and a dam that breaks, at every size: more sweeps in more substeps."""
 
+DENSE_LARGE = [
+    *settings({1: (20,), 2: (10, 20), 4: (10, 20)}, **COLOURS, **FEW),
+    *settings({(1, 8, 0.5): (20,), HALF: (20,), QUARTER: (10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
+    *settings({QUARTER: (20, 40)}, **COLOURS, **NEAR),
+]
+"""Those of them that keep a preset of 3,000 circles at the least cost."""
+
 DENSE_SMALL = [
     *SMALL,
     *DENSE,
@@ -134,7 +141,16 @@ LARGE_PEERS = [
     *settings({1: (6, 8), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
     *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
-"""For 3,000 circles and more: those of `PEERS` that were the cheapest, or nearly, to keep a preset at 1,000."""
+"""For 3,000 circles: those of `PEERS` that were the cheapest, or nearly, to keep a preset at 1,000."""
+
+LARGEST_PEERS = [
+    *settings({1: (10,), 2: (4, 6), 4: (2,)}, **PYMUNK, slop=0.25),
+    *settings({1: (10,), 2: (4, 10), 4: (2, 4)}, **PYMUNK),
+    *settings({2: (4,)}, **BOX2D, position_sweeps=3),
+    *settings({1: (6,)}, **BOX2D_V3, hertz=60.0),
+    *settings({1: (8,), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
+]
+"""For 10,000: the same again."""
 
 DEAR = ("drum", "light on heavy 1 : 10")
 """Kinds that are not run with 10,000 circles: the drum's segments make it ten times as dear."""
@@ -148,9 +164,9 @@ FULL = {
     "ladder_seeds": {"100": 12, "1000": 6, "3000": 3, "10000": 3},
     "seconds": 6.0,
     "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
-    "dense": {"100": DENSE_SMALL, "1000": DENSE_SMALL, "3000": DENSE, "10000": DENSE},
+    "dense": {"100": DENSE_SMALL, "1000": DENSE_SMALL, "3000": DENSE, "10000": DENSE_LARGE},
     "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
-    "peers": {"100": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGE_PEERS},
+    "peers": {"100": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
     "repeats": {"100": 4, "1000": 3, "3000": 2, "10000": 2},
     "processes": 3,
