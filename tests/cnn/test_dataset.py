@@ -20,16 +20,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
-from deep_contact.cnn.dataset import Store, evenly, simulation_path, split_by_simulation
-from deep_contact.io import simulation_h5
-from deep_contact.io.simulation_h5 import (
+from deep_contact.cnn.dataset import (
     PHASES,
-    DataFileError,
-    pack_simulation,
+    Store,
+    evenly,
     phase,
-    read_simulation,
-    write_simulation,
+    phases_of,
+    simulation_path,
+    split_by_simulation,
+    start_errors,
 )
+from deep_contact.io import simulation_h5
+from deep_contact.io.simulation_h5 import DataFileError, pack_simulation, read_simulation, write_simulation
 from deep_contact.state import no_contacts
 
 ROOT = Path(__file__).parents[2]
@@ -261,15 +263,14 @@ def test_the_data_hash_is_that_of_the_contents(folder, tmp_path):
 
 def test_phases_go_by_how_far_off_builtin_started(run, path):
     states, _, _ = run
-    stored = read_simulation(path)
-    for i, index in enumerate(stored.phases()):
-        assert phase(states[i]) == PHASES[index]
-    assert len(set(stored.phases().tolist())) > 1
+    phases = [PHASES[index] for index in phases_of(read_simulation(path).arrays)]
+    assert phases == list(map(phase, states))
+    assert len(set(phases)) > 1
     c = states[-1].contacts
     for share, name in ((1.0, "rest"), (0.8, "settling"), (0.2, "impact")):
         start = {"normal_start": share * c.normal_impulse, "tangent_start": share * c.tangent_impulse}
         state = states[-1].replace(contacts=c._replace(**start))
-        assert simulation_h5.pack_simulation([state]).start_errors() == pytest.approx([1 - share], abs=1e-12)
+        assert start_errors(pack_simulation([state]).arrays) == pytest.approx([1 - share], abs=1e-12)
         assert phase(state) == name
 
 
