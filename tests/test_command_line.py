@@ -1,7 +1,6 @@
 """`deep-contact` and `python -m deep_contact`; `view` is in `test_viewer.py`."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -214,18 +213,6 @@ def test_what_ends_a_run_is_its_exit_status(error, status, message, monkeypatch,
     assert message in capsys.readouterr().err
     assert main(["simulate", "none.xml"]) == 3
     assert f"{status} " in command_line.STATUS
-
-
-@pytest.mark.parametrize(("command", "settings"), [("simulate", 13), ("view", 9)])
-def test_help_says_the_unit_of_every_setting(command, settings, capsys):
-    with pytest.raises(SystemExit, match="0"):
-        main([command, "--help"])
-    said = capsys.readouterr().out
-    unit = r"circles|m|an integer|m/s²|steps|sweeps|s|N·s|NAME|FILE(\.gif)?|states"
-    numbered = re.findall(r"^  --([a-z-]+)(.*(?:\n    .*)*)", said, re.M)
-    assert len(numbered) == settings
-    for name, text in numbered:
-        assert re.search(rf"(?<![\w/])({unit})(?![\w/])", text), name
 
 
 def test_the_samples_are_named_by_their_paths(capsys):

@@ -6,7 +6,6 @@ A killed data generation is in `test_dataset.py`, a killed training in `test_tra
 """
 
 import os
-import re
 import shutil
 import signal
 import subprocess
@@ -256,10 +255,3 @@ def test_two_processes_that_generate_into_one_folder_make_what_one_makes(tmp_pat
     assert [process.wait(600) for process in both] == [0, 0]
     alone, found = ({p.name: p.read_bytes() for p in (tmp_path / k).iterdir()} for k in ("alone", "both"))
     assert found == alone
-
-
-def test_nothing_asks_what_time_of_day_it_is():
-    # A clock that is set back then makes no difference: durations are taken from clocks that cannot be set.
-    clock = re.compile(r"\btime\.time(_ns)?\b|\bdate(time)?\.(now|today)\b|from time import .*\btime(_ns)?\b")
-    for path in [*PACKAGE.rglob("*.py"), *SCRIPTS.glob("*.py")]:
-        assert not clock.search(path.read_text(encoding="utf-8")), path
