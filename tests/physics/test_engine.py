@@ -70,14 +70,6 @@ def test_pile_comes_to_rest_in_the_box():
     assert (bodies.position < 29.02).all()
 
 
-def test_step_by_step_equals_in_one_go():
-    scene = dc.circles_in_box(40, seed=8)
-    state = scene
-    for _ in range(120):
-        state = dc.step(state)
-    assert_same_run(state, dc.simulate(scene, steps=120).state)
-
-
 FALL, COLUMN = dc.circles_in_box(40, seed=9), dc.column(4)
 
 

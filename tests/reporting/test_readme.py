@@ -89,15 +89,6 @@ def test_python_of_a_page_runs_in_order_in_one_namespace(page, tmp_path, monkeyp
         assert Path(name).stat().st_size > 0
 
 
-def test_a_state_file_of_ones_own_is_predicted(tmp_path):
-    (tmp_path / "mine.xml").write_text(blocks("xml", TEXTS["docs/guide.md"])[0], encoding="utf-8")
-    command = next(command for command in COMMANDS if "predict.py mine.xml" in command)
-    _, script, *arguments = shlex.split(command, comments=True)
-    subprocess.run([sys.executable, ROOT / script, *arguments], cwd=tmp_path, check=True)
-    written = sorted(path.name for path in (tmp_path / "predictions").iterdir())
-    assert written == ["mine.csv", "mine.npy", "mine.png"]
-
-
 @cache
 def help_of(*words):
     """What a Python program says of its options."""
