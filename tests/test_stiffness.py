@@ -44,18 +44,14 @@ def test_what_is_stiff_rests_within_a_slop_and_without_speed(name):
 
 
 @pytest.mark.parametrize("name", STIFF)
-def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_why(name):
+def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_so(name):
     scene = STIFF[name]
     for accuracy in PRESETS:
         assert dc.recommend(scene, accuracy=accuracy).solver == stiffness(scene).solver
     plan = dc.plan(scene)
     assert plan.solver == stiffness(scene).solver
     assert plan["solving stiff piles"].used
-    assert plan["solving stiff piles"].why == stiffness(scene).why
-    assert "20,000 sweeps" in plan["solving stiff piles"].saving
-    other = dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"]
-    assert not other.used
-    assert "PGS(sweeps=50, tolerance=None) was asked for" in other.why
+    assert not dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"].used
 
 
 @pytest.mark.parametrize(
