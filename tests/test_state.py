@@ -39,41 +39,6 @@ def test_contacts_are_put_into_sweep_order_and_a_pair_twice_is_refused(falling_s
         check_state(state.replace(contacts=twice))
 
 
-TWO = [[1.0, 1.0], [4.0, 1.0]]
-
-
-def with_bodies(**fields):
-    state = dc.column(3)
-    return state.replace(bodies=state.bodies._replace(**fields))
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: dc.World(gravity=-9.81), r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
-        (lambda: dc.World(box="wide"), "box: expected finite .* got wide"),
-        (lambda: dc.make_bodies(TWO, radius=[1, 1, 1]), r"radius: expected one value .* of the 2, got \[1, 1, 1\]"),
-        (lambda: dc.make_bodies(TWO, velocity=[1, 2, 3]), "velocity: expected one pair for all circles"),
-        (lambda: dc.make_bodies(TWO, mass="heavy"), "mass: expected one value .* got 'heavy'"),
-        (lambda: dc.make_bodies([[1, 1], [2]]), r"position: expected numbers of shape \(n, 2\)"),
-        (lambda: dc.simulate("scene.xml"), "state: expected a State, .* dc.read_state .* got 'scene.xml'"),
-        (lambda: dc.simulate(dc.column(1).replace(bodies=TWO)), "bodies: expected Bodies, got list"),
-        (lambda: dc.simulate(dc.column(1).replace(world=None)), "world: expected World, got NoneType"),
-        (lambda: dc.step(with_bodies(mass=1j)), "bodies.mass: expected"),
-        (lambda: dc.step(with_bodies(position=[[1], [1, 2]])), "bodies.position: expected"),
-        (lambda: dc.step(with_bodies(spin=np.zeros(2))), r"bodies\.spin: expected shape \(3,\), got \(2,\)"),
-        (lambda: check_state(dc.column(3).replace(solved=1j)), "solved: expected True or False, got 1j"),
-        *(
-            (lambda options=options: dc.circles_in_box(5, **options), f"{next(iter(options))}: expected")
-            for options in ({"radius": 1j}, {"radius": object()}, {"size": "x"}, {"seed": [1.5]}, {"size": [1, 2, 3]})
-        ),
-    ],
-)
-def test_what_is_easily_given_wrongly_gets_a_sentence(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()
-
-
 @pytest.mark.parametrize(
     ("change", "message"),
     [

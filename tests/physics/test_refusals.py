@@ -52,7 +52,16 @@ REFUSED = [
     (run, {"sleep": 1}, "sleep: expected True or False, got 1"),
     (run, {"sleep": True, "solver": dc.BatchedPGS()}, "sleep: expected False with BatchedPGS, got True"),
     (islands_of, {"state": COLUMN}, "contacts: expected a state whose contacts have been found, got None"),
+    (dc.simulate, {"state": "scene.xml"}, "state: expected a State, .* dc.read_state .* got 'scene.xml'"),
+    *(
+        (dc.step, {"state": COLUMN.replace(bodies=COLUMN.bodies._replace(**field))}, f"bodies.{next(iter(field))}: exp")
+        for field in ({"mass": 1j}, {"position": [[1], [1, 2]]}, {"spin": np.zeros(3)})
+    ),
+    (dc.step, {"state": COLUMN.replace(bodies=[[1.0, 1.0]])}, "bodies: expected Bodies, got list"),
+    (dc.step, {"state": COLUMN.replace(solved=1j)}, "solved: expected True or False, got 1j"),
     # a world
+    (dc.World, {"gravity": -9.81}, r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
+    (dc.World, {"box": "wide"}, "box: expected finite .* got wide"),
     (dc.World, {"scales": 0.005}, "scales: expected None or ContactScales, such as scales.BOX2D, got 0.005"),
     (scaled, {"slop": -1.0}, r"scales.slop: expected a finite number >= 0, got -1.0"),
     (scaled, {"max_translation": 0.0}, r"scales.max_translation: expected a finite number > 0, got 0.0"),
@@ -66,6 +75,10 @@ REFUSED = [
     ),
     (in_world, {"segments": [BELT], "surface_speeds": [1e11]}, r"surface_speeds\[0\]: expected -1e\+10 to 1e\+10 m/s"),
     # a scene
+    *(
+        (dc.circles_in_box, {"n_bodies": 5, **wrong}, f"{next(iter(wrong))}: expected")
+        for wrong in ({"radius": 1j}, {"radius": object()}, {"size": "x"}, {"seed": [1.5]}, {"size": [1, 2, 3]})
+    ),
     (dc.circles_in_box, {"n_bodies": 0}, "n_bodies: expected an integer >= 1, got 0"),
     (dc.circles_in_box, {"radius": (2, 1)}, "radius: expected finite 0 < smallest <= largest"),
     (dc.circles_in_box, {"size": -3}, "size: expected finite numbers > 0, got -3"),
@@ -81,6 +94,14 @@ REFUSED = [
     (dc.column, {"width": 1.0}, "width: expected a finite number >= the diameter"),
     (dc.two_bodies, {"offset": 3.0}, "offset: expected less than the sum of the radii"),
     (dc.drum, {"gravity": (0.0, 0.0)}, r"froude: expected 0 without gravity, which it is measured by, got 0\.05"),
+    (dc.make_bodies, {"position": [[1, 1], [2]]}, r"position: expected numbers of shape \(n, 2\)"),
+    (
+        dc.make_bodies,
+        {"position": [[1, 1]] * 2, "radius": [1] * 3},
+        r"radius: expected one .* of the 2, got \[1, 1",
+    ),
+    (dc.make_bodies, {"position": [[1, 1]] * 2, "velocity": [1, 2, 3]}, "velocity: expected one pair for all circles"),
+    (dc.make_bodies, {"position": [[1, 1]] * 2, "mass": "heavy"}, "mass: expected one value .* got 'heavy'"),
     (dc.make_bodies, {"position": [[1, 1], [4, np.nan]]}, r"bodies\.position\[1\]: expected a finite number, got"),
 ]
 
