@@ -84,8 +84,6 @@ def engine(kind: str = "settled") -> list[list]:
         if case["kind"] != kind:
             continue
         for name, cost in case["engines"].items():
-            if name == "in levels":  # in files from before the order went
-                continue
             cells = [f"{case['n_bodies']:,} {case['kind']}", name, f"{cost['contacts']:.0f}"]
             for key in ("sweep_ns", "overhead_us", "step_us"):
                 ratio = f" ({case['ratios'][name][key]:.2f}×)" if name in case["ratios"] else ""
@@ -97,7 +95,7 @@ def engine(kind: str = "settled") -> list[list]:
 def runs() -> list[list]:
     """Microseconds of a step as users run it, by every method, and the memory of a run."""
     data = stored("benchmark_step")["data"]
-    kinds = [name for name in data["runs"][0]["us"] if name != "levels"]  # in files from before that order went
+    kinds = list(data["runs"][0]["us"])
     rows = [["pile", *kinds, "memory, MB"]]
     for run in data["runs"]:
         memory = data["memory_mb"].get(str(run["n_bodies"]))

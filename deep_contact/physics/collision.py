@@ -110,10 +110,10 @@ def own_contacts(contacts):
 
 
 @njit(cache=True, error_model="numpy")
-def has_list(position, radius, cells, ahead):
-    """Whether the pairs that touch are among those that `cells` remembers; they are found anew where that pays.
+def refresh_list(position, radius, cells, ahead):
+    """Find the pairs that `cells` remembers anew where they are stale and that pays; whether it has a list then.
 
-    ahead: m; pairs that are no farther apart.
+    ahead: m; the list has the pairs that are no farther apart than this, and more.
     """
     n, memory, half, x, y, apart = position.shape[0], cells.memory, 0.49 * (cells.gap[0] - ahead), 0.0, 0.0, math.inf
     if n == 0:
@@ -331,7 +331,7 @@ def write_pairs(position, radius, box, skin, cells, body_a, body_b):
     """Narrow phase's test: all touching pairs, sorted by (body_a, body_b), into `body_a` and `body_b`.
 
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m. skin: of the walls, m. body_b is a
-    circle, or n + wall. cells: `Cells`, about which `has_list` was asked at these positions; if they have a list, it
+    circle, or n + wall. cells: `Cells`, that `refresh_list` has seen at these positions; if they have a list, it
     saves work and changes no pair. Returns the number of pairs, or -1 if they do not fit.
     """
     n, m = position.shape[0], np.int64(0)
@@ -413,13 +413,13 @@ def find_contacts(position, radius, box, segments, skin, cells, buffer):
     position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: (S, 5), m and m/s.
     skin: of walls and segments, m. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
     """
-    has_list(position, radius, cells, 0.0)
+    refresh_list(position, radius, cells, 0.0)
     return contacts_at(position, radius, box, segments, skin, cells, buffer)
 
 
 @njit(cache=True, error_model="numpy")
 def contacts_at(position, radius, box, segments, skin, cells, buffer):
-    """`find_contacts` after `has_list` has been asked at these positions."""
+    """`find_contacts` after `refresh_list` at these positions."""
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if segments is not None:

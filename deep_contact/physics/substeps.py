@@ -16,7 +16,7 @@ import math
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.collision import circles_around, has_list, sort_into_cells, wall_gap
+from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
 from deep_contact.physics.segments import segment_gap
 from deep_contact.physics.step import StepInput
 from deep_contact.state import WALL_NORMALS
@@ -81,7 +81,7 @@ def fastest_pair(given, cells, gap, fastest):
     gap: m, that no approach closes in Δt. It is read from the list of near pairs where that reaches so far, or pays.
     """
     position, radius = given.bodies.position, given.bodies.radius
-    if has_list(position, radius, cells, gap):
+    if refresh_list(position, radius, cells, gap):
         for a in range(position.shape[0]):
             fastest = fastest_of(given, a, cells.near, cells.first[a], cells.first[a + 1], fastest)
     elif math.isfinite(position.sum()):

@@ -6,7 +6,8 @@ A script describes itself by a `Figure`, and runs where it is the program that w
     figures.run_as_script(FIGURE, __name__)
 
 `compute` makes the numbers. `claims`, `table` and `draw` see only what is stored of them, so that a picture drawn again
-from its file is the same picture.
+from its file is the same picture. Settings go through `--set`, read by hand: argparse has no options with spaces in the
+name, and none of the type of a default that is a list, a dict or None.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact import parallel
+from deep_contact.compiled.team import cores
 from deep_contact.io import provenance
 from deep_contact.io.files import replacing
 from deep_contact.reporting import plotting, results
@@ -325,8 +327,7 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
     add("--quick", action="store_true", help="a smaller run that ends within a minute")
     add("--seed", type=int, help=f"of everything random (default: {figure.seed})")
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    add("--jobs", type=int, default=cores, help="processes (default: one for each core)")
+    add("--jobs", type=int, default=cores(), help="processes (default: one for each core)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     add("--replot", action="store_true", help="judge and draw again from the stored results alone")
     add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")

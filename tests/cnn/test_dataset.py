@@ -20,16 +20,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import deep_contact as dc
-from deep_contact.cnn.dataset import Store, evenly, simulation_path, split_by_simulation
-from deep_contact.io import simulation_h5
-from deep_contact.io.simulation_h5 import (
+from deep_contact.cnn.dataset import (
     PHASES,
-    DataFileError,
-    pack_simulation,
+    Store,
+    evenly,
     phase,
-    read_simulation,
-    write_simulation,
+    phases_of,
+    simulation_path,
+    split_by_simulation,
+    start_errors,
 )
+from deep_contact.io import simulation_h5
+from deep_contact.io.simulation_h5 import DataFileError, pack_simulation, read_simulation, write_simulation
 from deep_contact.state import no_contacts
 
 ROOT = Path(__file__).parents[2]
@@ -170,21 +172,15 @@ def _replace(name, **options):
         (_set("theta", 3, 0.5), "digest"),
         (_attribute("dt", 0.02), "digest"),
         (_set("velocity", (3, 1, 0), np.nan), r"velocity\[3, 1, 0\]"),
-        (_set("mass", 2, -1.0), r"mass\[2\].*-1\.0"),
         (_set("body_b", 4, 99), r"body_b\[4\].*99"),
-        (_set("body_a", 4, -3), r"body_a\[4\].*-3"),
         (_set("normal", 4, [0.5, 0.5]), r"normal\[4, 0\]"),
-        (_set("normal_impulse", 4, -2.0), r"normal_impulse\[4\]"),
         (_set("contact_offset", 5, 10**9), r"contact_offset\[5\]"),
-        (_set("contact_offset", 0, 1), "contact_offset"),
         (_set("solved", 5, 7), r"solved\[5\]"),
         (_attribute("format", np.bytes_(b"other")), "format.*other"),
         (_attribute("version", 2), "version.*2"),
         (_attribute("dt", [1.0, 2.0]), "dt"),
-        (_attribute("dt", -1.0), "dt"),
         (_attribute("friction", -1.0), "friction"),
         (_attribute("solver", np.bytes_(b"{")), "solver"),
-        (_attribute("solver", np.bytes_(b'{"method": "exit"}')), "solver.*exit"),
         (_attribute("solver", np.bytes_(b'{"method": "PGS", "speed": 1}')), "solver.*speed"),
         (_attribute("name", "of changing length"), "name"),
         (_replace("spin"), "spin"),
@@ -261,15 +257,14 @@ def test_the_data_hash_is_that_of_the_contents(folder, tmp_path):
 
 def test_phases_go_by_how_far_off_builtin_started(run, path):
     states, _, _ = run
-    stored = read_simulation(path)
-    for i, index in enumerate(stored.phases()):
-        assert phase(states[i]) == PHASES[index]
-    assert len(set(stored.phases().tolist())) > 1
+    phases = [PHASES[index] for index in phases_of(read_simulation(path).arrays)]
+    assert phases == list(map(phase, states))
+    assert len(set(phases)) > 1
     c = states[-1].contacts
     for share, name in ((1.0, "rest"), (0.8, "settling"), (0.2, "impact")):
         start = {"normal_start": share * c.normal_impulse, "tangent_start": share * c.tangent_impulse}
         state = states[-1].replace(contacts=c._replace(**start))
-        assert simulation_h5.pack_simulation([state]).start_errors() == pytest.approx([1 - share], abs=1e-12)
+        assert start_errors(pack_simulation([state]).arrays) == pytest.approx([1 - share], abs=1e-12)
         assert phase(state) == name
 
 
@@ -413,4 +408,4 @@ def test_a_full_disk_ends_the_generation_with_one_line_and_without_half_a_file(g
     arguments = ["--out", str(tmp_path), "--simulations", "1", *SMALL, "--jobs", "1"]
     assert generate.main(arguments) == 1
     assert "No space left on device" in capsys.readouterr().err.splitlines()[-1]
-    assert not list(tmp_path.glob("*.h5"))
+    assert not list(tmp_path.iterdir())

@@ -118,13 +118,6 @@ def test_a_body_pushed_out_of_the_box_acts_from_its_edge():
 # ---- transfers ----
 
 
-def test_thesis_transfer_returns_a_quarter_from_the_centre_of_a_cell():
-    """Four equal weights that sum to one (Appendix A), read back with four of a quarter (Eq 3.16)."""
-    state = one_contact((15.25, 15.25))
-    normal, tangent = read_back(label_image(state, ImageSpec()), state, ImageSpec())
-    np.testing.assert_allclose([normal[0], tangent[0]], [0.75, -0.25], rtol=4 * FLOAT32)
-
-
 def test_a_contact_within_reach_of_no_node_goes_to_the_nearest():
     """The node at (15, 7.5): a bilinear read returns (1 − 0.21 / 0.5) (1 − 0.13 / 0.5) of it. One target alone."""
     spec, state = ImageSpec(support=0.1, targets=("tangent_impulse",)), one_contact((15.21, 7.37))

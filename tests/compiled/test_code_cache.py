@@ -1,4 +1,5 @@
-"""Numba's cache does not outlive a change of any source that was compiled into it, nor does damage go unnoticed."""
+"""Numba's cache does not outlive a change of any source that was compiled into it, nor does damage go unnoticed; and
+compiling is announced."""
 
 import importlib
 import pickle
@@ -8,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numba import njit
-from numba.core import caching
+from numba.core import caching, event
 
 import deep_contact.compiled as compiled
-from deep_contact.compiled import code_cache
+from deep_contact.compiled import announcement, code_cache
 from deep_contact.compiled.code_cache import source_stamp
 
 SOURCES = {
@@ -133,3 +134,14 @@ def test_an_index_that_names_a_class_which_has_moved_counts_as_none(tmp_path):
     assert file._load_index() == {}
     file.save(("key",), "code")  # and is written anew
     assert file.load(("key",)) == "code"
+
+
+def test_compiling_is_announced_once_and_only_where_physics_are_compiled():
+    one, two, other = (njit(lambda x, k=k: x + k) for k in range(3))
+    one.py_func.__module__ = two.py_func.__module__ = "deep_contact.physics.engine"
+    for functions, lines in (((other,), 0), ((one, two), 1), ((one,), 0)):
+        said = []
+        with event.install_listener("numba:compile", announcement(said.append)):
+            for function in functions:
+                function(1)
+        assert len(said) == lines

@@ -189,12 +189,3 @@ def spelt(simulation, path, **attributes):
 def test_a_simulation_of_an_unknown_solver_is_refused(simulation, tmp_path, solver):
     with pytest.raises(DataFileError, match=r"sim.h5: solver: expected null, or a method and its options, got "):
         simulation_info(spelt(simulation, tmp_path / "sim.h5", solver=solver))
-
-
-@pytest.mark.parametrize(
-    ("solver", "name"),
-    [(b'{"method": "APGD", "sweeps": 3}', "APGD"), (b'{"method": "BatchedPGS", "order": "levels"}', "BatchedPGS")],
-)
-def test_a_simulation_of_a_solver_that_is_gone_is_read_with_a_warning(simulation, tmp_path, solver, name):
-    with pytest.warns(UserWarning, match=rf"solver: {name}.* is no longer part of Deep Contact"):
-        assert simulation_info(spelt(simulation, tmp_path / "sim.h5", solver=solver)).header["solver"] is None

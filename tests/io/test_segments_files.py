@@ -39,10 +39,8 @@ def test_a_state_survives_xml(run, tmp_path):
     ("old", "new", "message"),
     [
         ('<segment index="62"', '<segment index="61"', r"segment.*index: expected each once, got.*61"),
-        ('<segment index="62"', '<segment index="60"', r"index: expected each once"),
         ('slave="62"', 'slave="63"', r"slave: expected the index of a body in the file.*63"),
         ("<segment index", "<segment colour='red' index", "colour"),
-        ("<segments>", "<segments><line/>", "expected a <segment> here.*line"),
         (r'(<segment index="61") .*/>', r'\1 x_0="1.0" y_0="1.0" x_1="1.0" y_1="1.0"/>', "two different points"),
         (r'(<segment index="61") x_0="[^"]*"', r"\1", "x_0"),
         (r"(?s)<segments>.*</segments>", "", "expected the index of a body"),

@@ -18,11 +18,6 @@ def test_every_sample_is_a_solved_state_of_its_step():
     assert dc.sample_file() == dc.sample_file("impact_154")
 
 
-def test_an_unknown_sample_is_refused_by_the_names_of_those_that_there_are():
-    with pytest.raises(ValueError, match=r"sample: expected one of impact_154, .*rest_530, got 'mine'"):
-        dc.sample_file("mine")
-
-
 def test_without_samples_the_error_says_where_they_are(tmp_path, monkeypatch):
     monkeypatch.setattr(shipped, "ROOT", tmp_path)
     with pytest.raises(FileNotFoundError, match="source repository"):

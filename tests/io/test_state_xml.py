@@ -20,7 +20,7 @@ from hypothesis.extra.numpy import arrays
 from deep_contact import constants
 from deep_contact.io import state_xml, xml_tree
 from deep_contact.io.state_xml import StateFileError, format_state, parse_state, read_state, write_state
-from deep_contact.physics.solvers import METHODS, PGS
+from deep_contact.physics.solvers import PGS
 from deep_contact.state import BOTTOM, LEFT, WALL_NORMALS, Bodies, Contacts, State, World, make_bodies, no_contacts
 from deep_contact.state.scales import BOX2D, ContactScales
 
@@ -121,12 +121,6 @@ def test_a_file_comes_back_and_has_the_same_bytes_for_the_same_state(tmp_path, n
     assert (tmp_path / name).read_bytes() == path.read_bytes()
 
 
-@pytest.mark.parametrize("method", sorted(METHODS))
-def test_every_method_is_stored_with_its_options(method):
-    solver = METHODS[method]()
-    assert parse_state(format_state(example(solver=solver)), "s.xml").solver == solver
-
-
 @dataclass(frozen=True, kw_only=True)
 class Other:
     a: object = None
@@ -157,13 +151,6 @@ def test_the_text_has_the_elements_of_the_listing():
     contact = root.findall("contacts/contact")[2]
     assert [child.tag for child in contact] == ["position", "normal", "impulse", "start"]
     assert (contact.get("master"), contact.get("slave"), contact.find("start").get("n")) == ("0", "2", "0.1")
-
-
-def test_scales_are_written_only_where_the_world_sets_them():
-    assert b"scales" not in format_state(example())
-    text = format_state(example(world=World(scales=BOX2D._replace(slop=0.1)))).decode()
-    assert '  <scales slop="0.1" wall_skin="0.01" max_correction="0.2"' in text
-    assert parse_state(text.encode(), "pile.xml").world.scales == BOX2D._replace(slop=0.1)
 
 
 # Old dialects
@@ -247,27 +234,20 @@ def test_old_box_is_placed_by_its_body():
 
 BAD = [
     ("ours", '<spin omega="0.25"/>', '<spin omega="nan"/>', "<spin>.*'nan'"),
-    ("ours", '<velocity x="0.5"', '<velocity x="1e999"', "<velocity>.*'1e999'"),
     ("ours", '<velocity x="0.5"', '<velocity x="1_0"', "<velocity>.*'1_0'"),
     ("ours", 'radius="1.0"', 'radius="-1.0"', "<shape>.*'-1.0'"),
-    ("ours", '<mass value="3.', '<mass value="-3.', "<mass>.*'-3.14"),
     ("ours", '<inertia value="1.5', '<inertia value="2.5', "<inertia>.*'2.57"),
     ("ours", '<body index="1"', '<body index="0"', "<body> '0'.*duplicate"),
     ("ours", '<body index="1"', '<body index="4"', "<body> '4'.*there is no 1"),
     ("ours", 'master="0" slave="1"', 'master="0" slave="9"', "<contact> '0'.*slave: .*'9'"),
-    ("ours", 'master="0" slave="1"', 'master="0" slave="0"', "<contact> '0'.*slave: .*'0'"),
     ("ours", 'master="0" slave="1"', f'master="{"9" * 30}" slave="1"', "<contact>.*'9999"),
     ("ours", '<mass value="3.141592653589793"/>', "<mass/>", "<mass>.*value: .*missing"),
     ("ours", '<spin omega="0.25"/>', "", "<body> '0'.*<spin> is missing"),
     ("ours", '<spin omega="0.25"/>', '<spin omega="0"/><spin omega="1"/>', "<spin>.*second"),
-    ("ours", ' dt="', ' dT="', "<configuration>.*dT"),
-    ("ours", 'method="PGS"', 'method="os.system"', "<solver>.*'os.system'"),
     ("ours", ' sweeps="', ' sweep="', "<solver>.*unexpected keyword argument 'sweep'"),
     ("ours", ' sweeps="3000"', ' sweeps="-3"', "<solver>.*sweeps: .*-3"),
     ("ours", ' slop="0.005"', "", "<scales>.*slop: .*missing"),
-    ("ours", ' slop="0.005"', ' slop="-1.0"', "<configuration>.*scales.slop: .*-1.0"),
     ("ours", 'type="free"', 'type="flying"', "<body> '0'.*type: .*'flying'"),
-    ("ours", 'value="circle"', 'value="square"', "<shape>.*'square'"),
     ("ours", '<normal x="1.0" y="0.0"/>', '<normal x="2.0" y="0.0"/>', "<normal>.*'2.0, 0.0'"),
     ("ours", '<impulse n="0.5"', '<impulse n="-0.5"', "<impulse>.*'-0.5'"),
     ("ours", '<corner x="30.0" y="0.0"/>', '<corner x="30.0" y="1.0"/>', "<shape>.*corners"),
@@ -280,7 +260,6 @@ BAD = [
     ("a", "dcLoopShape(vertices=[(30, 0), (30, 30), (0, 30), (0, 0)])", "", "<shape> of body '0'.*expected box"),
     ("a", "(30, 30)", "(31, 30)", "<shape>.*corners"),
     ("a", 'vel_iter="5000"', 'vel_iter="99999999999"', "sweeps: "),
-    ("a", 'pos_iter="2500"', 'pos_iter="x"', "position_sweeps: "),
     ("b", "b2Vec2(-1,-2.9638e-05)", "b2Vec2(-1,__import__('os'))", "<normal> of contact '0'.*__import__"),
 ]
 
@@ -308,12 +287,10 @@ OURS = format_state(example())
     ("data", "words"),
     [
         (b"", "empty"),
-        (b" \n\n", "empty"),
         *((OURS[: int(share * len(OURS)) or 1], "") for share in (0.0005, 0.1, 0.5, 0.9, 0.999)),
         (b"index,mass\n0,1\n", "not well-formed"),
         (b"<configuration>" + b"<a>" * 100_000, "not well-formed"),
         (b"\x89PNG\r\n\x1a\n", "UTF-8"),
-        ("<configuration/>".encode("utf-16"), "UTF-8"),
         ("<configuration/>".encode("utf-16-le"), "NUL"),
         (b'<?xml version="1.0" encoding="UTF-7"?>\n<configuration/>', "encoding: .*'UTF-7'"),
         (b"<scene/>", "root <configuration>, got 'scene'"),

@@ -54,14 +54,6 @@ def test_circles_of_all_sizes_with_any_friction(friction):
         check_solution(state, from_nothing(state))
 
 
-def test_frictionless_velocities_equal_nnls(frictionless_states, nnls_velocities):
-    for state, velocity in zip(frictionless_states, nnls_velocities):
-        found = from_nothing(state, residual=1e-10)
-        np.testing.assert_allclose(found.solution.velocities, velocity[:, :2], atol=1e-8)
-        np.testing.assert_allclose(found.solution.angular_velocities, velocity[:, 2], atol=1e-8)
-        assert not found.solution.tangent_impulses.any()
-
-
 def touching(centres, **world):
     """A state of circles of radius 1 at these centres, which overlap by so much that rounding opens no contact."""
     return ready(State(name="touching", world=World(**world), bodies=make_bodies(np.array(centres) * 0.9999)))
@@ -296,7 +288,6 @@ def test_nothing_to_solve():
 
 
 ONE = ready(single_body())
-LOST = ONE.replace(bodies=ONE.bodies._replace(velocity=np.array([[np.nan, 0.0]])))
 
 
 @pytest.mark.parametrize(
@@ -304,9 +295,7 @@ LOST = ONE.replace(bodies=ONE.bodies._replace(velocity=np.array([[np.nan, 0.0]])
     [
         (None, (), {}, "state: expected a State or a ContactProblem, got None"),
         (ONE.replace(contacts=None), (), {}, r"state\.contacts: expected the contacts to have been found, got None"),
-        (LOST, (), {}, r"bodies.velocity\[0\]: expected a finite"),
         (ONE, (), {"residual": 0.0}, "residual: expected a finite number > 0, got 0.0"),
-        (ONE, (), {"most_pivots": -1}, "most_pivots: expected an integer >= 0, got -1"),
         (ONE, ([0.0], None), {}, r"tangent_start: expected finite numbers of shape \(1,\), got None"),
         (ONE, ([0.0, 1.0], [0.0]), {}, r"normal_start: expected finite numbers of shape \(1,\), got shape \(2,\)"),
         (ONE, ([1e300], [0.0]), {}, r"normal_start: expected numbers up to .* N·s, got 1e\+300"),

@@ -81,10 +81,7 @@ def test_the_error_that_sweeps_are_asked_for_is_siconos_error(stiffness, b):
     ("changes", "message"),
     [
         ({"b": np.array([0.0, np.nan])}, r"b\[1\]: expected a finite number, got nan"),
-        ({"b": np.zeros(3)}, r"b: expected finite numbers of shape \(2,\), got shape \(3,\)"),
-        ({"friction": None}, r"friction: expected finite numbers of shape \(1,\), got None"),
         ({"friction": np.array([-0.5])}, r"friction\[0\]: expected a number >= 0, got -0.5"),
-        ({"A": sparse.csr_array(np.diag([1.0, 0.0]))}, r"A\[1, 1\]: expected a number > 0, got 0.0"),
         ({"A": sparse.csr_array(np.ones((2, 4)))}, r"A: expected a square matrix .* got shape \(2, 4\)"),
         ({"A": sparse.csr_array([[1.0, np.inf], [0, 1]])}, "A: expected finite entries, got inf"),
         ({"inverse_mass": np.array([-1.0, 1.0, 1.0])}, "inverse_mass: expected numbers >= 0, got -1.0"),
@@ -100,7 +97,6 @@ def test_bad_problems_are_refused(changes, message):
     ("solver", "options", "message"),
     [
         (dc.PGS(islands=True), {}, "solver: expected one of PGS, .* got PGS"),
-        (dc.BatchedPGS(), {}, "solver: expected one of PGS, .* got BatchedPGS"),
         (dc.PGS(), {}, "tolerance: expected a finite number >= 0, got 'scene'"),
         (dc.PGS(tolerance=None), {"error": 0.0}, "error: expected a finite number > 0, got 0.0"),
         (dc.PGS(tolerance=None), {"start": np.zeros(3)}, r"start: expected finite numbers of shape \(2,\)"),

@@ -208,19 +208,6 @@ def test_a_lattice_fills_its_box_and_nothing_overlaps(n, columns, low, ratio, ga
     assert ready(scene).contacts.separation.min(initial=0.0) >= -2 * skin
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_circles_renumbered_find_the_same_contacts(seed):
-    rng = np.random.default_rng(seed)
-    scene = dc.lattice_in_box(60, gap=0.01, radius=(0.5, 1.0), seed=seed)
-    state = dc.simulate(scene, steps=100, solver=SWEEPS).state
-    order = rng.permutation(60)
-    found = ready(state.replace(bodies=Bodies(*(field[order] for field in state.bodies)), contacts=None)).contacts
-    number = np.append(order, np.arange(60, 64))
-    pairs = {frozenset(pair) for pair in zip(number[found.body_a].tolist(), number[found.body_b].tolist())}
-    expected = {frozenset(p) for p in zip(state.contacts.body_a.tolist(), state.contacts.body_b.tolist())}
-    assert pairs == expected
-
-
 @st.composite
 def solvers(draw):
     """Any method, with the options that it admits."""

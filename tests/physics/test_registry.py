@@ -74,26 +74,10 @@ def test_another_solver_of_the_same_name_is_refused():
         register(PGS, lambda solver: ToySettings(0.0), ())
 
 
-GONE = [
-    ("SoftSteps", {"substeps": 4}, "SoftSteps"),
-    ("BatchedPGS", {"order": "levels"}, r"BatchedPGS\(order='levels'\)"),
-    ("PSOR", {"adaptive": True}, r"PSOR\(adaptive=True\)"),
-    ("NNCG", {"precision": "single"}, r"NNCG\(precision='single'\)"),
-]
-
-
-@pytest.mark.parametrize(("method", "options", "name"), GONE)
-def test_a_solver_that_is_gone_is_read_as_none(method, options, name):
-    with pytest.warns(UserWarning, match=rf"solver: {name} is no longer part of Deep Contact; the default is"):
-        assert solver_from(method, options) is None
-
-
-def test_options_that_are_gone_and_were_not_used_are_read_from_old_files():
-    assert solver_from("BatchedPGS", {"order": "colours", "sweeps": 5}) == dc.BatchedPGS(sweeps=5)
-    assert solver_from("PSOR", {"omega": 1.5, "adaptive": False, "precision": "double"}) == dc.PSOR(omega=1.5)
-    for name, left in (("order", "colours"), ("precision", "double")):
-        with pytest.raises(ValueError, match=f"{name}: expected {left}, got 'rainbow'"):
-            solver_from("BatchedPGS", {name: "rainbow"})
+def test_the_precision_that_old_files_name_is_double():
+    assert solver_from("PSOR", {"omega": 1.5, "precision": "double"}) == dc.PSOR(omega=1.5)
+    with pytest.raises(ValueError, match="precision: expected one of double, got 'single'"):
+        solver_from("PSOR", {"precision": "single"})
 
 
 def test_options_that_are_not_registered_are_refused():

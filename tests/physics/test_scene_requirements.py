@@ -55,14 +55,6 @@ def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_state
     assert found.record.theta[0] >= 1.0
 
 
-def test_nothing_turns_without_friction():
-    scene = spinning_scene()
-    run = dc.simulate(scene, steps=150)
-    # ω r and back by r rounds once a step.
-    np.testing.assert_allclose(run.state.bodies.spin, scene.bodies.spin, rtol=150 * 2**-52)
-    np.testing.assert_array_equal(run.state.contacts.tangent_impulse, 0.0)
-
-
 def test_the_first_fast_circle_of_a_run_stops_as_if_it_had_been_waited_for(monkeypatch):
     # What stops fast circles is compiled when one comes: the call ends before its step, and the next one knows how.
     scene = dc.circles_in_box(20, size=12.0, radius=(0.1, 0.2), gravity=(0.0, -30.0), seed=2)

@@ -56,20 +56,6 @@ def test_a_drum_of_few_sides_holds_the_lattice_of_mixed_radii():
     assert (out <= apothem).all()
 
 
-def test_bench_disks_are_siconos_s():
-    scene = dc.bench_disks(4)
-    assert scene.bodies.count == 16
-    assert scene.dt == 0.005
-    np.testing.assert_allclose(scene.bodies.mass, 1.0)
-    np.testing.assert_allclose(scene.bodies.inertia, 0.5)
-    assert (scene.world.friction, scene.world.restitution) == (0.5, 0.0)
-    np.testing.assert_allclose(scene.world.gravity, (0, -4 * 9.81))
-    expected = [(-8, 56, -8, 40), (-8, 40, 0, 32), (0, 32, 72, 0), (72, 0, 88, 0), (88, 0, 88, 56)]
-    assert scene.world.segments == tuple(expected)
-    assert abs(overlap(scene.bodies)) < 1e-12
-    np.testing.assert_allclose(scene.bodies.position.min(axis=0), (-7, 41))
-
-
 def test_a_hopper_lets_circles_through_its_hole_alone():
     scene = dc.hopper(80, opening=9.0, seed=2)
     (x_0, foot), (x_1, _) = np.reshape(scene.world.segments, (-1, 2, 2))[[0, 1], [1, 0]]

@@ -126,13 +126,6 @@ def test_a_quick_run_is_called_so_and_contradicts_nothing(folder):
     assert text.count("the &lt;other&gt;") == 5  # not in the list of those that do not hold
 
 
-def test_every_script_has_a_caption():
-    module = load_script("all_figures")
-    for script in module.find(module.HERE).values():
-        assert len(module.caption(script)) > 30
-    assert module.caption(module.find(module.HERE)["3.2"]).endswith("Right: their weights over their distances.")
-
-
 def test_every_file_of_data_reference_is_made_by_one_of_the_commands(tmp_path, monkeypatch, capsys):
     module = load_script("all_figures")
     made = {path.stem for path in module.REFERENCE.glob("*.json")}

@@ -1,7 +1,5 @@
 """README and the documentation: tables are what the results files say, and every block of code does what it says."""
 
-import argparse
-import ast
 import io
 import json
 import re
@@ -31,7 +29,6 @@ PAGES = {
     str(path.relative_to(ROOT)): path for path in (README, *sorted(DOCS.glob("*.md")), DOCS / "gallery" / "index.md")
 }
 TEXTS = {name: path.read_text(encoding="utf-8") for name, path in PAGES.items()}
-EXAMPLES = sorted((DOCS / "gallery").glob("*.py"))
 
 
 def blocks(language, text):
@@ -42,11 +39,6 @@ def blocks(language, text):
 PYTHON = {name: blocks("python", text) for name, text in TEXTS.items()}
 LINES = "".join(block for text in TEXTS.values() for block in blocks("bash", text)).splitlines()
 COMMANDS = dict.fromkeys(line for line in LINES if line.strip() and not line.startswith("#"))
-
-
-@pytest.mark.parametrize("page", TEXTS)
-def test_code_fits_the_page(page):
-    assert [line for block in blocks("python", TEXTS[page]) for line in block.splitlines() if len(line) > 88] == []
 
 
 def test_readme_is_one_page_and_the_documentation_at_most_100_kilobytes():
@@ -97,15 +89,6 @@ def test_python_of_a_page_runs_in_order_in_one_namespace(page, tmp_path, monkeyp
         assert Path(name).stat().st_size > 0
 
 
-def test_a_state_file_of_ones_own_is_predicted(tmp_path):
-    (tmp_path / "mine.xml").write_text(blocks("xml", TEXTS["docs/guide.md"])[0], encoding="utf-8")
-    command = next(command for command in COMMANDS if "predict.py mine.xml" in command)
-    _, script, *arguments = shlex.split(command, comments=True)
-    subprocess.run([sys.executable, ROOT / script, *arguments], cwd=tmp_path, check=True)
-    written = sorted(path.name for path in (tmp_path / "predictions").iterdir())
-    assert written == ["mine.csv", "mine.npy", "mine.png"]
-
-
 @cache
 def help_of(*words):
     """What a Python program says of its options."""
@@ -141,16 +124,6 @@ def test_commands_name_scripts_files_and_options_that_there_are(command):
         assert re.search(rf"{option}\b", known), option
 
 
-@pytest.mark.parametrize("script", ["all_figures", "benchmark", "generate_data", "predict", "run_tradeoff", "train"])
-def test_every_option_of_a_script_says_what_it_is(script, monkeypatch):
-    """Those of figures: test_figures.py."""
-    found = []
-    monkeypatch.setattr(argparse.ArgumentParser, "print_help", lambda parser: found.extend(parser._actions))
-    help_of.__wrapped__(f"scripts/{script}.py")
-    assert found
-    assert [action.dest for action in found if not action.help] == []
-
-
 @pytest.mark.parametrize("page", PAGES)
 def test_every_picture_path_and_link_exists(page):
     text = TEXTS[page]
@@ -160,28 +133,3 @@ def test_every_picture_path_and_link_exists(page):
         assert (PAGES[page].parent / path).exists() or path in MADE, path
     for path in paths:
         assert (ROOT / path).exists(), path
-
-
-def test_the_stages_of_a_step_are_those_of_the_engine_in_its_order():
-    source = (ROOT / "deep_contact" / "physics" / "engine.py").read_text(encoding="utf-8")
-    step = re.search(r"^def advance\(.*?^    return ", source, re.DOTALL | re.MULTILINE)[0]
-    loop = step.partition("for k in")[2]
-    stages = re.findall(r"^\d+\. `(\w+)`", TEXTS["docs/solvers.md"], re.MULTILINE)
-    assert stages == [name for name in re.findall(r"\b(\w+)\(", loop) if name in stages]
-    assert len(stages) == 9
-
-
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_is_short_listed_and_public(path):
-    """`scripts/docs.sh` runs it."""
-    source = path.read_text(encoding="utf-8")
-    assert len(source.splitlines()) <= 50
-    assert "__file__" not in source  # a wheel has no repository around it
-    assert f"({path.name})" in TEXTS["docs/gallery/index.md"]
-    tree = ast.parse(source)
-    assert ast.get_docstring(tree).partition("\n")[0].endswith(".")
-    names = [node.attr for node in ast.walk(tree) if isinstance(node, ast.Attribute)]
-    names += [
-        alias.name for node in ast.walk(tree) if isinstance(node, (ast.Import, ast.ImportFrom)) for alias in node.names
-    ]
-    assert not [name for name in names if name.startswith("_") and not name.startswith("__")]

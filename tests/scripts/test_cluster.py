@@ -140,11 +140,6 @@ def test_a_worker_with_other_code_refuses(workers, monkeypatch):
         workers.submit(abs, -1).result()
 
 
-def test_a_function_that_workers_do_not_have_is_an_error(workers):
-    with pytest.raises(ModuleNotFoundError, match="generate_data"):
-        workers.submit(load_script("generate_data").missing, []).result()
-
-
 def test_results_are_handed_on_and_not_kept(workers):
     with closing(parallel.finished(bytes, [10] * 6, jobs=workers)) as found:
         for _ in range(4):

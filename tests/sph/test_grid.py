@@ -66,12 +66,9 @@ BOX = {"box": (0, 0, 1, 1), "spacing": 0.5}
     [
         (sph.Grid, GRID | {"origin": (0, math.nan)}, "origin: expected 2 finite numbers.*nan"),
         (sph.Grid, GRID | {"spacing": (0.5, 0)}, r"spacing: expected numbers > 0, got \(0.5, 0\)"),
-        (sph.Grid, GRID | {"spacing": math.inf}, "spacing.*inf"),
         (sph.Grid, GRID | {"origin": (1e20, 0)}, "spacing: expected nodes that differ"),
         (sph.Grid, GRID | {"shape": (1, 5)}, r"shape: expected 2 integers >= 2, \(n_y, n_x\), got \(1, 5\)"),
-        (sph.Grid, GRID | {"shape": 5}, "shape"),
         (sph.Grid.over_box, BOX | {"box": (0, 0, 0, 1)}, "box"),
-        (sph.Grid.over_box, BOX | {"box": (0, 0, 1)}, "box"),
         (sph.Grid.over_box, BOX | {"box": (-1e308, 0, 1e308, 1)}, "box: expected .* of finite extent"),
         (sph.Grid.over_box, BOX | {"box": (0, -1e308, 1, 1e308)}, "box: expected .* of finite extent"),
         (sph.Grid.over_box, BOX | {"spacing": 0}, "spacing.*0"),
@@ -132,18 +129,6 @@ def test_no_particles_give_an_empty_image_and_nothing_to_read():
 
 
 # ---- gather ----
-
-
-def test_bilinear_is_equation_3_16_on_an_asymmetric_field():
-    """Erratum: Algorithm 4 has the matrix of node values transposed; one cell, four different corners."""
-    grid = sph.Grid(origin=(0, 0), spacing=1, shape=(2, 2))
-    q11, q21, q12, q22 = 1.0, 10.0, 100.0, 1000.0
-    image = np.array([[q11, q21], [q12, q22]])  # row: y, column: x
-    x, y = 0.25, 0.125
-    right = (q11 * (1 - x) + q21 * x) * (1 - y) + (q12 * (1 - x) + q22 * x) * y  # Eq 3.14, 3.15
-    transposed = (q11 * (1 - x) + q12 * x) * (1 - y) + (q21 * (1 - x) + q22 * x) * y
-    assert sph.gather(grid, image, [[x, y]])[0] == right
-    assert abs(right - transposed) > 1
 
 
 def test_bilinear_is_that_of_scipy():
@@ -309,9 +294,7 @@ def test_an_isolated_particle_comes_back_whatever_its_place_and_value(x, y, dx, 
     [
         ({"position": [[1.0, 1.0], [math.nan, 1.0]]}, r"position\[1\]: expected finite numbers, got \[nan  ?1"),
         ({"position": [1.0, 1.0]}, r"position: expected shape \(k, 2\)"),
-        ({"position": [["a", "b"]] * 2}, "position: expected an array of real numbers"),
         ({"values": [1.0, math.nan]}, r"values\[1\].*nan"),
-        ({"values": [1.0]}, r"values: expected shape \(2, channels\), got \(1,\)"),
         ({"h": 0.0}, "h: expected a number from"),
         ({"kernel": "cubic"}, "kernel: expected one of .*'cubic'"),
         ({"normalization": "none"}, "normalization: expected one of raw, particle, consistent, got 'none'"),
@@ -334,10 +317,7 @@ def test_splat_refuses(change, message):
         ({"normalization": "consistent", "density": np.zeros((3, 3))}, r"density: expected shape \(61, 61\)"),
         ({"normalization": "consistent", "density": np.full((61, 61), np.nan)}, "expected finite numbers"),
         ({"density": np.ones((61, 61))}, "density: only for the normalization 'consistent', not 'raw'"),
-        ({"method": "sph"}, "h: expected the support radius"),
         ({"method": "cubic"}, "method: expected one of bilinear, sph, got 'cubic'"),
-        ({"h": -1.0}, "h: .*-1.0"),
-        ({"outside": "wrap"}, "outside: .*'wrap'"),
     ],
 )
 def test_gather_refuses(change, message):

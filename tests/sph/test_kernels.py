@@ -67,32 +67,6 @@ def test_derivatives_are_the_finite_differences(kernel, dim):
     np.testing.assert_allclose(found, laplacian, atol=1e-7 * peak)
 
 
-@pytest.mark.parametrize(("kernel", "thesis"), [("poly6", 315 / (64 * math.pi)), ("spiky", 15 / math.pi)])
-def test_constants_of_equations_3_8_and_3_11_hold_in_space_only(kernel, thesis):
-    """Erratum: the thesis uses its 3-D constants on the plane (also Appendix A for spiky)."""
-    plane = {"poly6": 4 / math.pi, "spiky": 10 / math.pi}[kernel]
-    assert sph.value(kernel, 0.0, 1.0, dim=3) == pytest.approx(thesis, rel=1e-15)
-    assert sph.value(kernel, 0.0, 1.0) == pytest.approx(plane, rel=1e-15)
-    shape = radial_integral(lambda r: sph.value(kernel, r, 1.0) / plane, 2, h=1.0)
-    assert plane * shape == pytest.approx(1, rel=1e-11)
-    assert thesis * shape > 1.2
-
-
-@pytest.mark.parametrize("h", [1.0, 0.5, 2.0])
-def test_laplacians_are_not_equations_3_10_and_3_13(h):
-    """Errata: in space −945/(32πh⁹), half of 3.10's factor, for poly6; 3.13 is W'' alone for spiky."""
-    r = h * np.array([0.1, 0.2, 0.6, 0.9])
-    half = -945 / (32 * math.pi * h**9) * (h**2 - r**2) * (3 * h**2 - 7 * r**2)
-    np.testing.assert_allclose(sph.laplacian("poly6", r, h, dim=3), half, rtol=1e-12)
-    plane = 48 / (math.pi * h**8) * (h**2 - r**2) * (3 * r**2 - h**2)
-    np.testing.assert_allclose(sph.laplacian("poly6", r, h), plane, rtol=1e-12)
-    space = -90 / (math.pi * h**6) * (h - r) * (h - 2 * r) / r
-    np.testing.assert_allclose(sph.laplacian("spiky", r, h, dim=3), space, rtol=1e-12)
-    plane = 30 / (math.pi * h**5) * (h - r) * (3 * r - h) / r
-    np.testing.assert_allclose(sph.laplacian("spiky", r, h), plane, rtol=1e-12)
-    assert (np.abs(90 / (math.pi * h**6) * (h - r) - space) > 0.1 * np.abs(space)).all()
-
-
 @kernels
 @dims
 def test_value_is_positive_and_falls_to_zero(kernel, dim):

@@ -72,8 +72,3 @@ def test_sharing_loses_nothing():
     alone = starts.isolated_contacts(20, seed=0)
     assert starts.transfer_loss(alone, Sph(transfer="shared")) < 1e-12
     assert starts.transfer_loss(alone, Sph(transfer="thesis")) > 0.1
-
-
-def test_an_unknown_transfer_is_refused():
-    with pytest.raises(ValueError, match="transfer: expected one of thesis, consistent, spline, shared, got 'cubic'"):
-        Sph(transfer="cubic")

@@ -26,24 +26,11 @@ def test_a_kernel_that_sticks_out_is_refused(bad):
         worked.window_products(np.ones((6, 6)), **arguments)
 
 
-def test_a_neuron_by_hand():
-    """Eq 4.3 and 4.4: 2·0.5 − 1·3 + 1 = −1, which ReLU cuts at zero in a hidden layer."""
-    neuron = np.array([[0.5], [-3.0]]), np.array([1.0])
-    assert worked.forward([2.0, 1.0], [neuron])[1] == -1.0
-    assert worked.forward([2.0, 1.0], [neuron, (np.eye(1), np.zeros(1))])[1] == 0.0
-
-
 @pytest.mark.parametrize("name", worked.ACTIVATIONS)
 def test_derivatives_of_activations_against_finite_differences(name):
     function, derivative = worked.ACTIVATIONS[name]
     x, eps = np.linspace(-3, 3, 31) + 0.05, 1e-6  # away from ReLU's corner
     np.testing.assert_allclose(derivative(x), (function(x + eps) - function(x - eps)) / (2 * eps), atol=1e-8)
-
-
-def test_twice_the_weights_make_relus_gradient_grow_by_two_a_layer():
-    """ReLU's derivative does not see the size of its argument."""
-    once, twice = (worked.gradient_ratio("ReLU", depth=5, width=8, gain=gain, seed=3) for gain in (0.7, 1.4))
-    assert twice == pytest.approx(2**5 * once)
 
 
 # ---- backpropagation ----

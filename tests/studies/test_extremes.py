@@ -261,13 +261,6 @@ def test_lifting_by_position_correction_is_counted_apart():
     assert outcome["correction"] > 0.2
 
 
-def test_an_unknown_engine_or_quantity_is_refused():
-    with pytest.raises(ValueError, match=r"engine: expected one of ours, Box2D 2\.3, pymunk, got 'magic'"):
-        measure(Trial(scene=extremes.silo(1), steps=1), "magic")
-    with pytest.raises(ValueError, match=r"quantities: expected one of mass ratio.*got 'magic'"):
-        extremes.cases(["magic"], quick=True, steps=1)
-
-
 @pytest.mark.peers
 def test_chipmunk_is_not_asked_for_what_ends_the_process():
     pytest.importorskip("pymunk")

@@ -4,19 +4,14 @@ The recordings are what the engine is judged by (test_box2d_oracle.py), and it j
 recorded.
 """
 
-import math
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from box2d_recorder import RecordingBox2D
 
 from deep_contact.constants import WALL_SKIN
-from deep_contact.physics.engine import solve
-from deep_contact.physics.solvers import PGS
 from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World, make_bodies
-from deep_contact.state.scales import BOX2D
 from deep_contact.studies import peers
 
 FLOAT32 = 1e-6
@@ -122,64 +117,6 @@ def test_wall_contacts_are_numbered_and_point_from_circle_to_wall(box2d):
     np.testing.assert_allclose(contacts.normal, WALL_NORMALS, atol=FLOAT32)
     np.testing.assert_allclose(contacts.separation, -0.005, atol=FLOAT32)
     np.testing.assert_allclose(contacts.normal_impulse, np.pi, rtol=1e-5)  # m v
-
-
-def test_a_step_starts_from_what_the_last_one_solved(box2d):
-    """Box2D's warm starting: pairs that stay in touch start from their old impulses, new ones from zero."""
-    world = box2d(falling_pile(4))
-    world.run(100, 0.01, 20, 3)
-    first, second = (world.record_step(0.01, 20, 3).state.contacts for _ in range(2))
-    old = {(a, b): impulses for a, b, *impulses in zip(*first[:2], first.normal_impulse, first.tangent_impulse)}
-    expected = [old.get(pair, [0.0, 0.0]) for pair in zip(second.body_a, second.body_b)]
-    np.testing.assert_array_equal(np.stack([second.normal_start, second.tangent_start], axis=1), expected)
-    assert sum(pair in old for pair in zip(second.body_a, second.body_b)) > 25
-
-
-def solved_again(state: State, order: np.ndarray, sweeps: int) -> np.ndarray:
-    """Largest difference of (λ_n, λ_t) from the recorded start by our sweeps in Box2D's order, over the largest λ."""
-    contacts = state.contacts._make(np.ascontiguousarray(field[order]) for field in state.contacts)
-    start = contacts.normal_start, contacts.tangent_start
-    state = state.replace(contacts=contacts, world=replace(state.world, scales=BOX2D))  # its lengths are absolute
-    found = solve(state, PGS(sweeps=sweeps, tolerance=None), *start)
-    recorded = np.array([contacts.normal_impulse, contacts.tangent_impulse])
-    return np.abs([found.normal_impulses, found.tangent_impulses] - recorded).max() / recorded.max()
-
-
-@pytest.mark.parametrize(("seed", "friction"), [(6, 0.5), (7, 1.0)])
-def test_our_sweeps_solve_the_recorded_impulses(box2d, seed, friction):
-    """100 sweeps in Box2D's order from its start agree to about 1e-5 of the largest impulse.
-
-    Box2D works in float32, so a share of 6e-8 is lost every time an impulse is updated.
-    """
-    world = box2d(falling_pile(seed, friction=friction))
-    errors, counts = [], []
-    for _ in range(14):
-        world.run(19, 0.01, 100, 3)
-        state, order = world.record_step(0.01, 100, 3)
-        counts.append(state.contacts.count)
-        if counts[-1] and state.contacts.normal_impulse.max() > 0:
-            errors.append(solved_again(state, order, 100))
-    assert np.percentile(errors, 90) < 2e-5
-    assert np.max(errors) < 5e-5
-    assert min(counts) < 60 < 90 < max(counts)  # falling and settled
-
-
-def test_starting_impulses_follow_the_ratio_of_time_steps(box2d):
-    """Box2D multiplies them by Δt / Δt_before; sweeps over a change of Δt only agree with that."""
-    world = box2d(falling_pile(9))
-    world.run(200, 0.01, 100, 3)
-    assert solved_again(*world.record_step(0.005, 5, 3), 5) < 1e-5
-
-
-def test_recording_does_not_change_the_run(box2d):
-    plain, recorded = box2d(falling_pile(10)), box2d(falling_pile(10))
-    for _ in range(80):
-        plain.step(0.01, 20, 3)
-        state = recorded.record_step(0.01, 20, 3).state
-    np.testing.assert_array_equal(plain.bodies().position, recorded.bodies().position)
-    assert state.step == 79
-    assert math.isclose(state.time, 0.79)
-    assert state.solved
 
 
 def test_a_missing_engine_and_a_bad_state_are_refused_by_name(engine, monkeypatch):

@@ -1,15 +1,8 @@
 """Piles of each kind, and the references of their states."""
 
-import pytest
-
 import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.studies import piles
-
-
-def test_an_unknown_kind_is_refused():
-    with pytest.raises(ValueError, match=r"kind: expected one of impact, falling.*rest, got 'flying'"):
-        piles.pile("flying", 10, 0)
 
 
 def test_references_solve_the_problem_and_differ():

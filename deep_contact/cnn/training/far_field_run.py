@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from deep_contact.cnn.backend import tensorflow as tf
+from deep_contact.cnn.dataset import start_errors
 from deep_contact.cnn.far_field import COARSENING, corrected, describe, nodes_of
 from deep_contact.cnn.through_solver import errors_after, loss_and_gradient, solved_problem
 from deep_contact.cnn.training.network import NetworkRun
@@ -92,7 +93,7 @@ class FarFieldRun(NetworkRun):
 
 def _states_with_error(store, sims, least: float) -> np.ndarray:
     """States (k, 2) of the simulations in which the relative error of Builtin's start is larger than `least`."""
-    found = [[sim, i] for sim in sims for i in np.flatnonzero(store.simulation(sim).start_errors() > least)]
+    found = [[sim, i] for sim in sims for i in np.flatnonzero(start_errors(store.simulation(sim).arrays) > least)]
     return np.array(found, dtype=np.int64).reshape(-1, 2)
 
 

@@ -324,7 +324,7 @@ def advance_by_team(given, options, log, shared, team):
             flags[0, 3] = log_step(log, k, m, sweeps, theta, sweeps * m)
             # The contacts that the next step solves.
             collision.hold(bodies, before, box, segments, scales.wall_skin, solved)
-            is_listed = collision.has_list(bodies.position, bodies.radius, memory.cells, 0.0)
+            is_listed = collision.refresh_list(bodies.position, bodies.radius, memory.cells, 0.0)
             flags[0, 2] = is_listed and segments.shape[0] == 0
         wait(team)
         buffer, turn, j = memory.contacts[turn], 1 - turn, j + 1

@@ -8,7 +8,6 @@ from outside this package registers in the same way; `tests/physics/test_registr
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import fields
 from typing import NamedTuple
@@ -18,7 +17,7 @@ from numba.extending import overload
 from deep_contact.physics.convergence import mark_divergence
 from deep_contact.state import State
 from deep_contact.state.scales import FOLLOWS_SCENE
-from deep_contact.validation import expect, one_of
+from deep_contact.validation import one_of
 
 
 class Loop(NamedTuple):
@@ -52,16 +51,6 @@ class Entry(NamedTuple):
 
 METHODS: dict[str, type] = {}
 """Name in a state file -> options class."""
-
-GONE = ("SoftSteps", "APGD", "SymmetricPGS")
-"""Methods that old files may name."""
-
-_GONE_OPTIONS = {
-    "order": ("BatchedPGS", "colours", "levels"),
-    "adaptive": ("PSOR", False, True),
-    "precision": (None, "double", "single"),
-}
-"""Options that old files may name: of which method (None: of all), the value that is left, and the one that is gone."""
 
 _ENTRIES: dict[type, Entry] = {}
 _LOOPS: dict[type, Loop] = {}
@@ -112,20 +101,13 @@ def tolerance_argument(solver) -> float:
 
 
 def solver_from(method: str, options: Mapping):
-    """The solver that a file names by its method and options; None, with a warning, for one that is gone.
+    """The solver that a file names by its method and options; old files name its precision, which is always double.
 
     Raises ValueError for an unknown method, and what the method raises for its options.
     """
-    options, missing = dict(options), method if method in GONE else None
-    for name, (owner, left, gone) in _GONE_OPTIONS.items():
-        if owner in (method, None) and (value := options.pop(name, left)) != left:
-            expect(value == gone, f"{name}: expected {left}, got {value!r}")
-            missing = f"{method}({name}={gone!r})"
-    if missing:
-        text = f"solver: {missing} is no longer part of Deep Contact; the default is taken instead"
-        warnings.warn(text, stacklevel=2)
-        return None
-    return METHODS[one_of("method", method, METHODS)](**options)
+    one_of("precision", options.get("precision", "double"), ("double",))
+    known = {name: value for name, value in options.items() if name != "precision"}
+    return METHODS[one_of("method", method, METHODS)](**known)
 
 
 def describe(solver) -> str:
