@@ -21,7 +21,7 @@ from deep_contact.reporting.results import plain
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World, make_bodies
 from deep_contact.studies import verdicts
-from deep_contact.warm_start import Sph, WarmStart, warm_start_of
+from deep_contact.warm_start import Cnn, Sph, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
@@ -122,13 +122,19 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
 def start_of(description) -> WarmStart:
     """A start from its description in a figure's options.
 
-    A name, a dict with the fields of `Sph`, or {"model": path} for a network, which runs on one thread.
+    A name, a dict with the fields of `Sph`, or {"model": path} for a network (`network_start`).
     """
-    from deep_contact.cnn.inference import network_start
-
     if not isinstance(description, Mapping):
         return warm_start_of(description)
     return network_start(**description) if "model" in description else Sph(**description)
+
+
+def network_start(model) -> Cnn:
+    """`Cnn` on one thread."""
+    from deep_contact.cnn.backend import one_thread
+
+    one_thread()
+    return Cnn(model)
 
 
 def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
