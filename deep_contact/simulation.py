@@ -261,8 +261,7 @@ def _advance(
         count = min(steps - done, every - done % every, most)
         before, contacts = state, state.contacts
         if isinstance(start, Builtin):
-            # Which no step writes into.
-            normal, tangent, problem = contacts.normal_start, contacts.tangent_start, None
+            normal, tangent, problem = contacts.normal_start, contacts.tangent_start, None  # no step writes into these
         else:
             normal, tangent, problem = starting_impulses(start, state, solver, scales)
         state = state.replace(contacts=contacts._replace(normal_start=normal, tangent_start=tangent))

@@ -215,8 +215,7 @@ class LearnedSupport(Cnn):
     model: LearnedModel | str | Path | None = "no_past"
 
     def __post_init__(self):
-        from deep_contact.cnn.inference import FarFieldModel
-        from deep_contact.cnn.model_file import ModelFileError
+        from deep_contact.cnn.inference import FarFieldModel, ModelFileError
 
         super().__post_init__()
         if not isinstance(self.model, FarFieldModel):
@@ -281,7 +280,7 @@ def starting_impulses(
         if isinstance(start, Builtin):
             return *start(state, solver), None  # the state's own, which have been checked
         if hasattr(start, "from_problem"):
-            problem = step_problem(state, scales=scales)
+            problem = step_problem(state, scales)
             start = start.from_problem(state, solver, problem)
         else:
             start = start(state, solver)

@@ -264,7 +264,7 @@ class StepProblem(NamedTuple):
 
     rows: Rows  # their impulses are those that the state starts from
     solver_bodies: np.ndarray  # (n + 4, 4): after gravity, before impulses
-    friction: float | None  # μ, or None where there are no tangent rows
+    friction: float | None  # μ, or None where there are no tangent rows (`started`)
 
 
 def leaves_tangents_out(state: State, solver) -> bool:
@@ -310,11 +310,11 @@ def after_impacts(state: State) -> State:
     return state
 
 
-def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
-    """The contact problem of the next step; by default with tangents. scales: the state's, if at hand."""
+def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
+    """The contact problem of the next step, with tangents. scales: the state's, if at hand."""
     state = after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4))
-    given = step_input(state, solver, scales)
+    given = step_input(state, None, scales)
     return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
 
 
@@ -349,12 +349,9 @@ def solve(
     solver = for_state(solver, state)
     settings, n = settings_of(solver), state.bodies.count
     state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
-    if problem is None:
-        problem = step_problem(state, solver)
-    else:
-        friction = None if leaves_tangents_out(state, solver) else state.world.friction
-        problem = started(problem._replace(solver_bodies=problem.solver_bodies.copy()), state.contacts, friction)
-    (rows, solver_bodies, friction), theta = problem, np.empty(solver.sweeps)
+    friction = None if leaves_tangents_out(state, solver) else state.world.friction
+    rows, solver_bodies, _ = started(problem or step_problem(state), state.contacts, friction)
+    solver_bodies, theta = solver_bodies.copy(), np.empty(solver.sweeps)
     sweeps = solve_velocities(rows, friction, settings, solver_bodies, theta)
     impulse = rows.impulse
     return ContactSolution(

@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from deep_contact import constants, sph
+from deep_contact.cnn.backend import one_thread
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
@@ -122,19 +123,14 @@ def independent(scene: State, start: WarmStart, *, steps: int, sweeps: int) -> d
 def start_of(description) -> WarmStart:
     """A start from its description in a figure's options.
 
-    A name, a dict with the fields of `Sph`, or {"model": path} for a network (`network_start`).
+    A name, a dict with the fields of `Sph`, or {"model": path} for a network, which runs on one thread.
     """
     if not isinstance(description, Mapping):
         return warm_start_of(description)
-    return network_start(**description) if "model" in description else Sph(**description)
-
-
-def network_start(model) -> Cnn:
-    """`Cnn` on one thread."""
-    from deep_contact.cnn.backend import one_thread
-
+    if "model" not in description:
+        return Sph(**description)
     one_thread()
-    return Cnn(model)
+    return Cnn(**description)
 
 
 def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:
