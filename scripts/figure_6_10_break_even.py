@@ -100,8 +100,8 @@ def draw(data, options):
 
 
 OPTIONS = {
-    "counts": [100, 300, 1000, 3000, 10000], "kinds": ["settling", "falling"],
-    "piles": {"100": 10, "300": 12, "1000": 4, "3000": 2, "10000": 1}, "states": 5, "every": 4,
+    "counts": [100, 300, 1000, 3000], "kinds": ["settling", "falling"],
+    "piles": {"100": 10, "300": 12, "1000": 4, "3000": 3}, "states": 5, "every": 4,
     "sweeps": [0, 1, 2, 3, 5, 7, 10, 14, 20, 30, 45, 70, 100, 150, 220, 330, 500, 750, 1100, 1700, 2500, 4000],
     "past_need": 20_000, "exact": [100, 300, 1000], "repeats": 7, "model": "models/model.h5",
 }  # fmt: skip
