@@ -261,10 +261,9 @@ def _advance(
         count = min(steps - done, every - done % every, most)
         before, contacts = state, state.contacts
         if isinstance(start, Builtin):
-            normal, tangent = contacts.normal_start, contacts.tangent_start  # which no step writes into
+            normal, tangent, problem = contacts.normal_start, contacts.tangent_start, None  # no step writes into these
         else:
-            problem = engine.step_problem(state, solver, scales) if by_step else None
-            normal, tangent = starting_impulses(start, state, solver, problem)
+            normal, tangent, problem = starting_impulses(start, state, solver, scales)
         state = state.replace(contacts=contacts._replace(normal_start=normal, tangent_start=tangent))
         if not is_own:
             state = _with_own_arrays(state)
@@ -274,7 +273,7 @@ def _advance(
         given = step_input(state, solver, scales)
         chunk = StepLog(*(column[done : done + count] for column in log[:5]), np.array([0, work]))
         begun = time.perf_counter()
-        solved, found = advance(given, chunk)
+        solved, found = advance(given, chunk, problem)
         # How a run is divided changes no bit of it.
         work = min(_WORK, 2 * work, 1 + int(work * _SECONDS / (time.perf_counter() - begun)))
         count = int(chunk.progress[0])

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -17,7 +18,11 @@ from deep_contact.physics.contact_solver import NORMAL, TANGENT, best_share
 from deep_contact.physics.engine import StepProblem, solve, step_problem
 from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_START, State, StateWithContacts
+from deep_contact.state.scales import ContactScales
 from deep_contact.validation import expect, integer, one_of
+
+if TYPE_CHECKING:
+    from deep_contact.cnn.inference import LearnedModel
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Name = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad", "sph", "cnn", "learned support"]
@@ -45,7 +50,7 @@ class Builtin:
 
 
 class FromProblem:
-    """A start that is made from the rows of a step: `from_problem(state, solver, problem)`, where they are built."""
+    """A start that is made from the rows of a step, which goes on from them: `from_problem(state, solver, problem)`."""
 
     def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
         return self.from_problem(state, solver, step_problem(state))
@@ -181,11 +186,46 @@ class Sph:
         return sph.Grid.over_box(state.world.box, self.spacing), state.contacts.position, options
 
 
-def _network(name: str) -> WarmStart:
-    """A start of the package's networks."""
-    from deep_contact.cnn import inference
+@dataclass(frozen=True)
+class Cnn(FromProblem):
+    """What a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
 
-    return getattr(inference, name)()
+    model: a `LearnedModel`, the path or name of a model file, which is read again only if it changes, or None for the
+    one that is shipped.
+    """
+
+    model: LearnedModel | str | Path | None = None
+
+    def __post_init__(self):
+        from deep_contact.cnn.inference import model_of
+
+        object.__setattr__(self, "model", model_of(self.model))
+
+    def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
+        return self.model.predict(state, problem=problem)
+
+
+@dataclass(frozen=True)
+class LearnedSupport(Cnn):
+    """`Support`, corrected by a far-field network that was trained on such starts, for piles without a past.
+
+    model: as of `Cnn`. Where contacts carry impulses of a step before, Builtin is better.
+    """
+
+    model: LearnedModel | str | Path | None = "no_past"
+
+    def __post_init__(self):
+        from deep_contact.cnn.inference import FarFieldModel, ModelFileError
+
+        super().__post_init__()
+        if not isinstance(self.model, FarFieldModel):
+            raise ModelFileError(f"model: expected a far-field network, got one for {self.model.spec.targets}")
+
+    def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
+        impulses = np.column_stack(supported(state, problem))
+        if not impulses.any():
+            return tuple(impulses.T.copy())
+        return super().from_problem(state, solver, problem._replace(rows=problem.rows._replace(impulse=impulses)))
 
 
 STARTS: dict[Name, Callable[[], WarmStart]] = {
@@ -197,8 +237,8 @@ STARTS: dict[Name, Callable[[], WarmStart]] = {
     "random": Random,
     "bad": Bad,
     "sph": Sph,
-    "cnn": lambda: _network("Cnn"),
-    "learned support": lambda: _network("LearnedSupport"),
+    "cnn": Cnn,
+    "learned support": LearnedSupport,
 }
 """Name -> what makes the start with its default options."""
 
@@ -225,18 +265,22 @@ def warm_start_of(start: Start) -> WarmStart:
     raise ValueError(f"warm_start: expected None, a name or a callable, got {start!r}")
 
 
-def starting_impulses(start, state: State, solver, problem: StepProblem | None = None) -> tuple[np.ndarray, np.ndarray]:
+def starting_impulses(
+    start, state: State, solver, scales: ContactScales | None = None
+) -> tuple[np.ndarray, np.ndarray, StepProblem | None]:
     """The impulses of a start, or the two arrays that are given in its place, checked: own float64 arrays, (m,), N·s.
 
-    problem: the state's contact problem, if it has been built. A start with a method `from_problem(state, solver,
-    problem)` is handed it, so that rows are built once a step, where it has tangents.
+    After them the state's contact problem, for the step to go on from, where a start with a method `from_problem(state,
+    solver, problem)` needed it, or None. scales: the state's, if at hand.
     Raises ValueError on impulses that do not fit the contacts or are beyond `state.LARGEST_START`.
     """
+    problem = None
     if start is None or isinstance(start, str) or callable(start):
         start = warm_start_of(start)
         if isinstance(start, Builtin):
-            return start(state, solver)  # the state's own, which have been checked
-        if problem is not None and problem.friction is not None and hasattr(start, "from_problem"):
+            return *start(state, solver), None  # the state's own, which have been checked
+        if hasattr(start, "from_problem"):
+            problem = step_problem(state, scales)
             start = start.from_problem(state, solver, problem)
         else:
             start = start(state, solver)
@@ -250,4 +294,4 @@ def starting_impulses(start, state: State, solver, problem: StepProblem | None =
         expect(values.shape == (m,), f"{expected} shape ({m},), one a contact, got {values.shape}")
         for bad in np.flatnonzero(~(np.abs(values) <= LARGEST_START))[:1]:
             raise ValueError(f"{expected} at most {LARGEST_START:g} N·s, got {values[bad]} at contact {bad}")
-    return normal, tangent
+    return normal, tangent, problem

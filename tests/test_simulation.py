@@ -74,8 +74,8 @@ def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):
     solver = dc.PGS(sweeps=100, tolerance=None)
 
     class Watched(simulation.Steps):
-        def __call__(self, given, log):
-            found = super().__call__(given, log)
+        def __call__(self, given, log, problem=None):
+            found = super().__call__(given, log, problem)
             calls.append(log.relaxations[: log.progress[0]])
             return found
 

@@ -1,5 +1,9 @@
 """Starts: what they hold, and that none is accepted that does not fit."""
 
+import json
+import os
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -59,6 +63,44 @@ def test_random_differs_by_step_and_seed_only(falling_states):
     np.testing.assert_array_equal(Random(seed=1)(one, dc.PGS())[0], Random(seed=1)(one, dc.PGS())[0])
     assert Random(seed=1)(one, dc.PGS())[0][0] != Random(seed=2)(one, dc.PGS())[0][0]
     assert Random(seed=1)(one, dc.PGS())[0][0] != Random(seed=1)(other.replace(contacts=one.contacts), dc.PGS())[0][0]
+
+
+FROM_ROWS = ("scaled", "support", "cnn", "learned support")
+BUILT = """
+import json, sys
+import numpy as np
+import deep_contact as dc
+from deep_contact.cnn.inference import FarFieldModel
+from deep_contact.physics import batches, contact_solver
+
+def counted(masses):
+    return lambda *given: built.append(1) or masses(*given)
+
+for module in (batches, contact_solver):
+    module.effective_masses = counted(module.effective_masses)
+FarFieldModel.run = lambda model, image: np.zeros(model._output_shape(image.shape), np.float32)
+found = {}
+for kind, solver in ("PGS", dc.PGS), ("BatchedPGS", dc.BatchedPGS):
+    for start in sys.argv[1:]:
+        built, solver_of = [], lambda **options: solver(sweeps=2, tolerance=None, **options)
+        run = dc.simulate(dc.lattice_in_box(6, gap=0.01), steps=12, solver=solver_of(substeps=2), warm_start=start)
+        found[f"{kind}, {start}: run"] = len(built), int(run.relaxations.sum()) // 2
+        built.clear()
+        dc.solve_contacts(run.state, solver=solver_of(), start=start)
+        found[f"{kind}, {start}: solve"] = len(built), run.state.contacts.count
+print(json.dumps(found))
+"""
+
+
+def test_rows_are_built_once_a_step():
+    # Without the compiler, whose calls cannot be counted: every row that is built asks for its effective mass.
+    environment = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    command = [sys.executable, "-c", BUILT, *FROM_ROWS]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    found = json.loads(done.stdout)
+    assert len(found) == 4 * len(FROM_ROWS)
+    for name, (built, contacts) in found.items():
+        assert built == contacts > 0, name
 
 
 def test_all_starts_reach_the_same_velocities_without_friction(frictionless_states):

@@ -1,4 +1,4 @@
-"""A trained network at work: `load_model`, `LearnedModel.predict`, and the starts that it gives the solver.
+"""A trained network at work: `load_model` and `LearnedModel.predict`, which the starts of `warm_start` call.
 
 The far-field network runs in Numba (`cnn.convolution`) from the weights in its file. Keras and TensorFlow are imported
 only for networks on images, and for `LearnedModel.network`.
@@ -14,15 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.far_field import COARSENING, FarFieldSpec, correct, describe
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
 from deep_contact.cnn.model_file import ModelFileError, StoredNetwork, read_model, weights_of
 from deep_contact.cnn.registry import network_file
 from deep_contact.physics.contact_solver import projected
-from deep_contact.physics.engine import StepProblem, step_problem
-from deep_contact.physics.support import supported
+from deep_contact.physics.engine import StepProblem
 from deep_contact.state import State
 
 
@@ -86,16 +84,17 @@ class LearnedModel:
             raise ValueError(f"output: expected shape {(1, *shape)}, got {given.shape}")
         return _cut(read(given.reshape(shape)), state, project)
 
-    def predict(self, state: State | Sequence[State], *, project: bool = True):
+    def predict(self, state: State | Sequence[State], *, project: bool = True, problem: StepProblem | None = None):
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
 
-        project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n, else as the network has them. Raises as `input`.
+        project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n, else as the network has them. problem: of `step_problem(state)`, if it
+        is at hand; a far-field network corrects the impulses of its rows. Raises as `input`.
         """
         if not isinstance(state, State):
             return [self.predict(one, project=project) for one in state]
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
-        image, read = self._seen(state)
+        image, read = self._seen(state, problem)
         return _cut(read(self.run(image)), state, project)
 
     def predict_image(self, state: State) -> np.ndarray:
@@ -113,7 +112,7 @@ class LearnedModel:
             self._compiled[image.shape] = self._compile(image.shape, self._output_shape(image.shape))
         return self._compiled[image.shape](image)
 
-    def _seen(self, state):
+    def _seen(self, state, problem=None):
         """The network's input for a state, and a function of its output: (λ_n, λ_t)."""
         self._check_scene(state)
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
@@ -166,8 +165,8 @@ class LearnedModel:
 class FarFieldModel(LearnedModel):
     """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds."""
 
-    def _seen(self, state):
-        description = describe(state, self.spec)
+    def _seen(self, state, problem=None):
+        description = describe(state, self.spec, problem=problem)
         return description.image, lambda image: correct(image, description).T
 
     def _output_shape(self, shape):
@@ -196,57 +195,13 @@ def _cut(impulses, state: State, project: bool) -> tuple[np.ndarray, np.ndarray]
     return projected(normal, tangent, state.world.friction) if project else (normal, tangent)
 
 
-@dataclass(frozen=True)
-class Cnn:
-    """What a network predicts (the thesis's CNN-Model, Algorithm 7), projected on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
-
-    model: a `LearnedModel`, the path or name of a model file, which is read again only if it changes, or None for the
-    one that is shipped.
-    """
-
-    model: LearnedModel | str | Path | None = None
-
-    def __post_init__(self):
-        if not isinstance(self.model, LearnedModel):
-            path = network_file(self.model)
-            status = path.stat()
-            object.__setattr__(self, "model", _read_once(path.resolve(), status.st_mtime_ns, status.st_size))
-
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        return self.model.predict(state)
-
-
-@dataclass(frozen=True)
-class LearnedSupport(Cnn):
-    """`warm_start.Support`, corrected by a far-field network that was trained on such starts, for piles without a past.
-
-    model: as of `Cnn`. Where contacts carry impulses of a step before, Builtin is better.
-    """
-
-    model: LearnedModel | str | Path | None = "no_past"
-
-    def __post_init__(self):
-        super().__post_init__()
-        if not isinstance(self.model, FarFieldModel):
-            raise ModelFileError(f"model: expected a far-field network, got one for {self.model.spec.targets}")
-
-    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
-        return self.from_problem(state, solver, step_problem(state))
-
-    def from_problem(self, state: State, solver, problem: StepProblem) -> tuple[np.ndarray, np.ndarray]:
-        """The start from rows that have been built."""
-        impulses = np.column_stack(supported(state, problem))
-        if not impulses.any():
-            return tuple(impulses.T.copy())
-        problem = problem._replace(rows=problem.rows._replace(impulse=impulses))
-        description = describe(state, self.model.spec, problem=problem)
-        return _cut(correct(self.model.run(description.image), description).T, state, True)
-
-
-def network_start(model) -> Cnn:
-    """`Cnn` on one thread."""
-    one_thread()
-    return Cnn(model)
+def model_of(model: LearnedModel | str | Path | None) -> LearnedModel:
+    """The model that is meant, as by `load_model`; a file is read again only if it has changed."""
+    if isinstance(model, LearnedModel):
+        return model
+    path = network_file(model)
+    status = path.stat()
+    return _read_once(path.resolve(), status.st_mtime_ns, status.st_size)
 
 
 @lru_cache(maxsize=8)

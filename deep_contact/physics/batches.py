@@ -242,10 +242,10 @@ def contacts_of_block(plan, k):
 
 
 @njit(cache=True, error_model="numpy")
-def write_block(given, contacts, plan, tiles, k):
+def write_block(given, contacts, plan, tiles, k, memory):
     """Write the rows of a block's contacts to their places, and give its circles the impulses that they start from.
 
-    given: `StepInput`. The solver bodies have their velocities after gravity.
+    given: `StepInput`. The solver bodies have their velocities after gravity. memory: `StepMemory`, for built rows.
     """
     body, data, impulse, v, n = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies, plan.count[CIRCLES]
     ground, (begin, end), segments = n + 5 * k, contacts_of_block(plan, k), given.segments
@@ -255,15 +255,19 @@ def write_block(given, contacts, plan, tiles, k):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
         a, b, s = np.uint32(contacts.body_a[i]), np.uint32(contacts.body_b[i]), contacts.body_b[i] - n - 4
         row_b = np.uint32(b if b < n else ground + min(b - n, 3))
-        normal = (contacts.normal[i, 0], contacts.normal[i, 1])
-        arms = arms_of(given.bodies.radius, a, b, contacts.separation[i])
         body[t, BODY_A, j], body[t, BODY_B, j] = a, row_b
-        data[t, N_X, j], data[t, N_Y, j] = normal
-        masses = effective_masses(v[a, INVERSE_MASS], v[row_b, INVERSE_MASS], arms)
-        data[t, NORMAL_MASS, j], data[t, TANGENT_MASS, j] = masses
-        data[t, ARM_A, j], data[t, ARM_B, j] = arms
-        if s >= 0:
-            data[t, ARM_B, j] = surface_velocity(segments[s], normal[0], normal[1])
+        if memory.is_built:
+            for column in range(ARM_B + 1):
+                data[t, column, j] = memory.rows.data[i, column]
+        else:
+            normal = (contacts.normal[i, 0], contacts.normal[i, 1])
+            arms = arms_of(given.bodies.radius, a, b, contacts.separation[i])
+            data[t, N_X, j], data[t, N_Y, j] = normal
+            masses = effective_masses(v[a, INVERSE_MASS], v[row_b, INVERSE_MASS], arms)
+            data[t, NORMAL_MASS, j], data[t, TANGENT_MASS, j] = masses
+            data[t, ARM_A, j], data[t, ARM_B, j] = arms
+            if s >= 0:
+                data[t, ARM_B, j] = surface_velocity(segments[s], normal[0], normal[1])
         impulse[t, NORMAL, j], impulse[t, TANGENT, j] = contacts.normal_start[i], contacts.tangent_start[i]
         apply_impulse(
             v, a, row_b, (data[t, N_X, j], data[t, N_Y, j]), (data[t, ARM_A, j], data[t, ARM_B, j]),

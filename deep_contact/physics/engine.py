@@ -15,6 +15,7 @@ from deep_contact.physics import sleeping
 from deep_contact.physics.collision import find_contacts, make_cells, make_contacts, next_contacts, own_contacts
 from deep_contact.physics.contact_solver import (
     NORMAL,
+    NORMAL_MASS,
     TANGENT,
     V_S,
     V_Y,
@@ -87,12 +88,15 @@ def advance(given, rare, options, memory, log):
             # Velocities.
             if rare is not None:
                 active = sleeping.awake_contacts(solved, sleep)
-                if part.restitution > 0.0:
-                    rebound(part, active)
-            integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
-            if rare is not None:
-                sleeping.hold_sleeping(solver_bodies, sleep)
-            rows = contact_rows(active, bodies.radius, segments, solver_bodies, memory.rows, friction)
+            rows = memory.rows
+            if not memory.is_built:
+                if rare is not None:
+                    if part.restitution > 0.0:
+                        rebound(part, active)
+                integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
+                if rare is not None:
+                    sleeping.hold_sleeping(solver_bodies, sleep)
+                rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction)
             apply_impulses(rows, solver_bodies, friction)
             sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
             store_impulses(rows, active)
@@ -154,13 +158,17 @@ class Steps:
         """Into how many parts motion divides the next step."""
         return parts_of(given, self.memory(given).cells)
 
-    def __call__(self, given: StepInput, log: StepLog) -> tuple[Contacts, Contacts]:
+    def __call__(self, given: StepInput, log: StepLog, problem: StepProblem | None = None) -> tuple[Contacts, Contacts]:
         """Do as many steps as the log has rows, which is filled: the bodies move in place.
 
+        problem: of the one step to do, if it has been built; it is used up. Who may sleep has rows of their own.
         Returns (contacts solved last, contacts found); the next call may write into the former.
         """
         self._rare = self._rare or (None if given.motion is None else True)
         given, memory = with_rare(given) if self._rare else given, self.memory(given)
+        if problem is not None and self._sleep is None:
+            rows, solver_bodies, _ = started(problem, given.contacts, given.friction)
+            memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
         solved, found = self._advance(given, self._rare, self._options, memory, log)
         done, work = log.progress
         if self._rare is None and done < len(log.contacts) and work > 0:
@@ -252,11 +260,11 @@ class ContactSolution(NamedTuple):
 
 
 class StepProblem(NamedTuple):
-    """The contact problem of a state's next step, after its impacts, built once for the start and for the solver."""
+    """The contact problem of a state's next step, after its impacts, built once for the start and for the step."""
 
     rows: Rows  # their impulses are those that the state starts from
     solver_bodies: np.ndarray  # (n + 4, 4): after gravity, before impulses
-    friction: float | None  # μ, or None where there are no tangent rows
+    friction: float | None  # μ, or None where there are no tangent rows (`started`)
 
 
 def leaves_tangents_out(state: State, solver) -> bool:
@@ -302,12 +310,21 @@ def after_impacts(state: State) -> State:
     return state
 
 
-def step_problem(state: State, solver=None, scales: ContactScales | None = None) -> StepProblem:
-    """The contact problem of the next step; by default with tangents. scales: the state's, if at hand."""
+def step_problem(state: State, scales: ContactScales | None = None) -> StepProblem:
+    """The contact problem of the next step, with tangents. scales: the state's, if at hand."""
     state = after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4))
-    given = step_input(state, solver, scales)
+    given = step_input(state, None, scales)
     return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
+
+
+def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:
+    """A problem with tangents, from these contacts' starting impulses; without tangents where friction is None."""
+    data, impulse = problem.rows.data, np.empty((contacts.count, 2))
+    impulse[:, NORMAL], impulse[:, TANGENT] = contacts.normal_start, contacts.tangent_start
+    if friction is None:
+        data, impulse = data[:, : NORMAL_MASS + 1].copy(), impulse[:, :TANGENT].copy()
+    return StepProblem(Rows(problem.rows.body, data, impulse), problem.solver_bodies, friction)
 
 
 def contacts_of(state: State) -> Contacts:
@@ -327,24 +344,19 @@ def solve(
     """Solve the contact problem of a state from the given impulses, (m,), N·s each. The state stays as it is.
 
     Where e > 0 the velocities are those after its impacts as well, whose impulses are not among the solution's.
-    problem: of `step_problem` for the same state and solver, if it is at hand; it stays as it is.
+    problem: of `step_problem(state)`, if it is at hand; it stays as it is.
     """
     solver = for_state(solver, state)
     settings, n = settings_of(solver), state.bodies.count
-    if problem is None:
-        state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
-        problem = step_problem(state, solver)
-        rows, solver_bodies = problem.rows, problem.solver_bodies
-    else:
-        rows = Rows(problem.rows.body, problem.rows.data.copy(), problem.rows.impulse.copy())
-        solver_bodies = problem.solver_bodies.copy()
-        rows.impulse[:] = np.column_stack([normal_start, tangent_start])[:, : rows.impulse.shape[1]]
-    theta = np.empty(solver.sweeps)
-    sweeps = solve_velocities(rows, problem.friction, settings, solver_bodies, theta)
+    state = state.replace(contacts=state.contacts._replace(normal_start=normal_start, tangent_start=tangent_start))
+    friction = None if leaves_tangents_out(state, solver) else state.world.friction
+    rows, solver_bodies, _ = started(problem or step_problem(state), state.contacts, friction)
+    solver_bodies, theta = solver_bodies.copy(), np.empty(solver.sweeps)
+    sweeps = solve_velocities(rows, friction, settings, solver_bodies, theta)
     impulse = rows.impulse
     return ContactSolution(
         normal_impulses=impulse[:, NORMAL].copy(),
-        tangent_impulses=impulse[:, TANGENT].copy() if problem.friction is not None else np.zeros(len(impulse)),
+        tangent_impulses=impulse[:, TANGENT].copy() if friction is not None else np.zeros(len(impulse)),
         velocities=solver_bodies[:n, : V_Y + 1].copy(),
         angular_velocities=solver_bodies[:n, V_S] / state.bodies.radius,
         record=convergence_record(theta[:sweeps], solver, len(impulse)),

@@ -68,6 +68,7 @@ class StepMemory(NamedTuple):
     cells: Cells
     contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill by turns
     sleep: SleepMemory | None  # None where nothing may sleep
+    is_built: bool = False  # whether solver bodies and rows are those of the one step to come (`engine.StepProblem`)
 
 
 def make_memory(n: int, capacity: int, sweeps: int, friction, sleep: SleepMemory | None = None) -> StepMemory:

@@ -433,7 +433,8 @@ def _length(name: str, values) -> int:
         shape = np.shape(values)
     except ValueError:  # rows of unlike lengths
         shape = ()
-    expect(len(shape) == 1, f"{name}: expected an array of one dimension, got {reprlib.repr(values)}")
+    if len(shape) != 1:  # asked first, since NumPy takes milliseconds to print an array
+        raise ValueError(f"{name}: expected an array of one dimension, got {reprlib.repr(values)}")
     return shape[0]
 
 

@@ -20,7 +20,6 @@ from deep_contact.cnn.backend import one_thread
 from deep_contact.cnn.dataset import Store, evenly, simulation_path
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec, input_image, read_back
-from deep_contact.cnn.inference import network_start
 from deep_contact.cnn.model_file import read_metadata
 from deep_contact.cnn.registry import network_file
 from deep_contact.io.simulation_h5 import write_simulation
@@ -31,7 +30,7 @@ from deep_contact.reporting.figures import Claim, parallel_map
 from deep_contact.state import State
 from deep_contact.studies import timing, verdicts
 from deep_contact.studies.learned_starts import stages_of
-from deep_contact.studies.starts import READ, THRESHOLD, scene_of, solved_states, sweeps_to
+from deep_contact.studies.starts import READ, THRESHOLD, scene_of, solved_states, start_of, sweeps_to
 from deep_contact.warm_start import WarmStart
 
 # ---- networks ----
@@ -258,7 +257,7 @@ def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Se
     after each number of `sweeps`, from both impulses projected on the cone. States with nothing to solve are omitted.
     Raises ValueError if no other is left.
     """
-    models = [network_start(path).model for path in paths]
+    models = [start_of({"model": path}).model for path in paths]
     errors = []
     for state in states:
         found = {}

@@ -200,9 +200,8 @@ def text_of(ratio: Sequence[float], digits: int = 2) -> str:
 
 def start_time(start: WarmStart, state: State, repeats: int) -> float:
     """Seconds of a start on a state whose rows have been built: the least of the repeats."""
-    by_rows = hasattr(start, "from_problem")
-    call = partial(start.from_problem, state, PGS(), step_problem(state)) if by_rows else partial(start, state, PGS())
-    return timing.fastest(call, repeats)
+    rows, make = ([step_problem(state)], start.from_problem) if hasattr(start, "from_problem") else ([], start)
+    return timing.fastest(partial(make, state, PGS(), *rows), repeats)
 
 
 def sweep_time(state: State, solver: str, repeats: int) -> float:
@@ -214,7 +213,7 @@ def sweep_time(state: State, solver: str, repeats: int) -> float:
 def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
     """The stages of a start as calls that need none of each other: "splat", "network" and "gather", whose result it is.
 
-    The solution that SPH transfers is given. A start without an image has no stages.
+    The solution that SPH transfers is given, and rows have been built. A start without an image has no stages.
     """
     if isinstance(start, Sph):
         impulses = np.column_stack(solved_impulses(state, PGS()))
@@ -224,7 +223,7 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
         return {}
     model, spec, friction = start.model, start.model.spec, state.world.friction
     far_field = isinstance(spec, FarFieldSpec)
-    splat = partial(describe if far_field else input_image, state, spec)
+    splat = partial(describe, state, spec, 0, step_problem(state)) if far_field else partial(input_image, state, spec)
     seen = splat()
     image = seen.image if far_field else seen
     out = model.run(image)
@@ -353,7 +352,7 @@ def error_along_run(task: Mapping) -> float:
     run = simulate(scene, steps=task["steps"], solver=solver, warm_start=start, record=task["every"])
     for state in list(run.trajectory)[1:]:
         if state.contacts.count:
-            end = solve(state, solver, *start(state, solver))
+            end = solve_contacts(state, solver=solver, start=start)
             reference = solve(state, far, end.normal_impulses, end.tangent_impulses)
             errors.append(metrics.velocity_error(state, end, reference))
     return float(np.mean(errors))
@@ -402,15 +401,15 @@ def error_at(seconds: float, curve: Mapping) -> np.ndarray | None:
     return np.exp([np.interp(np.log(seconds), times, scene) for scene in errors.T])
 
 
-def at_equal_times(runs: Mapping, columns: Sequence[int]) -> list[dict]:
-    """Errors of all settings at the time of so many sweeps of `BASE` from Builtin, for every size.
+def at_equal_times(runs: Mapping, columns: Sequence[int], start: str = "builtin") -> list[dict]:
+    """Errors of all settings at the time of so many sweeps of `BASE` from a start, for every size.
 
     Returns [{"circles": as text, "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best":
     the classical setting of the least mean error, "ratios": {setting: `ratios_of` it to that one, or None}}].
     """
     found = []
     for circles, curves in runs.items():
-        base = curves[f"builtin, {BASE}"]
+        base = curves[f"{start}, {BASE}"]
         for sweeps, seconds in ((k, s) for k, s in zip(base["sweeps"], base["seconds"]) if k in columns):
             errors = {name: error_at(seconds, curve) for name, curve in curves.items()}
             means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}

@@ -12,14 +12,13 @@ from functools import partial
 
 import numpy as np
 
-from deep_contact.cnn.inference import LearnedSupport
 from deep_contact.physics.engine import step_problem
 from deep_contact.physics.solvers import NNCG
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles, timing
 from deep_contact.studies.learned_starts import BASE, errors_of, fixed, settings_of
-from deep_contact.warm_start import Support
+from deep_contact.warm_start import LearnedSupport, Support
 
 METHODS = ("PSOR 1.5", BASE, "NNCG", "NesterovPGS")
 REFERENCE_SWEEPS = 20_000

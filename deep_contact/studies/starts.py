@@ -12,6 +12,7 @@ from functools import partial
 import numpy as np
 
 from deep_contact import constants, sph
+from deep_contact.cnn.backend import one_thread
 from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
@@ -21,7 +22,7 @@ from deep_contact.reporting.results import plain
 from deep_contact.simulation import ready, simulate, solve_contacts
 from deep_contact.state import State, StateWithContacts, World, make_bodies
 from deep_contact.studies import verdicts
-from deep_contact.warm_start import Sph, WarmStart, warm_start_of
+from deep_contact.warm_start import Cnn, Sph, WarmStart, warm_start_of
 
 THRESHOLD = constants.THETA_TOLERANCE
 """θ at which a solve counts as done where sweeps are counted, N·s."""
@@ -124,11 +125,12 @@ def start_of(description) -> WarmStart:
 
     A name, a dict with the fields of `Sph`, or {"model": path} for a network, which runs on one thread.
     """
-    from deep_contact.cnn.inference import network_start
-
     if not isinstance(description, Mapping):
         return warm_start_of(description)
-    return network_start(**description) if "model" in description else Sph(**description)
+    if "model" not in description:
+        return Sph(**description)
+    one_thread()
+    return Cnn(**description)
 
 
 def scene_of(n_bodies: int | Sequence[int], *, size: float, seed: int) -> State:

@@ -17,9 +17,9 @@ from deep_contact.cnn import far_field, inference, model_file, registry
 from deep_contact.cnn.architectures import build
 from deep_contact.cnn.evaluation import held_out_errors, velocity_errors
 from deep_contact.cnn.images import CHANNELS, ImageSpec, input_image, read_back
-from deep_contact.cnn.inference import Cnn, LearnedModel, load_model
+from deep_contact.cnn.inference import LearnedModel, load_model
 from deep_contact.cnn.model_file import METADATA, ModelFileError, read_metadata, save_model
-from deep_contact.warm_start import Copy, NoStart, warm_start_of
+from deep_contact.warm_start import Cnn, Copy, NoStart, warm_start_of
 
 SPEC = ImageSpec(channels=tuple(CHANNELS))
 CARD = {"seed": 3, "command": "python scripts/train.py"}

@@ -41,9 +41,10 @@ def test_friction_or_a_start_with_tangents_requires_them(friction, start):
     state = simulation.ready(dc.column(3, friction=friction))
     state = state.replace(contacts=state.contacts._replace(tangent_start=np.full(state.contacts.count, start)))
     for solver in (dc.PGS(), dc.NNCG(), dc.BatchedPGS()):
-        problem = engine.step_problem(state, solver)
         needed = friction > 0 or start > 0 or type(solver) is dc.BatchedPGS
-        assert problem.friction == (friction if needed else None)
+        found = engine.step_input(state, solver).friction
+        assert found == (friction if needed else None)
+        problem = engine.started(engine.step_problem(state), state.contacts, found)
         assert problem.rows.impulse.shape == (state.contacts.count, 1 + needed)
 
 

@@ -100,7 +100,7 @@ def test_a_network_can_be_compared_like_any_other_start(networks):
 def test_the_last_stage_of_a_start_gives_its_impulses(falling_states, networks, kind):
     of_sph = kind in ("thesis", "spline")
     path = str(networks.get(kind, "models/model.h5"))
-    start = Sph(transfer=kind) if of_sph else chapter_5.network_start(path)
+    start = Sph(transfer=kind) if of_sph else starts.start_of({"model": path})
     stages = learned_starts.stages_of(start, falling_states[5])
     assert list(stages) == ["splat", "gather"] if of_sph else ["splat", "network", "gather"]
     np.testing.assert_array_equal(stages["gather"](), start(falling_states[5], PGS()))

@@ -108,8 +108,12 @@ def test_settings_are_compared_at_the_time_of_the_base():
     assert first["errors"][learned] is None
     right = np.exp(np.interp(np.log(3.0), np.log([2.5, 3.5]), np.log([0.3, 0.15])))
     assert second["errors"][learned][0] == pytest.approx(right)
-    won, swept = load_script("figure_6_12").claims({"columns": [10, 20], "runs": {"30": curves}})
-    assert (won.holds, won.measured["wins"]) == (False, 0)
+    won, own, swept = load_script("figure_6_12").claims({"columns": [10, 20], "runs": {"30": curves}})
+    assert (won.holds, won.measured["wins"], won.measured["cells"], won.measured["too slow"]) == (False, 0, 2, 1)
+    # In the time of 10 sweeps of its own, against the better of two lines of logarithms.
+    found = own.measured["30 circles, time of 10 sweeps"]
+    share = np.log(2.5 / 2.0) / np.log(3.0 / 2.0)
+    assert found["ratio"] == pytest.approx(0.3 / min(0.4 ** (1 - share) * 0.2**share, 0.5 ** (1 - share) * 0.1**share))
     np.testing.assert_allclose(swept.measured["30 circles, 20 sweeps"], 0.75)
 
 

@@ -5,11 +5,11 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact.cnn.inference import LearnedSupport
 from deep_contact.cnn.model_file import ModelFileError
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import step_problem
 from deep_contact.studies import no_past, piles
+from deep_contact.warm_start import LearnedSupport
 
 
 @pytest.fixture(scope="module")

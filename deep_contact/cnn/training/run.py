@@ -31,7 +31,7 @@ from deep_contact.cnn import schedules
 from deep_contact.cnn.backend import keras, limit_threads, tensorflow
 from deep_contact.cnn.dataset import Store, evenly, split_by_simulation
 from deep_contact.cnn.evaluation import BASELINES, held_out_errors
-from deep_contact.cnn.inference import Cnn, LearnedModel, load_model
+from deep_contact.cnn.inference import LearnedModel, load_model
 from deep_contact.cnn.model_file import read_metadata, save_model
 from deep_contact.cnn.training.config import TrainingConfig
 from deep_contact.cnn.training.far_field_run import FarFieldRun
@@ -100,7 +100,8 @@ def train(
     best_epoch = min(range(len(run.history)), key=lambda k: run.history[k]["validation_loss"])
     model = load_model(out / "best.h5")
     tested = evenly(store.states(split.test), held_out)
-    errors = held_out_errors((store.state(*state) for state in tested.tolist()), BASELINES | {"cnn": Cnn(model)})
+    starts = BASELINES | {"cnn": lambda state, solver: model.predict(state)}
+    errors = held_out_errors((store.state(*state) for state in tested.tolist()), starts)
     card = run.card() | {"best_epoch": best_epoch, "held_out": errors}
     path = save_model(out / "model.h5", model.network, run.spec, card, box=run.box)
     return Training(run.history, best_epoch, path, load_model(path))

@@ -241,9 +241,9 @@ def make_shared(contacts, memory, size):
 
 
 @njit(cache=True)
-def go_on(shared, contacts):
-    """Let the next steps start from these contacts, in place."""
-    shared.contacts = contacts
+def go_on(shared, contacts, memory):
+    """Let the next steps start from these contacts in this memory, in place."""
+    shared.contacts, shared.memory = contacts, memory
 
 
 @njit(cache=True)
@@ -290,7 +290,7 @@ def advance_by_team(given, options, log, shared, team):
                 shared.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
             shared.tiles = batches.with_room(shared.plan, shared.tiles)
             shared.solved = contacts
-            if part.restitution > 0.0:
+            if part.restitution > 0.0 and not memory.is_built:
                 rebound(part, contacts)
         wait(team)
         if team.rank > 0 and shared.counts[0, PARTS] != parts:
@@ -299,9 +299,12 @@ def advance_by_team(given, options, log, shared, team):
         plan, tiles, solved = shared.plan, shared.tiles, shared.solved
         my_velocities, before = tiles.solver_bodies[first:last], positions_before(bodies, segments)
         # Velocities.
-        integrate_velocities(mine, part.gravity, part.dt, my_velocities)
+        if memory.is_built:
+            my_velocities[:] = memory.solver_bodies[first:last]
+        else:
+            integrate_velocities(mine, part.gravity, part.dt, my_velocities)
         wait(team)
-        write_blocks(part, solved, plan, tiles, team)
+        write_blocks(part, solved, plan, tiles, team, memory)
         sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, team)
         flags[team.rank, 1] = all_finite(my_velocities)
         store_blocks(plan, tiles, solved, team)
@@ -382,12 +385,12 @@ def describe_touching(given, options, shared, mine_a, mine_b, team):
 
 
 @njit(cache=True, error_model="numpy")
-def write_blocks(given, contacts, plan, tiles, team):
+def write_blocks(given, contacts, plan, tiles, team, memory):
     """`batches.write_block` of all blocks, phase by phase, since it changes velocities."""
     for p in range(plan.count[PHASES]):
         first, last = share_of_phase(plan, p, team)
         for q in range(first, last):
-            batches.write_block(given, contacts, plan, tiles, plan.order[q])
+            batches.write_block(given, contacts, plan, tiles, plan.order[q], memory)
         end_phase(plan, p, team)
 
 
@@ -410,8 +413,7 @@ class _Run:
         if self._shared is None:
             self._size = threads_of(self._solver, given.bodies.count)
             self._shared = make_shared(given.contacts, memory, self._size)
-        else:
-            go_on(self._shared, given.contacts)
+        go_on(self._shared, given.contacts, memory)
         together(self._size, advance_by_team, given, options, log, self._shared)
         return results_in(self._shared)
 
