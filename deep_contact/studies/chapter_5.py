@@ -154,7 +154,7 @@ PLACE = "section 5.4, Figure 5.9"
 THESIS_VISITS = 18_208 * 8 // 10 * 1000
 """States that the thesis's training showed: its samples without the fifth that is held out, in each of its epochs."""
 
-OPEN = "open: the rebuilt network, trained less and factored, starts little better than None"
+OPEN = "open: the rebuilt network starts little better than None"
 """Verdict on what the thesis says of its network."""
 
 
@@ -170,7 +170,7 @@ class ReadBySharing:
         return projected(*way.gather(state, np.float64(model.predict_image(state))), state.world.friction)
 
 
-READ_NETWORK = {"": "", ", shared": ", read as in the authors' code,"}
+READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
 """What follows the name of a network's start, by how its image is read back -> the same in claims."""
 
 

@@ -40,12 +40,12 @@ REFERENCE = PGS(sweeps=20_000, tolerance=1e-9)
 TRANSFERS = {"sph": "thesis", "sph spline": "spline"}
 """Start -> how it reads its image (`Sph`): as Algorithm 4 prints it, and as the thesis's authors programmed it."""
 
-READ = {"sph": "read bilinearly, as printed", "sph spline": "read by spline, as in the authors' code"}
+READ = {"sph": "bilinear (printed)", "sph spline": "spline (authors' code)"}
 """The same in claims."""
 
 SPACINGS = {
-    "0.25 to 0.75 m, as in text and code": (0.25, 0.5, 0.75),
-    "0.25 to 1 m, as in the code's grid search within d ≤ r": (0.25, 0.5, 0.75, 1.0),
+    "0.25 to 0.75 m (text, code)": (0.25, 0.5, 0.75),
+    "0.25 to 1 m (code's search, d ≤ r)": (0.25, 0.5, 0.75, 1.0),
 }
 """Which d are compared, m. The thesis prints no list: its text names 0.25 and 0.5, its authors' code runs with 0.75."""
 
