@@ -13,12 +13,8 @@ def compute(options, seed, jobs, progress):
     about = chapter_5.networks_info(networks)
     described = {name: {"model": path} for name, path in networks.items()}
     chosen = {"none": "none", "builtin": "builtin", **starts.CHOSEN, **described}
-    chosen |= {
-        f"{name}, shared": chapter_5.ReadBySharing(networks[name])
-        for name, card in about.items()
-        if card["architecture"] == "thesis"
-    }
-    chosen["copy"] = "copy"
+    shared = [name for name, card in about.items() if card["architecture"] == "thesis"]
+    chosen |= {f"{name}, shared": chapter_5.ReadBySharing(networks[name]) for name in shared} | {"copy": "copy"}
     own = {"modes": ["independent"], "seed": seed, "jobs": jobs, "progress": progress}
     return starts.compare_starts(chosen, **own, **options) | {"networks": about}
 

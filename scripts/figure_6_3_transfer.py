@@ -84,9 +84,8 @@ CLAIMS = [
     ),
     ("it is the way back that limits it: with one that loses nothing, under a tenth of the error is left",
      "consistent", "thesis", None, (0.0, 0.1)),
-    ("SPH conserves: the image has the state's mass and linear momentum", "momentum", None, "section 3.2", (0.0, 0.01)),
-    ("SPH conserves: the image has the state's energy", "energy", None, "section 3.2", (0.0, 0.01)),
-    ("SPH conserves: the image has the state's angular momentum", "angular momentum", None, "section 3.2", (0.0, 0.01)),
+    *((f"SPH conserves: the image has the state's {of}", of, None, "section 3.2", (0.0, 0.01))
+      for of in ("mass and momentum", "energy", "angular momentum")),
     ("the authors' code loses less than Algorithm 4: by a spline, for the SPH image",
      "authors' spline", "thesis", None, verdicts.FASTER),
     ("the authors' code loses less than Algorithm 4: each node shared out, for the network's image",

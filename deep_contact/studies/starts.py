@@ -349,8 +349,8 @@ def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
 
     "velocities of circles": channels are read back where the circles are, and divided by the channel of the masses,
     which every circle knows of itself: ‖u' − u‖ / ‖u‖ with u = (v_x, v_y, ω). The others are sums over the nodes beside
-    those over the circles, over the sum of sizes: "momentum" (linear, or the mass if that changes more), "energy" and
-    "angular momentum" about the box's corner, spin left out.
+    those over the circles, over the sum of sizes: "mass and momentum" (the larger), "energy" and "angular momentum" of
+    motion without spin.
     """
     errors = []
     h = start.spacing if start.support is None else start.support
@@ -367,7 +367,7 @@ def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
         before, after = _sums(places, values), _sums(nodes, image[image[..., 0] > 0])
         kept = np.abs(after.sum(axis=0) - before.sum(axis=0)) / np.abs(before).sum(axis=0)
         errors.append([np.linalg.norm(change) / np.linalg.norm(motion), kept[:3].max(), *kept[3:]])
-    names = ("velocities of circles", "momentum", "angular momentum", "energy")
+    names = ("velocities of circles", "mass and momentum", "angular momentum", "energy")
     return dict(zip(names, np.mean(errors, axis=0).tolist()))
 
 
