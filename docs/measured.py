@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import re
 from collections.abc import Callable
 from functools import cache
@@ -18,10 +19,15 @@ from string import Formatter
 import numpy as np
 
 from deep_contact.presets import PRESETS
-from deep_contact.studies.chapter_5 import NETWORKS, THESIS_VISITS, networks_info
+from deep_contact.studies.chapter_5 import (
+    NETWORKS,
+    READ_NETWORK,
+    THESIS_VISITS,
+    networks_info,
+)
 from deep_contact.studies.learned_starts import CLASSICAL, best_errors
 from deep_contact.studies.starts import READ
-from deep_contact.studies.verdicts import BY_SWEEP, RATIO
+from deep_contact.studies.verdicts import BY_SWEEP, RATIO, intervals, ranges
 
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = ROOT / "data" / "reference"
@@ -226,6 +232,30 @@ def times_builtin(network: str) -> float:
     return found
 
 
+def by_tree() -> dict:
+    """What was measured of the interpolation by a k-d tree (Figure 5.10)."""
+    return claim("figure_5_10", "interpolation alone")
+
+
+def ahead(stem: str, first: str, second: str) -> list[int]:
+    """Ends of the ranges of sweeps at which the first start's θ is below the second's, by intervals of 95 %."""
+    data = stored(stem)["data"]
+    below = intervals(data["independent"], first, second)[2] < 1
+    return [int(number) for number in re.findall(r"\d+", ranges(data["sweep"], below))]
+
+
+PEAK = 11.3e12
+"""Of a GeForce GTX 1080 Ti, FLOP/s in float32, by its maker."""
+
+
+def training_work() -> tuple[float, float]:
+    """PFLOP of the thesis's training, a state forward and back being three times forward, and % of `PEAK` for a day."""
+    layers = (layer for layer in stored("table_5_1")["data"]["built"] if layer["kernel"] or layer["kind"] == "Dense")
+    forward = sum(2 * layer["parameters"] * math.prod(layer["shape"][:-1]) for layer in layers)
+    work = 3 * forward * THESIS_VISITS
+    return work / 1e15, 100 * work / PEAK / 86400
+
+
 def training_share() -> float:
     """States that the thesis's training showed, over those that the training of its network here did."""
     return THESIS_VISITS / networks_info(NETWORKS)["cnn thesis"]["visits"]
@@ -322,34 +352,30 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     ],
     "thesis.md": [
         (
-            "Faster than Builtin is `model.h5` at sweeps {} to {}, and the thesis's network at sweeps {} to {} (Fig",
-            lambda: [
-                *sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin")[:2],
-                *sweeps("figure_5_9", "momentum, converges faster than Builtin")[:2],
-            ],
+            "is faster than Builtin at sweeps {} to {} (Figure 5.9)",
+            lambda: sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin"),
         ),
-        (
-            "takes {:.1f} times Builtin's time, the thesis's network {:.1f} times; in piles",
-            lambda: [times_builtin("model.h5"), times_builtin("thesis_factored.h5")],
-        ),
-        (
-            "and poly6 is slower than spiky at sweeps {} to {}, where",
-            lambda: sweeps("figure_5_6", "poly6, read by spline"),
-        ),
+        ("it takes {:.1f} times Builtin's time;", lambda: [times_builtin("model.h5")]),
         ("Of {} claims on SPH that were judged both ways, {} have another verdict by spline", both_ways),
         (
-            "Bilinear, it converges faster than Builtin at sweeps {} to {} and more slowly from sweep {} on",
-            lambda: sweeps("figure_3_8", "bilinearly, as printed, converges faster than Builtin")[:3],
+            "Bilinear, it converges faster than Builtin at sweeps {} to {}, by spline at sweeps {} to {} (Figure 3.8)",
+            lambda: ahead("figure_3_8", "sph", "builtin") + ahead("figure_3_8", "sph spline", "builtin"),
         ),
         (
-            "by spline, faster at sweeps {} to {} and at none more slowly (Figure 3.8)",
-            lambda: sweeps("figure_3_8", "by spline, as in the authors' code, converges faster than Builtin"),
+            "bilinear SPH is slower at sweeps {} to {:,} of Figure 3.8 and {} to {} of Figure 5.7, by spline at none of "
+            "Figure 3.8 and {:,} to {:,} of Figure 5.7",
+            lambda: [
+                number
+                for start in ("sph", "sph spline")
+                for stem in ("figure_3_8", "figure_5_7")
+                for number in ahead(stem, "builtin", start)
+            ],
         ),
         (
             "θ at most half of Builtin's, it has at sweeps {} to {}, or {} to {} by spline (Figure 5.7)",
             lambda: [
-                *sweeps("figure_5_7", "bilinearly, as printed, gets convergence much faster than Builtin")[:2],
-                *sweeps("figure_5_7", "by spline, as in the authors' code, gets convergence much faster than Builtin")[
+                *sweeps("figure_5_7", "bilinear (printed), gets convergence much faster than Builtin")[:2],
+                *sweeps("figure_5_7", "spline (authors' code), gets convergence much faster than Builtin")[
                     :2
                 ],
             ],
@@ -362,8 +388,33 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "leaves {:.2f} of the θ of d = h = 0.5 m after 100 sweeps, with an interval of {:.2f} to {:.2f}",
             lambda: ratio_after("figure_3_8", "the authors' setting", 100),
         ),
-        ("converges like None at sweeps {} to {} only", lambda: sweeps("figure_3_7", "Builtin performs like None")[:2]),
-        ("showed 1/{:.1f} as many states as the thesis's", lambda: [training_share()]),
+        (
+            "converges like None at sweeps {} to {} only, more slowly at {} to {} and faster at {} to {:,}",
+            lambda: [
+                *sweeps("figure_3_7", "Builtin performs like None")[:2],
+                *ahead("figure_3_7", "none", "builtin"),
+                *ahead("figure_3_7", "builtin", "none"),
+            ],
+        ),
+        (
+            "d = 0.25 m is the fastest by bilinear spiky at sweeps {} to {};",
+            lambda: sweeps("figure_5_5", "bilinear (printed), is a bit faster than any other of 0.25 to 0.75 m"),
+        ),
+        ("was shown 1/{:.1f} as many states", lambda: [training_share()]),
+        (
+            "Its λ is off by {:.2f} on a falling pile, where zero is off by 1 (Figure 4.3)",
+            lambda: [stored("figure_4_3")["data"]["relative error of λ"]["network"]],
+        ),
+        (
+            "its θ after 100 sweeps is {:.2f} of None's, {:.2f} read as in their code (Figure 5.9)",
+            lambda: [
+                ratio_after("figure_5_9", f"CNN (thesis_factored.h5){read} is a start", 100)[0]
+                for read in READ_NETWORK.values()
+            ],
+        ),
+        ("alone takes {:.0f} times Builtin's time to θ < 6e-5", lambda: [by_tree()[RATIO][0]]),
+        ("compiled here, {:.2f} of it", lambda: [by_tree()["mean compiled here, ms"] / by_tree()["mean builtin, ms"]]),
+        ("are {:.0f} PFLOP, over a day {:.0f} % of the card's peak", training_work),
     ],
 }
 """Page -> pieces of its text, and the function that makes their numbers."""
@@ -384,7 +435,7 @@ GIVEN: dict[str, list[str]] = {
     "solvers.md": ["9.81 m/s² and Δt = 0.01 s", "√1000 times", "more than 100 times"],
     "thesis.md": [
         *("95 %", "d = 0.75 m with h = 0.5 m", "of d = h = 0.5 m"),
-        "d = 0.5 m (poly6) or d = 0.25 m (spiky)",
+        *("Of 0.25, 0.5 and 0.75 m", "grid search has 0.25 m to 2 m"),
     ],
 }
 """Page -> pieces of its text whose numbers are settings, or sizes of what others made."""

@@ -11,13 +11,14 @@ from __future__ import annotations
 import argparse
 import re
 import sys
+from collections import Counter
 
 import measured
 from deep_contact.io.files import replacing
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, results
 from deep_contact.reporting.figures import cell
-from deep_contact.studies import verdicts
+from deep_contact.studies import chapter_5, verdicts
 from deep_contact.studies.runs import ERRORS
 from measured import REFERENCE, ROOT, stored
 
@@ -245,7 +246,7 @@ def settings_tried() -> dict[int, str]:
 def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
     """The claims of the thesis that reference runs have tested, or our goals with what was measured.
 
-    Without `holding`, those that hold are left out.
+    Without `holding`, those that hold are left out, and those on the thesis's network, all open, are one row a figure.
     """
     head = ["results", "goal", "met", "measured"]
     keys = ("text", "holds", "measured")
@@ -262,7 +263,20 @@ def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
         claim["holds"] = f"**{verdict}**" if claim["holds"] is False else verdict
         claim["ratio"] = ratio(claim["measured"])
         claim["measured"] = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
+    if not holding:
+        found = [*_network_as_one(found)]
     return [head, *([id, *(claim[key] for key in keys)] for id, claim in found)]
+
+
+def _network_as_one(found: list[tuple]):
+    """The claims of a table, in one row those of a figure that are open because of the rebuilt network."""
+    numbers = Counter(id for id, claim in found if claim["holds"] == chapter_5.OPEN)
+    for id, claim in found:
+        if claim["holds"] != chapter_5.OPEN:
+            yield id, claim
+        elif count := numbers.pop(id, 0):
+            text = claim["text"] if count == 1 else f"all {count} on the network of the thesis"
+            yield id, claim | {"text": text, "ratio": None}
 
 
 def ratio(measured: dict) -> str | None:
@@ -272,33 +286,34 @@ def ratio(measured: dict) -> str | None:
         return f"{value:.3g} ({low:.3g} to {high:.3g})"
 
     if verdicts.BY_SWEEP in measured:
-        return "; ".join(f"{sweep}: {text(*found)}" for sweep, found in measured[verdicts.BY_SWEEP].items())
+        return "; ".join(f"{k}: {text(*found)}" for k, found in measured[verdicts.BY_SWEEP].items() if k != "1")
     return text(*measured[verdicts.RATIO]) if verdicts.RATIO in measured else None
 
 
 def figures() -> list[list]:
-    """Figures and tables with their pictures, and what their claims came to."""
+    """Figures and tables with their pictures, what the thesis's claims came to, and what goals of ours."""
     rows = []
     for path in (ROOT / "scripts").glob("[ft]*_[3-6]_*.py"):
         stem = re.match(r"[a-z]+_\d+_\d+", path.stem)[0]
         if (REFERENCE / f"{stem}.json").exists():
             found = stored(stem)
-            rows.append([f"[{found['id']}](../data/reference/{stem}.png)", found["title"], outcome(found["claims"])])
+            whose = ([claim for claim in found["claims"] if bool(claim["thesis"]) == of] for of in (True, False))
+            outcomes = map(outcome, whose, (("hold", "does not hold"), ("met", "missed")))
+            rows.append([f"[{found['id']}](../data/reference/{stem}.png)", found["title"], *outcomes])
     rows.sort(key=lambda row: ["T" in row[0], *map(int, re.findall(r"\d+", row[0])[:2])])
-    return [["figure", "shows", "verdict"], *rows]
+    return [["figure", "shows", "claims of the thesis", "goals of ours"], *rows]
 
 
-def outcome(claims: list[dict]) -> str:
-    """What was claimed and came out otherwise, as sentences."""
-    if not claims:
-        return "It makes no claim."
+def outcome(claims: list[dict], words: tuple[str, str]) -> str | None:
+    """How many hold and what came out otherwise, as sentences; None without claims. words: of true and of false ones."""
+    right, wrong = words
     held = sum(claim["holds"] is True for claim in claims)
-    counted = f"{held} of {len(claims)} claims hold" if held else "No claim holds"
-    counted = "All claims hold" if held == len(claims) else counted
-    parts = sum(claim["holds"] is None for claim in claims)
-    counted += f", {parts} in part or within the noise" if parts else ""
+    undecided = [results.verdict(claim).startswith("open") for claim in claims if claim["holds"] is None]
+    parts = {"open": sum(undecided), "in part or within the noise": undecided.count(False)}
+    counted = [f"{held} of {len(claims)} {right}", *(f"{count} {name}" for name, count in parts.items() if count)]
     others = [(results.verdict(claim), claim["text"]) for claim in claims if claim["holds"] is False]
-    return " ".join([f"{counted}.", *(f"**{verdict.capitalize()}**: {text}." for verdict, text in others)])
+    found = [f"**{says.replace('does not hold', wrong).capitalize()}**: {text}." for says, text in others]
+    return " ".join([f"{', '.join(counted)}.", *found]) if claims else None
 
 
 def elements() -> list[list]:
@@ -338,7 +353,7 @@ Lists and long tables, made from `data/reference/` when this site is built.
 
 A claim about starts is judged by the mean θ after each sweep (Eq 2.30), as the thesis does, over twelve scenes. It
 holds at a number of sweeps where the 95 % interval of the ratio of two starts' θ lies within the claimed range. The
-last column has that ratio after 1, 10, 100 and 1,000 sweeps. Goals are those that this project set itself.
+last column has that ratio after 10, 100 and 1,000 sweeps. Goals are those that this project set itself.
 In the list of elements *right* says that an element was derived or measured here and came out the same; a dash, that
 there is nothing to check.
 """

@@ -12,7 +12,9 @@ def compute(options, seed, jobs, progress):
     networks = options.pop("networks")
     about = chapter_5.networks_info(networks)
     described = {name: {"model": path} for name, path in networks.items()}
-    chosen = {"builtin": "builtin", **starts.CHOSEN, **described, "copy": "copy"}
+    chosen = {"none": "none", "builtin": "builtin", **starts.CHOSEN, **described}
+    shared = [name for name, card in about.items() if card["architecture"] == "thesis"]
+    chosen |= {f"{name}, shared": chapter_5.ReadBySharing(networks[name]) for name in shared} | {"copy": "copy"}
     own = {"modes": ["independent"], "seed": seed, "jobs": jobs, "progress": progress}
     return starts.compare_starts(chosen, **own, **options) | {"networks": about}
 
@@ -23,7 +25,8 @@ def claims(data):
 
 
 def draw(data, options):
-    return starts.draw_comparison(data, TITLE)
+    shown = {name: found for name, found in data["independent"].items() if not name.endswith("shared")}
+    return starts.draw_comparison(data | {"independent": shown}, TITLE, hidden=["sph spline"])
 
 
 # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from time import process_time
@@ -31,7 +32,7 @@ from deep_contact.state import State
 from deep_contact.studies import timing, verdicts
 from deep_contact.studies.learned_starts import stages_of
 from deep_contact.studies.starts import READ, THRESHOLD, scene_of, solved_states, start_of, sweeps_to
-from deep_contact.warm_start import WarmStart
+from deep_contact.warm_start import Sph, WarmStart
 
 # ---- networks ----
 
@@ -152,28 +153,62 @@ PLACE = "section 5.4, Figure 5.9"
 THESIS_VISITS = 18_208 * 8 // 10 * 1000
 """States that the thesis's training showed: its samples without the fifth that is held out, in each of its epochs."""
 
+OPEN = "open: the rebuilt network starts little better than None"
+"""Verdict on what the thesis says of its network."""
+
+
+@dataclass(frozen=True)
+class ReadBySharing:
+    """A network's start, its image read back as the thesis's authors programmed it: each node shares out its value."""
+
+    model: str
+
+    def __call__(self, state: State, solver) -> tuple[np.ndarray, np.ndarray]:
+        model = start_of({"model": self.model}).model
+        way = Sph(spacing=model.spec.spacing, support=model.spec.support, transfer="shared")
+        return projected(*way.gather(state, np.float64(model.predict_image(state))), state.world.friction)
+
+
+READ_NETWORK = {"": "", ", shared": ", shared (authors' code),"}
+"""What follows the name of a network's start, by how its image is read back -> the same in claims."""
+
 
 def label_of(network: Mapping) -> str:
-    """A network of `networks_info` in claims, by its file; the thesis's with what was not done as there."""
-    name = f"CNN ({Path(network['file']).name})"
+    """A network of `networks_info` in claims, by its file."""
+    return f"CNN ({Path(network['file']).name})"
+
+
+def of_network(network: Mapping, claim: Claim) -> Claim:
+    """The claim; of the thesis's network it is left open, and `measured` has the verdict on the rebuilt one."""
     if network["architecture"] != "thesis":
-        return name
-    return f"{name}, trained on 1/{THESIS_VISITS / network['visits']:.2g} of their states and without momentum,"
+        return claim
+    return claim._replace(holds=None, verdict=OPEN, measured=claim.measured | {"verdict, rebuilt": claim.verdict})
 
 
 def claims_of_network(data: Mapping, name: str) -> Iterator[Claim]:
     """The thesis's claims on Figure 5.9 for one network.
 
-    data: of `starts.compare_starts` with the starts "builtin", those of `READ`, "copy" and this one, with the cards of
-    the networks (`networks_info`) under "networks".
+    data: of `starts.compare_starts` with the starts "none", "builtin", those of `READ`, "copy" and this one, with the
+    cards of the networks (`networks_info`) under "networks".
     """
-    label = label_of(data["networks"][name])
-    for sph, way in READ.items():
-        similar = f"{label} performs similarly to SPH, {way}: θ from half to twice of it"
-        yield verdicts.judged(data, name, sph, similar, PLACE, within=CLOSE)
-        yield verdicts.judged(data, sph, name, f"{label} is not as good as SPH, {way}", PLACE)
-    yield verdicts.judged(data, name, "builtin", f"{label} converges faster than Builtin", PLACE)
-    yield verdicts.judged(data, "copy", name, f"{label} does not converge as rapidly as Copy", PLACE)
+    network = data["networks"][name]
+
+    def judged(*names, **keywords):
+        return of_network(network, verdicts.judged(data, *names, PLACE, **keywords))
+
+    for read, how in READ_NETWORK.items():
+        if name + read in data["independent"]:
+            start, label = name + read, label_of(network) + how
+            for sph, way in READ.items():
+                similar = f"{label} performs similarly to SPH, {way}: θ from half to twice of it"
+                yield judged(start, sph, similar, within=CLOSE)
+                yield judged(sph, start, f"{label} is not as good as SPH, {way}")
+            yield judged(start, "builtin", f"{label} converges faster than Builtin")
+            small = f"{label} is just a small improvement to Builtin: θ from half of Builtin's to Builtin's"
+            yield judged(start, "builtin", small, within=(0.5, 1.0))
+            yield judged("copy", start, f"{label} does not converge as rapidly as Copy")
+            useful = f"{label} is a start: its θ is at most half of None's"
+            yield verdicts.judged(data, start, "none", useful, within=verdicts.MUCH_FASTER)
 
 
 # ---- time to a threshold, by stage: Figure 5.10 ----

@@ -72,3 +72,12 @@ def test_sharing_loses_nothing():
     alone = starts.isolated_contacts(20, seed=0)
     assert starts.transfer_loss(alone, Sph(transfer="shared")) < 1e-12
     assert starts.transfer_loss(alone, Sph(transfer="thesis")) > 0.1
+
+
+def test_the_image_of_motion_keeps_what_sums_keep_and_energy_where_no_node_is_shared():
+    """Weights of a circle sum to one, so m and m v stay; two circles on one node move alike there and lose energy."""
+    states = starts.solved_states(dc.circles_in_box(40, seed=3), steps=200, every=190)[-1:]
+    apart, mixed = (starts.motion_loss(states, Sph(spacing=d)) for d in (0.5, 4.0))
+    assert max(apart["mass and momentum"], mixed["mass and momentum"], apart["energy"]) < 1e-12
+    assert 1e-9 < apart["angular momentum"] < 0.01
+    assert mixed["energy"] > 1e-3

@@ -1,6 +1,7 @@
 """Figures 5.8 to 5.10 and Tables 5.1, 5.2 and 6.1: layers, stages, held-out scenes, and claims that follow the data."""
 
 import copy
+import pickle
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
 from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures
+from deep_contact.reporting.results import Claim
 from deep_contact.studies import chapter_5, learned_starts, starts
 from deep_contact.warm_start import Builtin, NoStart, Sph
 
@@ -91,6 +93,25 @@ def test_a_network_can_be_compared_like_any_other_start(networks):
         assert data[mode]["copy"]["theta"][0] < data[mode]["cnn"]["theta"][0]
         (scene,) = data[mode]["cnn"]["scenes"]["theta"]
         np.testing.assert_allclose(scene, data[mode]["cnn"]["theta"], rtol=5e-4)  # one scene, four digits
+
+
+def test_a_network_read_as_its_authors_did_gives_each_node_to_its_contacts(falling_states, networks):
+    state, path = falling_states[5], str(networks["both"])
+    start = pickle.loads(pickle.dumps(chapter_5.ReadBySharing(path)))  # as it goes to another process
+    image, shared = dc.load_model(path).predict_image(state), Sph(spacing=0.5, transfer="shared")
+    normal, _ = shared.gather(state, image.astype(float))
+    found = start(state, PGS())
+    np.testing.assert_allclose(found[0], np.maximum(normal, 0.0))
+    assert np.all(np.abs(found[1]) <= state.world.friction * found[0] + 1e-12)
+    assert not np.allclose(found[0], chapter_5.start_of({"model": path})(state, PGS())[0])
+
+
+def test_what_the_thesis_says_of_its_network_is_open_and_the_rebuilt_ones_verdict_is_measured():
+    claim = Claim("it is fast", "section 5.4", False, {"ratio": 2.0}, "does not hold")
+    assert chapter_5.of_network({"architecture": "far field"}, claim) == claim
+    found = chapter_5.of_network({"architecture": "thesis"}, claim)
+    assert (found.holds, found.verdict) == (None, chapter_5.OPEN)
+    assert found.measured == {"ratio": 2.0, "verdict, rebuilt": "does not hold"}
 
 
 # ---- stages and time of Figure 5.10 ----
