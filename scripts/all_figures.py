@@ -42,9 +42,9 @@ STUDIES = {
 }
 """File of data/reference -> the script and options that write it; `--out` and the path follow."""
 
-ELSEWHERE = ("benchmark_disks", "benchmark_outside", "fuzz", "golden")
-"""Files that need problems and solvers of others (docs/benchmarks.md says which), one that several runs fill, and the
-golden runs, which are made anew only where a change of results is meant."""
+ELSEWHERE = ("benchmark_disks", "benchmark_outside", "box2d_native", "fuzz", "golden", "ratios_before")
+"""Files that need problems and solvers of others (docs/benchmarks.md says which) or Box2D v3 compiled from its sources, one
+that several runs fill, golden runs, which are made anew only where a change of results is meant, and ratios of the past."""
 
 
 def main(arguments=None, folder=HERE):

@@ -65,7 +65,7 @@ def draw(data, options):
             look = plotting.style_of(start)
             look["label"] += f", {'PSOR' if solver == BASE else solver}"
             if solver != BASE:
-                look["color"] = plotting.SOLVER_COLOUR[solver]
+                look["color"] = plotting.NESTEROV
             milliseconds = 1e3 * np.array(curve["seconds"])
             ax.plot(milliseconds, np.mean(curve["errors"], axis=1), marker="o", markersize=3, **look)
         plotting.log_axes(ax)

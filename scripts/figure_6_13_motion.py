@@ -9,14 +9,11 @@ from deep_contact.simulation import simulate
 from deep_contact.studies import runs
 
 SETTINGS = {
-    "1 substep": ({"method": "PGS", "sweeps": 4, "dt": TIME_STEP}, plotting.ORANGE),
-    "8 substeps": ({"method": "PGS", "sweeps": 4, "dt": TIME_STEP / 8}, plotting.BLUE),
-    "by motion, ¼ of the slop": (
-        {"method": "PGS", "sweeps": 4, "dt": TIME_STEP / 2, "most_substeps": 8, "slop": 0.25},
-        plotting.VERMILION,
-    ),
+    "1 substep": {"method": "PGS", "sweeps": 4, "dt": TIME_STEP},
+    "8 substeps": {"method": "PGS", "sweeps": 4, "dt": TIME_STEP / 8},
+    "by motion, ¼ of the slop": {"method": "PGS", "sweeps": 4, "dt": TIME_STEP / 2, "most_substeps": 8, "slop": 0.25},
 }
-"""Name -> setting of the study, colour."""
+"""Name -> setting of the study."""
 
 EACH = round(runs.INTERVAL / TIME_STEP)
 
@@ -25,7 +22,7 @@ def compute(options, seed, jobs, progress):
     """Of each setting: kinetic energy, deepest penetration and substeps of 10 ms, in intervals of a run."""
     found = {}
     for name in progress(list(SETTINGS), text="settings"):
-        setting, _ = SETTINGS[name]
+        setting = SETTINGS[name]
         parts = round(TIME_STEP / setting["dt"])
         state = runs.scene(options["kind"], options["n_bodies"], seed).replace(dt=setting["dt"])
         steps, every = round(options["seconds"] / setting["dt"]), EACH * parts
@@ -62,8 +59,8 @@ def draw(data, options):
     shown = {"kinetic": ("kinetic energy", "M g r"), "substeps": ("substeps of 10 ms", ""),
              "deepest": ("deepest penetration", "% of r")}  # fmt: skip
     for ax, (key, (text, unit)) in zip(panels, shown.items()):
-        for name, one in data["courses"].items():
-            ax.plot(one["time"], one[key], color=SETTINGS[name][1], label=name)
+        for (name, one), colour in zip(data["courses"].items(), (*plotting.shades(2), plotting.VERMILION)):
+            ax.plot(one["time"], one[key], color=colour, label=name)
         plotting.label_axes(ax, "time", text, x_unit="s", y_unit=unit)
     return plotting.legend_below(figure, panels[0], "What do substeps by motion cost, and what do they keep?")
 

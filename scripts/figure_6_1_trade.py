@@ -60,10 +60,10 @@ def draw(data, options):
         plotting.log_axes(ax)
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
         for preset, tolerances in PRESETS.items():
-            ax.axhline(tolerances[name], color=plotting.GREEN, linewidth=0.7, linestyle=":")
+            ax.axhline(tolerances[name], color=plotting.BLACK, linewidth=0.7, linestyle=":")
             if n == sizes[-1]:
                 ax.annotate(preset, (1.02, tolerances[name]), xycoords=("axes fraction", "data"), va="center",
-                            fontsize=8, color=plotting.GREEN, annotation_clip=False)  # fmt: skip
+                            fontsize=8, color=plotting.BLACK, annotation_clip=False)  # fmt: skip
     texts = (f"{text} (%)" for text in SHOWN.values())
     plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of 10 ms (µs)", texts)
     key = panels[0, 0]
@@ -71,7 +71,7 @@ def draw(data, options):
     key.plot([], [], color=plotting.BLACK, linewidth=1.2, label="best of ours")
     for name, look in LOOKS.items():
         key.plot([], [], linestyle="", markersize=4, label=name, **look)
-    key.plot([], [], color=plotting.GREEN, linewidth=0.7, linestyle=":", label="what a preset tolerates")
+    key.plot([], [], color=plotting.BLACK, linewidth=0.7, linestyle=":", label="what a preset tolerates")
     return plotting.legend_below(figure, key, "What does an error of a run cost, with ours and with other engines?")
 
 

@@ -1,4 +1,4 @@
-"""python scripts/figure_6_2_time_step.py: errors of a run as the time step goes to 0."""
+"""python scripts/figure_6_2_time_step.py: errors of a run as the time step goes to that of the reference."""
 
 import numpy as np
 
@@ -7,7 +7,6 @@ from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import runs
 
-COLOURS = (plotting.VERMILION, plotting.BLUE, plotting.GREEN, plotting.ORANGE)
 SHOWN = {
     "energy": "kinetic-energy curve, %",
     "forces": "distribution of forces, %",
@@ -27,9 +26,14 @@ def compute(options, seed, jobs, progress):
 
 
 def by_size(data):
-    """Number of circles -> its rows, the shortest step first; the fewest circles first."""
-    rows = sorted(data["rows"], key=lambda row: row["dt"])
+    """Number of circles -> its rows, the shortest step first, of steps that the reference can judge: longer ones."""
+    rows = sorted((row for row in data["rows"] if not is_below(row)), key=lambda row: row["dt"])
     return {n: [row for row in rows if row["n_bodies"] == n] for n in runs.sizes_of(rows)}
+
+
+def is_below(row):
+    """Whether a row has a shorter step than the reference: its error is rather the reference's."""
+    return row["dt"] < runs.REFERENCE["dt"]
 
 
 def claims(data):
@@ -44,32 +48,37 @@ def claims(data):
         text = f"the energy curve stops changing within its intervals, {n} circles"
         names = (f"Δt / {TIME_STEP / row['dt']:g}".removesuffix(" / 1") for row in rows)
         yield Claim(text, None, before[1] <= last[2], dict(zip(names, (last, before))))
+    for row in filter(is_below, data["rows"]):
+        energy, before = row["errors"]["energy"], by_size(data)[row["n_bodies"]][0]["errors"]["energy"]
+        text = f"half of the reference's step is no farther from it than twice its step, {row['n_bodies']} circles"
+        yield Claim(text, None, energy[1] <= before[2], {"half, energy, %": energy, "twice": before})
 
 
 def table(data):
     rows = [["circles", "Δt, s", *SHOWN.values()]]
-    for row in (row for of_size in by_size(data).values() for row in of_size):
+    for row in sorted(data["rows"], key=lambda row: (row["n_bodies"], row["dt"])):
         cells = [row["errors"][name] for name in SHOWN]
         cells = [c and f"{c[0]:.2g} ({c[1]:.2g} to {c[2]:.2g})" for c in cells]
-        rows.append([row["n_bodies"], f"{row['dt']:g}", *cells])
+        rows.append([row["n_bodies"], f"{row['dt']:g}" + " (below the reference)" * is_below(row), *cells])
     return rows
 
 
 def draw(data, options):
-    """An error in each panel against Δt, a line for each size, with its interval."""
+    """An error in each panel against Δt, a line for each size, with its interval, down to the reference's Δt."""
     figure, panels = plotting.subplots(2, 2, size=(plotting.PAGE, 5.6), sharex=True)
     for ax, (name, text) in zip(panels.ravel(), SHOWN.items()):
-        for (n, rows), colour in zip(by_size(data).items(), COLOURS):
+        for (n, rows), colour in zip((found := by_size(data)).items(), plotting.shades(len(found))):
             steps, values = zip(*((row["dt"], row["errors"][name]) for row in rows if row["errors"][name]))
             values, reach = zip(*map(runs.with_reach, values))
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
             ax.errorbar(steps, values, np.concatenate(reach, axis=1), **look)
-        ax.axvline(TIME_STEP, color=plotting.GREY, linewidth=0.6, linestyle=":")
+        for dt in (TIME_STEP, runs.REFERENCE["dt"]):
+            ax.axvline(dt, color=plotting.GREY, linewidth=0.6, linestyle=":")
         plotting.label_axes(ax, "", text)
         plotting.log_axes(ax)
     for ax in panels[1]:
-        ax.set_xlabel("time step Δt (s); dotted: 10 ms")
-    return plotting.legend_below(figure, panels[0, 0], "What is left of an error as the time step goes to 0?")
+        ax.set_xlabel("time step Δt (s); dotted: the reference's, 10 ms")
+    return plotting.legend_below(figure, panels[0, 0], "How far from the reference is a run, by its time step?")
 
 
 FIGURE = Figure("6.2", "The limit of small steps", compute, table, draw, claims, options=runs.RESULTS)

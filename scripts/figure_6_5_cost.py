@@ -7,7 +7,6 @@ from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import runs
 
-COLOURS = dict(zip(PRESETS, (plotting.SKY, plotting.GREEN, plotting.BLUE, plotting.ORANGE, plotting.VERMILION)))
 
 
 def compute(options, seed, jobs, progress):
@@ -69,7 +68,7 @@ def table(data):
 def draw(data, options):
     """Left: the cost of each preset by size. Right: that of the fastest rival for the same tolerances, over ours."""
     figure, (left, right) = plotting.subplots(1, 2, size=(plotting.PAGE, 3.8))
-    for preset, colour in COLOURS.items():
+    for preset, colour in zip(PRESETS, plotting.shades(len(PRESETS))):
         rows = rows_of(data, preset)
         us = [row["ours"]["us"] for row in rows]
         left.plot([row["n_bodies"] for row in rows], us, color=colour, marker="o", markersize=4, label=preset)

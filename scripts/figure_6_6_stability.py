@@ -109,17 +109,19 @@ def draw(data, options):
                 low, value, high = np.maximum(of, 0.01)
                 ax.plot([low, high], [y, y], color=colour, linewidth=0.8)
                 ax.plot(value, y, marker, color=colour, markersize=3.5)
-    left.set_yticks(range(len(grouped)), [f"{name}, {data['units'][name]}".rstrip(", ") for name in grouped])
-    left.set(ylim=(len(grouped) - 0.5, -0.5), xlim=(0, 1), xticks=[0.02, 0.98])
-    left.set_xticklabels(["least value", "largest"])
-    middle.axvline(3, color=plotting.GREEN, linewidth=0.8)
+    ends = ((of["ours"][0]["value"], of["ours"][-1]["value"]) for of in grouped.values())
+    names = (f"{name}, {data['units'][name]}".rstrip(", ") for name in grouped)
+    left.set_yticks(range(len(grouped)), [f"{name}\n{low:g} to {high:g}" for name, (low, high) in zip(names, ends)])
+    left.set(ylim=(len(grouped) - 0.5, -0.5), xlim=(0, 1), xticks=[0.04, 0.96])
+    left.set_xticklabels(["least", "largest value"])
+    middle.axvline(3, color=plotting.BLACK, linewidth=0.8, linestyle=":")
     for ax in (middle, right):
         ax.set_xscale("log")
     for ax in (left, middle, right):
         ax.grid(False, axis="y")
         ax.tick_params(axis="y", length=0)
     left.set_title("Is it safe? (ours above)")
-    plotting.label_axes(middle, "slops (3 are safe)", "", title="How deep at rest?")
+    plotting.label_axes(middle, "slops (dotted: 3 are safe)", "", title="How deep at rest?")
     plotting.label_axes(right, "time of a step", "", x_unit="µs", title="At which cost?")
     handles = [Patch(color=colour, label=verdict) for verdict, colour in COLOURS.items()]
     for name, (colour, marker) in LOOKS.items():

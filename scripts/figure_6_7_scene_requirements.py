@@ -11,16 +11,21 @@ from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import savings
 
 NAMES = {
-    "frictionless": "no tangent rows, no spin: a sweep",
-    "asleep": "asleep: a step",
-    "asleep but for one": "asleep but for one circle: a step",
-    "no position correction": "no position correction: a step",
-    "no call between steps": "no call between steps: a step",
-    "islands, one pile": "islands, thesis scene: relaxations",
-    "islands, one pile, time": "islands, thesis scene: time",
-    "islands, heaps": "islands, scattered heaps: relaxations",
-    "islands, heaps, time": "islands, scattered heaps: time",
+    "frictionless": ("no tangent rows, no spin: a sweep", "ns a contact"),
+    "asleep": ("asleep: a step", "µs"),
+    "asleep but for one": ("asleep but for one circle: a step", "µs"),
+    "no position correction": ("no position correction: a step", "µs"),
+    "no call between steps": ("no call between steps: a step", "µs"),
+    "islands, one pile": ("islands, thesis scene: relaxations", ""),
+    "islands, one pile, time": ("islands, thesis scene: time", "ms"),
+    "islands, heaps": ("islands, scattered heaps: relaxations", ""),
+    "islands, heaps, time": ("islands, scattered heaps: time", "ms"),
 }
+"""Saving -> in words, unit of what is paid with and without it."""
+
+PER_SECOND = {"µs": 1e6, "ms": 1e3}
+"""Unit of a time -> how many a second has. A sweep is stored in ns."""
+
 SMALLEST = 1e-15
 """Where no difference is drawn, m."""
 
@@ -66,19 +71,20 @@ def claims(data):
 
 
 def named_savings(data):
-    """(name, number of circles or None, saving) of all savings: those of a sweep by number of circles, then others."""
-    of_a_sweep, *others = NAMES
-    rows = [(NAMES[of_a_sweep], int(n), one[of_a_sweep]) for n, one in data["sweeps"].items()]
-    return rows + [(NAMES[name], None, data["savings"][name]) for name in others]
+    """(name, unit, saving) of all savings: those of a sweep by number of circles, then others."""
+    (sweep, unit), *_ = NAMES.values()
+    rows = [(f"{sweep}, {int(n):,} circles", unit, one["frictionless"]) for n, one in data["sweeps"].items()]
+    return rows + [(*NAMES[name], data["savings"][name]) for name in list(NAMES)[1:]]
 
 
 def table(data):
-    rows = [["what", "times cheaper", "quartiles", "apart, m", "general", "special"]]
-    for name, n, one in named_savings(data):
-        name = name if n is None else f"{name}, {n} circles, ns"
-        rows.append([name, one["ratio"], [one["low"], one["high"]], one["apart"], one["general"], one["special"]])
+    """With and without each saving; a job is a process of its own."""
+    rows = [["what", "times cheaper", "quartiles", "apart, m", "general", "special", "unit"]]
+    for name, unit, one in named_savings(data):
+        paid = [PER_SECOND.get(unit, 1) * one[which] for which in ("general", "special")]
+        rows.append([name, one["ratio"], [one["low"], one["high"]], one["apart"], *paid, unit])
     for name, one in data["jobs"].items():
-        rows.append([f"job: {name}, s; MB", None, None, None, one["seconds"], one["memory_mb"]])
+        rows.append([f"job: {name}, {one['memory_mb']:.0f} MB", None, None, None, None, one["seconds"], "s"])
     return rows
 
 
@@ -93,7 +99,7 @@ def draw(data, options):
         left.plot([one["low"], one["high"]], [k, k], color=plotting.BLACK)
         left.annotate(f"{one['ratio']:.3g}×", (max(one["high"], 1), k), (4, 0), textcoords="offset points", va="center")
         right.plot(max(one["apart"], SMALLEST), k, "o", color=plotting.VERMILION, markersize=4)
-    left.set_yticks(range(len(rows)), [name if n is None else f"{name}, {n:,} circles" for name, n, _ in rows])
+    left.set_yticks(range(len(rows)), [name for name, _, _ in rows])
     left.invert_yaxis()
     ratios = [one[end] for _, _, one in rows for end in ("low", "high")]
     left.set(xscale="log", xlim=(0.8 * min(1, *ratios), 5 * max(ratios)))

@@ -140,8 +140,16 @@ LARGE_PEERS = [
     *settings({1: (6,), 2: (4,)}, **BOX2D_V3, hertz=60.0),
     *settings({1: (6, 8), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
     *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
+    *settings({1: (4, 6), 8: (2,)}, **PYMUNK, slop=0.25),
+    *settings({1: (4,), 2: (6,)}, **PYMUNK),
+    *settings({1: (10,), 2: (4,)}, **PYMUNK, bias=0.4),
+    *settings({2: (4,)}, **PYMUNK, bias=0.1),
+    *settings({1: (10,), 2: (4,)}, **BOX2D, position_sweeps=1),
+    *settings({2: (6,)}, **BOX2D),
+    *settings({1: (4,)}, **BOX2D_V3, hertz=60.0),
+    *settings({2: (2,)}, **BOX2D_V3, hertz=120.0),
 ]
-"""For 3,000 circles: those of `PEERS` that were the cheapest, or nearly, to keep a preset at 1,000."""
+"""For 3,000 circles: those of `PEERS` that were the cheapest, or nearly, to keep a preset at 1,000, and their neighbours."""
 
 LARGEST_PEERS = [
     *settings({1: (10,), 2: (4, 6), 4: (2,)}, **PYMUNK, slop=0.25),
@@ -149,6 +157,12 @@ LARGEST_PEERS = [
     *settings({2: (4,)}, **BOX2D, position_sweeps=3),
     *settings({1: (6,)}, **BOX2D_V3, hertz=60.0),
     *settings({1: (8,), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
+    *settings({1: (6, 20), 2: (10,), 4: (4,)}, **PYMUNK, slop=0.25),
+    *settings({1: (6,)}, **PYMUNK),
+    *settings({4: (4,)}, **BOX2D, position_sweeps=3),
+    *settings({2: (4,)}, **BOX2D_V3, hertz=60.0),
+    *settings({1: (6,)}, **BOX2D_V3, hertz=120.0),
+    *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
 """For 10,000: the same again."""
 

@@ -56,8 +56,8 @@ START_STYLE = {
 }
 """Name of a start -> keywords for `ax.plot`, the same in every figure."""
 
-SOLVER_COLOUR = {"PGS": VERMILION, "PSOR": ORANGE, "BatchedPGS": BLUE, "NNCG": SKY, "NesterovPGS": GREEN}
-"""Method -> colour, the same in every figure."""
+NESTEROV, SHARING = "#8C564B", "#17BECF"
+"""Colours of a method and of a way back from the grid that are drawn beside starts."""
 
 ENGINE_MARKER = {"Box2D 2.3": "s", "pymunk": "^", "Box2D v3": "D"}
 """Other engine -> marker, in grey."""
@@ -85,6 +85,13 @@ _STYLE = {
     "figure.constrained_layout.w_pad": 0.08,
     "image.cmap": COLOUR_MAP,
 }
+
+
+def shades(count: int) -> list[str]:
+    """So many colours of what has an order (sizes, steps, presets), from light to dark: no start has one of them."""
+    from matplotlib import colormaps, colors
+
+    return [colors.to_hex(colour) for colour in colormaps["cividis"](np.linspace(0.85, 0.0, count))]
 
 
 def style():

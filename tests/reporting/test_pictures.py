@@ -1,0 +1,68 @@
+"""Pictures and tables of chapter 6 show what their numbers say: prices, units, ends of axes, one colour a thing."""
+
+import pytest
+from conftest import load_script
+
+from deep_contact.reporting import plotting, results
+from deep_contact.studies import runs
+
+
+def drawn(id):
+    """(Script, its stored data, its picture)."""
+    script = load_script(f"figure_{id.replace('.', '_')}")
+    stored = results.reference(f"figure_{id.replace('.', '_')}")
+    return script, stored["data"], script.draw(stored["data"], stored["options"])
+
+
+def test_no_start_has_the_colour_of_a_method_a_size_a_step_or_a_preset():
+    starts = {look["color"] for look in plotting.START_STYLE.values()}
+    others = [plotting.NESTEROV, plotting.SHARING, *plotting.shades(5), *plotting.shades(4)[1:-1]]
+    assert len(set(others)) == len(others)
+    assert starts.isdisjoint(others)
+
+
+def test_the_time_step_s_picture_ends_above_the_step_that_is_taken_for_the_truth():
+    script, data, picture = drawn("6.2")
+    assert any(script.is_below(row) for row in data["rows"])
+    shown = [x for ax in picture.axes for one in ax.containers for x in one.lines[0].get_xdata()]
+    assert min(shown) > runs.REFERENCE["dt"]
+
+
+def test_a_smaller_step_is_compared_by_both_errors_in_picture_and_claims():
+    script, data, picture = drawn("6.11")
+    for j, n in enumerate(runs.sizes_of(data["rows"])):
+        for ax, name in zip(picture.axes[j :: len(runs.sizes_of(data["rows"]))], script.DRAWN):
+            (rings,) = (line for line in ax.lines if line.get_label().startswith("same price"))
+            assert rings.get_ydata().tolist() == [row["errors"][name] for row in script.compared(data, n)]
+    assert sum("energy" in claim.text for claim in script.claims(data)) == len(runs.sizes_of(data["rows"]))
+
+
+def test_the_extremes_axis_says_from_where_to_where():
+    _, data, picture = drawn("6.6")
+    labels = [tick.get_text() for tick in picture.axes[0].get_yticklabels()]
+    for name, label in zip(data["units"], labels):
+        values = [cell["value"] for cell in data["cells"] if (cell["quantity"], cell["engine"]) == (name, "ours")]
+        assert label.startswith(name)
+        assert label.endswith(f"{min(values):g} to {max(values):g}")
+
+
+def test_no_curve_of_a_way_through_the_grid_lies_on_another():
+    """Where losses are large: a thirtieth of the axis apart at some spacing below 1 m, or both below a tenth of it."""
+    script, data, picture = drawn("6.3")
+    few = [k for k, d in enumerate(data["charted"]) if d <= 0.75]
+    for ax, of in zip(picture.axes, data["by spacing"].values()):
+        high = ax.get_ylim()[1]
+        large = [name for name in script.WAYS if min(of[name][k] for k in few) > 0.1 * high]
+        assert len(large) > 1
+        for i, one in enumerate(large):
+            for other in large[:i]:
+                assert max(abs(of[one][k] - of[other][k]) for k in few) > high / 30
+
+
+@pytest.mark.parametrize("row", ["asleep: a step", "islands, thesis scene: time", "job: import"])
+def test_what_is_saved_has_a_unit_of_its_size(row):
+    script, data, _ = drawn("6.7")
+    head, *rows = script.table(data)
+    found = dict(zip(head, next(cells for cells in rows if str(cells[0]).startswith(row))))
+    assert found["unit"] in ("µs", "ms", "s")
+    assert 1e-3 < found["special"] < 1e3
