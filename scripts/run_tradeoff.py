@@ -166,6 +166,16 @@ LARGEST_PEERS = [
 ]
 """For 10,000: the same again."""
 
+MORE = {
+    "no friction": {"100": settings({4: (3,), 8: (2,)}, **PGS), "1000": settings({4: (3,), 8: (2, 3)}, **PGS)}
+    | {"3000": settings({4: (10,), 8: (3, 5)}, **COLOURS, **FEW)},
+    "drum": {n: settings({2: (4,), 4: (2,)}, **PGS, **FEW) for n in ("100", "1000", "3000")},
+    "heavy on light 1 : 10": {"10000": settings({4: (30, 40), 8: (10,)}, **COLOURS, **FEW)},
+    "heavy on light 1 : 100": {"3000": settings({(8, 32, 0.25): (20, 40)}, **COLOURS, **NEAR)}
+    | {"10000": settings({8: (40,), 16: (20,), (8, 32, 0.25): (40,), (16, 32, 0.25): (20, 40)}, **COLOURS, **FEW)},
+}
+"""What a kind needs beside, by size: without these no setting kept one of its presets, or at a high price only."""
+
 DEAR = ("drum", "light on heavy 1 : 10")
 """Kinds that are not run with 10,000 circles: the drum's segments make it ten times as dear."""
 
@@ -179,6 +189,7 @@ FULL = {
     "seconds": 6.0,
     "settings": {"100": SMALL, "1000": SMALL, "3000": MEDIUM, "10000": LARGE},
     "dense": {"100": DENSE_SMALL, "1000": DENSE_SMALL, "3000": DENSE, "10000": DENSE_LARGE},
+    "more": MORE,
     "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
     "peers": {"100": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
     "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
@@ -189,6 +200,7 @@ QUICK = {
     "sizes": [100, 300],
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
     "dense": {},
+    "more": {},
     "peer_seeds": {"100": 4, "300": 3},
     "ladder_seeds": {"100": 4, "300": 3},
     "seconds": 4.0,
@@ -217,7 +229,8 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
         rivals, on_plain = (options[name].get(str(n), []) for name in ("peers", "ladders"))
         for kind, count in options["seeds"][str(n)].items():
             ours = options["dense" if kind in runs.DENSE_KINDS else "settings"][str(n)]
-            cases = [(setting, count) for setting in (*ours, runs.REFERENCE)]
+            ours = [*ours, *options["more"].get(kind, {}).get(str(n), []), runs.REFERENCE]
+            cases = [(setting, count) for setting in ours]
             if kind == "plain":
                 cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in on_plain]
                 cases += [(setting, options["peer_seeds"][str(n)]) for setting in rivals]
@@ -487,7 +500,7 @@ def main(arguments=None) -> int:
     if data is None:
         return 0
     wall_s = time.perf_counter() - start
-    kept = {key: value for key, value in options.items() if key not in ("settings", "ladders", "peers")}
+    kept = {key: value for key, value in options.items() if key not in ("settings", "more", "ladders", "peers")}
     kept["quick"] = given.quick
     if before:
         kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]

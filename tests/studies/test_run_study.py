@@ -145,6 +145,7 @@ def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_pat
     more = {
         "settings": {"20": []},
         "seeds": {"20": {"plain": 9}},
+        "more": {},
         "ladders": {"20": [COARSE]},
         "ladder_seeds": {"20": 3},
     }
