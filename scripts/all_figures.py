@@ -43,8 +43,8 @@ STUDIES = {
 """File of data/reference -> the script and options that write it; `--out` and the path follow."""
 
 ELSEWHERE = ("benchmark_disks", "benchmark_outside", "box2d_native", "fuzz", "golden", "ratios_before")
-"""Files that need problems and solvers of others (docs/benchmarks.md says which) or Box2D v3 compiled from its sources, one
-that several runs fill, golden runs, which are made anew only where a change of results is meant, and ratios of the past."""
+"""Files that need problems and solvers of others (docs/benchmarks.md says which) or Box2D v3 compiled from its sources,
+one that several runs fill, ratios of the past, and golden runs, made anew only where a change of results is meant."""
 
 
 def main(arguments=None, folder=HERE):

@@ -8,7 +8,6 @@ from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.studies import runs
 
 
-
 def compute(options, seed, jobs, progress):
     """The presets of the study on plain piles."""
     found = runs.read_study(options["results"])["presets"]

@@ -149,7 +149,7 @@ LARGE_PEERS = [
     *settings({1: (4,)}, **BOX2D_V3, hertz=60.0),
     *settings({2: (2,)}, **BOX2D_V3, hertz=120.0),
 ]
-"""For 3,000 circles: those of `PEERS` that were the cheapest, or nearly, to keep a preset at 1,000, and their neighbours."""
+"""For 3,000 circles: those of `PEERS` that were the cheapest to keep a preset at 1,000, or nearly, and neighbours."""
 
 LARGEST_PEERS = [
     *settings({1: (10,), 2: (4, 6), 4: (2,)}, **PYMUNK, slop=0.25),
