@@ -56,7 +56,7 @@ def draw(data, options):
         ax.errorbar(ratio, y + 0.22 * (1 - i), xerr=off, **look)
     ax.axvline(1.0, color=plotting.GREY, linewidth=1.0)
     ax.set_yticks(y, list(found))
-    text = "velocity error over the best classical setting's\nafter as many sweeps, the price left out (it is in Figure 6.10)"
+    text = "velocity error over the best classical setting's\nafter as many sweeps, its price left out (Figure 6.10)"
     plotting.label_axes(ax, text, "")
     return plotting.legend_below(figure, ax, "Does the network's start carry over to other scenes?")
 
