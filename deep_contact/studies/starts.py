@@ -367,8 +367,10 @@ def motion_loss(states: Sequence[State], start: Sph) -> dict[str, float]:
         change = back[:, 1:4] * (mass / back[:, :1]) - motion
         nodes = np.stack(np.meshgrid(*grid.nodes), axis=-1)[image[..., 0] > 0]
         before, after = _sums(places, values), _sums(nodes, image[image[..., 0] > 0])
-        kept = np.abs(after.sum(axis=0) - before.sum(axis=0)) / np.abs(before).sum(axis=0)
-        errors.append([np.linalg.norm(change) / np.linalg.norm(motion), kept[:3].max(), *kept[3:]])
+        # What no circle has, such as momentum along x before the first contact, is not lost.
+        size, least = np.abs(before).sum(axis=0), np.finfo(float).tiny
+        kept = np.abs(after.sum(axis=0) - before.sum(axis=0)) / np.maximum(size, least)
+        errors.append([np.linalg.norm(change) / max(np.linalg.norm(motion), least), kept[:3].max(), *kept[3:]])
     names = ("velocities of circles", "mass and momentum", "angular momentum", "energy")
     return dict(zip(names, np.mean(errors, axis=0).tolist()))
 
