@@ -110,7 +110,7 @@ HELD_OUT_KINDS = {
     "thin gas": {"make": gas, "gap": 2.0, "restitution": 0.9},
     "slow drum": {"make": drum, "froude": 0.05, "sides": 40},
     "rough": {"friction": 1.0},
-    "wide radii": {"radius": (0.2, 2.0)},
+    "wide radii": {"radius": (0.15, 1.5)},
     "hopper": {"make": hopper},
     "terrain": {"make": terrain},
     "low dam": {"make": dam_break, "aspect": 1.0, "room": 3.0, "radius": (0.8, 1.0)},
