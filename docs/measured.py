@@ -466,6 +466,10 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
         ("alone takes {:.0f} times Builtin's time to θ < 6e-5", lambda: [by_tree()[RATIO][0]]),
         ("compiled here, {:.2f} of it", lambda: [by_tree()["mean compiled here, ms"] / by_tree()["mean builtin, ms"]]),
+        (
+            "angular momentum to {:.2f} % (Figure 6.3)",
+            lambda: [100 * float(np.mean(stored("figure_6_3")["data"]["by scene"]["angular momentum"]))],
+        ),
         ("are {:.0f} PFLOP, over a day {:.0f} % of the card's peak", training_work),
     ],
 }
