@@ -246,7 +246,8 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
                 common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
                 seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, wanted)]
     seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
-    return seen, kept
+    # In the order of the file, so that parts of an earlier run that measured the same times are those of this one.
+    return seen, {key: row for key, row in known.items() if key in kept}
 
 
 def timed(options: dict, seed: int, process: int, rows: list) -> list:
