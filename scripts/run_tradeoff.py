@@ -262,7 +262,7 @@ def timed(options: dict, seed: int, process: int, rows: list) -> list:
         for kind in kinds if process == 0 else ("plain",):
             of_scene = [row for row in rows if (row["kind"], row["n_bodies"]) == (kind, int(n)) and row["errors"]]
             chosen = [row for row in of_scene if any(keeps(row, preset) for preset in PRESETS) or is_ours(row)]
-            chosen = [row for row in chosen if row["setting"]["dt"] >= TIME_STEP / 8]
+            chosen = [row for row in chosen if kind != "plain" or row["setting"]["dt"] >= TIME_STEP / 8]
             if process > 0:
                 chosen = contenders(chosen)
             given = {"kind": kind, "n_bodies": int(n), "seed": seed + process}

@@ -460,8 +460,8 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
     {"name", "us", "times", "seeds", "impact", "rest"} or None each. Ours is what `simulate(accuracy=…)` takes, which
     leaves a margin (`presets.keeping`); a rival's setting may use up all of its tolerances.
     ratio: time of the fastest rival over ours on plain piles, [value, low, high] or None each. The value is the median
-    over the processes that measured times. Low is the least of them where all our errors are at the upper and all of
-    theirs at the lower ends of their intervals; high the largest the other way round.
+    over the processes that measured times. Low is the least of them, and of those where all our errors are at the upper
+    and all of theirs at the lower ends of their intervals; high the largest, and of those the other way round.
     """
 
     def cheapest(n, engine, preset, kind="plain", at=0):
@@ -486,8 +486,11 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
         )  # the same processes
 
     def ratio(n, preset):
-        of_ends = zip((np.median, np.min, np.max), ((0, 0), (2, 1), (1, 2)))
-        return [None if (of := ratios(n, preset, *ends)) is None else float(take(of)) for take, ends in of_ends]
+        value, low, high = (ratios(n, preset, *ends) for ends in ((0, 0), (2, 1), (1, 2)))
+        if value is None:
+            return [None] * 3
+        # The value too: the margin that `accuracy=` leaves can make it dearer than what keeps at the ends.
+        return [float(np.median(value)), low and min(*low, *value), high and max(*high, *value)]
 
     kinds = {n: dict.fromkeys(row["kind"] for row in found if row["n_bodies"] == n) for n in sizes_of(found)}
     return [
