@@ -171,7 +171,12 @@ MORE = {
     | {"3000": settings({4: (10,), 8: (3, 5)}, **COLOURS, **FEW)},
     "drum": {n: settings({2: (4,), 4: (2,)}, **PGS, **FEW) for n in ("100", "1000", "3000")},
     "heavy on light 1 : 10": {"10000": settings({4: (30, 40), 8: (10,)}, **COLOURS, **FEW)},
-    "heavy on light 1 : 100": {"3000": settings({(8, 32, 0.25): (20, 40)}, **COLOURS, **NEAR)}
+    "heavy on light 1 : 100": {
+        "3000": [
+            *settings({(8, 32, 0.25): (20, 40)}, **COLOURS, **NEAR),
+            *settings({8: (20, 40)}, **COLOURS, **FEW),
+        ]
+    }
     | {"10000": settings({8: (20, 40), 16: (20, 40), 32: (20,)}, **COLOURS, **FEW)},
 }
 """What a kind needs beside, by size: without these no setting kept one of its presets, or at a high price only."""
