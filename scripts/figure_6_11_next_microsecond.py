@@ -79,7 +79,7 @@ def draw(data, options):
                 ax_row[j].annotate(str(rows[end]["sweeps"]), points[end], **look)
         points = [(row["us"], row["errors"][name]) for row in compared(data, n)]
         look = {"color": plotting.VERMILION, "markersize": 8, "markerfacecolor": "none", "linestyle": "none"}
-        ax_row[j].plot(*zip(*points), marker="o", label="same price: 20 sweeps, least depth", **look)
+        ax_row[j].plot(*zip(*points), marker="o", label="20 sweeps, and the least depth for their price", **look)
         ax_row[j].margins(0.12)
         plotting.log_axes(ax_row[j])
     texts = (f"{SHOWN[name]} (%)" for name in DRAWN)

@@ -32,7 +32,7 @@ def test_a_smaller_step_is_compared_by_both_errors_in_picture_and_claims():
     script, data, picture = drawn("6.11")
     for j, n in enumerate(runs.sizes_of(data["rows"])):
         for ax, name in zip(picture.axes[j :: len(runs.sizes_of(data["rows"]))], script.DRAWN):
-            (rings,) = (line for line in ax.lines if line.get_label().startswith("same price"))
+            (rings,) = (line for line in ax.lines if line.get_label().startswith("20 sweeps"))
             assert rings.get_ydata().tolist() == [row["errors"][name] for row in script.compared(data, n)]
     assert sum("energy" in claim.text for claim in script.claims(data)) == len(runs.sizes_of(data["rows"]))
 
