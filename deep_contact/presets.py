@@ -320,7 +320,11 @@ def _stiff_candidate(solver, candidates: list[dict]) -> dict:
 
 
 def kinds_of(scene: State) -> list[str]:
-    """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between."""
+    """The kinds of scenes of the study (`studies.runs.KINDS`) that a scene is like, or lies between.
+
+    A drum, a dam and two densities ask for more than a pile does, and have settings that no pile was run with: they
+    stand for themselves.
+    """
     radius, world = scene.bodies.radius, scene.world
     if not any(world.gravity):
         return ["gas"]
@@ -328,19 +332,20 @@ def kinds_of(scene: State) -> list[str]:
     kinds += _of_densities(scene)
     if _is_dam(scene):
         kinds.append("dam break")
+    is_pile = not kinds
     if world.friction < FRICTION:
         kinds.append("no friction")
     if 0 < world.restitution < 0.8:
         kinds.append("elastic 0.3")
     if world.restitution > 0.3:
         kinds.append("elastic 0.8")
-    if scene.bodies.count and radius.max() > 1.05 * radius.min():
+    if is_pile and scene.bodies.count and radius.max() > 1.05 * radius.min():
         return [*kinds, "mixed radii"]
-    return [*kinds, "plain"] if world.friction > 0 and world.restitution < 0.3 else kinds
+    return [*kinds, "plain"] if is_pile and world.friction > 0 and world.restitution < 0.3 else kinds
 
 
 def _of_densities(scene: State) -> list[str]:
-    """The study's kinds of two densities that a scene is like: the next larger ratio, mixed, and layered if it is."""
+    """The study's kind of two densities that a scene is like: the next larger ratio, in layers or mixed."""
     if scene.bodies.count < 2:
         return []
     density = scene.bodies.mass / scene.bodies.radius**2
@@ -349,11 +354,10 @@ def _of_densities(scene: State) -> list[str]:
         return []
     up, dense = up_and_across(scene)[0], density > math.sqrt(float(density.max() * density.min()))
     apart = float(up[dense].mean() - up[~dense].mean()) / (float(np.ptp(up)) or 1.0)
-    names = ["densities"]
-    if abs(apart) > LAYERED:
-        names.append("heavy on light" if apart > 0 else "light on heavy")
-    studied = ((name, next((r for r in DENSITIES[name] if ratio <= 1.001 * r), DENSITIES[name][-1])) for name in names)
-    return [f"{name} 1 : {most}" for name, most in studied]
+    layers = "heavy on light" if apart > 0 else "light on heavy"
+    names = (layers, "densities") if abs(apart) > LAYERED else ("densities",)
+    kinds = (f"{name} 1 : {most}" for name in names for most in DENSITIES[name] if ratio <= 1.001 * most)
+    return [next(kinds, f"{names[0]} 1 : {DENSITIES[names[0]][-1]}")]
 
 
 def _is_dam(scene: State) -> bool:

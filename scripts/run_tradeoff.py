@@ -352,7 +352,7 @@ def table(data: dict, cpu: str) -> dict:
         new = {"name": row["name"], "options": options, "dt": row["setting"]["dt"], "us": {}, "errors": {}}
         entry, n = settings.setdefault(row["name"], new), str(row["n_bodies"])
         entry["us"].setdefault(n, {})[row["kind"]] = round(row["us"], 2)
-        errors = {key: float(f"{value[0]:.3g}") for key, value in row["errors"].items() if value}
+        errors = {key: runs.rounded(value[0]) for key, value in row["errors"].items() if value}
         entry["errors"].setdefault(n, {})[row["kind"]] = errors
     sizes = sorted({row["n_bodies"] for row in data["rows"]})
     return {"cpu": cpu, "sizes": sizes, "settings": list(settings.values())}

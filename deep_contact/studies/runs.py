@@ -467,7 +467,7 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
     def cheapest(n, engine, preset, kind="plain", at=0):
         candidates = [
             {"name": row["name"], "us": row["us"], "times": row["times"], "seeds": row["seeds"], **row["phases"]}
-            | {"errors": {name: error[at] for name, error in row["errors"].items() if error}}
+            | {"errors": {name: rounded(error[at]) for name, error in row["errors"].items() if error}}
             for row in found
             if (row["n_bodies"], row["kind"], row["setting"].get("engine")) == (n, kind, engine)
             and row["us"] is not None
@@ -503,6 +503,11 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
         }
         for n, preset in product(kinds, PRESETS)
     ]
+
+
+def rounded(error: float) -> float:
+    """An error with the three digits that the presets' table has, so that it and the study choose alike."""
+    return float(f"{error:.3g}")
 
 
 def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
