@@ -550,8 +550,8 @@ NAMES = r"\b(?:Figures?|Tables?|Eq|sections?|chapters?|Python|Siconos|Box2D|Kera
 
 def unexplained(page: str, text: str) -> list[str]:
     """The numbers of a page's prose that look measured and are in no sentence of SENTENCES or GIVEN."""
-    for names in (r"^```.*?^```", r"^\|.*?$", r"<!--.*?-->", r"^#.*?$", r"`[^`]*`", r"\]\([^)]*\)", NAMES):
+    for names in (r"^```.*?^```", r"^\|.*?$", r"<!--.*?-->", r"^#.*?$", r"`[^`]*`", r"\]\([^)]*\)"):
         text = re.sub(names, "", text, flags=re.MULTILINE | (re.DOTALL if "`" in names else 0))
     for template in [*(template for template, _ in SENTENCES.get(page, ())), *GIVEN.get(page, ())]:
         text = pattern(template).sub("", text)
-    return [match[0] for match in MEASURED.finditer(text)]
+    return [match[0] for match in MEASURED.finditer(re.sub(NAMES, "", text))]

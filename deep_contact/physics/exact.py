@@ -17,7 +17,7 @@ alone is factorised at every pivot. Either is for references, not for the steps 
 
 A path is sure to lead to a solution without friction, where the problem is monotone. With friction ε may be too small
 against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε. Settling piles
-of 1,000 have been solved, those of 10,000 have not. Of many solutions, the start and these constants choose one.
+of 1,000 have been solved, of 10,000 some. Of many solutions, the start and these constants choose one.
 """
 
 from __future__ import annotations
