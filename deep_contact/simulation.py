@@ -3,27 +3,22 @@
 from __future__ import annotations
 
 import threading
-import time
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import numpy as np
 
 from deep_contact.compiled.team import cores
 from deep_contact.physics import engine
-from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
-from deep_contact.physics.engine import ContactSolution, Steps, step_input
+from deep_contact.physics.convergence import ConvergenceRecord
+from deep_contact.physics.engine import ContactSolution
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
-from deep_contact.physics.step import StepLog, make_log
-from deep_contact.physics.substeps import shift_flights
+from deep_contact.running import run
 from deep_contact.state import (
     LIMITS,
-    Bodies,
-    Contacts,
     State,
     StateWithContacts,
     check_limits,
@@ -42,9 +37,6 @@ if TYPE_CHECKING:
 
 _KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
 """Type and dimensions of the arrays of bodies and contacts."""
-
-_WORK, _SECONDS = 20_000_000, 0.2
-"""Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
 
 COINCIDENT = 0.1
 """Distance of two centres, in the smaller radius, below which `simulate` warns."""
@@ -148,7 +140,7 @@ def simulate(
 
     dt: time step, s; if it is not the state's, carried impulses are scaled by the ratio.
     solver: options such as `PGS(sweeps=…)`; by default the state's own, or what accuracy="fast" takes.
-    warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`.
+    warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`, which is asked once a step.
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
     were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run. Where the
     scene's circles are too small or too fast for its Δt, the step is divided into substeps. At step 0
@@ -157,8 +149,8 @@ def simulate(
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
     on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
-    it solved and those it started from) and the `ConvergenceRecord` of its sweeps. With substeps, after each of these,
-    in units of their own: the state's Δt and step are those of the substep.
+    it solved and those it started from) and the `ConvergenceRecord` of its sweeps. Of a divided step the impulses are
+    what the first substep solved, times their number, and the record is that of the last.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
@@ -168,7 +160,8 @@ def simulate(
 def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_step=None, stopped=None) -> Simulation:
     """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
     integer("steps", steps)
-    every = steps + 1 if record is None else integer("record", record, least=1)
+    if record is not None:
+        integer("record", record, least=1)
     if dt is not None:
         state = with_time_step(state, dt)
     given, state = state, ready(state)
@@ -179,16 +172,7 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     if by_preset and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
         state = _with_a_past(state)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
-    state = state.replace(solver=solver)
-    substeps = solver.substeps if isinstance(solver, PGS) else 1
-    advance = Steps(solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
-    if substeps > 1:
-        state = _in_substeps(state, substeps, engine.motion_parts(solver))
-    kept = None if record is None else every * substeps
-    state, log, frames = _advance(state, steps * substeps, advance, start, kept, on_step, stopped)
-    if substeps > 1:
-        state, *frames = (_in_steps(one, solver, substeps) for one in (state, *frames))
-        log = _log_of_steps(log, substeps)
+    state, log, frames = run(state.replace(solver=solver), start, steps, sleep, record, on_step, stopped)
     return Simulation(state, *log[:5], None if record is None else Trajectory.from_states(frames))
 
 
@@ -221,102 +205,20 @@ def simulate_many(
         expect(fits, f"solver: expected one with threads=1 for many scenes, got {one!r}")
     stopped = threading.Event()
 
-    def run(number: int) -> Simulation:
+    def one(number: int) -> Simulation:
         try:
             return _simulate(states[number], steps, dt, solver, start, accuracy, sleep, record, stopped=stopped)
         except (ValueError, FloatingPointError) as error:
             raise type(error)(f"states[{number}]: {error}") from error
 
     with ThreadPoolExecutor(min(threads, max(1, len(states)))) as pool:
-        runs = [pool.submit(run, number) for number in range(len(states))]
+        runs = [pool.submit(one, number) for number in range(len(states))]
         try:
             return [future.result() for future in runs]
         except BaseException:
             stopped.set()
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-def _advance(
-    state: State, steps: int, advance: Steps, start, record: int | None, on_step, stopped
-) -> tuple[State, StepLog, list]:
-    """So many steps of a state with its solver: the state after them, their log, the recorded states."""
-    solver = state.solver
-    # Builtin and NoStart need nothing from Python between two steps.
-    by_step = on_step is not None or not isinstance(start, (Builtin, NoStart))
-    if by_step and engine.motion_parts(solver) > 1:
-        return _advance_by_parts(state, steps, advance, start, record, on_step, stopped)
-    every = record or steps + 1
-    log = make_log(steps)
-    scales = engine.scales_of(state, solver)  # of radii that do not change in a run
-    # Before the arrays of the result, so that its release leaves no gap on top of the heap, which would be given back.
-    advance.memory(step_input(state, solver, scales))
-    frames = [] if record is None else [state]
-    done, is_own = 0, False  # whether nobody else sees the arrays that a step writes into
-    work = _WORK // 8
-    while done < steps:
-        if stopped is not None and stopped.is_set():
-            raise KeyboardInterrupt
-        most = 1 if by_step else 1 + work // (10 * state.bodies.count + 50)
-        count = min(steps - done, every - done % every, most)
-        before, contacts = state, state.contacts
-        if isinstance(start, Builtin):
-            normal, tangent, problem = contacts.normal_start, contacts.tangent_start, None  # no step writes into these
-        else:
-            normal, tangent, problem = starting_impulses(start, state, solver, scales)
-        state = state.replace(contacts=contacts._replace(normal_start=normal, tangent_start=tangent))
-        if not is_own:
-            state = _with_own_arrays(state)
-        is_own = on_step is None
-        if on_step is None:
-            before = contacts = normal = tangent = None  # a million circles have 200 MB of them
-        given = step_input(state, solver, scales)
-        chunk = StepLog(*(column[done : done + count] for column in log[:5]), np.array([0, work]))
-        begun = time.perf_counter()
-        solved, found = advance(given, chunk, problem)
-        # How a run is divided changes no bit of it.
-        work = min(_WORK, 2 * work, 1 + int(work * _SECONDS / (time.perf_counter() - begun)))
-        count = int(chunk.progress[0])
-        if not np.isfinite(state.bodies.position.sum()):
-            _raise_diverged(state.bodies, state.step + count)
-        if on_step is not None:
-            theta = advance.memory(given).theta[: chunk.sweeps[0]]
-            convergence = convergence_record(theta, solver, int(chunk.contacts[0]))
-            on_step(before.replace(contacts=Contacts(*map(np.copy, solved)), solved=True), convergence)
-        done += count
-        number = state.step + count
-        # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
-        now = number * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
-        state, given, solved = state.replace(contacts=found, time=now, step=number, solved=False), None, None
-        if record is not None and (done % every == 0 or done == steps):
-            frames.append(state)
-            is_own = False
-    return state, log, frames
-
-
-def _advance_by_parts(state, steps, advance, start, record, on_step, stopped) -> tuple[State, StepLog, list]:
-    """`_advance` where motion divides the steps, and Python is called between their parts."""
-    solver, log, frames = state.solver, make_log(steps), [] if record is None else [state]
-    for k in range(steps):
-        parts = advance.parts(step_input(state, solver))
-        change = state.dt - state.dt / parts
-        divided = _shifted(_in_substeps(state, parts), change)
-        inside, of_parts, _ = _advance(divided, parts, advance, start, None, on_step, stopped)
-        state = _shifted(_in_steps(inside, solver, parts), -change)
-        for column, value in zip(log[:5], _log_of_steps(of_parts, parts)):
-            column[k] = value[0]
-        if record is not None and ((k + 1) % record == 0 or k + 1 == steps):
-            frames.append(state)
-    return state, log, frames
-
-
-def _shifted(state: StateWithContacts, change: float) -> StateWithContacts:
-    """The state whose Δt has become shorter by `change`, s (`substeps.shift_flights`)."""
-    if change == 0.0 or state.world.restitution == 0.0:
-        return state
-    bodies = state.bodies._replace(velocity=state.bodies.velocity.copy())
-    shift_flights(bodies, state.contacts, state.world.gravity, change)
-    return state.replace(bodies=bodies)
 
 
 def _with_a_past(state: StateWithContacts) -> StateWithContacts:
@@ -333,36 +235,6 @@ def _with_a_past(state: StateWithContacts) -> StateWithContacts:
     return state.replace(contacts=contacts)
 
 
-def _with_own_arrays(state: State) -> State:
-    """The state with copies of what steps write into."""
-    contacts = state.contacts
-    impulses = {name: getattr(contacts, name).copy() for name in Contacts._fields[5:]}
-    return state.replace(bodies=Bodies(*map(np.copy, state.bodies)), contacts=contacts._replace(**impulses))
-
-
-def _in_substeps(state: State, substeps: int, most: int | None = None) -> State:
-    """The state as the substeps see it: their Δt, their number, the impulses that one of them carries.
-
-    most: parts into which motion may divide a substep.
-    """
-    solver = replace(state.solver, substeps=1, most_substeps=most)
-    return with_time_step(state, state.dt / substeps).replace(step=state.step * substeps, solver=solver)
-
-
-def _in_steps(state: State, solver: PGS, substeps: int) -> State:
-    """The inverse of `_in_substeps`, after whole steps."""
-    step, dt = state.step // substeps, state.dt * substeps
-    time = step * dt if state.time == state.step * state.dt else state.time
-    return with_time_step(state, dt).replace(step=step, time=time, solver=solver)
-
-
-def _log_of_steps(log: StepLog, substeps: int) -> StepLog:
-    """The log of substeps, step by step: see `Simulation`."""
-    contacts, sweeps, theta, relaxations, parts = (column.reshape(-1, substeps) for column in log[:5])
-    sums = relaxations.sum(axis=1), parts.sum(axis=1)
-    return StepLog(contacts[:, -1], sweeps.sum(axis=1), theta[:, -1], *sums, log.progress)
-
-
 def with_time_step(state: State, dt: float) -> State:
     """The state with another Δt, s; the impulses that it carries from the last step are scaled by the ratio.
 
@@ -375,14 +247,6 @@ def with_time_step(state: State, dt: float) -> State:
             names += ["normal_impulse", "tangent_impulse"]
         contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
     return state.replace(dt=dt, contacts=contacts)
-
-
-def _raise_diverged(bodies: Bodies, step: int) -> None:
-    circle = int(np.flatnonzero(~np.isfinite(bodies.position).all(axis=1))[0])
-    raise FloatingPointError(
-        f"up to step {step}: circle {circle} (mass {bodies.mass[circle]:g} kg, radius {bodies.radius[circle]:g} m) has "
-        "come to a position that is not finite: the solver diverged; try PGS, a smaller dt"
-    )
 
 
 def ready(state: State) -> StateWithContacts:

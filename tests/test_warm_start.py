@@ -82,8 +82,8 @@ FarFieldModel.run = lambda model, image: np.zeros(model._output_shape(image.shap
 found = {}
 for kind, solver in ("PGS", dc.PGS), ("BatchedPGS", dc.BatchedPGS):
     for start in sys.argv[1:]:
-        built, solver_of = [], lambda **options: solver(sweeps=2, tolerance=None, **options)
-        run = dc.simulate(dc.lattice_in_box(6, gap=0.01), steps=12, solver=solver_of(substeps=2), warm_start=start)
+        built, solver_of = [], lambda: solver(sweeps=2, tolerance=None)
+        run = dc.simulate(dc.lattice_in_box(6, gap=0.01), steps=12, solver=solver_of(), warm_start=start)
         found[f"{kind}, {start}: run"] = len(built), int(run.relaxations.sum()) // 2
         built.clear()
         dc.solve_contacts(run.state, solver=solver_of(), start=start)

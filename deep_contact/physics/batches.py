@@ -242,13 +242,14 @@ def contacts_of_block(plan, k):
 
 
 @njit(cache=True, error_model="numpy")
-def write_block(given, contacts, plan, tiles, k, memory):
+def write_block(given, contacts, plan, tiles, k, rows, is_built):
     """Write the rows of a block's contacts to their places, and give its circles the impulses that they start from.
 
-    given: `StepInput`. The solver bodies have their velocities after gravity. memory: `StepMemory`, for built rows.
+    given: `StepInput`. The solver bodies have their velocities after gravity. rows: `Rows`, if built.
     """
     body, data, impulse, v, n = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies, plan.count[CIRCLES]
     ground, (begin, end), segments = n + 5 * k, contacts_of_block(plan, k), given.segments
+    share = 1.0 / given.parts
     if segments.shape[0] > 0:
         v[ground + 3, V_S] = 1.0  # see `contact_solver.move_surfaces`
     for i in range(begin, end):
@@ -256,9 +257,9 @@ def write_block(given, contacts, plan, tiles, k, memory):
         a, b, s = np.uint32(contacts.body_a[i]), np.uint32(contacts.body_b[i]), contacts.body_b[i] - n - 4
         row_b = np.uint32(b if b < n else ground + min(b - n, 3))
         body[t, BODY_A, j], body[t, BODY_B, j] = a, row_b
-        if memory.is_built:
+        if is_built:
             for column in range(ARM_B + 1):
-                data[t, column, j] = memory.rows.data[i, column]
+                data[t, column, j] = rows.data[i, column]
         else:
             normal = (contacts.normal[i, 0], contacts.normal[i, 1])
             arms = arms_of(given.bodies.radius, a, b, contacts.separation[i])
@@ -268,7 +269,8 @@ def write_block(given, contacts, plan, tiles, k, memory):
             data[t, ARM_A, j], data[t, ARM_B, j] = arms
             if s >= 0:
                 data[t, ARM_B, j] = surface_velocity(segments[s], normal[0], normal[1])
-        impulse[t, NORMAL, j], impulse[t, TANGENT, j] = contacts.normal_start[i], contacts.tangent_start[i]
+        impulse[t, NORMAL, j] = share * contacts.normal_start[i]
+        impulse[t, TANGENT, j] = share * contacts.tangent_start[i]
         apply_impulse(
             v, a, row_b, (data[t, N_X, j], data[t, N_Y, j]), (data[t, ARM_A, j], data[t, ARM_B, j]),
             (impulse[t, NORMAL, j], impulse[t, TANGENT, j]),
@@ -308,13 +310,13 @@ def fill_tiles(rows, solver_bodies, plan, tiles):
 
 
 @njit(cache=True)
-def store_block(plan, tiles, contacts, k):
-    """Write the solved impulses of a block into the contacts, in place."""
+def store_block(plan, tiles, contacts, k, parts):
+    """Write the solved impulses of a block, of one of so many parts of a step, into the contacts, in place."""
     begin, end = contacts_of_block(plan, k)
     for i in range(begin, end):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
-        contacts.normal_impulse[i] = tiles.impulse[t, NORMAL, j]
-        contacts.tangent_impulse[i] = tiles.impulse[t, TANGENT, j]
+        contacts.normal_impulse[i] = parts * tiles.impulse[t, NORMAL, j]
+        contacts.tangent_impulse[i] = parts * tiles.impulse[t, TANGENT, j]
 
 
 @njit(cache=True)

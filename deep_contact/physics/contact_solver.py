@@ -82,8 +82,8 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 
 
 @njit(cache=True, error_model="numpy")
-def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction):
-    """Rows of the contacts with their starting impulses: views of the buffer, or of new memory if it is too small.
+def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share):
+    """Rows of the contacts with a share of their starting impulses: views of the buffer, or of new memory if too small.
 
     Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: (S, 5).
     """
@@ -95,7 +95,7 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction):
         a, b = contacts.body_a[i], min(contacts.body_b[i], last)
         rows.body[i, BODY_A], rows.body[i, BODY_B] = a, b
         rows.data[i, N_X], rows.data[i, N_Y] = contacts.normal[i, 0], contacts.normal[i, 1]
-        rows.impulse[i, NORMAL] = contacts.normal_start[i]
+        rows.impulse[i, NORMAL] = share * contacts.normal_start[i]
         if friction is None:
             rows.data[i, NORMAL_MASS] = 1.0 / (v[a, INVERSE_MASS] + v[b, INVERSE_MASS])
         else:
@@ -103,7 +103,7 @@ def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction):
             masses = effective_masses(v[a, INVERSE_MASS], v[b, INVERSE_MASS], arms)
             rows.data[i, NORMAL_MASS], rows.data[i, TANGENT_MASS] = masses
             rows.data[i, ARM_A], rows.data[i, ARM_B] = arms
-            rows.impulse[i, TANGENT] = contacts.tangent_start[i]
+            rows.impulse[i, TANGENT] = share * contacts.tangent_start[i]
     if friction is not None:
         if segments is not None:
             move_surfaces(contacts, segments, solver_bodies, rows)
@@ -221,23 +221,30 @@ def sweep(rows, friction, solver_bodies):
 
 
 @njit(cache=True)
-def store_impulses(rows, contacts):
-    """Write the solved impulses into the contacts, in place."""
+def store_impulses(rows, contacts, parts):
+    """Write the solved impulses of one of so many parts of a step into the contacts, in place."""
     last = rows.impulse.shape[1] - 1
     for i in range(rows.body.shape[0]):
-        contacts.normal_impulse[i] = rows.impulse[i, NORMAL]
-        contacts.tangent_impulse[i] = rows.impulse[i, last] if last else 0.0
+        contacts.normal_impulse[i] = parts * rows.impulse[i, NORMAL]
+        contacts.tangent_impulse[i] = parts * rows.impulse[i, last] if last else 0.0
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, solver_bodies, given):
+def integrate_positions(bodies, solver_bodies, given, segments):
     """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
 
     A displacement is cut to the largest translation, m, a rotation to `MAX_ROTATION`, and the velocity with it, as in
-    Box2D. Fast circles stop where they touch something (`continuous`). given: `StepInput`.
+    Box2D. Fast circles stop where they touch something (`continuous`). given: `StepInput`, of which the segments are.
+    Returns whether the bodies have moved: not where these are None and a circle is fast, whose stop is not compiled.
     """
-    if move(bodies, solver_bodies, given):
-        stop_fast_circles(bodies, given)
+    if segments is None:
+        if any_fast(solver_bodies, bodies.radius, given.dt):
+            return False
+        move(bodies, solver_bodies, given)
+    else:
+        if move(bodies, solver_bodies, given):
+            stop_fast_circles(bodies, given)
+    return True
 
 
 @njit(cache=True, error_model="numpy")

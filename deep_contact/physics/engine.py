@@ -1,7 +1,6 @@
 """The engine: `advance` is the algorithm, that of Box2D 2.3 for circles at e = 0, but for its own continuous collision.
 
-`solvers.batched.advance_by_team` has the same stages for several threads; `deep_contact.simulation` is the validated
-interface.
+`solvers.batched` has the same stages for several threads; `deep_contact.simulation` is the validated interface.
 """
 
 from __future__ import annotations
@@ -20,13 +19,11 @@ from deep_contact.physics.contact_solver import (
     V_S,
     V_Y,
     Rows,
-    any_fast,
     apply_impulses,
     contact_rows,
     integrate_positions,
     integrate_velocities,
     more_rows,
-    move,
     store_impulses,
 )
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
@@ -35,16 +32,18 @@ from deep_contact.physics.position_correction import correct_positions
 from deep_contact.physics.segments import positions_before, segments_of
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import (
+    DONE,
+    WORK,
     Motion,
     StepInput,
     StepLog,
     StepMemory,
     StepOptions,
-    log_step,
+    log_part,
     make_memory,
     with_rare,
 )
-from deep_contact.physics.substeps import part_of, parts_of, rescale, shift_flights
+from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
 from deep_contact.state import LIMITS, Contacts, State, native
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.validation import flag
@@ -57,75 +56,64 @@ _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.norm
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(given, rare, options, memory, log):
-    """Do as many steps as the log has rows, or until the work in `log.progress` is done: the bodies move in place.
+def advance(given, contacts, options, memory, log):
+    """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
 
-    Returns (contacts solved last, contacts found), which lie in memory that the next call writes into.
-    given: `StepInput`. rare: True; or None, and nothing of the following is compiled: segments, restitution, parts of a
-    step, sleep and what stops fast circles, before which the call ends, then. options: `StepOptions`. memory:
-    `StepMemory`. log: `StepLog`, filled.
+    Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
+    scene requires is not compiled: segments, restitution, motion, sleep, and what stops fast circles: without that the
+    call ends before the first substep that has one, and the next call goes on there.
+    Returns the contacts found, in memory that the next call writes into.
+    given: `StepInput`. options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
     """
+    # One function, and stages are called where they are needed: a call counts references to all arrays handed on.
     bodies, box, segments, scales, friction = given.bodies, given.box, given.segments, given.scales, given.friction
-    solver_bodies, theta, sleep = memory.solver_bodies, memory.theta, memory.sleep
-    workspace = make_workspace(options.settings, memory.rows, solver_bodies)
-    solved = contacts = given.contacts
-    # Asked here whether a stage is needed: a call counts references to all arrays that it is handed.
-    part, parts, turn, is_over = given, 1, 0, False
-    for k in range(log.contacts.shape[0]):
-        solved = contacts
-        if rare is not None:
-            if sleeping.all_asleep(sleep):
-                log_step(log, k, 0, 0, theta, 0)
-                continue
-            wanted = parts_of(given, memory.cells) if given.motion.most > 1 else 1
-            if wanted != parts:
-                rescale(contacts, parts / wanted)
-                part, parts = part_of(given, wanted), wanted
-            if parts > 1 and given.restitution > 0.0:
-                shift_flights(bodies, contacts, given.gravity, given.dt - part.dt)
-        for _ in range(parts):
+    solver_bodies, theta, sleep, workspace = memory.solver_bodies, memory.theta, memory.sleep, memory.workspace
+    part, turn = given, 0
+    for j in range(log.progress[DONE], given.parts * log.contacts.shape[0]):
+        if sleep is not None and sleeping.all_asleep(sleep):
+            log_part(log, j // given.parts, 0, 0, theta, 0)
+            log.progress[DONE] = j + 1
+            continue
+        if given.motion is not None:
+            parts = parts_of(given, given.motion, memory.cells)
+            part = part if parts * given.parts == part.parts else part_of(given, parts)
+            if part.parts > given.parts:
+                depart(given, given.motion, part, contacts)
+        for _ in range(part.parts // given.parts):
             solved = active = contacts
-            # Velocities.
-            if rare is not None:
+            if sleep is not None:
                 active = sleeping.awake_contacts(solved, sleep)
+            # Velocities.
             rows = memory.rows
             if not memory.is_built:
-                if rare is not None:
-                    if part.restitution > 0.0:
-                        rebound(part, active)
+                if part.restitution is not None:
+                    rebound(part, part.restitution, active)
                 integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
-                if rare is not None:
+                if sleep is not None:
                     sleeping.hold_sleeping(solver_bodies, sleep)
-                rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction)
+                rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts)
             apply_impulses(rows, solver_bodies, friction)
             sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
-            store_impulses(rows, active)
-            if rare is not None:
+            store_impulses(rows, active, part.parts)
+            if sleep is not None:
                 sleeping.store_awake_impulses(active, solved, sleep)
             # Positions.
             before = positions_before(bodies, segments)
-            if rare is None:
-                if any_fast(solver_bodies, bodies.radius, part.dt):
-                    return solved, solved  # nothing has moved in this step
-                move(bodies, solver_bodies, part)
-            else:
-                integrate_positions(bodies, solver_bodies, part)
+            if not integrate_positions(bodies, solver_bodies, part, segments):
+                return solved
             correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
             # The contacts that the next part or step solves.
             turn, buffer, skin = 1 - turn, memory.contacts[turn], scales.wall_skin
             contacts = next_contacts(bodies, before, box, segments, skin, memory.cells, solved, options.carry, buffer)
-            if rare is not None:
+            if sleep is not None:
                 sleeping.wake_and_put_to_sleep(part, contacts, sleep)
-            is_over = log_step(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
-        if rare is not None:
-            if parts > 1 and given.restitution > 0.0:
-                shift_flights(bodies, contacts, given.gravity, part.dt - given.dt)
-        if is_over:
+            log_part(log, j // given.parts, active.body_a.shape[0], sweeps, theta, relaxations)
+        if given.motion is not None and part.parts > given.parts:
+            rejoin(given, given.motion, part, contacts)
+        log.progress[DONE] = j + 1
+        if log.progress[WORK] <= 0 and (j + 1) % given.parts == 0:
             break
-    if rare is not None:
-        if parts > 1:
-            rescale(contacts, parts)
-    return solved, contacts
+    return contacts
 
 
 class Steps:
@@ -140,44 +128,42 @@ class Steps:
         if flag("sleep", sleep) and not entry.can_sleep:
             raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
         self._advance = entry.advance(solver) if entry.advance else advance
-        self._rare = True if sleep or entry.advance else None  # once it is True, it stays
+        self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
         self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
         self._solver, self._memory = solver, {}
         self._sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
-    def memory(self, given: StepInput) -> StepMemory:
-        """The memory that these steps work in: one for rows with tangents, one for rows without."""
+    def memory(self, given: StepInput, contacts: int = 0) -> StepMemory:
+        """The memory that these steps work in: one for rows with tangents, one for rows without. contacts: a number."""
         key = given.friction is None
         if key not in self._memory:
-            n, m = given.bodies.count, given.contacts.count
-            sweeps, capacity = self._solver.sweeps, max(4 * n, m + m // 2) + 64
-            self._memory[key] = make_memory(n, capacity, sweeps, given.friction, self._sleep)
+            n, m = given.bodies.count, contacts
+            capacity, friction = max(4 * n, m + m // 2) + 64, given.friction
+            memory = make_memory(n, capacity, self._solver.sweeps, friction, self._sleep)
+            workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
+            self._memory[key] = memory._replace(workspace=workspace)
         return self._memory[key]
 
-    def parts(self, given: StepInput) -> int:
-        """Into how many parts motion divides the next step."""
-        return parts_of(given, self.memory(given).cells)
-
-    def __call__(self, given: StepInput, log: StepLog, problem: StepProblem | None = None) -> tuple[Contacts, Contacts]:
+    def __call__(
+        self, given: StepInput, contacts: Contacts, log: StepLog, problem: StepProblem | None = None
+    ) -> Contacts:
         """Do as many steps as the log has rows, which is filled: the bodies move in place.
 
         problem: of the one step to do, if it has been built; it is used up. Who may sleep has rows of their own.
-        Returns (contacts solved last, contacts found); the next call may write into the former.
+        Returns the contacts found.
         """
-        self._rare = self._rare or (None if given.motion is None else True)
-        given, memory = with_rare(given) if self._rare else given, self.memory(given)
-        if problem is not None and self._sleep is None:
-            rows, solver_bodies, _ = started(problem, given.contacts, given.friction)
+        memory = self.memory(given, contacts.count)
+        if problem is not None and self._sleep is None and given.parts == motion_parts(self._solver) == 1:
+            rows, solver_bodies, _ = started(problem, contacts, given.friction)
             memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
-        solved, found = self._advance(given, self._rare, self._options, memory, log)
-        done, work = log.progress
-        if self._rare is None and done < len(log.contacts) and work > 0:
-            # A circle is fast.
-            self._rare, rest = True, StepLog(*(column[done:] for column in log[:5]), np.array([0, work]))
-            solved, found = self(given._replace(contacts=own_contacts(found)), rest)
-            log.progress[:] = done + rest.progress[0], rest.progress[1]
-            return solved, found
-        return solved, own_contacts(found)
+        while True:
+            self._is_plain = self._is_plain and given.motion is None
+            given = given if self._is_plain else with_rare(given)
+            found = own_contacts(self._advance(given, contacts, self._options, memory, log))
+            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == given.parts * len(log.contacts):
+                return found
+            # A circle is fast. What has been built is used up.
+            self._is_plain, contacts, memory = False, found, self.memory(given)
 
 
 @njit(cache=True, error_model="numpy")
@@ -189,11 +175,11 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def build_rows(given, solver_bodies):
+def build_rows(given, contacts, solver_bodies):
     """Fill the solver bodies of a step, after its impacts, and return its rows. given: `StepInput`."""
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
-    buffer = more_rows(given.contacts.body_a.shape[0], given.friction)
-    return contact_rows(given.contacts, given.bodies.radius, given.segments, solver_bodies, buffer, given.friction)
+    buffer = more_rows(contacts.body_a.shape[0], given.friction)
+    return contact_rows(contacts, given.bodies.radius, given.segments, solver_bodies, buffer, given.friction, 1.0)
 
 
 @njit(cache=True)
@@ -277,11 +263,10 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
 
     solver: None for rows with tangents and the state's own scales.
     """
-    world = state.world
+    world, parts = state.world, getattr(solver, "substeps", 1)
     friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
-    scales = scales_of(state, solver) if scales is None else scales
-    given = StepInput(state.bodies, state.contacts, world.box, None, world.gravity, friction, None, state.dt, scales)
-    most = motion_parts(solver)
+    scales, most = scales_of(state, solver) if scales is None else scales, motion_parts(solver)
+    given = StepInput(state.bodies, world.box, None, world.gravity, friction, None, state.dt / parts, parts, scales)
     if most == 1 and not world.segments and world.restitution == 0.0:
         return given
     motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
@@ -306,7 +291,7 @@ def after_impacts(state: State) -> State:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
     state = state.replace(bodies=bodies)
-    rebound(step_input(state, None), state.contacts)
+    rebound(step_input(state, None), state.world.restitution, state.contacts)
     return state
 
 
@@ -315,7 +300,7 @@ def step_problem(state: State, scales: ContactScales | None = None) -> StepProbl
     state = after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4))
     given = step_input(state, None, scales)
-    return StepProblem(build_rows(given, solver_bodies), solver_bodies, given.friction)
+    return StepProblem(build_rows(given, state.contacts, solver_bodies), solver_bodies, given.friction)
 
 
 def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:

@@ -17,32 +17,33 @@ from deep_contact.state.scales import ContactScales
 
 
 class Motion(NamedTuple):
-    """How steps are divided by motion (`substeps`)."""
+    """How substeps are divided further by motion (`substeps`)."""
 
-    most: int  # parts of a step, a power of two; 1: never
+    most: int  # parts of a substep, a power of two; 1: never
     reach: float  # m
 
 
 class StepInput(NamedTuple):
     """What the steps read. None is a type of its own: what nothing in the scene requires is not compiled.
 
-    segments, restitution and motion are None where all of them are idle: see `with_rare`.
+    segments, restitution and motion are None where all of them are idle: see `with_rare`. Contacts carry the impulses
+    of a whole step, whatever it is divided into; a solve starts from 1 / parts of them.
     """
 
     bodies: Bodies  # they move in place
-    contacts: Contacts  # at their positions, with the impulses to start from
     box: tuple  # of the `World`, as gravity, friction and restitution
     segments: np.ndarray | None  # (S, 5), m and m/s (`segments.segments_of`)
     gravity: tuple
     friction: float | None  # None, in place of 0, leaves the tangent rows out
     restitution: float | None
-    dt: float  # s
+    dt: float  # of a part, s
+    parts: int  # of a step
     scales: ContactScales  # of the state that the steps begin with
     motion: Motion | None = None
 
 
 def with_rare(given: StepInput) -> StepInput:
-    """The input of steps that know all that is rare: segments, restitution, motion, fast circles and sleep."""
+    """The input of steps that know all that is rare: segments, restitution, motion and fast circles."""
     return given._replace(
         segments=NO_SEGMENTS if given.segments is None else given.segments,
         restitution=0.0 if given.restitution is None else given.restitution,
@@ -68,6 +69,7 @@ class StepMemory(NamedTuple):
     cells: Cells
     contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill by turns
     sleep: SleepMemory | None  # None where nothing may sleep
+    workspace: tuple | None = None  # what the solver remembers (`registry.make_workspace`)
     is_built: bool = False  # whether solver bodies and rows are those of the one step to come (`engine.StepProblem`)
 
 
@@ -78,9 +80,13 @@ def make_memory(n: int, capacity: int, sweeps: int, friction, sleep: SleepMemory
     """
     return StepMemory(
         np.empty((n + 4, 4)), np.empty(sweeps), make_rows(capacity, friction),
-        make_correction_room(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)),
-        sleep,
+        make_correction_room(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)), sleep,
     )  # fmt: skip
+
+
+DONE, WORK, LAST_SWEEPS = range(3)
+"""Elements of `StepLog.progress`: substeps done; the work, in relaxations, after which a call ends; sweeps of the last
+part."""
 
 
 class StepLog(NamedTuple):
@@ -91,23 +97,27 @@ class StepLog(NamedTuple):
     theta: np.ndarray  # the last, N·s
     relaxations: np.ndarray
     parts: np.ndarray  # of a step
-    progress: np.ndarray  # (2,): the steps that this call has done; the work, in relaxations, after which it ends
+    progress: np.ndarray  # (3,): `DONE`, `WORK`, `LAST_SWEEPS`
 
 
 def make_log(steps: int) -> StepLog:
     """A log for so many steps, which one call may do all."""
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
-    return StepLog(*columns, np.array([0, np.iinfo(np.int64).max]))
+    return StepLog(*columns, np.array([0, np.iinfo(np.int64).max, 0]))
+
+
+def some_steps(log: StepLog, first: int, count: int, work: int) -> StepLog:
+    """The rows of a log from `first` on, as views, for a call that ends after so much work."""
+    return StepLog(*(column[first : first + count] for column in log[:-1]), np.array([0, work, 0]))
 
 
 @njit(cache=True)
-def log_step(log, k, contacts, sweeps, theta, relaxations):
-    """Add a part of the k-th step to the log. Returns whether the call ends here, its work being done."""
+def log_part(log, k, contacts, sweeps, theta, relaxations):
+    """Add a part of the k-th step to the log, in place."""
     log.contacts[k] = contacts
     log.sweeps[k] += sweeps
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
     log.relaxations[k] += relaxations
     log.parts[k] += 1
-    log.progress[0] = k + 1
-    log.progress[1] -= relaxations + 20 * contacts
-    return log.progress[1] <= 0
+    log.progress[WORK] -= relaxations + 20 * contacts
+    log.progress[LAST_SWEEPS] = sweeps

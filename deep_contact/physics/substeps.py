@@ -1,6 +1,7 @@
-"""Substeps by motion: a step is divided where something is about to hit, and whole where nothing moves.
+"""The division of a step: into the substeps that a solver asks for, and each of these by motion.
 
-With v the fastest approach that closes its gap within Δt, the step takes the least power of two of parts with
+Motion divides where something is about to hit, and leaves whole where nothing moves. With v the fastest approach that
+closes its gap within a substep's Δt, that takes the least power of two of parts with
 v Δt / parts ≤ reach, so that nothing that hits has gone farther than the reach into the other before a contact stops
 it: a Courant number of motion.
 
@@ -23,9 +24,40 @@ from deep_contact.state import WALL_NORMALS
 
 
 @njit(cache=True, error_model="numpy")
-def parts_of(given, cells):
-    """Into how many parts the next step is divided: a power of two. given: `StepInput`. cells: `Cells`, used."""
-    motion = given.motion
+def part_of(given, parts):
+    """The input of one of so many parts of a substep. given: `StepInput` of the substep."""
+    return StepInput(
+        given.bodies, given.box, given.segments, given.gravity, given.friction, given.restitution, given.dt / parts,
+        given.parts * parts, given.scales, given.motion,
+    )  # fmt: skip
+
+
+@njit(cache=True, error_model="numpy")
+def depart(given, motion, part, contacts):
+    """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions.
+
+    motion: of the input; without it there are no such parts.
+    """
+    if motion is None:
+        return
+    if given.restitution > 0.0:
+        shift_flights(given.bodies, contacts, given.gravity, given.dt - part.dt)
+
+
+@njit(cache=True, error_model="numpy")
+def rejoin(given, motion, part, contacts):
+    """`depart` taken back, after the parts."""
+    if motion is None:
+        return
+    if given.restitution > 0.0:
+        shift_flights(given.bodies, contacts, given.gravity, part.dt - given.dt)
+
+
+@njit(cache=True, error_model="numpy")
+def parts_of(given, motion, cells):
+    """Into how many parts motion divides the next substep: a power of two. cells: `Cells`, used."""
+    if motion is None:
+        return 1
     if motion.most == 1 or given.bodies.mass.shape[0] == 0:
         return 1
     dt, slow = given.dt, motion.reach / given.dt
@@ -110,15 +142,6 @@ def fastest_of(given, a, near, first, last, fastest):
     return fastest
 
 
-@njit(cache=True, error_model="numpy")
-def part_of(given, parts):
-    """The input of one of so many parts of a step."""
-    return StepInput(
-        given.bodies, given.contacts, given.box, given.segments, given.gravity, given.friction, given.restitution,
-        given.dt / parts, given.scales, given.motion,
-    )  # fmt: skip
-
-
 @njit(cache=True)
 def shift_flights(bodies, contacts, gravity, change):
     """Let circles that touch nothing fly on as before where Δt becomes shorter by `change`, s, in place.
@@ -133,13 +156,3 @@ def shift_flights(bodies, contacts, gravity, change):
         if not touched[i]:
             bodies.velocity[i, 0] += 0.5 * change * gravity[0]
             bodies.velocity[i, 1] += 0.5 * change * gravity[1]
-
-
-@njit(cache=True)
-def rescale(contacts, ratio):
-    """Let the contacts carry the impulses of a step that is `ratio` times as long, in place."""
-    for i in range(contacts.body_a.shape[0]):
-        contacts.normal_impulse[i] *= ratio
-        contacts.tangent_impulse[i] *= ratio
-        contacts.normal_start[i] *= ratio
-        contacts.tangent_start[i] *= ratio

@@ -126,17 +126,18 @@ class _Asleep:
     """
 
     def __init__(self, state: State, still: np.ndarray, steps: int):
-        self._state, self._still, self._log = state, still, make_log(steps)
+        self._state, self._still, self._steps = state, still, steps
 
     def reset(self) -> None:
         parts = {"bodies": self._state.bodies, "contacts": self._state.contacts}
         copies = {name: part._make(field.copy() for field in part) for name, part in parts.items()}
-        self._given = step_input(self._state.replace(**copies), STEP)
+        self._given, self._contacts = step_input(self._state.replace(**copies), STEP), copies["contacts"]
         self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
+        self._log = make_log(self._steps)
         self._advance.memory(self._given).sleep.still[:] = self._still
 
     def run(self) -> None:
-        self._advance(self._given, self._log)
+        self._advance(self._given, self._contacts, self._log)
 
 
 def island_savings(scene: State, *, steps: int, every: int) -> dict:

@@ -49,8 +49,9 @@ def test_the_number_of_parts_is_that_of_the_fastest_approach_of_all(speed, segme
         world = replace(state.world, segments=segments)
         state = state.replace(bodies=state.bodies._replace(velocity=velocity), world=world)
         wanted = fastest_approach(state) * state.dt / (0.02 * state.bodies.radius.mean())
+        given = step_input(ready(state), MOTION)
         expected = 1 if wanted <= 1 else min(16, 2 ** math.ceil(math.log2(wanted)))
-        assert parts_of(step_input(ready(state), MOTION), cells) == expected
+        assert parts_of(given, given.motion, cells) == expected
 
 
 @pytest.mark.parametrize("height", [2.0, 5.0, 20.0])
@@ -87,8 +88,7 @@ def test_a_run_by_motion_is_the_same_in_parts_from_a_file_and_seen_step_by_step(
     watched = dc.simulate(scene, steps=150, solver=MOTION, sleep=sleep, on_step=lambda state, _: seen.append(state.dt))
     np.testing.assert_array_equal(watched.state.bodies.position, run.state.bodies.position)
     np.testing.assert_array_equal(watched.substeps, run.substeps)
-    assert sum(seen) == pytest.approx(1.5)
-    assert len(seen) == run.substeps.sum()
+    assert seen == [0.01] * 150
     if not sleep:  # who sleeps is known within a run only
         dc.write_state(tmp_path / "half.xml", dc.simulate(scene, steps=70, solver=MOTION).state)
         later = dc.simulate(dc.read_state(tmp_path / "half.xml"), steps=80)

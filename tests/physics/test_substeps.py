@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
+from deep_contact.simulation import with_time_step
 
 SOLVERS = [
     dc.PGS(sweeps=5, tolerance=None),
@@ -40,7 +41,20 @@ def test_any_number_divides_and_records_are_whole_steps():
     assert all(state.dt == 0.01 for state in run.trajectory)
 
 
-def test_on_step_sees_every_substep_in_its_own_units():
+@pytest.mark.parametrize("solver", SOLVERS[:1] + SOLVERS[-1:], ids=str)
+@pytest.mark.parametrize("division", [{"substeps": 3}, {"most_substeps": 8}])
+def test_on_step_sees_whole_steps_from_which_the_run_goes_on(solver, division):
+    # The first substep of each is that of a run of short steps; a state that was seen is solved again to the bit.
     scene, seen = dc.circles_in_box(20, size=15, seed=3), []
-    dc.simulate(scene, steps=3, solver=dc.PGS(substeps=2), on_step=lambda state, _: seen.append((state.step, state.dt)))
-    assert seen == [(k, 0.005) for k in range(6)]
+    solver = replace(solver, **division)
+    run = dc.simulate(scene, steps=60, solver=solver, on_step=lambda state, record: seen.append((state, record)))
+    assert [(state.step, state.dt) for state, _ in seen] == [(k, 0.01) for k in range(60)]
+    assert run.substeps.max() > 1
+    for state, record in seen[25:50:5]:
+        again = dc.simulate(state, steps=60 - state.step, solver=solver)
+        np.testing.assert_array_equal(again.state.bodies.position, run.state.bodies.position)
+        parts = int(run.substeps[state.step])
+        short = with_time_step(state, 0.01 / parts)
+        first = dc.solve_contacts(short, solver=replace(solver, substeps=1, most_substeps=None))
+        np.testing.assert_allclose(state.contacts.normal_impulse, parts * first.normal_impulses, rtol=1e-12)
+        np.testing.assert_array_equal(record.theta[-1], run.theta[state.step])

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import namedtuple
 from dataclasses import dataclass
 from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 from numba import config, njit, types
@@ -15,7 +16,7 @@ from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most
 from deep_contact.compiled.team import Team, share_of, team_size, together, wait
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics import batches, collision
-from deep_contact.physics.batches import BLOCKS, CIRCLES, PHASES
+from deep_contact.physics.batches import BLOCKS, CIRCLES, CONTACTS, PHASES
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -42,8 +43,8 @@ from deep_contact.physics.position_correction import (
 from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
-from deep_contact.physics.step import log_step
-from deep_contact.physics.substeps import part_of, parts_of, rescale, shift_flights
+from deep_contact.physics.step import DONE, WORK, log_part
+from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
 from deep_contact.state import Bodies
 
 
@@ -188,18 +189,21 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps, team):
-    """`position_correction.correct_positions` over the tiles of the plan. mine: `Bodies` of this thread, moved."""
-    n, (first, last) = plan.count[CIRCLES], share_of(plan.count[CIRCLES], team)
-    fill_centres(mine, tiles.centre[first:last])
+def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps):
+    """`position_correction.correct_positions` over the tiles of the plan, by a team. mine: `Share` of a thread."""
+    n, team, centre = plan.count[CIRCLES], mine.team, tiles.centre[mine.first : mine.last]
+    fill_centres(mine.bodies, centre)
     for k in range(team.rank, plan.count[BLOCKS], team.size):
         fill_ground(box, scales, tiles.centre[n + 5 * k : n + 5 * k + 5])
     wait(team)
     for k in range(sweeps):
         if correct_blocks(plan, tiles, scales, k % 2, team) >= -POSITION_TOLERANCE * scales.slop:
             break
-    take_centres(tiles.centre[first:last], mine)
+    take_centres(centre, mine.bodies)
 
+
+FAST, FINITE, LISTED = range(3)
+"""Columns of `Shared.flags`."""
 
 PAIRS_FOUND, PARTS = range(2)
 """Columns of `Shared.counts`."""
@@ -209,7 +213,7 @@ _FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "flags", "counts")
 
 plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. memory: `StepMemory`.
 flags: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite, whether
-there is a list of near pairs, whether the call ends. counts: pairs of its share that touch, parts of a step, (size, 8).
+there is a list of near pairs. counts: pairs of its share that touch, parts of a substep, (size, 8).
 """
 
 if config.DISABLE_JIT:
@@ -247,159 +251,192 @@ def go_on(shared, contacts, memory):
 
 
 @njit(cache=True)
-def results_in(shared):
-    """What `engine.advance` returns."""
-    return shared.solved, shared.contacts
+def contacts_in(shared):
+    """The contacts that the next step starts from."""
+    return shared.contacts
+
+
+class Share(NamedTuple):
+    """What a thread of a team does of a scene: a row of circles, and buffers for their pairs."""
+
+    team: Team
+    first: int
+    last: int  # before it the row ends
+    bodies: Bodies  # views
+    body_a: np.ndarray
+    body_b: np.ndarray
 
 
 @njit(cache=True)
-def some_bodies(bodies, first, last):
-    """The bodies from `first` to before `last`, as views."""
-    return Bodies(
+def share_of_scene(bodies, team):
+    """The `Share` of a thread."""
+    first, last = share_of(bodies.mass.shape[0], team)
+    mine = Bodies(
         bodies.position[first:last], bodies.velocity[first:last], bodies.angle[first:last], bodies.spin[first:last],
         bodies.mass[first:last], bodies.radius[first:last],
     )  # fmt: skip
+    capacity = 4 * (last - first) + 64
+    return Share(team, first, last, mine, np.empty(capacity, np.int64), np.empty(capacity, np.int64))
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def advance_by_team(given, options, log, shared, team):
-    """`engine.advance` for `BatchedPGS`, by a team: the same stages, with barriers between them.
-
-    Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
-    scenes with segments or fast circles need. The contacts are left in `shared`, a `Shared`.
-    """
-    bodies, box, segments, scales, memory = given.bodies, given.box, given.segments, given.scales, shared.memory
-    n, theta, flags = bodies.mass.shape[0], memory.theta, shared.flags
-    first, last = share_of(n, team)
-    mine = some_bodies(bodies, first, last)
-    mine_a, mine_b = np.empty(4 * (last - first) + 64, np.int64), np.empty(4 * (last - first) + 64, np.int64)
-    part, parts, k, j, turn = given, 1, 0, 0, 0  # the j-th of the parts of the k-th step
-    if team.rank == 0:
-        shared.counts[0, PARTS] = parts
-    while k < log.contacts.shape[0]:
-        if team.rank == 0:
-            contacts = shared.contacts
-            if j == 0:
-                wanted = parts_of(given, memory.cells) if given.motion.most > 1 else 1
-                if wanted != parts:
-                    rescale(contacts, parts / wanted)
-                    part, parts, shared.counts[0, PARTS] = part_of(given, wanted), wanted, wanted
-                if parts > 1 and given.restitution > 0.0:
-                    shift_flights(bodies, contacts, given.gravity, given.dt - part.dt)
-            if not batches.is_plan_of(shared.plan, n, contacts, shared.solved):
-                shared.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
-            shared.tiles = batches.with_room(shared.plan, shared.tiles)
-            shared.solved = contacts
-            if part.restitution > 0.0 and not memory.is_built:
-                rebound(part, contacts)
-        wait(team)
-        if team.rank > 0 and shared.counts[0, PARTS] != parts:
-            parts = shared.counts[0, PARTS]
-            part = part_of(given, parts)
-        plan, tiles, solved = shared.plan, shared.tiles, shared.solved
-        my_velocities, before = tiles.solver_bodies[first:last], positions_before(bodies, segments)
-        # Velocities.
-        if memory.is_built:
-            my_velocities[:] = memory.solver_bodies[first:last]
-        else:
-            integrate_velocities(mine, part.gravity, part.dt, my_velocities)
-        wait(team)
-        write_blocks(part, solved, plan, tiles, team, memory)
-        sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, team)
-        flags[team.rank, 1] = all_finite(my_velocities)
-        store_blocks(plan, tiles, solved, team)
-        # Positions.
-        flags[team.rank, 0] = move(mine, my_velocities, part)
-        wait(team)
-        if flags[:, 0].any():
+    """`engine.advance` for `BatchedPGS`, by a team. The contacts are left in `shared`, a `Shared`."""
+    part, mine, turn, buffers = given, share_of_scene(given.bodies, team), 0, shared.memory.contacts
+    for j in range(log.progress[DONE], given.parts * log.contacts.shape[0]):
+        if given.motion.most > 1:
             if team.rank == 0:
-                stop_fast_circles(bodies, part)
+                shared.counts[0, PARTS] = parts_of(given, given.motion, shared.memory.cells)
             wait(team)
-        if segments.shape[0] == 0:
-            correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps, team)
-            wait(team)
+            part = part_of(given, shared.counts[0, PARTS])
+            if team.rank == 0 and part.parts > given.parts:
+                depart(given, given.motion, part, shared.contacts)
+        for _ in range(part.parts // given.parts):
+            turn = 1 - turn
+            mine = step_by_team(part, options, shared, mine, buffers[turn], log, j // given.parts)
         if team.rank == 0:
-            if segments.shape[0] > 0:
-                correct_positions(bodies, solved, box, segments, scales, options.position_sweeps, memory.correction)
-            if sweeps > 0 and not flags[:, 1].all():
-                theta[sweeps - 1] = np.nan
-            m = solved.body_a.shape[0]
-            flags[0, 3] = log_step(log, k, m, sweeps, theta, sweeps * m)
-            # The contacts that the next step solves.
-            collision.hold(bodies, before, box, segments, scales.wall_skin, solved)
-            is_listed = collision.refresh_list(bodies.position, bodies.radius, memory.cells, 0.0)
-            flags[0, 2] = is_listed and segments.shape[0] == 0
-        wait(team)
-        buffer, turn, j = memory.contacts[turn], 1 - turn, j + 1
-        if flags[0, 2]:
-            mine_a, mine_b = find_touching(given, shared, buffer, mine_a, mine_b, team)
-            describe_touching(given, options, shared, mine_a, mine_b, team)
-        elif team.rank == 0:
-            where = bodies.position, bodies.radius, box, segments, scales.wall_skin
-            shared.contacts = collision.contacts_at(*where, memory.cells, buffer)
-            collision.carry_impulses(solved, shared.contacts, options.carry)
-        wait(team)
-        if j == parts:
-            j, k = 0, k + 1
-            if team.rank == 0 and parts > 1 and given.restitution > 0.0:
-                shift_flights(bodies, shared.contacts, given.gravity, part.dt - given.dt)
-            if flags[0, 3]:
-                break
-    if team.rank == 0 and parts > 1:
-        rescale(shared.contacts, parts)
+            if part.parts > given.parts:
+                rejoin(given, given.motion, part, shared.contacts)
+            log.progress[DONE] = j + 1
+        if log.progress[WORK] <= 0 and (j + 1) % given.parts == 0:
+            break
 
 
 @njit(cache=True, error_model="numpy")
-def find_touching(given, shared, buffer, mine_a, mine_b, team):
-    """The pairs of this thread's circles that touch, from the list of near ones, into `mine_a` and `mine_b`.
+def step_by_team(given, options, shared, mine, buffer, log, k):
+    """The stages of `engine.advance`, by a team with barriers between them. Returns the `Share` of this thread.
 
-    Returns these, larger ones if needed. `Shared.contacts` has room for the pairs of all threads then, in the buffer.
+    Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
+    scenes with segments or fast circles need.
     """
-    bodies, (begin, end) = given.bodies, share_of(given.bodies.mass.shape[0], team)
-    where = bodies.position, bodies.radius, given.box, given.scales.wall_skin, shared.memory.cells, begin, end
-    found = collision.write_near_pairs(*where, mine_a, mine_b)
-    while found < 0:
-        mine_a, mine_b = np.empty(2 * mine_a.shape[0] + 64, np.int64), np.empty(2 * mine_b.shape[0] + 64, np.int64)
-        found = collision.write_near_pairs(*where, mine_a, mine_b)
-    shared.counts[team.rank, PAIRS_FOUND] = found
-    wait(team)
+    bodies, box, segments, scales, team = given.bodies, given.box, given.segments, given.scales, mine.team
+    flags, theta, is_built = shared.flags, shared.memory.theta, shared.memory.is_built
     if team.rank == 0:
+        plan_step(given, shared)
+    wait(team)
+    plan, tiles, solved = shared.plan, shared.tiles, shared.solved
+    velocities, before = tiles.solver_bodies[mine.first : mine.last], positions_before(bodies, segments)
+    # Velocities.
+    if is_built:
+        velocities[:] = shared.memory.solver_bodies[mine.first : mine.last]
+    else:
+        integrate_velocities(mine.bodies, given.gravity, given.dt, velocities)
+    wait(team)
+    write_blocks(given, solved, plan, tiles, team, shared.memory.rows, is_built)
+    sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, team)
+    flags[team.rank, FINITE] = all_finite(velocities)
+    store_blocks(plan, tiles, solved, given.parts, team)
+    # Positions.
+    flags[team.rank, FAST] = move(mine.bodies, velocities, given)
+    wait(team)
+    if flags[:, FAST].any():
+        if team.rank == 0:
+            stop_fast_circles(bodies, given)
+        wait(team)
+    if segments.shape[0] == 0:
+        correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps)
+        wait(team)
+    if team.rank == 0:
+        if segments.shape[0] > 0:
+            room = shared.memory.correction
+            correct_positions(bodies, solved, box, segments, scales, options.position_sweeps, room)
+        if sweeps > 0 and not flags[:, FINITE].all():
+            theta[sweeps - 1] = np.nan
+        log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
+    return next_contacts(given, options, shared, mine, before, buffer)
+
+
+@njit(cache=True, error_model="numpy")
+def plan_step(given, shared):
+    """What a team needs before it solves the contacts, in `shared`: a plan for them, room for their tiles, impacts."""
+    n, contacts = given.bodies.mass.shape[0], shared.contacts
+    if not batches.is_plan_of(shared.plan, n, contacts, shared.solved):
+        shared.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
+    shared.tiles = batches.with_room(shared.plan, shared.tiles)
+    shared.solved = contacts
+    if not shared.memory.is_built:
+        rebound(given, given.restitution, contacts)
+
+
+@njit(cache=True, error_model="numpy")
+def next_contacts(given, options, shared, mine, before, buffer):
+    """`collision.next_contacts` by a team, into `shared`. Returns the `Share`, with room for its pairs."""
+    bodies, box, segments, skin, team = given.bodies, given.box, given.segments, given.scales.wall_skin, mine.team
+    cells, solved = shared.memory.cells, shared.solved
+    if team.rank == 0:
+        collision.hold(bodies, before, box, segments, skin, solved)
+        is_listed = collision.refresh_list(bodies.position, bodies.radius, cells, 0.0)
+        shared.flags[0, LISTED] = is_listed and segments.shape[0] == 0
+    wait(team)
+    if shared.flags[0, LISTED]:
+        mine = find_touching(given, shared, buffer, mine)
+        describe_touching(given, options, shared, mine)
+    elif team.rank == 0:
+        shared.contacts = collision.contacts_at(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
+        collision.carry_impulses(solved, shared.contacts, options.carry)
+    wait(team)
+    return mine
+
+
+@njit(cache=True, error_model="numpy")
+def find_touching(given, shared, buffer, mine):
+    """The pairs of this thread's circles that touch, from the list of near ones. Returns the `Share` that has them.
+
+    `Shared.contacts` has room for the pairs of all threads then, in the buffer.
+    """
+    position, radius, skin, cells = (
+        given.bodies.position,
+        given.bodies.radius,
+        given.scales.wall_skin,
+        shared.memory.cells,
+    )
+    found = -1
+    while found < 0:
+        where = position, radius, given.box, skin, cells, mine.first, mine.last, mine.body_a, mine.body_b
+        found = collision.write_near_pairs(*where)
+        if found < 0:
+            capacity = 2 * mine.body_a.shape[0] + 64
+            pairs = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
+            mine = Share(mine.team, mine.first, mine.last, mine.bodies, pairs[0], pairs[1])
+    shared.counts[mine.team.rank, PAIRS_FOUND] = found
+    wait(mine.team)
+    if mine.team.rank == 0:
         m = shared.counts[:, PAIRS_FOUND].sum()
         if m > buffer.body_a.shape[0]:
             buffer = collision.more_contacts(m)
         shared.contacts = collision.some_contacts(buffer, 0, m)
-    wait(team)
-    return mine_a, mine_b
+    wait(mine.team)
+    return mine
 
 
 @njit(cache=True, error_model="numpy")
-def describe_touching(given, options, shared, mine_a, mine_b, team):
+def describe_touching(given, options, shared, mine):
     """Write this thread's pairs where they belong among the contacts, with their geometry and what they carry."""
-    bodies, skin = given.bodies, given.scales.wall_skin
-    before, count = shared.counts[: team.rank, PAIRS_FOUND].sum(), shared.counts[team.rank, PAIRS_FOUND]
+    bodies, skin, rank = given.bodies, given.scales.wall_skin, mine.team.rank
+    before, count = shared.counts[:rank, PAIRS_FOUND].sum(), shared.counts[rank, PAIRS_FOUND]
     contacts = collision.some_contacts(shared.contacts, before, before + count)
     for i in range(count):
-        contacts.body_a[i], contacts.body_b[i] = mine_a[i], mine_b[i]
+        contacts.body_a[i], contacts.body_b[i] = mine.body_a[i], mine.body_b[i]
     collision.write_geometry(bodies.position, bodies.radius, given.box, given.segments, skin, contacts)
     collision.carry_impulses(shared.solved, contacts, options.carry)
 
 
 @njit(cache=True, error_model="numpy")
-def write_blocks(given, contacts, plan, tiles, team, memory):
+def write_blocks(given, contacts, plan, tiles, team, rows, is_built):
     """`batches.write_block` of all blocks, phase by phase, since it changes velocities."""
     for p in range(plan.count[PHASES]):
         first, last = share_of_phase(plan, p, team)
         for q in range(first, last):
-            batches.write_block(given, contacts, plan, tiles, plan.order[q], memory)
+            batches.write_block(given, contacts, plan, tiles, plan.order[q], rows, is_built)
         end_phase(plan, p, team)
 
 
 @njit(cache=True)
-def store_blocks(plan, tiles, contacts, team):
+def store_blocks(plan, tiles, contacts, parts, team):
     """`batches.store_block` of all blocks."""
     first, last = share_of(plan.count[BLOCKS], team)
     for k in range(first, last):
-        batches.store_block(plan, tiles, contacts, k)
+        batches.store_block(plan, tiles, contacts, k, parts)
 
 
 class _Run:
@@ -408,14 +445,14 @@ class _Run:
     def __init__(self, solver: BatchedPGS):
         self._solver, self._shared = solver, None
 
-    def __call__(self, given, rare, options, memory, log):
+    def __call__(self, given, contacts, options, memory, log):
         """As `engine.advance`."""
         if self._shared is None:
             self._size = threads_of(self._solver, given.bodies.count)
-            self._shared = make_shared(given.contacts, memory, self._size)
-        go_on(self._shared, given.contacts, memory)
+            self._shared = make_shared(contacts, memory, self._size)
+        go_on(self._shared, contacts, memory)
         together(self._size, advance_by_team, given, options, log, self._shared)
-        return results_in(self._shared)
+        return contacts_in(self._shared)
 
 
 def threads_of(solver, n_bodies: int) -> int:

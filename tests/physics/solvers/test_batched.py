@@ -137,7 +137,8 @@ def test_positions_are_corrected_in_the_order_of_the_batches(pile):
         position_correction.correct_in_turn(expected, sorted_contacts, state.world.box, NO_SEGMENTS, state.scales)
     rows, solver_bodies, _ = engine.step_problem(state)
     tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1))
-    batched.correct_positions_in_batches(plan, tiles, found, state.world.box, state.scales, 3, ALONE)
+    mine = batched.share_of_scene(found, ALONE)
+    batched.correct_positions_in_batches(plan, tiles, mine, state.world.box, state.scales, 3)
     assert np.abs(expected.position - deep.position).max() > 0.05
     np.testing.assert_array_equal(found.position, expected.position)
 
@@ -189,7 +190,7 @@ def test_batches_search_for_contacts_as_often_as_pgs():
         bodies, contacts = (type(part)(*(field.copy() for field in part)) for part in (state.bodies, state.contacts))
         given = engine.step_input(state.replace(bodies=bodies, contacts=contacts), solver)
         steps = engine.Steps(solver, state.bodies.count)
-        steps(given, make_log(6))
+        steps(given, contacts, make_log(6))
         cells.append(steps.memory(given).cells.memory)
     np.testing.assert_array_equal(*cells)
     assert cells[0][1] == -1

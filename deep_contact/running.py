@@ -1,0 +1,108 @@
+"""The steps of a run: calls of the engine between which Python may start, watch, record and interrupt them."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from threading import Event
+
+import numpy as np
+
+from deep_contact.physics import engine
+from deep_contact.physics.convergence import convergence_record
+from deep_contact.physics.engine import Steps, step_input
+from deep_contact.physics.step import DONE, LAST_SWEEPS, StepLog, make_log, some_steps
+from deep_contact.state import Bodies, Contacts, StateWithContacts
+from deep_contact.warm_start import Builtin, NoStart, starting_impulses
+
+MOST_WORK, SECONDS = 20_000_000, 0.2
+"""Most work of a call of compiled code, in relaxations of a contact, and its time: between calls Ctrl-C is raised."""
+
+
+def run(
+    state: StateWithContacts, start, steps: int, sleep: bool = False, record: int | None = None,
+    on_step: Callable | None = None, stopped: Event | None = None,
+) -> tuple[StateWithContacts, StepLog, list[StateWithContacts]]:  # fmt: skip
+    """So many steps of a state with its solver: the state after them, their log, the recorded states.
+
+    Arguments as of `simulation.simulate`, checked. stopped: ends the run with a KeyboardInterrupt once it is set.
+    """
+    calls = _Calls(state, start, sleep)
+    # Builtin and NoStart need nothing from Python between two steps.
+    one_by_one = on_step is not None or not isinstance(start, (Builtin, NoStart))
+    every, log, done = record or steps + 1, make_log(steps), 0
+    frames, state = [] if record is None else [state], None  # a million circles have 200 MB of contacts
+    while done < steps:
+        if stopped is not None and stopped.is_set():
+            raise KeyboardInterrupt
+        most = 1 if one_by_one else calls.affordable()
+        done += calls.advance(log, done, min(steps - done, every - done % every, most), on_step)
+        if record is not None and (done % every == 0 or done == steps):
+            frames.append(calls.state)
+            calls.is_own = False
+    return calls.state, log, frames
+
+
+class _Calls:
+    """Calls of the engine that go on from `state`."""
+
+    def __init__(self, state: StateWithContacts, start, sleep: bool):
+        self.state, self._start, self._solver = state, start, state.solver
+        self.is_own = False  # whether nobody else sees the arrays that a step writes into
+        self._work = MOST_WORK // 8
+        self._scales = engine.scales_of(state, state.solver)  # of radii that do not change in a run
+        self._steps = Steps(state.solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
+        # Before the arrays of the result, so that its release leaves no gap on top of the heap, which is given back.
+        self._steps.memory(step_input(state, state.solver, self._scales), state.contacts.count)
+
+    def affordable(self) -> int:
+        """So many steps may be done by a call."""
+        return 1 + self._work // (10 * self.state.bodies.count + 50)
+
+    def advance(self, log: StepLog, first: int, count: int, on_step: Callable | None) -> int:
+        """Do up to so many steps, the rows of the log from `first` on. Returns how many have been done."""
+        before = None if on_step is None else self.state
+        problem = self._prepare()
+        given, rows = step_input(self.state, self._solver, self._scales), some_steps(log, first, count, self._work)
+        contacts, begun = self.state.contacts, time.perf_counter()
+        found = self._steps(given, contacts, rows, problem)
+        # How a run is divided changes no bit of it.
+        self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / (time.perf_counter() - begun)))
+        state, count = self.state, int(rows.progress[DONE]) // given.parts
+        step = state.step + count
+        if not np.isfinite(state.bodies.position.sum()):
+            _raise_diverged(state.bodies, step)
+        # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
+        now = step * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
+        self.state = state.replace(contacts=found, time=now, step=step, solved=False)
+        self.is_own = on_step is None
+        if before is not None:
+            theta = self._steps.memory(given).theta[: rows.progress[LAST_SWEEPS]]
+            convergence = convergence_record(theta, self._solver, int(rows.contacts[0]))
+            on_step(before.replace(contacts=contacts, solved=True), convergence)
+        return count
+
+    def _prepare(self):
+        """Let the state start from the impulses of the start, in arrays that a step may write into.
+
+        Returns its contact problem, if the start has built it (`starting_impulses`).
+        """
+        state, problem = self.state, None
+        if not isinstance(self._start, Builtin):
+            *impulses, problem = starting_impulses(self._start, state, self._solver, self._scales)
+            names = "normal_start", "tangent_start"
+            state = state.replace(contacts=state.contacts._replace(**dict(zip(names, impulses))))
+        if not self.is_own:
+            solved = {name: getattr(state.contacts, name).copy() for name in Contacts._fields[5:7]}
+            contacts = state.contacts._replace(**solved)
+            state = state.replace(bodies=Bodies(*map(np.copy, state.bodies)), contacts=contacts)
+        self.state = state
+        return problem
+
+
+def _raise_diverged(bodies: Bodies, step: int) -> None:
+    circle = int(np.flatnonzero(~np.isfinite(bodies.position).all(axis=1))[0])
+    raise FloatingPointError(
+        f"up to step {step}: circle {circle} (mass {bodies.mass[circle]:g} kg, radius {bodies.radius[circle]:g} m) has "
+        "come to a position that is not finite: the solver diverged; try PGS, a smaller dt"
+    )
