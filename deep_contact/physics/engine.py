@@ -56,29 +56,31 @@ _SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.norm
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(given, contacts, options, memory, log):
+def advance(given, motion, contacts, sleep, options, memory, log):
     """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
 
     Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
     scene requires is not compiled: segments, restitution, motion, sleep, and what stops fast circles: without that the
     call ends before the first substep that has one, and the next call goes on there.
     Returns the contacts found, in memory that the next call writes into.
-    given: `StepInput`. options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
+    given: `StepInput`. motion: its own, None where it has nothing rare. sleep: `SleepMemory`, None where nothing may.
+    options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
     """
     # One function, and stages are called where they are needed: a call counts references to all arrays handed on.
     bodies, box, segments, scales, friction = given.bodies, given.box, given.segments, given.scales, given.friction
-    solver_bodies, theta, sleep, workspace = memory.solver_bodies, memory.theta, memory.sleep, memory.workspace
+    solver_bodies, theta, workspace = memory.solver_bodies, memory.theta, memory.workspace
     part, turn = given, 0
     for j in range(log.progress[DONE], given.parts * log.contacts.shape[0]):
-        if sleep is not None and sleeping.all_asleep(sleep):
-            log_part(log, j // given.parts, 0, 0, theta, 0)
-            log.progress[DONE] = j + 1
-            continue
-        if given.motion is not None:
-            parts = parts_of(given, given.motion, memory.cells)
+        if sleep is not None:
+            if sleeping.all_asleep(sleep):
+                log_part(log, j // given.parts, 0, 0, theta, 0)
+                log.progress[DONE] = j + 1
+                continue
+        if motion is not None:
+            parts = parts_of(given, memory.cells)
             part = part if parts * given.parts == part.parts else part_of(given, parts)
             if part.parts > given.parts:
-                depart(given, given.motion, part, contacts)
+                depart(given, part, contacts)
         for _ in range(part.parts // given.parts):
             solved = active = contacts
             if sleep is not None:
@@ -86,8 +88,8 @@ def advance(given, contacts, options, memory, log):
             # Velocities.
             rows = memory.rows
             if not memory.is_built:
-                if part.restitution is not None:
-                    rebound(part, part.restitution, active)
+                if motion is not None:
+                    rebound(part, active)
                 integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
                 if sleep is not None:
                     sleeping.hold_sleeping(solver_bodies, sleep)
@@ -108,8 +110,9 @@ def advance(given, contacts, options, memory, log):
             if sleep is not None:
                 sleeping.wake_and_put_to_sleep(part, contacts, sleep)
             log_part(log, j // given.parts, active.body_a.shape[0], sweeps, theta, relaxations)
-        if given.motion is not None and part.parts > given.parts:
-            rejoin(given, given.motion, part, contacts)
+        if motion is not None:
+            if part.parts > given.parts:
+                rejoin(given, part, contacts)
         log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % given.parts == 0:
             break
@@ -131,7 +134,7 @@ class Steps:
         self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
         self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
         self._solver, self._memory = solver, {}
-        self._sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
+        self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
     def memory(self, given: StepInput, contacts: int = 0) -> StepMemory:
         """The memory that these steps work in: one for rows with tangents, one for rows without. contacts: a number."""
@@ -139,7 +142,7 @@ class Steps:
         if key not in self._memory:
             n, m = given.bodies.count, contacts
             capacity, friction = max(4 * n, m + m // 2) + 64, given.friction
-            memory = make_memory(n, capacity, self._solver.sweeps, friction, self._sleep)
+            memory = make_memory(n, capacity, self._solver.sweeps, friction)
             workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
             self._memory[key] = memory._replace(workspace=workspace)
         return self._memory[key]
@@ -153,13 +156,13 @@ class Steps:
         Returns the contacts found.
         """
         memory = self.memory(given, contacts.count)
-        if problem is not None and self._sleep is None and given.parts == motion_parts(self._solver) == 1:
+        if problem is not None and self.sleep is None and given.parts == motion_parts(self._solver) == 1:
             rows, solver_bodies, _ = started(problem, contacts, given.friction)
             memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
         while True:
             self._is_plain = self._is_plain and given.motion is None
             given = given if self._is_plain else with_rare(given)
-            found = own_contacts(self._advance(given, contacts, self._options, memory, log))
+            found = own_contacts(self._advance(given, given.motion, contacts, self.sleep, self._options, memory, log))
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == given.parts * len(log.contacts):
                 return found
             # A circle is fast. What has been built is used up.
@@ -291,7 +294,7 @@ def after_impacts(state: State) -> State:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
     state = state.replace(bodies=bodies)
-    rebound(step_input(state, None), state.world.restitution, state.contacts)
+    rebound(step_input(state, None), state.contacts)
     return state
 
 

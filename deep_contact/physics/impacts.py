@@ -29,17 +29,15 @@ SLOWEST = 1e-4
 
 
 @njit(cache=True, error_model="numpy")
-def rebound(given, restitution, contacts):
-    """Let circles that meet rebound, in place on their velocities and spins. given: `StepInput`, whose e is handed on.
+def rebound(given, contacts):
+    """Let circles that meet rebound, in place on their velocities and spins, where e > 0. given: `StepInput`.
 
     Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
     rebound, so that piles come to rest.
     """
-    if restitution is None:
-        return
+    bodies, restitution, half = given.bodies, given.restitution, -0.5 * given.dt
     if restitution == 0.0:
         return
-    bodies, half = given.bodies, -0.5 * given.dt
     ground, fastest = (half * given.gravity[0], half * given.gravity[1]), 0.0
     for i in range(contacts.body_a.shape[0]):
         fastest = max(fastest, -parting_speed(bodies, contacts, i, ground))

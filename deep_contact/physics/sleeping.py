@@ -4,8 +4,6 @@ A circle is still while its speed and spin are at most `sleep_speed` and `sleep_
 falls asleep once all of its circles have been still for `sleep_time` and none of its contacts is left to be corrected:
 their velocities become 0, and their impulses are kept to wake up with. It wakes as a whole when a circle that is awake
 touches it. Contacts are looked for among all circles, unless all are asleep. A new run starts awake.
-
-Every stage takes a `SleepMemory`, or None where nothing may sleep; then it does nothing and is not compiled.
 """
 
 from __future__ import annotations
@@ -40,8 +38,6 @@ def make_sleep_memory(n: int, capacity: int) -> SleepMemory:
 @njit(cache=True)
 def all_asleep(sleep):
     """Whether no circle is awake."""
-    if sleep is None:
-        return False
     for time in sleep.still:
         if time < np.inf:
             return False
@@ -50,9 +46,7 @@ def all_asleep(sleep):
 
 @njit(cache=True)
 def awake_contacts(contacts, sleep):
-    """The contacts of circles that are awake, with the fields that a step reads, in the buffer; or all contacts."""
-    if sleep is None:
-        return contacts
+    """The contacts of circles that are awake, with the fields that a step reads, in the buffer."""
     still, buffer, m = sleep.still, sleep.active, 0
     if contacts.body_a.shape[0] > buffer.body_a.shape[0]:
         buffer = more_contacts(contacts.body_a.shape[0])
@@ -70,29 +64,25 @@ def awake_contacts(contacts, sleep):
 @njit(cache=True)
 def store_awake_impulses(active, contacts, sleep):
     """Write the solved impulses of the contacts that are awake among all contacts, in place: `awake_contacts` back."""
-    if sleep is not None:
-        j = 0
-        for i in range(contacts.body_a.shape[0]):
-            if sleep.still[contacts.body_a[i]] < np.inf:
-                contacts.normal_impulse[i] = active.normal_impulse[j]
-                contacts.tangent_impulse[i] = active.tangent_impulse[j]
-                j += 1
+    j = 0
+    for i in range(contacts.body_a.shape[0]):
+        if sleep.still[contacts.body_a[i]] < np.inf:
+            contacts.normal_impulse[i] = active.normal_impulse[j]
+            contacts.tangent_impulse[i] = active.tangent_impulse[j]
+            j += 1
 
 
 @njit(cache=True)
 def hold_sleeping(solver_bodies, sleep):
     """Take back, in place, what gravity did to the circles that are asleep."""
-    if sleep is not None:
-        for i in range(sleep.still.shape[0]):
-            if sleep.still[i] == np.inf:
-                solver_bodies[i, :INVERSE_MASS] = 0.0
+    for i in range(sleep.still.shape[0]):
+        if sleep.still[i] == np.inf:
+            solver_bodies[i, :INVERSE_MASS] = 0.0
 
 
 @njit(cache=True)
 def wake_and_put_to_sleep(given, contacts, sleep):
     """Let Δt pass, in place, for the stillness of circles and islands. contacts: those at the bodies' positions."""
-    if sleep is None:
-        return
     bodies, segments, scales = given.bodies, given.segments, given.scales
     still, parent, shortest = sleep.still, sleep.parent, sleep.shortest
     n = still.shape[0]

@@ -11,7 +11,6 @@ from deep_contact.physics.collision import Cells, make_cells, make_contacts
 from deep_contact.physics.contact_solver import Rows, make_rows
 from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
 from deep_contact.physics.segments import NO_SEGMENTS
-from deep_contact.physics.sleeping import SleepMemory
 from deep_contact.state import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 
@@ -68,19 +67,18 @@ class StepMemory(NamedTuple):
     correction: CorrectionRoom
     cells: Cells
     contacts: tuple[Contacts, Contacts]  # two buffers, which the steps fill by turns
-    sleep: SleepMemory | None  # None where nothing may sleep
     workspace: tuple | None = None  # what the solver remembers (`registry.make_workspace`)
     is_built: bool = False  # whether solver bodies and rows are those of the one step to come (`engine.StepProblem`)
 
 
-def make_memory(n: int, capacity: int, sweeps: int, friction, sleep: SleepMemory | None = None) -> StepMemory:
+def make_memory(n: int, capacity: int, sweeps: int, friction) -> StepMemory:
     """Memory of steps of n circles, with room for so many contacts; where there are more, single steps take their own.
 
     sweeps: the most of a step. friction: None for rows without tangents.
     """
     return StepMemory(
         np.empty((n + 4, 4)), np.empty(sweeps), make_rows(capacity, friction),
-        make_correction_room(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)), sleep,
+        make_correction_room(n, capacity), make_cells(n), (make_contacts(capacity), make_contacts(capacity)),
     )  # fmt: skip
 
 

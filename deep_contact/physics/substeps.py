@@ -33,31 +33,23 @@ def part_of(given, parts):
 
 
 @njit(cache=True, error_model="numpy")
-def depart(given, motion, part, contacts):
-    """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions.
-
-    motion: of the input; without it there are no such parts.
-    """
-    if motion is None:
-        return
+def depart(given, part, contacts):
+    """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
     if given.restitution > 0.0:
         shift_flights(given.bodies, contacts, given.gravity, given.dt - part.dt)
 
 
 @njit(cache=True, error_model="numpy")
-def rejoin(given, motion, part, contacts):
+def rejoin(given, part, contacts):
     """`depart` taken back, after the parts."""
-    if motion is None:
-        return
     if given.restitution > 0.0:
         shift_flights(given.bodies, contacts, given.gravity, part.dt - given.dt)
 
 
 @njit(cache=True, error_model="numpy")
-def parts_of(given, motion, cells):
-    """Into how many parts motion divides the next substep: a power of two. cells: `Cells`, used."""
-    if motion is None:
-        return 1
+def parts_of(given, cells):
+    """Into how many parts motion divides the next substep: a power of two. given: `StepInput`. cells: `Cells`, used."""
+    motion = given.motion
     if motion.most == 1 or given.bodies.mass.shape[0] == 0:
         return 1
     dt, slow = given.dt, motion.reach / given.dt

@@ -134,7 +134,7 @@ class _Asleep:
         self._given, self._contacts = step_input(self._state.replace(**copies), STEP), copies["contacts"]
         self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
         self._log = make_log(self._steps)
-        self._advance.memory(self._given).sleep.still[:] = self._still
+        self._advance.sleep.still[:] = self._still
 
     def run(self) -> None:
         self._advance(self._given, self._contacts, self._log)

@@ -51,7 +51,7 @@ def test_the_number_of_parts_is_that_of_the_fastest_approach_of_all(speed, segme
         wanted = fastest_approach(state) * state.dt / (0.02 * state.bodies.radius.mean())
         given = step_input(ready(state), MOTION)
         expected = 1 if wanted <= 1 else min(16, 2 ** math.ceil(math.log2(wanted)))
-        assert parts_of(given, given.motion, cells) == expected
+        assert parts_of(given, cells) == expected
 
 
 @pytest.mark.parametrize("height", [2.0, 5.0, 20.0])

@@ -286,17 +286,17 @@ def advance_by_team(given, options, log, shared, team):
     for j in range(log.progress[DONE], given.parts * log.contacts.shape[0]):
         if given.motion.most > 1:
             if team.rank == 0:
-                shared.counts[0, PARTS] = parts_of(given, given.motion, shared.memory.cells)
+                shared.counts[0, PARTS] = parts_of(given, shared.memory.cells)
             wait(team)
             part = part_of(given, shared.counts[0, PARTS])
             if team.rank == 0 and part.parts > given.parts:
-                depart(given, given.motion, part, shared.contacts)
+                depart(given, part, shared.contacts)
         for _ in range(part.parts // given.parts):
             turn = 1 - turn
             mine = step_by_team(part, options, shared, mine, buffers[turn], log, j // given.parts)
         if team.rank == 0:
             if part.parts > given.parts:
-                rejoin(given, given.motion, part, shared.contacts)
+                rejoin(given, part, shared.contacts)
             log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % given.parts == 0:
             break
@@ -355,7 +355,7 @@ def plan_step(given, shared):
     shared.tiles = batches.with_room(shared.plan, shared.tiles)
     shared.solved = contacts
     if not shared.memory.is_built:
-        rebound(given, given.restitution, contacts)
+        rebound(given, contacts)
 
 
 @njit(cache=True, error_model="numpy")
@@ -445,7 +445,7 @@ class _Run:
     def __init__(self, solver: BatchedPGS):
         self._solver, self._shared = solver, None
 
-    def __call__(self, given, contacts, options, memory, log):
+    def __call__(self, given, motion, contacts, sleep, options, memory, log):
         """As `engine.advance`."""
         if self._shared is None:
             self._size = threads_of(self._solver, given.bodies.count)
