@@ -14,16 +14,16 @@ from typing import NamedTuple
 import numpy as np
 
 from deep_contact.compiled.team import cores
-from deep_contact.physics.engine import Steps, leaves_tangents_out
+from deep_contact.physics.engine import leaves_tangents_out
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.solvers import BatchedPGS, describe
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
-from deep_contact.presets import decide
+from deep_contact.presets import Accuracy
 from deep_contact.reporting import results
 from deep_contact.simulation import method_of, ready
 from deep_contact.state import State, notebook
-from deep_contact.stiffness import SUBSTEPS, SWEEPS, stiffness
-from deep_contact.warm_start import Builtin, NoStart, Start
+from deep_contact.stiffness import SUBSTEPS, SWEEPS, Stiffness, stiffness
+from deep_contact.warm_start import STARTS, Builtin, Cnn, NoStart, Start
 
 TABLE = Path(__file__).parent / "reference" / "figure_6_7.json"
 """Results of Figure 6.7, shipped with the package."""
@@ -78,18 +78,17 @@ class Plan:
         return notebook.shown(self._title(), rows, header=("part", "", "why", f"saving (Figure 6.7, {self.cpu})"))
 
 
-def plan(scene: State, *, solver=None, warm_start: Start = "builtin", sleep: bool = False) -> Plan:
+def plan(
+    scene: State, *, solver=None, warm_start: Start = "builtin", accuracy: Accuracy | None = None, sleep: bool = False
+) -> Plan:
     """What `simulate` would use for a scene with these options, and what it would leave out, with the savings.
 
     Nothing is simulated; contacts are looked for where the scene has none. Arguments as in `simulate`.
     Raises ValueError on arguments that do not hold together, FileNotFoundError where no results are installed.
     """
     scene = ready(scene)
-    us = decide(scene, None, sleep=sleep).us if solver is None and scene.solver is None else None
-    solver, start = method_of(scene, solver, warm_start, sleep=sleep, warn=False)
-    Steps(solver, scene.bodies.count, sleep=sleep)  # raises ValueError where the solver cannot sleep
+    solver, start, name, decision = method_of(scene, solver, warm_start, accuracy, sleep=sleep)
     study = installed_results()
-    name = warm_start if isinstance(warm_start, str) else type(start).__name__
     left = {
         part: f"{100 / one['ratio']:.3g} % ({100 / one['high']:.3g} to {100 / one['low']:.3g} %)"
         for part, one in study["data"]["savings"].items()
@@ -97,9 +96,10 @@ def plan(scene: State, *, solver=None, warm_start: Start = "builtin", sleep: boo
     choices = (
         *_of_the_scene(scene, solver, left),
         *_of_the_solver(scene, solver, left),
-        *_between_steps(start, name, sleep, left, study["data"]["jobs"]),
-        _stiffness(scene, solver),
+        *_between_steps(start, sleep, left, study["data"]["jobs"]),
+        _stiffness(decision.stiff if decision else stiffness(scene), solver),
     )
+    us = decision and decision.us
     of_scene = {"scene": scene.name, "n_bodies": scene.bodies.count, "warm_start": name}
     return Plan(**of_scene, solver=solver, us=us, choices=choices, cpu=study["provenance"]["cpu"])
 
@@ -157,14 +157,14 @@ def _of_the_solver(scene: State, solver, left: Mapping) -> Iterator[Choice]:
     yield Choice("threads", threads > 1, why, saving)
 
 
-def _between_steps(start, name: str, sleep: bool, left: Mapping, jobs: Mapping) -> Iterator[Choice]:
+def _between_steps(start, sleep: bool, left: Mapping, jobs: Mapping) -> Iterator[Choice]:
     saving = f"asleep a step costs {left['asleep']}, with one circle awake {left['asleep but for one']}"
     yield Choice("sleeping", bool(sleep), "asked for" if sleep else "not asked for", saving)
-    used = not isinstance(start, (Builtin, NoStart))
+    used, known = not isinstance(start, (Builtin, NoStart)), type(start) in STARTS.values()
     why = "every step calls the start" if used else "the start needs none, unless on_step does"
     yield Choice("calls between steps", used, why, f"without them a step costs {left['no call between steps']}")
-    used = name == "cnn"
-    why = "the start predicts" if used else "nothing is predicted by name, so TensorFlow is not loaded"
+    used = isinstance(start, Cnn)
+    why = "the start predicts" if used else "the start needs none" if known else "not known of a start of your own"
     one, other = jobs["simulate"], jobs["predict"]
     saving = f"a first step after {one['seconds']:.2g} s instead of a first prediction after {other['seconds']:.2g} s"
     if one["memory_mb"] and other["memory_mb"]:
@@ -172,8 +172,8 @@ def _between_steps(start, name: str, sleep: bool, left: Mapping, jobs: Mapping) 
     yield Choice("network", used, why, saving)
 
 
-def _stiffness(scene: State, solver) -> Choice:
-    stiff, substeps = stiffness(scene), getattr(solver, "substeps", 1)
+def _stiffness(stiff: Stiffness | None, solver) -> Choice:
+    substeps = getattr(solver, "substeps", 1)
     if stiff is None or stiff.solver.tolerance is not None:
         used = solver.tolerance is not None and solver.sweeps >= SWEEPS
         saving = f"it costs up to {SWEEPS * max(substeps, SUBSTEPS):,} sweeps a step, and a few where nothing changes"

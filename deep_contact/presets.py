@@ -28,7 +28,7 @@ from deep_contact.physics.solvers import describe, solver_from
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.state import State, notebook
 from deep_contact.state.scales import mean
-from deep_contact.stiffness import stiffness, up_and_across
+from deep_contact.stiffness import Stiffness, stiffness, up_and_across
 from deep_contact.validation import number, one_of
 
 TABLE = Path(__file__).parent / "reference" / "runs.json"
@@ -155,11 +155,12 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
 
 class Decision(NamedTuple):
     """What `simulate(accuracy=…)` takes for a scene: a solver, the name of a start, what a step of the scene's Δt costs
-    on the study's processor, μs (at most, for what is solved to a tolerance), and what a run warns of."""
+    on the study's processor, μs (at most, of what is solved to a tolerance), what makes it stiff, and warnings."""
 
     solver: object
     start: str
     us: float
+    stiff: Stiffness | None
     warnings: tuple[str, ...]
 
 
@@ -182,7 +183,8 @@ def decide(scene: State, accuracy: str | None, *, sleep: bool = False) -> Decisi
             f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
             f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
         )
-    return Decision(best["solver"], best["start"], best["us"], tuple(f"accuracy={name!r}: {one}" for one in sentences))
+    warnings = tuple(f"accuracy={name!r}: {one}" for one in sentences)
+    return Decision(best["solver"], best["start"], best["us"], stiff, warnings)
 
 
 @functools.lru_cache(256)

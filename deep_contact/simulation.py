@@ -6,7 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
+from deep_contact.presets import Accuracy, Decision, PresetWarning, decide
 from deep_contact.running import run
 from deep_contact.state import (
     LIMITS,
@@ -29,11 +30,8 @@ from deep_contact.state import (
     notebook,
 )
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import expect, integer, number
-from deep_contact.warm_start import Builtin, NoStart, Start, starting_impulses, warm_start_of
-
-if TYPE_CHECKING:
-    from deep_contact.presets import Accuracy
+from deep_contact.validation import expect, flag, integer, number
+from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 _KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
 """Type and dimensions of the arrays of bodies and contacts."""
@@ -166,10 +164,11 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
         state = with_time_step(state, dt)
     given, state = state, ready(state)
     without_past = given.contacts is None or state.step == 0
-    by_preset = accuracy is not None or (solver is None and state.solver is None)
-    solver, start = method_of(state, solver, warm_start, accuracy, sleep=sleep)
+    solver, start, _, decision = method_of(state, solver, warm_start, accuracy, sleep=sleep)
+    for sentence in decision.warnings if decision else ():
+        warnings.warn(sentence, PresetWarning, stacklevel=3)
     # Not of a run that goes on, so that it comes to the same in one go and in parts.
-    if by_preset and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
+    if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
         state = _with_a_past(state)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
     state, log, frames = run(state.replace(solver=solver), start, steps, sleep, record, on_step, stopped)
@@ -285,23 +284,31 @@ def _has_engine_arrays(state: State) -> bool:
     )
 
 
-def method_of(
-    state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep: bool = False, warn: bool = True
-) -> tuple:
-    """(Solver, start) of a run from this state: those of a preset, or the given ones, or the state's solver.
+class Method(NamedTuple):
+    """How a run solves: what `simulate` takes, and `plan` prints."""
+
+    solver: object  # with numbers in place of what follows the scene
+    start: WarmStart
+    start_name: str
+    decision: Decision | None  # of the preset that chose the solver; None where it was given
+
+
+def method_of(state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep=False) -> Method:
+    """The method of a run from this state: that of a preset, or the given one, or the state's solver.
 
     Without any of these the solver is that of the preset "fast". Raises ValueError where they do not fit each other.
     """
     if accuracy is not None and solver is not None:
         raise ValueError(f"accuracy: expected no solver beside it, got {solver!r}")
+    decision = None
     if accuracy is not None or (solver is None and state.solver is None):
-        from deep_contact import presets  # which reads the study
-
-        solver, of_preset, _, sentences = presets.decide(state, accuracy, sleep=sleep)
-        for sentence in sentences if warn else ():
-            warnings.warn(sentence, presets.PresetWarning, stacklevel=4)
-        start = start if accuracy is None else of_preset
-    return checked_solver(solver, state), warm_start_of(start)
+        decision = decide(state, accuracy, sleep=sleep)
+        solver, start = decision.solver, start if accuracy is None else decision.start
+    solver = checked_solver(solver, state)
+    if flag("sleep", sleep) and not entry_of(solver).can_sleep:
+        raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
+    named = start if isinstance(start, str) else getattr(start, "__name__", type(start).__name__)
+    return Method(solver, warm_start_of(start), "none" if start is None else named, decision)
 
 
 def checked_solver(solver, state: State):

@@ -20,6 +20,9 @@ TANGENT, SUBSTEPS, ISLANDS = "tangent rows and spin", "substeps", "islands"
         (COLUMN, {"solver": dc.PGS(most_substeps=8)}, SUBSTEPS, True),
         (dc.column(5), {}, ISLANDS, False),
         (COLUMN, {"warm_start": "cnn"}, "network", True),
+        (COLUMN, {"warm_start": "learned support"}, "network", True),
+        (COLUMN, {"warm_start": dc.warm_start.Cnn()}, "network", True),
+        (COLUMN, {"warm_start": "support"}, "network", False),
     ],
 )
 def test_parts_are_planned_as_they_are_used(scene, options, part, used):
@@ -53,6 +56,15 @@ def test_a_plan_prints_the_saving_of_the_stored_figure():
     assert f"a sweep costs {middle} % ({low} to {high} %)" in str(found)
     with pytest.raises(KeyError, match="expected one of tangent rows and spin, static segments, islands"):
         found["gravity"]
+
+
+@pytest.mark.parametrize("options", [{}, {"accuracy": "reference"}, {"solver": dc.NNCG(sweeps=9)}, {"sleep": True}])
+@pytest.mark.parametrize("scene", [COLUMN, FREE, dc.column(60), dc.lattice_in_box(100)], ids=str)
+def test_a_plan_has_the_solver_of_the_run(scene, options):
+    chosen, run = dc.plan(scene, **options), dc.simulate(scene, steps=1, **options)
+    assert chosen.solver == run.state.solver
+    assert (chosen.us is None) == ("solver" in options)
+    assert chosen[SUBSTEPS].used == (run.state.solver.substeps > 1 or run.state.solver.most_substeps is not None)
 
 
 def test_what_simulate_refuses_is_refused():

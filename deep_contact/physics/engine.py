@@ -46,7 +46,6 @@ from deep_contact.physics.step import (
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
 from deep_contact.state import LIMITS, Contacts, State, native
 from deep_contact.state.scales import ContactScales, mean
-from deep_contact.validation import flag
 
 _POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
     LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
@@ -123,13 +122,11 @@ class Steps:
     """The steps of a solver: a call does some of them, in memory that it keeps for the next call.
 
     solver: options with numbers in place of what follows the scene (`for_state`). n: circles. sleep: whether islands
-    may sleep; all start awake. carry: see `StepOptions`. Raises ValueError for a solver that cannot sleep.
+    may sleep, where the solver can (`registry.Entry`); all start awake. carry: see `StepOptions`.
     """
 
     def __init__(self, solver, n: int, *, sleep: bool = False, carry: bool = True):
         entry = entry_of(solver)
-        if flag("sleep", sleep) and not entry.can_sleep:
-            raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
         self._advance = entry.advance(solver) if entry.advance else advance
         self._is_plain = not (sleep or entry.advance)  # whether nothing rare is compiled; once False, it stays
         self._options = StepOptions(settings_of(solver), solver.position_sweeps, carry)
