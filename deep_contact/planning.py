@@ -16,11 +16,12 @@ import numpy as np
 from deep_contact.compiled.team import cores
 from deep_contact.physics.engine import leaves_tangents_out
 from deep_contact.physics.islands import islands_of
+from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import BatchedPGS, describe
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.presets import Accuracy
 from deep_contact.reporting import results
-from deep_contact.simulation import method_of, ready
+from deep_contact.simulation import method_of
 from deep_contact.state import State, notebook
 from deep_contact.stiffness import SUBSTEPS, SWEEPS, Stiffness, stiffness
 from deep_contact.warm_start import STARTS, Builtin, Cnn, NoStart, Start

@@ -14,30 +14,16 @@ from deep_contact.compiled.team import cores
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution
+from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.presets import Accuracy, Decision, PresetWarning, decide
 from deep_contact.running import run
-from deep_contact.state import (
-    LIMITS,
-    State,
-    StateWithContacts,
-    check_limits,
-    check_state,
-    check_types,
-    make_bodies,
-    no_contacts,
-    notebook,
-)
+from deep_contact.state import State, StateWithContacts, notebook
+from deep_contact.state.checks import check_types
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import expect, flag, integer, number
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
-
-_KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
-"""Type and dimensions of the arrays of bodies and contacts."""
-
-COINCIDENT = 0.1
-"""Distance of two centres, in the smaller radius, below which `simulate` warns."""
 
 FIRST_SWEEPS = 500, 2000
 """Least and most sweeps of the first step of a preset's run whose contacts carry no impulses: with few sweeps a pile at
@@ -246,42 +232,6 @@ def with_time_step(state: State, dt: float) -> State:
             names += ["normal_impulse", "tangent_impulse"]
         contacts = contacts._replace(**{name: ratio * getattr(contacts, name) for name in names})
     return state.replace(dt=dt, contacts=contacts)
-
-
-def ready(state: State) -> StateWithContacts:
-    """The state checked and completed: valid, within limits, its arrays as compiled code takes them, contacts found.
-
-    Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
-    """
-    check_types(state)
-    if not (_has_engine_arrays(state) and engine.is_valid(state.bodies, state.contacts, len(state.world.segments))):
-        state = check_limits(check_state(state))
-    elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
-        check_limits(state)
-    if state.contacts is None:
-        state = state.replace(contacts=engine.contacts_of(state))
-        _warn_of_coincidence(state)
-    return state
-
-
-def _warn_of_coincidence(state: StateWithContacts) -> None:
-    """Warn where two circles of a scene nearly coincide, so that chance decides in which direction they part."""
-    bodies, (a, b) = state.bodies, state.contacts[:2]
-    a, b = a[b < bodies.count], b[b < bodies.count]
-    apart = np.hypot(*(bodies.position[b] - bodies.position[a]).T)
-    near = apart < COINCIDENT * np.minimum(bodies.radius[a], bodies.radius[b])
-    for i in np.flatnonzero(near)[:1]:
-        which = f"circles {a[i]} and {b[i]} nearly coincide, their centres are {apart[i]:.3g} m apart"
-        more = f" ({near.sum():,} pairs do)" if near.sum() > 1 else ""
-        warnings.warn(f"bodies.position: {which}{more}; the solver pushes them apart at once", stacklevel=5)
-
-
-def _has_engine_arrays(state: State) -> bool:
-    """Whether all arrays are of the kind that compiled functions were compiled for: what `check_state` makes them."""
-    return state.contacts is not None and all(
-        type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray
-        for array, (dtype, ndim) in zip((*state.bodies, *state.contacts), _KINDS)
-    )
 
 
 class Method(NamedTuple):

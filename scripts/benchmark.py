@@ -32,9 +32,9 @@ from deep_contact.compiled import team
 from deep_contact.io.fc2d import read_problem
 from deep_contact.io.files import write_json
 from deep_contact.physics.lcp import check_problem, contact_problem, natural_residual, siconos_error
+from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
 from deep_contact.reporting import results
-from deep_contact.simulation import ready
 from deep_contact.sph.thesis import splat_by_tree
 from deep_contact.state import State
 from deep_contact.studies import peers, piles, rivals, timing

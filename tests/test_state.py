@@ -5,7 +5,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.io.state_xml import format_state
-from deep_contact.state import check_state
+from deep_contact.state.checks import check_state
 
 
 def broken(state, part, field, index, value):

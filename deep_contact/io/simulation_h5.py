@@ -26,7 +26,8 @@ import numpy as np
 from deep_contact.io import hdf5
 from deep_contact.io.files import FileError, write_bytes
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World, check_state
+from deep_contact.state import Bodies, Contacts, State, StateWithContacts, World
+from deep_contact.state.checks import check_state, contact_faults
 from deep_contact.state.scales import ContactScales
 from deep_contact.validation import expect, number, one_of
 
@@ -349,17 +350,15 @@ def _check_arrays(arrays: dict, segments: int) -> None:
         if array.dtype.kind == "f" and name != "theta":
             refuse(name, ~np.isfinite(array), "a finite number")
     offset, n, a, b = arrays["contact_offset"], arrays["mass"].size, arrays["body_a"], arrays["body_b"]
-    end, steps, length = n + 4 + segments, np.diff(offset, prepend=0), np.hypot(*arrays["normal"].T)
+    end, steps = n + 4 + segments, np.diff(offset, prepend=0)
     refuse("mass", arrays["mass"] <= 0, "a number > 0")
     refuse("radius", arrays["radius"] <= 0, "a number > 0")
     refuse("step", arrays["step"] < 0, "an integer >= 0")
     refuse("solved", arrays["solved"] > 1, "0 or 1")
-    refuse("normal_impulse", arrays["normal_impulse"] < 0, "a number >= 0")
     refuse("contact_offset", (steps < 0) | (offset > a.size), "rising numbers within the contacts")
     first, last = offset[[0, -1]].tolist()
     expect((first, last) == (0, a.size), f"contact_offset: expected 0 to {a.size}, got {first} to {last}")
-    refuse("body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}")
-    refuse("body_b", (b <= a) | (b >= end), f"a body after body_a, up to {end - 1}")
-    refuse("normal", np.stack([np.abs(length - 1) > 1e-4] * 2, axis=1), "a unit vector")
+    for name, bad, expected in contact_faults(arrays, n, segments):
+        refuse(name, np.stack([bad] * 2, axis=1) if arrays[name].ndim == 2 else bad, expected)
     key = (np.repeat(np.arange(offset.size - 1), steps[1:]) * n + a) * end + b
     refuse("body_b", np.diff(key, prepend=-1) <= 0, "contacts in the order of (body_a, body_b), each pair once")

@@ -21,7 +21,8 @@ from deep_contact.io.files import read_bytes, write_bytes
 from deep_contact.io.old_dialects import BODY, CONTACT, modernise
 from deep_contact.io.xml_tree import Rows, StateFileError, expect, fault, read_integer, read_number, read_text
 from deep_contact.physics.solvers import METHODS, solver_from
-from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, check_state, no_contacts
+from deep_contact.state import WALL_NORMALS, WALLS, Bodies, Contacts, State, World, no_contacts
+from deep_contact.state.checks import check_state, is_unit
 from deep_contact.state.scales import ContactScales, mean
 from deep_contact.validation import integer
 
@@ -252,8 +253,7 @@ def _read_contacts(rows: Rows, bodies: Bodies, box, rank: dict, is_old: bool) ->
     # Box2D puts edges first, so old files have the box as master, its normal pointing at the circle.
     a, b = np.minimum(first, second), np.maximum(first, second)
     normal = rows.numbers("normal", "x y")
-    with np.errstate(over="ignore"):
-        rows.refuse(np.abs(np.hypot(*normal.T) - 1) > 1e-4, "normal", "x y", "a unit vector")
+    rows.refuse(~is_unit(normal), "normal", "x y", "a unit vector")
     normal = np.where((first > second)[:, None], -normal, normal)
     wall = b == n
     b[b > n] += len(WALLS) - 1

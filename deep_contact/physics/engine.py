@@ -44,14 +44,8 @@ from deep_contact.physics.step import (
     with_rare,
 )
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
-from deep_contact.state import LIMITS, Contacts, State, native
+from deep_contact.state import Contacts, State, native
 from deep_contact.state.scales import ContactScales, mean
-
-_POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
-    LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
-)
-_FINITE = (-np.finfo(np.float64).max, np.finfo(np.float64).max)
-_SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
@@ -180,50 +174,6 @@ def build_rows(given, contacts, solver_bodies):
     integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
     buffer = more_rows(contacts.body_a.shape[0], given.friction)
     return contact_rows(contacts, given.bodies.radius, given.segments, solver_bodies, buffer, given.friction, 1.0)
-
-
-@njit(cache=True)
-def is_valid(bodies, contacts, segments=0):
-    """Whether arrays of the right kind pass `check_state` and `check_limits`. segments: how many the world has."""
-    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
-    end = n + 4 + segments
-    for values, count, limits in (
-        (bodies.position, n, _POSITION), (bodies.velocity, n, _VELOCITY),
-        (contacts.position, m, _FINITE), (contacts.normal, m, _FINITE),
-    ):  # fmt: skip
-        if values.shape[0] != count or values.shape[1] != 2 or not _within(values.reshape(-1), limits):
-            return False
-    for values, count, limits in (
-        (bodies.angle, n, _FINITE), (bodies.spin, n, _SPIN), (bodies.mass, n, _MASS), (bodies.radius, n, _RADIUS),
-        (contacts.separation, m, _SEPARATION), (contacts.normal_impulse, m, (0.0, _IMPULSE[1])),
-        (contacts.tangent_impulse, m, _IMPULSE), (contacts.normal_start, m, _IMPULSE),
-        (contacts.tangent_start, m, _IMPULSE),
-    ):  # fmt: skip
-        if values.shape[0] != count or not _within(values, limits):
-            return False
-    if contacts.body_b.shape[0] != m:
-        return False
-    # Without branches, and in loops of one kind, so that they vectorise: what is valid is looked at to the end anyway.
-    valid = True
-    for i in range(m):
-        n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
-        valid &= abs(n_x * n_x + n_y * n_y - 1) <= 1e-4
-    a, b = contacts.body_a, contacts.body_b
-    for i in range(m):
-        valid &= (a[i] >= 0) & (a[i] < n) & (b[i] > a[i]) & (b[i] < end)
-    for i in range(1, m):
-        valid &= (a[i] - a[i - 1]) * end + b[i] - b[i - 1] > 0
-    return valid
-
-
-@njit(cache=True)
-def _within(values, limits):
-    """Whether all values, (k,), lie within the limits; NaN does not."""
-    low, high = limits
-    inside = True
-    for i in range(values.shape[0]):
-        inside &= (low <= values[i]) & (values[i] <= high)
-    return inside
 
 
 class ContactSolution(NamedTuple):

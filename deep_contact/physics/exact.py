@@ -44,7 +44,8 @@ from deep_contact.physics.proximal_path import (
     path_by_matrices,
 )
 from deep_contact.physics.solvers import PGS, NesterovPGS
-from deep_contact.state import LARGEST_START, State, check_limits, check_state
+from deep_contact.state import LARGEST_START, State
+from deep_contact.state.checks import check_limits, check_state
 from deep_contact.validation import expect, integer, number
 
 FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-6, 0.1

@@ -13,7 +13,8 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.constants import WALL_SKIN
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import mean
 from deep_contact.validation import expect, integer, number
 

@@ -25,10 +25,12 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
 from deep_contact.physics import metrics
+from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import circles_in_box, column, lattice_in_box
 from deep_contact.physics.solvers import PGS
-from deep_contact.simulation import ready, simulate
-from deep_contact.state import Bodies, State, World, make_bodies
+from deep_contact.simulation import simulate
+from deep_contact.state import Bodies, State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import mean
 from deep_contact.stiffness import stiffness
 from deep_contact.studies import peers, timing

@@ -20,7 +20,8 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import Bodies, State, World, check_bodies, check_state
+from deep_contact.state import Bodies, State, World
+from deep_contact.state.checks import check_bodies, check_state
 
 SPECULATIVE_DISTANCE = 4 * constants.LINEAR_SLOP
 """Gap below which Box2D v3 makes a contact (`B2_SPECULATIVE_DISTANCE`), m: absolute, as all of its lengths."""

@@ -14,7 +14,8 @@ from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import NNCG, BatchedPGS
 from deep_contact.simulation import simulate
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.studies.starts import solved_states
 from deep_contact.validation import one_of
 

@@ -15,11 +15,13 @@ import numpy as np
 
 from deep_contact import constants
 from deep_contact.physics.engine import Steps, step_input
+from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import PGS
 from deep_contact.physics.step import make_log
-from deep_contact.simulation import ready, simulate, solve_contacts
-from deep_contact.state import State, World, make_bodies
+from deep_contact.simulation import simulate, solve_contacts
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import solved_states
 

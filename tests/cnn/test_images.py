@@ -11,8 +11,9 @@ from symmetry import transform_state
 
 import deep_contact as dc
 from deep_contact.cnn.images import CHANNELS, THESIS_CHANNELS, ImageSpec, input_image, label_image, read_back
-from deep_contact.simulation import ready
-from deep_contact.state import World, make_bodies
+from deep_contact.physics.ready import ready
+from deep_contact.state import World
+from deep_contact.state.checks import make_bodies
 
 ALL = ImageSpec(channels=tuple(CHANNELS))
 FLOAT32 = 2.0**-23

@@ -16,7 +16,8 @@ from deep_contact.physics.collision import (
     sort_into_cells,
 )
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import World, make_bodies
+from deep_contact.state import World
+from deep_contact.state.checks import make_bodies
 
 
 def pairs_of(contacts):

@@ -13,8 +13,8 @@ from deep_contact.physics.convergence import mean_theta
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.metrics import kinetic_energy
+from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import single_body
-from deep_contact.simulation import ready
 
 EXACT = dc.PGS(sweeps=20_000, tolerance=1e-13)
 

@@ -8,7 +8,8 @@ import pytest
 import deep_contact as dc
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.solvers import METHODS
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.studies.extremes import loaded_silo
 
 NO_GRAVITY = World(box=(0, 0, 60, 40), gravity=(0, 0))

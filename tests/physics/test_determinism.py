@@ -16,7 +16,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
-from deep_contact.state import make_bodies
+from deep_contact.state.checks import make_bodies
 
 PACKAGE = Path(dc.__file__).parent
 

@@ -6,11 +6,12 @@ from conftest import assert_same_bits
 
 import deep_contact as dc
 from deep_contact.constants import LINEAR_SLOP, MAX_ROTATION, WALL_SKIN
-from deep_contact.physics.engine import is_valid
 from deep_contact.physics.metrics import kinetic_energy
+from deep_contact.physics.ready import is_valid
 from deep_contact.physics.scenes import single_body
 from deep_contact.physics.solvers import METHODS
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import is_unit, make_bodies
 
 
 def assert_same_run(first: State, second: State):
@@ -107,4 +108,6 @@ def test_a_state_of_the_engine_passes_the_quick_check():
     for name, value in (("normal_impulse", -1.0), ("tangent_start", np.inf), ("separation", np.nan), ("body_b", 2**40)):
         spoiled = np.full(m, value, getattr(contacts, name).dtype)
         assert not is_valid(bodies, contacts._replace(**{name: spoiled}))
-    assert not is_valid(bodies, contacts._replace(normal=2 * contacts.normal))
+    for length in (0.9998, 0.99991, 1.00009, 1.0002, 2.0):  # by the same rule as the slow one
+        stretched = contacts._replace(normal=length * contacts.normal)
+        assert is_valid(bodies, stretched) == is_unit(stretched.normal).all() == (abs(length - 1) < 1e-4)

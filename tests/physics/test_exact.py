@@ -13,9 +13,10 @@ from deep_contact.physics import exact, metrics, proximal_path
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
 from deep_contact.physics.matrix_solvers import blocks_of
+from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import single_body
-from deep_contact.simulation import ready
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.studies import piles
 
 

@@ -9,7 +9,7 @@ from scipy.sparse.csgraph import connected_components
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.islands import islands_of
-from deep_contact.state import make_bodies
+from deep_contact.state.checks import make_bodies
 
 WIDE = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""

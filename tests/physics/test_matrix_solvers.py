@@ -8,8 +8,8 @@ from scipy import sparse
 import deep_contact as dc
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, siconos_error
 from deep_contact.physics.matrix_solvers import CHECK_EVERY, blocks_of, is_met, solve_problem
+from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import single_body
-from deep_contact.simulation import ready
 
 OF_CIRCLE = contact_problem(ready(single_body(friction=0.3)))
 """One circle on the floor: d_n = 1 / m, d_t = 3 / m."""

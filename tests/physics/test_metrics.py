@@ -8,9 +8,10 @@ import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem, natural_residual
+from deep_contact.physics.ready import ready
 from deep_contact.physics.scenes import single_body
-from deep_contact.simulation import ready
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 
 
 def rows_of(state, solution):

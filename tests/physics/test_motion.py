@@ -10,9 +10,9 @@ import deep_contact as dc
 from deep_contact.physics.collision import make_cells
 from deep_contact.physics.engine import step_input
 from deep_contact.physics.metrics import kinetic_energy
+from deep_contact.physics.ready import ready
 from deep_contact.physics.segments import segments_of
 from deep_contact.physics.substeps import parts_of, shift_flights
-from deep_contact.simulation import ready
 from deep_contact.studies.extremes import mechanical_energy
 
 MOTION = dc.PGS(sweeps=5, tolerance=None, most_substeps=16, approach=0.02, slop=0.5)

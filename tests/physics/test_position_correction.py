@@ -8,7 +8,8 @@ from deep_contact.physics import position_correction
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.position_correction import SWEEPS, WAIT, fill_levels, make_correction_room
 from deep_contact.physics.segments import NO_SEGMENTS
-from deep_contact.state import World, make_bodies
+from deep_contact.state import World
+from deep_contact.state.checks import make_bodies
 
 SIDE = 20.0
 

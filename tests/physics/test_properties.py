@@ -10,10 +10,11 @@ import deep_contact as dc
 from deep_contact.io.state_xml import format_state, parse_state
 from deep_contact.physics import metrics
 from deep_contact.physics.continuous import FAST
+from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.registry import entry_of
-from deep_contact.simulation import ready
-from deep_contact.state import LIMITS, Bodies, State, World, check_state
+from deep_contact.state import LIMITS, Bodies, State, World
+from deep_contact.state.checks import check_state
 from deep_contact.studies.extremes import mechanical_energy
 
 SWEEPS = dc.PGS(sweeps=15, tolerance=None)

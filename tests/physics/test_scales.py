@@ -13,9 +13,9 @@ import pytest
 import deep_contact as dc
 from deep_contact import constants
 from deep_contact.physics.lcp import contact_problem
+from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.registry import for_state
-from deep_contact.simulation import ready
 from deep_contact.state import LIMITS
 from deep_contact.state.scales import FASTEST, mean, theta_tolerance
 

@@ -5,8 +5,9 @@ import pytest
 from conftest import assert_same_bits
 
 import deep_contact as dc
-from deep_contact import running, simulation
+from deep_contact import running
 from deep_contact.physics import engine
+from deep_contact.physics.ready import ready
 from deep_contact.physics.step import with_rare
 
 
@@ -38,7 +39,7 @@ def test_frictionless_runs_are_those_of_the_general_rows_bit_for_bit(solver, gen
 
 @pytest.mark.parametrize(("friction", "start"), [(0.5, 0.0), (1e-9, 0.0), (0.0, 1e-3), (0.0, 0.0)])
 def test_friction_or_a_start_with_tangents_requires_them(friction, start):
-    state = simulation.ready(dc.column(3, friction=friction))
+    state = ready(dc.column(3, friction=friction))
     state = state.replace(contacts=state.contacts._replace(tangent_start=np.full(state.contacts.count, start)))
     for solver in (dc.PGS(), dc.NNCG(), dc.BatchedPGS()):
         needed = friction > 0 or start > 0 or type(solver) is dc.BatchedPGS

@@ -12,7 +12,8 @@ import deep_contact as dc
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.segments import END, START, hold_beside, segments_of, time_to_touch, touches
 from deep_contact.physics.solvers import METHODS
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 SOLVERS = {name: METHODS[name]() for name in METHODS} | {"islands": dc.PGS(islands=True)}

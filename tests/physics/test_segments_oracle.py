@@ -6,7 +6,8 @@ from box2d_recorder import RecordingBox2D, solved_in_order
 
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 
 pytest.importorskip("Box2D")
 pytestmark = pytest.mark.peers

@@ -7,7 +7,8 @@ from conftest import assert_same_bits
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of, step_input, with_rare
 from deep_contact.physics.sleeping import make_sleep_memory, wake_and_put_to_sleep
-from deep_contact.state import World, make_bodies
+from deep_contact.state import World
+from deep_contact.state.checks import make_bodies
 
 RESTING = dc.PGS(sweeps=200, tolerance=1e-9)
 

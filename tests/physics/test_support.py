@@ -6,7 +6,7 @@ import pytest
 import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import make_bodies
+from deep_contact.state.checks import make_bodies
 from deep_contact.warm_start import Support
 
 WEIGHT = np.pi * 9.81 * 0.01  # of a step, N·s

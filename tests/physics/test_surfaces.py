@@ -16,7 +16,8 @@ from deep_contact.physics import metrics
 from deep_contact.physics.lcp import contact_problem, natural_residual
 from deep_contact.physics.solvers import METHODS
 from deep_contact.presets import longest_step
-from deep_contact.state import State, World, make_bodies
+from deep_contact.state import State, World
+from deep_contact.state.checks import make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 LEVEL = ((5.0, 10.0), (55.0, 10.0))

@@ -20,7 +20,8 @@ from conftest import load_script
 from deep_contact.io import provenance
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.state import Contacts, State, World, make_bodies, no_contacts
+from deep_contact.state import Contacts, State, World, no_contacts
+from deep_contact.state.checks import make_bodies
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 OPTIONS = {"n": 4, "scale": 1.5, "name": "poly6", "flag": False, "d": [0.25, 0.5], "limit": None}

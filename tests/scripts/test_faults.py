@@ -108,7 +108,7 @@ import numpy as np
 import deep_contact as dc
 from deep_contact.reporting import plotting
 from deep_contact import cnn
-from deep_contact.simulation import ready
+from deep_contact.physics.ready import ready
 out = Path(sys.argv[1])
 big = ready(dc.lattice_in_box(1000))
 {prepare}

@@ -14,10 +14,11 @@ from deep_contact import warm_start
 from deep_contact.constants import LINEAR_SLOP
 from deep_contact.physics.engine import contacts_of, solve
 from deep_contact.physics.metrics import kinetic_energy
+from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.reporting import figures
-from deep_contact.simulation import ready
-from deep_contact.state import LIMITS, Bodies, Contacts, State, World, make_bodies
+from deep_contact.state import LIMITS, Bodies, Contacts, State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Trial, measure
 from deep_contact.warm_start import STARTS

@@ -11,7 +11,8 @@ import pytest
 from box2d_recorder import RecordingBox2D
 
 from deep_contact.constants import WALL_SKIN
-from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World, make_bodies
+from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World
+from deep_contact.state.checks import make_bodies
 from deep_contact.studies import peers
 
 FLOAT32 = 1e-6

@@ -1,0 +1,105 @@
+"""The border of the engine: what comes in is checked here, and only here."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.engine import contacts_of
+from deep_contact.state import LIMITS, State, StateWithContacts, no_contacts
+from deep_contact.state.checks import UNIT, check_limits, check_state, check_types, make_bodies
+
+_POSITION, _VELOCITY, _SPIN, _MASS, _RADIUS = (
+    LIMITS[f"bodies.{name}"][:2] for name in ("position", "velocity", "spin", "mass", "radius")
+)
+_FINITE = (-np.finfo(np.float64).max, np.finfo(np.float64).max)
+_SEPARATION, _IMPULSE = LIMITS["contacts.separation"][:2], LIMITS["contacts.normal_start"][:2]
+
+_KINDS = [(array.dtype, array.ndim) for array in (*make_bodies([[0.0, 0.0]]), *no_contacts())]
+"""Type and dimensions of the arrays of bodies and contacts."""
+
+COINCIDENT = 0.1
+"""Distance of two centres, in the smaller radius, below which `simulate` warns."""
+
+
+def ready(state: State) -> StateWithContacts:
+    """The state checked and completed: valid, within limits, its arrays as compiled code takes them, contacts found.
+
+    Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
+    """
+    check_types(state)
+    if not (_has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
+        state = check_limits(check_state(state))
+    elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
+        check_limits(state)
+    if state.contacts is None:
+        state = state.replace(contacts=contacts_of(state))
+        _warn_of_coincidence(state)
+    return state
+
+
+def _warn_of_coincidence(state: StateWithContacts) -> None:
+    """Warn where two circles of a scene nearly coincide, so that chance decides in which direction they part."""
+    bodies, (a, b) = state.bodies, state.contacts[:2]
+    a, b = a[b < bodies.count], b[b < bodies.count]
+    apart = np.hypot(*(bodies.position[b] - bodies.position[a]).T)
+    near = apart < COINCIDENT * np.minimum(bodies.radius[a], bodies.radius[b])
+    for i in np.flatnonzero(near)[:1]:
+        which = f"circles {a[i]} and {b[i]} nearly coincide, their centres are {apart[i]:.3g} m apart"
+        more = f" ({near.sum():,} pairs do)" if near.sum() > 1 else ""
+        warnings.warn(f"bodies.position: {which}{more}; the solver pushes them apart at once", stacklevel=5)
+
+
+def _has_engine_arrays(state: State) -> bool:
+    """Whether all arrays are of the kind that compiled functions were compiled for: what `check_state` makes them."""
+    return state.contacts is not None and all(
+        type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray
+        for array, (dtype, ndim) in zip((*state.bodies, *state.contacts), _KINDS)
+    )
+
+
+@njit(cache=True)
+def is_valid(bodies, contacts, segments=0):
+    """Whether arrays of the right kind pass `check_state` and `check_limits`. segments: how many the world has."""
+    n, m = bodies.mass.shape[0], contacts.body_a.shape[0]
+    end = n + 4 + segments
+    for values, count, limits in (
+        (bodies.position, n, _POSITION), (bodies.velocity, n, _VELOCITY),
+        (contacts.position, m, _FINITE), (contacts.normal, m, _FINITE),
+    ):  # fmt: skip
+        if values.shape[0] != count or values.shape[1] != 2 or not _within(values.reshape(-1), limits):
+            return False
+    for values, count, limits in (
+        (bodies.angle, n, _FINITE), (bodies.spin, n, _SPIN), (bodies.mass, n, _MASS), (bodies.radius, n, _RADIUS),
+        (contacts.separation, m, _SEPARATION), (contacts.normal_impulse, m, (0.0, _IMPULSE[1])),
+        (contacts.tangent_impulse, m, _IMPULSE), (contacts.normal_start, m, _IMPULSE),
+        (contacts.tangent_start, m, _IMPULSE),
+    ):  # fmt: skip
+        if values.shape[0] != count or not _within(values, limits):
+            return False
+    if contacts.body_b.shape[0] != m:
+        return False
+    # Without branches, and in loops of one kind, so that they vectorise: what is valid is looked at to the end anyway.
+    valid = True
+    for i in range(m):
+        n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
+        valid &= abs(math.sqrt(n_x * n_x + n_y * n_y) - 1) <= UNIT
+    a, b = contacts.body_a, contacts.body_b
+    for i in range(m):
+        valid &= (a[i] >= 0) & (a[i] < n) & (b[i] > a[i]) & (b[i] < end)
+    for i in range(1, m):
+        valid &= (a[i] - a[i - 1]) * end + b[i] - b[i - 1] > 0
+    return valid
+
+
+@njit(cache=True)
+def _within(values, limits):
+    """Whether all values, (k,), lie within the limits; NaN does not."""
+    low, high = limits
+    inside = True
+    for i in range(values.shape[0]):
+        inside &= (low <= values[i]) & (values[i] <= high)
+    return inside

@@ -1,0 +1,241 @@
+"""What a valid state is, said once: `check_state` for any, `check_limits` for what the engine computes with.
+
+Files and data sets are read by the same rules (`contact_faults`), and `physics.ready` has their compiled twin.
+"""
+
+from __future__ import annotations
+
+import reprlib
+from collections.abc import Iterator, Mapping, Sequence
+from numbers import Real
+
+import numpy as np
+
+from deep_contact.state import LIMITS, Bodies, Contacts, State, World
+from deep_contact.state.scales import ContactScales
+from deep_contact.validation import expect, flag, integer, number
+
+UNIT = 1e-4
+"""Largest deviation of the length of a normal from 1."""
+
+
+def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None) -> Bodies:
+    """Circles from their centres; everything else is given per circle or once for all.
+
+    position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
+    Raises ValueError naming the field, the body and the value.
+    """
+    try:
+        position = np.array(position, dtype=np.float64, ndmin=2)
+    except (ValueError, TypeError):
+        raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {position!r}") from None
+    n = position.shape[0]
+    radius = _for_each("radius", radius, (n,))
+    if mass is None:
+        mass = _for_each("density", density, (n,)) * np.pi * radius**2
+    angle, spin, mass = (_for_each(*given, (n,)) for given in (("angle", angle), ("spin", spin), ("mass", mass)))
+    return check_bodies(Bodies(position, _for_each("velocity", velocity, (n, 2)), angle, spin, mass, radius))
+
+
+def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
+    """A value for all circles, or one for each, as an array of this shape."""
+    try:
+        return np.broadcast_to(np.asarray(value, dtype=np.float64), shape)
+    except (ValueError, TypeError):
+        expected = f"one {'value' if len(shape) == 1 else 'pair'} for all circles, or for each of the {shape[0]}"
+        raise ValueError(f"{name}: expected {expected}, got {value!r}") from None
+
+
+def checked_world(world: World) -> dict:
+    """The fields of a world as it keeps them. Raises ValueError naming the field and the value."""
+    box, gravity, segments = _numbers(world.box), _numbers(world.gravity), _checked_segments(world.segments)
+    fits = len(box) == 4 and np.isfinite(box).all() and box[0] < box[2] and box[1] < box[3]
+    expect(fits, f"box: expected finite (x_min, y_min, x_max, y_max) of positive extent, got {world.box}")
+    fits = len(gravity) == 2 and np.isfinite(gravity).all()
+    expect(fits, f"gravity: expected two finite numbers, such as (0, -9.81), got {world.gravity}")
+    return {
+        "box": box, "gravity": gravity, "segments": segments, "scales": _checked_scales(world.scales),
+        "surface_speeds": _checked_speeds(world.surface_speeds, len(segments)),
+        "friction": number("friction", world.friction, low=0),
+        "restitution": number("restitution", world.restitution, low=0, high=1),
+    }  # fmt: skip
+
+
+def check_bodies(bodies: Bodies) -> Bodies:
+    """Own, contiguous float64 copies of all fields, validated.
+
+    Raises ValueError naming the field, the body and the value.
+    """
+    n = _length("bodies.mass", bodies.mass)
+    # The radius first: where a mass was made from it, the radius is at fault.
+    names = sorted(Bodies._fields, key=lambda name: name != "radius")
+    fields = {name: _checked_array("bodies", name, getattr(bodies, name), n) for name in names}
+    for name in ("mass", "radius"):
+        _refuse_where(fields[name] <= 0, "bodies", name, fields[name], "a number > 0")
+    return Bodies(**fields)
+
+
+def check_contacts(contacts: Contacts, bodies: Bodies, segments: int = 0) -> Contacts:
+    """Own, contiguous copies of all fields in sweep order (by body_a, body_b), validated against the bodies.
+
+    segments: how many the world has. Raises ValueError naming the field, the contact and the value.
+    """
+    m, n = _length("contacts.body_a", contacts.body_a), bodies.count
+    fields = {name: _checked_array("contacts", name, value, m) for name, value in contacts._asdict().items()}
+    a, b, end = fields["body_a"], fields["body_b"], n + 4 + segments
+    for name, bad, expected in contact_faults(fields, n, segments):
+        _refuse_where(bad, "contacts", name, fields[name], expected)
+    order = np.lexsort((b, a))
+    key = a[order] * end + b[order]
+    for i in order[1:][key[1:] == key[:-1]]:
+        raise ValueError(f"contacts: the pair (body_a {a[i]}, body_b {b[i]}) appears twice")
+    return Contacts(**{name: np.ascontiguousarray(value[order]) for name, value in fields.items()})
+
+
+def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str, np.ndarray, str]]:
+    """Of contacts, (m, …) each, among n circles: a field, which of them are at fault, (m,), and what is expected.
+
+    A touching pair may carry no tensile impulse; starts are not judged here, they are hints.
+    """
+    a, b, end, fixed = fields["body_a"], fields["body_b"], n + 4 + segments, "walls, segments" if segments else "walls"
+    yield "body_a", (a < 0) | (a >= n), f"a circle, 0 to {n - 1}"
+    yield "body_b", (b <= a) | (b >= end), f"a body after body_a, up to {end - 1} ({fixed})"
+    yield "normal", ~is_unit(fields["normal"]), "a unit vector"
+    yield "normal_impulse", fields["normal_impulse"] < 0, "a number >= 0"
+
+
+def is_unit(normal: np.ndarray) -> np.ndarray:
+    """Whether vectors, (m, 2), are of length 1, (m,)."""
+    with np.errstate(over="ignore"):
+        return np.abs(np.hypot(*normal.T) - 1) <= UNIT
+
+
+def check_state(state: State) -> State:
+    """The state with all arrays validated and owned. Raises ValueError naming the field and the value."""
+    check_types(state)
+    bodies, contacts = check_bodies(state.bodies), state.contacts
+    if contacts is not None:
+        contacts = check_contacts(contacts, bodies, len(state.world.segments))
+    return state.replace(bodies=bodies, contacts=contacts)
+
+
+def check_types(state) -> State:
+    """The state itself, if it, its parts and its settings are of their types. Raises ValueError naming the part."""
+    if not isinstance(state, State):
+        raise ValueError(f"state: expected a State, of dc.circles_in_box or dc.read_state for instance, got {state!r}")
+    for name, kind in (("world", World), ("bodies", Bodies), ("contacts", Contacts)):
+        value = getattr(state, name)
+        if not (isinstance(value, kind) or (value is None and kind is Contacts)):
+            raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
+    if not isinstance(state.name, str):
+        raise ValueError(f"name: expected a text, got {state.name!r}")
+    number("time", state.time)
+    number("dt", state.dt, above=0)
+    integer("step", state.step)
+    flag("solved", state.solved)
+    return state
+
+
+def check_limits(state: State) -> State:
+    """The state itself, if all it holds is within `LIMITS`. Raises ValueError naming the quantity, limits and value."""
+    for name, (low, high, unit) in LIMITS.items():
+        owner = name.rpartition(".")[0]
+        part = getattr(state, owner) if owner else state
+        bad, values = _beyond(part, name) if part is not None else ((), ())
+        for at in np.argwhere(bad)[:1].tolist():
+            expected = f"{low:g} to {high:g} {unit}".rstrip()
+            raise ValueError(f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}")
+    return state
+
+
+def _beyond(part, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Which values of a quantity of a part of a state are beyond its limits, and the values."""
+    (low, high, _), values = LIMITS[name], np.asarray(getattr(part, name.rpartition(".")[2]))
+    return ~((values >= low) & (values <= high)), values
+
+
+def is_world_within_limits(world: World) -> bool:
+    """Whether all of a world is within `LIMITS`."""
+    parts = {"world": world} | ({"scales": world.scales} if world.scales else {})
+    named = ((parts.get(name.partition(".")[0]), name) for name in LIMITS)
+    return not any(_beyond(part, name)[0].any() for part, name in named if part is not None)
+
+
+def _numbers(value) -> tuple[float, ...]:
+    """What was given as floats; none where it is no numbers."""
+    try:
+        return tuple(float(v) for v in np.ravel(value))
+    except (ValueError, TypeError):
+        return ()
+
+
+def _is_list(value) -> bool:
+    return isinstance(value, (Sequence, np.ndarray)) and not isinstance(value, str)
+
+
+def _checked_segments(segments) -> tuple[tuple[float, ...], ...]:
+    if not _is_list(segments):
+        raise ValueError(f"segments: expected a list of ((x, y), (x, y)), got {segments!r}")
+    checked = tuple(map(_numbers, segments))
+    for index, ends in enumerate(checked):
+        fits = len(ends) == 4 and np.isfinite(ends).all()
+        # The squared length is what the engine divides by.
+        if not fits or (ends[2] - ends[0]) ** 2 + (ends[3] - ends[1]) ** 2 == 0.0:
+            expected = "two different points, ((x, y), (x, y)), of finite numbers"
+            raise ValueError(f"segments[{index}]: expected {expected}, got {segments[index]!r}")
+    return checked
+
+
+def _checked_speeds(speeds, count: int) -> tuple[float, ...]:
+    are_numbers = _is_list(speeds) and all(isinstance(v, Real) for v in speeds)
+    checked = _numbers(speeds) if are_numbers else ()
+    if not are_numbers or len(checked) not in (0, count) or not np.isfinite(checked).all():
+        raise ValueError(f"surface_speeds: expected {count} finite numbers, m/s, one a segment, got {speeds!r}")
+    return checked if any(checked) else ()
+
+
+def _checked_scales(scales) -> ContactScales | None:
+    if scales is None:
+        return None
+    is_known = isinstance(scales, ContactScales)
+    expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
+    # Floats, whatever was given: compiled code is compiled for those.
+    limits = {"max_translation": {"above": 0}}
+    named = scales._asdict().items()
+    return ContactScales(*(number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in named))
+
+
+def _length(name: str, values) -> int:
+    """Length of a row of numbers."""
+    try:
+        shape = np.shape(values)
+    except ValueError:  # rows of unlike lengths
+        shape = ()
+    if len(shape) != 1:  # asked first, since NumPy takes milliseconds to print an array
+        raise ValueError(f"{name}: expected an array of one dimension, got {reprlib.repr(values)}")
+    return shape[0]
+
+
+def _checked_array(owner: str, name: str, value, count: int) -> np.ndarray:
+    """An own array: float64, or int64 of indices."""
+    shape = (count, 2) if name in ("position", "velocity", "normal") else (count,)
+    if name in ("body_a", "body_b"):
+        index = np.asarray(value)
+        fits = index.shape == shape and (np.issubdtype(index.dtype, np.integer) or index.size == 0)
+        expect(fits, f"{owner}.{name}: expected integers of shape {shape}, got {index.dtype}, {index.shape}")
+        return index.astype(np.int64)
+    try:
+        if np.iscomplexobj(value):
+            raise TypeError("complex")  # which NumPy would cut
+        array = np.array(value, dtype=np.float64, order="C")
+    except (ValueError, TypeError, OverflowError):
+        raise ValueError(f"{owner}.{name}: expected numbers of shape {shape}, got {reprlib.repr(value)}") from None
+    expect(array.shape == shape, f"{owner}.{name}: expected shape {shape}, got {array.shape}")
+    _refuse_where(~np.isfinite(array), owner, name, array, "a finite number")
+    return array
+
+
+def _refuse_where(bad: np.ndarray, owner: str, name: str, values: np.ndarray, expected: str) -> None:
+    if bad.any():
+        index = int(np.argwhere(bad)[0][0])
+        raise ValueError(f"{owner}.{name}[{index}]: expected {expected}, got {values[index]}")
