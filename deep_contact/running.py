@@ -52,7 +52,7 @@ class _Calls:
         self._work = MOST_WORK // 8
         self._scales = engine.scales_of(state, state.solver)  # of radii that do not change in a run
         self._steps = Steps(state.solver, state.bodies.count, sleep=sleep, carry=not isinstance(start, NoStart))
-        # Before the arrays of the result, so that its release leaves no gap on top of the heap, which is given back.
+        # Before the arrays of the result, so that its release leaves no gap on top of the heap, which is inputs back.
         self._steps.memory(step_input(state, state.solver, self._scales), state.contacts.count)
 
     def affordable(self) -> int:
@@ -63,12 +63,12 @@ class _Calls:
         """Do up to so many steps, the rows of the log from `first` on. Returns how many have been done."""
         before = None if on_step is None else self.state
         problem = self._prepare()
-        given, rows = step_input(self.state, self._solver, self._scales), some_steps(log, first, count, self._work)
+        inputs, rows = step_input(self.state, self._solver, self._scales), some_steps(log, first, count, self._work)
         contacts, begun = self.state.contacts, time.perf_counter()
-        found = self._steps(given, contacts, rows, problem)
+        found = self._steps(inputs, contacts, rows, problem)
         # How a run is divided changes no bit of it.
         self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / (time.perf_counter() - begun)))
-        state, count = self.state, int(rows.progress[DONE]) // given.parts
+        state, count = self.state, int(rows.progress[DONE]) // inputs.parts
         step = state.step + count
         if not np.isfinite(state.bodies.position.sum()):
             _raise_diverged(state.bodies, step)
@@ -77,7 +77,7 @@ class _Calls:
         self.state = state.replace(contacts=found, time=now, step=step, solved=False)
         self.is_own = on_step is None
         if before is not None:
-            theta = self._steps.memory(given).theta[: rows.progress[LAST_SWEEPS]]
+            theta = self._steps.memory(inputs).theta[: rows.progress[LAST_SWEEPS]]
             convergence = convergence_record(theta, self._solver, int(rows.contacts[0]))
             on_step(before.replace(contacts=contacts, solved=True), convergence)
         return count

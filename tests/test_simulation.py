@@ -1,6 +1,7 @@
 """The interface of the engine: a changed time step, and what callers may hand over."""
 
 import re
+import tracemalloc
 import warnings
 
 import numpy as np
@@ -66,6 +67,18 @@ def test_a_recorded_run_keeps_one_state_in_so_many_steps_and_the_last_and_change
     assert run.trajectory[5].bodies == dc.simulate(scene, steps=50, **options).state.bodies
     with pytest.raises(ValueError, match="trajectory: expected a run of simulate"):
         plain.trajectory  # noqa: B018
+
+
+def test_a_recorded_state_costs_a_copy_and_no_digest(monkeypatch):
+    scene = dc.simulate(dc.lattice_in_box(400, seed=1), steps=100).state
+    dc.simulate(scene, steps=1, record=1)  # so that all is compiled, for whose cache Numba makes digests
+    monkeypatch.setattr("hashlib.sha256", None)
+    tracemalloc.start()
+    run = dc.simulate(scene, steps=50, record=1)
+    held, _ = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    state = sum(array.nbytes for part in (run.state.bodies, run.state.contacts) for array in part)
+    assert 25 * state < held < 60 * state
 
 
 def test_ctrl_c_is_answered_between_short_runs_of_steps(monkeypatch):

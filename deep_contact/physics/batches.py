@@ -242,14 +242,14 @@ def contacts_of_block(plan, k):
 
 
 @njit(cache=True, error_model="numpy")
-def write_block(given, contacts, plan, tiles, k, rows, is_built):
+def write_block(step, contacts, plan, tiles, k, rows, is_built):
     """Write the rows of a block's contacts to their places, and give its circles the impulses that they start from.
 
-    given: `StepInput`. The solver bodies have their velocities after gravity. rows: `Rows`, if built.
+    step: `StepInput`. The solver bodies have their velocities after gravity. rows: `Rows`, if built.
     """
     body, data, impulse, v, n = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies, plan.count[CIRCLES]
-    ground, (begin, end), segments = n + 5 * k, contacts_of_block(plan, k), given.segments
-    share = 1.0 / given.parts
+    ground, (begin, end), segments = n + 5 * k, contacts_of_block(plan, k), step.segments
+    share = 1.0 / step.parts
     if segments.shape[0] > 0:
         v[ground + 3, V_S] = 1.0  # see `contact_solver.move_surfaces`
     for i in range(begin, end):
@@ -262,7 +262,7 @@ def write_block(given, contacts, plan, tiles, k, rows, is_built):
                 data[t, column, j] = rows.data[i, column]
         else:
             normal = (contacts.normal[i, 0], contacts.normal[i, 1])
-            arms = arms_of(given.bodies.radius, a, b, contacts.separation[i])
+            arms = arms_of(step.bodies.radius, a, b, contacts.separation[i])
             data[t, N_X, j], data[t, N_Y, j] = normal
             masses = effective_masses(v[a, INVERSE_MASS], v[row_b, INVERSE_MASS], arms)
             data[t, NORMAL_MASS, j], data[t, TANGENT_MASS, j] = masses

@@ -230,20 +230,20 @@ def store_impulses(rows, contacts, parts):
 
 
 @njit(cache=True, error_model="numpy")
-def integrate_positions(bodies, solver_bodies, given, segments):
+def integrate_positions(bodies, solver_bodies, step, segments):
     """Give the bodies, in place, the solved velocities, and move them by those for Δt (symplectic Euler).
 
     A displacement is cut to the largest translation, m, a rotation to `MAX_ROTATION`, and the velocity with it, as in
-    Box2D. Fast circles stop where they touch something (`continuous`). given: `StepInput`, of which the segments are.
+    Box2D. Fast circles stop where they touch something (`continuous`). step: `StepInput`, of which the segments are.
     Returns whether the bodies have moved: not where these are None and a circle is fast, whose stop is not compiled.
     """
     if segments is None:
-        if any_fast(solver_bodies, bodies.radius, given.dt):
+        if any_fast(solver_bodies, bodies.radius, step.dt):
             return False
-        move(bodies, solver_bodies, given)
+        move(bodies, solver_bodies, step)
     else:
-        if move(bodies, solver_bodies, given):
-            stop_fast_circles(bodies, given)
+        if move(bodies, solver_bodies, step):
+            stop_fast_circles(bodies, step)
     return True
 
 
@@ -258,16 +258,16 @@ def any_fast(solver_bodies, radius, dt):
 
 
 @njit(cache=True, error_model="numpy")
-def stop_fast_circles(bodies, given):
+def stop_fast_circles(bodies, step):
     """Take back, in place, the way of circles that went fast by what they touched on it (`continuous`)."""
-    start = bodies.position - given.dt * bodies.velocity
-    stop_fast(bodies, start, given.gravity, given.dt, given.box, given.segments, given.scales)
+    start = bodies.position - step.dt * bodies.velocity
+    stop_fast(bodies, start, step.gravity, step.dt, step.box, step.segments, step.scales)
 
 
 @njit(cache=True, error_model="numpy")
-def move(bodies, solver_bodies, given):
+def move(bodies, solver_bodies, step):
     """`integrate_positions` without what stops fast circles. Returns whether there is one."""
-    dt, max_translation, any_fast = given.dt, given.scales.max_translation, False
+    dt, max_translation, any_fast = step.dt, step.scales.max_translation, False
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
         spin = solver_bodies[i, V_S] / bodies.radius[i]

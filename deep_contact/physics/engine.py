@@ -49,32 +49,32 @@ from deep_contact.state.scales import ContactScales, mean
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance(given, motion, contacts, sleep, options, memory, log):
+def advance(step, motion, contacts, sleep, options, memory, log):
     """Do as many steps as the log has rows, or until its work is done: the bodies move in place.
 
     Each step is as many substeps as the solver asks for, and motion may divide these (`substeps`). What nothing in the
     scene requires is not compiled: segments, restitution, motion, sleep, and what stops fast circles: without that the
     call ends before the first substep that has one, and the next call goes on there.
     Returns the contacts found, in memory that the next call writes into.
-    given: `StepInput`. motion: its own, None where it has nothing rare. sleep: `SleepMemory`, None where nothing may.
+    step: `StepInput`. motion: its own, None where it has nothing rare. sleep: `SleepMemory`, None where nothing may.
     options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
     """
     # One function, and stages are called where they are needed: a call counts references to all arrays handed on.
-    bodies, box, segments, scales, friction = given.bodies, given.box, given.segments, given.scales, given.friction
+    bodies, box, segments, scales, friction = step.bodies, step.box, step.segments, step.scales, step.friction
     solver_bodies, theta, workspace = memory.solver_bodies, memory.theta, memory.workspace
-    part, turn = given, 0
-    for j in range(log.progress[DONE], given.parts * log.contacts.shape[0]):
+    part, turn = step, 0
+    for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if sleep is not None:
             if sleeping.all_asleep(sleep):
-                log_part(log, j // given.parts, 0, 0, theta, 0)
+                log_part(log, j // step.parts, 0, 0, theta, 0)
                 log.progress[DONE] = j + 1
                 continue
         if motion is not None:
-            parts = parts_of(given, memory.cells)
-            part = part if parts * given.parts == part.parts else part_of(given, parts)
-            if part.parts > given.parts:
-                depart(given, part, contacts)
-        for _ in range(part.parts // given.parts):
+            parts = parts_of(step, memory.cells)
+            part = part if parts * step.parts == part.parts else part_of(step, parts)
+            if part.parts > step.parts:
+                depart(step, part, contacts)
+        for _ in range(part.parts // step.parts):
             solved = active = contacts
             if sleep is not None:
                 active = sleeping.awake_contacts(solved, sleep)
@@ -102,12 +102,12 @@ def advance(given, motion, contacts, sleep, options, memory, log):
             contacts = next_contacts(bodies, before, box, segments, skin, memory.cells, solved, options.carry, buffer)
             if sleep is not None:
                 sleeping.wake_and_put_to_sleep(part, contacts, sleep)
-            log_part(log, j // given.parts, active.body_a.shape[0], sweeps, theta, relaxations)
+            log_part(log, j // step.parts, active.body_a.shape[0], sweeps, theta, relaxations)
         if motion is not None:
-            if part.parts > given.parts:
-                rejoin(given, part, contacts)
+            if part.parts > step.parts:
+                rejoin(step, part, contacts)
         log.progress[DONE] = j + 1
-        if log.progress[WORK] <= 0 and (j + 1) % given.parts == 0:
+        if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
     return contacts
 
@@ -127,37 +127,37 @@ class Steps:
         self._solver, self._memory = solver, {}
         self.sleep = sleeping.make_sleep_memory(n, 4 * n + 64) if sleep else None
 
-    def memory(self, given: StepInput, contacts: int = 0) -> StepMemory:
+    def memory(self, step: StepInput, contacts: int = 0) -> StepMemory:
         """The memory that these steps work in: one for rows with tangents, one for rows without. contacts: a number."""
-        key = given.friction is None
+        key = step.friction is None
         if key not in self._memory:
-            n, m = given.bodies.count, contacts
-            capacity, friction = max(4 * n, m + m // 2) + 64, given.friction
+            n, m = step.bodies.count, contacts
+            capacity, friction = max(4 * n, m + m // 2) + 64, step.friction
             memory = make_memory(n, capacity, self._solver.sweeps, friction)
             workspace = make_workspace(self._options.settings, memory.rows, memory.solver_bodies)
             self._memory[key] = memory._replace(workspace=workspace)
         return self._memory[key]
 
     def __call__(
-        self, given: StepInput, contacts: Contacts, log: StepLog, problem: StepProblem | None = None
+        self, step: StepInput, contacts: Contacts, log: StepLog, problem: StepProblem | None = None
     ) -> Contacts:
         """Do as many steps as the log has rows, which is filled: the bodies move in place.
 
         problem: of the one step to do, if it has been built; it is used up. Who may sleep has rows of their own.
         Returns the contacts found.
         """
-        memory = self.memory(given, contacts.count)
-        if problem is not None and self.sleep is None and given.parts == motion_parts(self._solver) == 1:
-            rows, solver_bodies, _ = started(problem, contacts, given.friction)
+        memory = self.memory(step, contacts.count)
+        if problem is not None and self.sleep is None and step.parts == motion_parts(self._solver) == 1:
+            rows, solver_bodies, _ = started(problem, contacts, step.friction)
             memory = memory._replace(rows=rows, solver_bodies=solver_bodies, is_built=True)
         while True:
-            self._is_plain = self._is_plain and given.motion is None
-            given = given if self._is_plain else with_rare(given)
-            found = own_contacts(self._advance(given, given.motion, contacts, self.sleep, self._options, memory, log))
-            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == given.parts * len(log.contacts):
+            self._is_plain = self._is_plain and step.motion is None
+            step = step if self._is_plain else with_rare(step)
+            found = own_contacts(self._advance(step, step.motion, contacts, self.sleep, self._options, memory, log))
+            if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
                 return found
             # A circle is fast. What has been built is used up.
-            self._is_plain, contacts, memory = False, found, self.memory(given)
+            self._is_plain, contacts, memory = False, found, self.memory(step)
 
 
 @njit(cache=True, error_model="numpy")
@@ -169,11 +169,11 @@ def solve_velocities(rows, friction, settings, solver_bodies, theta):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def build_rows(given, contacts, solver_bodies):
-    """Fill the solver bodies of a step, after its impacts, and return its rows. given: `StepInput`."""
-    integrate_velocities(given.bodies, given.gravity, given.dt, solver_bodies)
-    buffer = more_rows(contacts.body_a.shape[0], given.friction)
-    return contact_rows(contacts, given.bodies.radius, given.segments, solver_bodies, buffer, given.friction, 1.0)
+def build_rows(step, contacts, solver_bodies):
+    """Fill the solver bodies of a step, after its impacts, and return its rows. step: `StepInput`."""
+    integrate_velocities(step.bodies, step.gravity, step.dt, solver_bodies)
+    buffer = more_rows(contacts.body_a.shape[0], step.friction)
+    return contact_rows(contacts, step.bodies.radius, step.segments, solver_bodies, buffer, step.friction, 1.0)
 
 
 class ContactSolution(NamedTuple):
@@ -216,11 +216,11 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
     world, parts = state.world, getattr(solver, "substeps", 1)
     friction = None if solver is not None and leaves_tangents_out(state, solver) else world.friction
     scales, most = scales_of(state, solver) if scales is None else scales, motion_parts(solver)
-    given = StepInput(state.bodies, world.box, None, world.gravity, friction, None, state.dt / parts, parts, scales)
+    step = StepInput(state.bodies, world.box, None, world.gravity, friction, None, state.dt / parts, parts, scales)
     if most == 1 and not world.segments and world.restitution == 0.0:
-        return given
+        return step
     motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
-    return given._replace(segments=segments_of(world), restitution=world.restitution, motion=motion)
+    return step._replace(segments=segments_of(world), restitution=world.restitution, motion=motion)
 
 
 def scales_of(state: State, solver) -> ContactScales:
@@ -249,8 +249,8 @@ def step_problem(state: State, scales: ContactScales | None = None) -> StepProbl
     """The contact problem of the next step, with tangents. scales: the state's, if at hand."""
     state = after_impacts(state)
     solver_bodies = np.empty((state.bodies.count + 4, 4))
-    given = step_input(state, None, scales)
-    return StepProblem(build_rows(given, state.contacts, solver_bodies), solver_bodies, given.friction)
+    step = step_input(state, None, scales)
+    return StepProblem(build_rows(step, state.contacts, solver_bodies), solver_bodies, step.friction)
 
 
 def started(problem: StepProblem, contacts: Contacts, friction: float | None) -> StepProblem:

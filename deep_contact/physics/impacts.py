@@ -29,20 +29,20 @@ SLOWEST = 1e-4
 
 
 @njit(cache=True, error_model="numpy")
-def rebound(given, contacts):
-    """Let circles that meet rebound, in place on their velocities and spins, where e > 0. given: `StepInput`.
+def rebound(step, contacts):
+    """Let circles that meet rebound, in place on their velocities and spins, where e > 0. step: `StepInput`.
 
     Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
     rebound, so that piles come to rest.
     """
-    bodies, restitution, half = given.bodies, given.restitution, -0.5 * given.dt
+    bodies, restitution, half = step.bodies, step.restitution, -0.5 * step.dt
     if restitution == 0.0:
         return
-    ground, fastest = (half * given.gravity[0], half * given.gravity[1]), 0.0
+    ground, fastest = (half * step.gravity[0], half * step.gravity[1]), 0.0
     for i in range(contacts.body_a.shape[0]):
         fastest = max(fastest, -parting_speed(bodies, contacts, i, ground))
-    slow = (1.0 - restitution * restitution) * given.scales.restitution_threshold
-    least = max(slow, given.dt * math.hypot(given.gravity[0], given.gravity[1]), SLOWEST * fastest)
+    slow = (1.0 - restitution * restitution) * step.scales.restitution_threshold
+    least = max(slow, step.dt * math.hypot(step.gravity[0], step.gravity[1]), SLOWEST * fastest)
     if not least < fastest < np.inf:
         return
     n = bodies.mass.shape[0]
@@ -52,7 +52,7 @@ def rebound(given, contacts):
         for i in range(contacts.body_a.shape[0]):
             a, b = contacts.body_a[i], min(contacts.body_b[i], n)
             if max(changed[a], changed[b]) >= k - 1 and parting_speed(bodies, contacts, i, ground) < -least:
-                strike(bodies, contacts, i, ground, restitution, given.friction, given.segments)
+                strike(bodies, contacts, i, ground, restitution, step.friction, step.segments)
                 changed[a] = k
                 if b < n:
                     changed[b] = k

@@ -81,16 +81,16 @@ def hold_sleeping(solver_bodies, sleep):
 
 
 @njit(cache=True)
-def wake_and_put_to_sleep(given, contacts, sleep):
+def wake_and_put_to_sleep(step, contacts, sleep):
     """Let Δt pass, in place, for the stillness of circles and islands. contacts: those at the bodies' positions."""
-    bodies, segments, scales = given.bodies, given.segments, given.scales
+    bodies, segments, scales = step.bodies, step.segments, step.scales
     still, parent, shortest = sleep.still, sleep.parent, sleep.shortest
     n = still.shape[0]
     for i in range(n):
         if still[i] < np.inf:
             speed = math.hypot(bodies.velocity[i, 0], bodies.velocity[i, 1])
             is_still = speed <= scales.sleep_speed and abs(bodies.spin[i]) <= scales.sleep_spin
-            still[i] = still[i] + given.dt if is_still else 0.0
+            still[i] = still[i] + step.dt if is_still else 0.0
     unite(contacts.body_a, contacts.body_b, parent)
     shortest[:] = np.inf
     for i in range(n):

@@ -1,4 +1,4 @@
-"""What a step is given and where it works: the arguments of `engine.advance` and of the steps that stand in for it."""
+"""What a step reads and where it works: the arguments of `engine.advance` and of the steps that stand in for it."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class StepInput(NamedTuple):
     motion: Motion | None = None
 
 
-def with_rare(given: StepInput) -> StepInput:
+def with_rare(step: StepInput) -> StepInput:
     """The input of steps that know all that is rare: segments, restitution, motion and fast circles."""
-    return given._replace(
-        segments=NO_SEGMENTS if given.segments is None else given.segments,
-        restitution=0.0 if given.restitution is None else given.restitution,
-        motion=Motion(1, 0.0) if given.motion is None else given.motion,
+    return step._replace(
+        segments=NO_SEGMENTS if step.segments is None else step.segments,
+        restitution=0.0 if step.restitution is None else step.restitution,
+        motion=Motion(1, 0.0) if step.motion is None else step.motion,
     )
 
 

@@ -24,41 +24,41 @@ from deep_contact.state import WALL_NORMALS
 
 
 @njit(cache=True, error_model="numpy")
-def part_of(given, parts):
-    """The input of one of so many parts of a substep. given: `StepInput` of the substep."""
+def part_of(step, parts):
+    """The input of one of so many parts of a substep. step: `StepInput` of the substep."""
     return StepInput(
-        given.bodies, given.box, given.segments, given.gravity, given.friction, given.restitution, given.dt / parts,
-        given.parts * parts, given.scales, given.motion,
+        step.bodies, step.box, step.segments, step.gravity, step.friction, step.restitution, step.dt / parts,
+        step.parts * parts, step.scales, step.motion,
     )  # fmt: skip
 
 
 @njit(cache=True, error_model="numpy")
-def depart(given, part, contacts):
+def depart(step, part, contacts):
     """Let circles in flight go on in parts of a substep, in place on their velocities. contacts: at their positions."""
-    if given.restitution > 0.0:
-        shift_flights(given.bodies, contacts, given.gravity, given.dt - part.dt)
+    if step.restitution > 0.0:
+        shift_flights(step.bodies, contacts, step.gravity, step.dt - part.dt)
 
 
 @njit(cache=True, error_model="numpy")
-def rejoin(given, part, contacts):
+def rejoin(step, part, contacts):
     """`depart` taken back, after the parts."""
-    if given.restitution > 0.0:
-        shift_flights(given.bodies, contacts, given.gravity, part.dt - given.dt)
+    if step.restitution > 0.0:
+        shift_flights(step.bodies, contacts, step.gravity, part.dt - step.dt)
 
 
 @njit(cache=True, error_model="numpy")
-def parts_of(given, cells):
-    """Into how many parts motion divides the next substep: a power of two. given: `StepInput`. cells: `Cells`, used."""
-    motion = given.motion
-    if motion.most == 1 or given.bodies.mass.shape[0] == 0:
+def parts_of(step, cells):
+    """Into how many parts motion divides the next substep: a power of two. step: `StepInput`. cells: `Cells`, used."""
+    motion = step.motion
+    if motion.most == 1 or step.bodies.mass.shape[0] == 0:
         return 1
-    dt, slow = given.dt, motion.reach / given.dt
-    pairs, walls = fastest_possible(given.bodies.velocity, given.gravity, dt)
+    dt, slow = step.dt, motion.reach / step.dt
+    pairs, walls = fastest_possible(step.bodies.velocity, step.gravity, dt)
     fastest = slow
     if walls > slow:
-        fastest = fastest_onto_walls(given, fastest)
+        fastest = fastest_onto_walls(step, fastest)
     if pairs > slow and fastest * dt <= 0.5 * motion.most * motion.reach:  # otherwise it is the most already
-        fastest = fastest_pair(given, cells, pairs * dt, fastest)
+        fastest = fastest_pair(step, cells, pairs * dt, fastest)
     parts = 1
     while parts < motion.most and fastest * dt > parts * motion.reach:
         parts *= 2
@@ -78,11 +78,11 @@ def fastest_possible(velocity, gravity, dt):
 
 
 @njit(cache=True, error_model="numpy")
-def fastest_onto_walls(given, fastest):
+def fastest_onto_walls(step, fastest):
     """The fastest approach that closes the gap of a circle to a wall or a segment within Δt, m/s, or `fastest`."""
-    bodies, box, segments, dt, skin = given.bodies, given.box, given.segments, given.dt, given.scales.wall_skin
+    bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
     for i in range(bodies.mass.shape[0]):
-        v_x, v_y = bodies.velocity[i, 0] + dt * given.gravity[0], bodies.velocity[i, 1] + dt * given.gravity[1]
+        v_x, v_y = bodies.velocity[i, 0] + dt * step.gravity[0], bodies.velocity[i, 1] + dt * step.gravity[1]
         if v_x * v_x + v_y * v_y <= fastest * fastest:
             continue
         x, y, reach = bodies.position[i, 0], bodies.position[i, 1], bodies.radius[i] + skin
@@ -99,27 +99,27 @@ def fastest_onto_walls(given, fastest):
 
 
 @njit(cache=True, error_model="numpy")
-def fastest_pair(given, cells, gap, fastest):
+def fastest_pair(step, cells, gap, fastest):
     """The fastest approach that closes the gap of two circles within Δt, m/s, or `fastest`.
 
     gap: m, that no approach closes in Δt. It is read from the list of near pairs where that reaches so far, or pays.
     """
-    position, radius = given.bodies.position, given.bodies.radius
+    position, radius = step.bodies.position, step.bodies.radius
     if refresh_list(position, radius, cells, gap):
         for a in range(position.shape[0]):
-            fastest = fastest_of(given, a, cells.near, cells.first[a], cells.first[a + 1], fastest)
+            fastest = fastest_of(step, a, cells.near, cells.first[a], cells.first[a + 1], fastest)
     elif math.isfinite(position.sum()):
         levels = sort_into_cells(position, radius, gap, cells)
         for a in range(position.shape[0]):
             m = circles_around(a, position, radius[a] + gap, levels, cells, cells.near, 0)
-            fastest = fastest_of(given, a, cells.near, 0, m, fastest)
+            fastest = fastest_of(step, a, cells.near, 0, m, fastest)
     return fastest
 
 
 @njit(cache=True, error_model="numpy")
-def fastest_of(given, a, near, first, last, fastest):
+def fastest_of(step, a, near, first, last, fastest):
     """`fastest_pair` of circle a with those in near[first:last]."""
-    position, velocity, radius, dt = given.bodies.position, given.bodies.velocity, given.bodies.radius, given.dt
+    position, velocity, radius, dt = step.bodies.position, step.bodies.velocity, step.bodies.radius, step.dt
     x, y, v_x, v_y, r = position[a, 0], position[a, 1], velocity[a, 0], velocity[a, 1], radius[a]
     for k in range(first, last):
         b = near[k]

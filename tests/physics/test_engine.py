@@ -1,5 +1,7 @@
 """Steps and runs: free fall, rest, position correction, determinism, resuming."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from conftest import assert_same_bits
@@ -12,6 +14,8 @@ from deep_contact.physics.scenes import single_body
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World
 from deep_contact.state.checks import is_unit, make_bodies
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def assert_same_run(first: State, second: State):
@@ -95,6 +99,14 @@ def test_resumed_from_xml_as_if_never_stopped(tmp_path, solver, warm_start, solv
     assert state.solver == stopped.solver
     resumed = dc.simulate(state, steps=150 - state.step, warm_start=warm_start).state
     assert_same_run(resumed, through)
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "data" / "sample").glob("*.xml.gz")), ids=lambda path: path.name)
+def test_the_shipped_states_are_solved_as_they_were(path):
+    state = dc.read_state(path)
+    found, size = dc.solve_contacts(state), state.contacts.normal_impulse.max()
+    np.testing.assert_allclose(found.normal_impulses, state.contacts.normal_impulse, rtol=0, atol=1e-9 * size)
+    np.testing.assert_allclose(found.tangent_impulses, state.contacts.tangent_impulse, rtol=0, atol=1e-9 * size)
 
 
 def test_a_state_of_the_engine_passes_the_quick_check():

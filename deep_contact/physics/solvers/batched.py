@@ -280,39 +280,39 @@ def share_of_scene(bodies, team):
 
 
 @njit(cache=True, error_model="numpy", nogil=True)
-def advance_by_team(given, options, log, shared, team):
+def advance_by_team(step, options, log, shared, team):
     """`engine.advance` for `BatchedPGS`, by a team. The contacts are left in `shared`, a `Shared`."""
-    part, mine, turn, buffers = given, share_of_scene(given.bodies, team), 0, shared.memory.contacts
-    for j in range(log.progress[DONE], given.parts * log.contacts.shape[0]):
-        if given.motion.most > 1:
+    part, mine, turn, buffers = step, share_of_scene(step.bodies, team), 0, shared.memory.contacts
+    for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
+        if step.motion.most > 1:
             if team.rank == 0:
-                shared.counts[0, PARTS] = parts_of(given, shared.memory.cells)
+                shared.counts[0, PARTS] = parts_of(step, shared.memory.cells)
             wait(team)
-            part = part_of(given, shared.counts[0, PARTS])
-            if team.rank == 0 and part.parts > given.parts:
-                depart(given, part, shared.contacts)
-        for _ in range(part.parts // given.parts):
+            part = part_of(step, shared.counts[0, PARTS])
+            if team.rank == 0 and part.parts > step.parts:
+                depart(step, part, shared.contacts)
+        for _ in range(part.parts // step.parts):
             turn = 1 - turn
-            mine = step_by_team(part, options, shared, mine, buffers[turn], log, j // given.parts)
+            mine = step_by_team(part, options, shared, mine, buffers[turn], log, j // step.parts)
         if team.rank == 0:
-            if part.parts > given.parts:
-                rejoin(given, part, shared.contacts)
+            if part.parts > step.parts:
+                rejoin(step, part, shared.contacts)
             log.progress[DONE] = j + 1
-        if log.progress[WORK] <= 0 and (j + 1) % given.parts == 0:
+        if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
 
 
 @njit(cache=True, error_model="numpy")
-def step_by_team(given, options, shared, mine, buffer, log, k):
+def step_by_team(step, options, shared, mine, buffer, log, k):
     """The stages of `engine.advance`, by a team with barriers between them. Returns the `Share` of this thread.
 
     Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
     scenes with segments or fast circles need.
     """
-    bodies, box, segments, scales, team = given.bodies, given.box, given.segments, given.scales, mine.team
+    bodies, box, segments, scales, team = step.bodies, step.box, step.segments, step.scales, mine.team
     flags, theta, is_built = shared.flags, shared.memory.theta, shared.memory.is_built
     if team.rank == 0:
-        plan_step(given, shared)
+        plan_step(step, shared)
     wait(team)
     plan, tiles, solved = shared.plan, shared.tiles, shared.solved
     velocities, before = tiles.solver_bodies[mine.first : mine.last], positions_before(bodies, segments)
@@ -320,18 +320,18 @@ def step_by_team(given, options, shared, mine, buffer, log, k):
     if is_built:
         velocities[:] = shared.memory.solver_bodies[mine.first : mine.last]
     else:
-        integrate_velocities(mine.bodies, given.gravity, given.dt, velocities)
+        integrate_velocities(mine.bodies, step.gravity, step.dt, velocities)
     wait(team)
-    write_blocks(given, solved, plan, tiles, team, shared.memory.rows, is_built)
-    sweeps = relax_tiles(options.settings, plan, tiles, given.friction, theta, team)
+    write_blocks(step, solved, plan, tiles, team, shared.memory.rows, is_built)
+    sweeps = relax_tiles(options.settings, plan, tiles, step.friction, theta, team)
     flags[team.rank, FINITE] = all_finite(velocities)
-    store_blocks(plan, tiles, solved, given.parts, team)
+    store_blocks(plan, tiles, solved, step.parts, team)
     # Positions.
-    flags[team.rank, FAST] = move(mine.bodies, velocities, given)
+    flags[team.rank, FAST] = move(mine.bodies, velocities, step)
     wait(team)
     if flags[:, FAST].any():
         if team.rank == 0:
-            stop_fast_circles(bodies, given)
+            stop_fast_circles(bodies, step)
         wait(team)
     if segments.shape[0] == 0:
         correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps)
@@ -343,25 +343,25 @@ def step_by_team(given, options, shared, mine, buffer, log, k):
         if sweeps > 0 and not flags[:, FINITE].all():
             theta[sweeps - 1] = np.nan
         log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
-    return next_contacts(given, options, shared, mine, before, buffer)
+    return next_contacts(step, options, shared, mine, before, buffer)
 
 
 @njit(cache=True, error_model="numpy")
-def plan_step(given, shared):
+def plan_step(step, shared):
     """What a team needs before it solves the contacts, in `shared`: a plan for them, room for their tiles, impacts."""
-    n, contacts = given.bodies.mass.shape[0], shared.contacts
+    n, contacts = step.bodies.mass.shape[0], shared.contacts
     if not batches.is_plan_of(shared.plan, n, contacts, shared.solved):
         shared.plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, shared.plan)
     shared.tiles = batches.with_room(shared.plan, shared.tiles)
     shared.solved = contacts
     if not shared.memory.is_built:
-        rebound(given, contacts)
+        rebound(step, contacts)
 
 
 @njit(cache=True, error_model="numpy")
-def next_contacts(given, options, shared, mine, before, buffer):
+def next_contacts(step, options, shared, mine, before, buffer):
     """`collision.next_contacts` by a team, into `shared`. Returns the `Share`, with room for its pairs."""
-    bodies, box, segments, skin, team = given.bodies, given.box, given.segments, given.scales.wall_skin, mine.team
+    bodies, box, segments, skin, team = step.bodies, step.box, step.segments, step.scales.wall_skin, mine.team
     cells, solved = shared.memory.cells, shared.solved
     if team.rank == 0:
         collision.hold(bodies, before, box, segments, skin, solved)
@@ -369,8 +369,8 @@ def next_contacts(given, options, shared, mine, before, buffer):
         shared.flags[0, LISTED] = is_listed and segments.shape[0] == 0
     wait(team)
     if shared.flags[0, LISTED]:
-        mine = find_touching(given, shared, buffer, mine)
-        describe_touching(given, options, shared, mine)
+        mine = find_touching(step, shared, buffer, mine)
+        describe_touching(step, options, shared, mine)
     elif team.rank == 0:
         shared.contacts = collision.contacts_at(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
         collision.carry_impulses(solved, shared.contacts, options.carry)
@@ -379,20 +379,20 @@ def next_contacts(given, options, shared, mine, before, buffer):
 
 
 @njit(cache=True, error_model="numpy")
-def find_touching(given, shared, buffer, mine):
+def find_touching(step, shared, buffer, mine):
     """The pairs of this thread's circles that touch, from the list of near ones. Returns the `Share` that has them.
 
     `Shared.contacts` has room for the pairs of all threads then, in the buffer.
     """
     position, radius, skin, cells = (
-        given.bodies.position,
-        given.bodies.radius,
-        given.scales.wall_skin,
+        step.bodies.position,
+        step.bodies.radius,
+        step.scales.wall_skin,
         shared.memory.cells,
     )
     found = -1
     while found < 0:
-        where = position, radius, given.box, skin, cells, mine.first, mine.last, mine.body_a, mine.body_b
+        where = position, radius, step.box, skin, cells, mine.first, mine.last, mine.body_a, mine.body_b
         found = collision.write_near_pairs(*where)
         if found < 0:
             capacity = 2 * mine.body_a.shape[0] + 64
@@ -410,24 +410,24 @@ def find_touching(given, shared, buffer, mine):
 
 
 @njit(cache=True, error_model="numpy")
-def describe_touching(given, options, shared, mine):
+def describe_touching(step, options, shared, mine):
     """Write this thread's pairs where they belong among the contacts, with their geometry and what they carry."""
-    bodies, skin, rank = given.bodies, given.scales.wall_skin, mine.team.rank
+    bodies, skin, rank = step.bodies, step.scales.wall_skin, mine.team.rank
     before, count = shared.counts[:rank, PAIRS_FOUND].sum(), shared.counts[rank, PAIRS_FOUND]
     contacts = collision.some_contacts(shared.contacts, before, before + count)
     for i in range(count):
         contacts.body_a[i], contacts.body_b[i] = mine.body_a[i], mine.body_b[i]
-    collision.write_geometry(bodies.position, bodies.radius, given.box, given.segments, skin, contacts)
+    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, contacts)
     collision.carry_impulses(shared.solved, contacts, options.carry)
 
 
 @njit(cache=True, error_model="numpy")
-def write_blocks(given, contacts, plan, tiles, team, rows, is_built):
+def write_blocks(step, contacts, plan, tiles, team, rows, is_built):
     """`batches.write_block` of all blocks, phase by phase, since it changes velocities."""
     for p in range(plan.count[PHASES]):
         first, last = share_of_phase(plan, p, team)
         for q in range(first, last):
-            batches.write_block(given, contacts, plan, tiles, plan.order[q], rows, is_built)
+            batches.write_block(step, contacts, plan, tiles, plan.order[q], rows, is_built)
         end_phase(plan, p, team)
 
 
@@ -445,13 +445,13 @@ class _Run:
     def __init__(self, solver: BatchedPGS):
         self._solver, self._shared = solver, None
 
-    def __call__(self, given, motion, contacts, sleep, options, memory, log):
+    def __call__(self, step, motion, contacts, sleep, options, memory, log):
         """As `engine.advance`."""
         if self._shared is None:
-            self._size = threads_of(self._solver, given.bodies.count)
+            self._size = threads_of(self._solver, step.bodies.count)
             self._shared = make_shared(contacts, memory, self._size)
         go_on(self._shared, contacts, memory)
-        together(self._size, advance_by_team, given, options, log, self._shared)
+        together(self._size, advance_by_team, step, options, log, self._shared)
         return contacts_in(self._shared)
 
 
