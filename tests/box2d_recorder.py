@@ -9,7 +9,7 @@ import numpy as np
 from deep_contact import constants
 from deep_contact.physics.collision import make_contacts, write_geometry
 from deep_contact.physics.engine import ContactSolution, solve
-from deep_contact.physics.segments import segments_of
+from deep_contact.physics.segments import segments_in_grid
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import Bodies, Contacts, State, World
 from deep_contact.state.checks import check_state
@@ -124,7 +124,9 @@ def _sorted_contacts(bodies: Bodies, world: World, listener, ratio: float) -> tu
     contacts = make_contacts(len(pairs))
     contacts.body_a[:], contacts.body_b[:] = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     # Of Box2D's geometry all but the separations is known.
-    write_geometry(bodies.position, bodies.radius, world.box, segments_of(world), constants.WALL_SKIN, contacts)
+    write_geometry(
+        bodies.position, bodies.radius, world.box, segments_in_grid(world, 2.0), constants.WALL_SKIN, contacts
+    )
     contacts = contacts._replace(
         position=found[:, 0:2],
         normal=found[:, 2:4],

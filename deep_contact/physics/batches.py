@@ -250,7 +250,7 @@ def write_block(step, contacts, plan, tiles, k, rows, is_built):
     body, data, impulse, v, n = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies, plan.count[CIRCLES]
     ground, (begin, end), segments = n + 5 * k, contacts_of_block(plan, k), step.segments
     share = 1.0 / step.parts
-    if segments.shape[0] > 0:
+    if segments.line.shape[0] > 0:
         v[ground + 3, V_S] = 1.0  # see `contact_solver.move_surfaces`
     for i in range(begin, end):
         t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
@@ -268,7 +268,7 @@ def write_block(step, contacts, plan, tiles, k, rows, is_built):
             data[t, NORMAL_MASS, j], data[t, TANGENT_MASS, j] = masses
             data[t, ARM_A, j], data[t, ARM_B, j] = arms
             if s >= 0:
-                data[t, ARM_B, j] = surface_velocity(segments[s], normal[0], normal[1])
+                data[t, ARM_B, j] = surface_velocity(segments.line[s], normal[0], normal[1])
         impulse[t, NORMAL, j] = share * contacts.normal_start[i]
         impulse[t, TANGENT, j] = share * contacts.tangent_start[i]
         apply_impulse(

@@ -410,7 +410,7 @@ def _sort_run(values, start, stop):
 def find_contacts(position, radius, box, segments, skin, cells, buffer):
     """All contacts at the given positions, sorted by (body_a, body_b); impulses and starts are left as they lie.
 
-    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: (S, 5), m and m/s.
+    position: (n, 2), m. radius: (n,), m. box: (x_min, y_min, x_max, y_max), m, a tuple. segments: `Segments`.
     skin: of walls and segments, m. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
@@ -423,7 +423,7 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer):
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
-            if m >= 0 and segments.shape[0] > 0:
+            if m >= 0 and segments.line.shape[0] > 0:
                 m = insert_pairs(position, radius, segments, skin, buffer.body_a, buffer.body_b, m)
         if m >= 0:
             break
@@ -454,7 +454,7 @@ def write_geometry(position, radius, box, segments, skin, contacts):
             separation, n_x, n_y = wall_gap(x, y, box, w), WALL_NORMALS[w, 0], WALL_NORMALS[w, 1]
             if segments is not None:
                 if b >= n + 4:
-                    separation, n_x, n_y = segment_gap(segments[b - n - 4], x, y)
+                    separation, n_x, n_y = segment_gap(segments.line[b - n - 4], x, y)
             separation = separation - radius[a] - skin
         arm = radius[a] + 0.5 * separation
         contacts.normal[i, 0] = n_x
@@ -559,7 +559,7 @@ def hold(bodies, before, box, segments, skin, solved):
     if any_outside(bodies.position, box):
         hold_inside(bodies, box, skin, solved)
     if segments is not None:
-        if segments.shape[0] > 0:
+        if segments.line.shape[0] > 0:
             hold_beside(bodies, before, segments)
 
 

@@ -85,7 +85,7 @@ def integrate_velocities(bodies, gravity, dt, solver_bodies):
 def contact_rows(contacts, radius, segments, solver_bodies, buffer, friction, share):
     """Rows of the contacts with a share of their starting impulses: views of the buffer, or of new memory if too small.
 
-    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: (S, 5).
+    Effective masses: 1 / (J M⁻¹ Jᵀ). radius: (n,), m. segments: `Segments`.
     """
     v, m, last = solver_bodies, contacts.body_a.shape[0], solver_bodies.shape[0] - 1
     if m > buffer.body.shape[0]:
@@ -126,15 +126,15 @@ def effective_masses(w_a, w_b, arms):
 
 @njit(cache=True)
 def move_surfaces(contacts, segments, solver_bodies, rows):
-    """Let the surfaces of segments, (S, 5), move, in place on rows with tangents and on the solver bodies."""
+    """Let the surfaces of segments move, in place on rows with tangents and on the solver bodies."""
     last = solver_bodies.shape[0] - 1
-    if segments.shape[0] == 0:
+    if segments.line.shape[0] == 0:
         return
     solver_bodies[last, V_S] = 1.0
     for i in range(contacts.body_a.shape[0]):
         s = contacts.body_b[i] - last - 1
         if s >= 0:
-            rows.data[i, ARM_B] = surface_velocity(segments[s], contacts.normal[i, 0], contacts.normal[i, 1])
+            rows.data[i, ARM_B] = surface_velocity(segments.line[s], contacts.normal[i, 0], contacts.normal[i, 1])
 
 
 @njit(cache=True)

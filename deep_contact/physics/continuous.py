@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.collision import COLUMNS, ROWS, make_cells, sort_level, wall_gap
-from deep_contact.physics.segments import BESIDE, segment_gap, shared_end, time_to_touch
+from deep_contact.physics.segments import BESIDE, near_box, segment_gap, shared_end, time_to_touch
 from deep_contact.state import WALL_NORMALS
 
 FAST = 0.5
@@ -166,8 +166,11 @@ def _first_touch(i, now, path, swept):
             time = max(now, (gap - least) / speed)
             if time < first:
                 first, partner = time, n + wall
-    for s in range(segments.shape[0]):
-        time = max(now, _touch_segment(i, s, path))
+    x, y = start[i, 0], start[i, 1]
+    to_x, to_y = x + move[i, 0], y + move[i, 1]
+    near = near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), np.empty_like(segments.every))
+    for s in near:
+        time = max(now, _touch_segment(i, s, near, path))
         if time < first:
             first, partner = time, n + 4 + s
     for k in _crossing(i, path, swept):
@@ -185,23 +188,24 @@ def _least(distance, reach, radius, scales):
 
 
 @njit(cache=True, error_model="numpy")
-def _touch_segment(i, s, path):
-    """Time of the first touch of a circle and a segment, in steps; inf without one."""
+def _touch_segment(i, s, near, path):
+    """Time of the first touch of a circle and a segment, in steps; inf without one. near: segments it may touch."""
     start, move, _, radius, _, segments, scales = path
+    line = segments.line
     x, y, reach = start[i, 0], start[i, 1], radius[i] + scales.wall_skin
-    e_x, e_y = segments[s, 2] - segments[s, 0], segments[s, 3] - segments[s, 1]
-    before = e_x * (y - segments[s, 1]) - e_y * (x - segments[s, 0])
+    e_x, e_y = line[s, 2] - line[s, 0], line[s, 3] - line[s, 1]
+    before = e_x * (y - line[s, 1]) - e_y * (x - line[s, 0])
     after = before + e_x * move[i, 1] - e_y * move[i, 0]
     if before * after > 0.0 and min(before * before, after * after) > reach * reach * (e_x * e_x + e_y * e_y):
         return np.inf  # the whole path is on one side of the line, and beyond reach of it
-    least = _least(segment_gap(segments[s], x, y)[0], reach, radius[i], scales)
-    time, part = time_to_touch(segments[s], x, y, move[i, 0], move[i, 1], least)
+    least = _least(segment_gap(line[s], x, y)[0], reach, radius[i], scales)
+    time, part = time_to_touch(line[s], x, y, move[i, 0], move[i, 1], least)
     if part != BESIDE and time <= 1.0:
         # A joint is no nearer than the line: what slides along one segment does not stop at the next.
-        for k in range(segments.shape[0]):
-            if shared_end(segments, s, part, k) != BESIDE:
-                least = min(least, _least(segment_gap(segments[k], x, y)[0], reach, radius[i], scales))
-        time, _ = time_to_touch(segments[s], x, y, move[i, 0], move[i, 1], least)
+        for k in near:
+            if shared_end(line, s, part, k) != BESIDE:
+                least = min(least, _least(segment_gap(line[k], x, y)[0], reach, radius[i], scales))
+        time, _ = time_to_touch(line[s], x, y, move[i, 0], move[i, 1], least)
     return time
 
 

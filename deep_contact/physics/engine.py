@@ -29,7 +29,7 @@ from deep_contact.physics.contact_solver import (
 from deep_contact.physics.convergence import ConvergenceRecord, convergence_record
 from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import correct_positions
-from deep_contact.physics.segments import positions_before, segments_of
+from deep_contact.physics.segments import positions_before, segments_in_grid
 from deep_contact.physics.solvers.registry import entry_of, for_state, make_workspace, relax, settings_of
 from deep_contact.physics.step import (
     DONE,
@@ -220,7 +220,13 @@ def step_input(state: State, solver, scales: ContactScales | None = None) -> Ste
     if most == 1 and not world.segments and world.restitution == 0.0:
         return step
     motion = Motion(most, solver.approach * mean(state.bodies.radius)) if most > 1 else Motion(1, 0.0)
-    return step._replace(segments=segments_of(world), restitution=world.restitution, motion=motion)
+    segments = segments_in_grid(world, reach_of(state, scales))
+    return step._replace(segments=segments, restitution=world.restitution, motion=motion)
+
+
+def reach_of(state: State, scales: ContactScales) -> float:
+    """How far a contact of the largest circle with a segment reaches, m."""
+    return float(state.bodies.radius.max(initial=0.0)) + scales.wall_skin
 
 
 def scales_of(state: State, solver) -> ContactScales:
@@ -265,7 +271,7 @@ def started(problem: StepProblem, contacts: Contacts, friction: float | None) ->
 def contacts_of(state: State) -> Contacts:
     """The contacts at the state's positions, with zero impulses."""
     bodies, world = native(state).bodies, state.world
-    segments = segments_of(world) if world.segments else None
+    segments = segments_in_grid(world, reach_of(state, state.scales)) if world.segments else None
     where = bodies.position, bodies.radius, world.box, segments, state.scales.wall_skin
     contacts = own_contacts(find_contacts(*where, make_cells(bodies.count), make_contacts(4 * bodies.count + 64)))
     for values in contacts[5:]:

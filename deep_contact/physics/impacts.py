@@ -87,7 +87,7 @@ def strike(bodies, contacts, i, ground, restitution, friction, segments):
         else:
             v_t += ground[0] * n_y - ground[1] * n_x
             if b >= n + 4:
-                v_t += surface_velocity(segments[b - n - 4], n_x, n_y)
+                v_t += surface_velocity(segments.line[b - n - 4], n_x, n_y)
         largest = friction * p_n
         p_t = max(-largest, min(-k_t * v_t, largest))
     p_x, p_y = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x

@@ -80,7 +80,7 @@ def correct_positions(bodies, contacts, box, segments, scales, sweeps, room):
         room = _larger_room(n, m)
     tiles, done = 0, 0
     begin = 0 if memory[SWEEPS] > _FEW else _FEW
-    in_turn = segments is not None and segments.shape[0] > 0
+    in_turn = segments is not None and segments.line.shape[0] > 0
     if in_turn:
         begin = sweeps
     elif memory[WAIT] > 0 or sweeps - begin <= _FEW:
@@ -138,7 +138,7 @@ def correct_in_turn(bodies, contacts, box, segments, scales):
             if segments is not None:
                 if b >= n + 4:
                     normal = contacts.normal[i]
-                    separation, d_x, d_y = segment_gap(segments[b - n - 4], x, y, normal[0], normal[1])
+                    separation, d_x, d_y = segment_gap(segments.line[b - n - 4], x, y, normal[0], normal[1])
             separation = separation - radius[a] - skin
             push = max(0.0, min(-BAUMGARTE * (separation + slop), longest))
             position[a, 0] = x - push * d_x

@@ -6,20 +6,20 @@ their own: of those that meet there, the one that the centre lies beside keeps t
 vertices do in chains of Box2D 2.3; without them, a circle that rolls over a joint stumbles).
 
 No centre ever crosses a segment: fast circles stop at it (`continuous`), and what sweeps or position correction would
-still push through is held on its side (`hold_beside`). No grid is made of them.
+still push through is held on its side (`hold_beside`).
+
+Segments never move, so a grid of cells tells once a run which of them are within reach of a place (`in_grid`).
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from deep_contact.state import World
-
-NO_SEGMENTS = np.zeros((0, 5))
-"""Of a world that has none."""
 
 BESIDE, START, END = range(3)
 """What of a segment is nearest to a point: its inside, or one of its ends."""
@@ -29,11 +29,115 @@ _ROUNDING = 1e-9
 must not slip between two. And how far from 1 the cosine of a normal across the segment may be."""
 
 
+class Segments(NamedTuple):
+    """The segments of a world, and a grid that lists, for each of its cells, those within reach."""
+
+    line: np.ndarray  # (S, 5)
+    start: np.ndarray  # (rows · columns + 1,): `near[start[c]:start[c + 1]]` are within reach of cell c
+    near: np.ndarray  # segments, for each cell in their order
+    every: np.ndarray  # (S,): all segments
+    grid: tuple  # (x, y) of its corner, m, cells a metre, columns, rows
+    reach: float  # m
+
+
+NO_SEGMENTS = Segments(
+    np.zeros((0, 5)), np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), (0.0, 0.0, 1.0, 0, 0), 0.0
+)
+"""Of a world that has none."""
+
+
 def segments_of(world: World) -> np.ndarray:
     """The segments of a world with the speeds of their surfaces, (S, 5), m and m/s."""
     if not world.segments:
-        return NO_SEGMENTS
+        return NO_SEGMENTS.line
     return np.column_stack([world.segments, world.surface_speeds or np.zeros(len(world.segments))])
+
+
+def segments_in_grid(world: World, reach: float) -> Segments:
+    """The segments of a world in a grid for a reach, m, or a larger one; the world keeps it (it is hidden there)."""
+    kept = vars(world).get("_in_grid")
+    if kept is None or kept.reach < reach:
+        kept = vars(world)["_in_grid"] = in_grid(segments_of(world), reach)
+    return kept
+
+
+def in_grid(line: np.ndarray, reach: float) -> Segments:
+    """Segments, (S, 5), in a grid of some eight cells a segment, no smaller than the reach, m."""
+    if len(line) == 0:
+        return NO_SEGMENTS
+    beyond, ends = 1.001 * reach, line[:, :4].reshape(-1, 2)
+    corner, size, most = ends.min(axis=0) - beyond, np.ptp(ends, axis=0) + 2.0 * beyond, 8 * len(line) + 4000
+    cell = max(reach, math.sqrt(size.prod() / most), size.max() / most)
+    columns, rows = (int(length / cell) + 1 for length in size)
+    grid, start = (*corner.tolist(), 1.0 / cell, columns, rows), np.zeros(rows * columns + 1, np.int64)
+    list_cells(line, beyond, grid, start, np.zeros(0, np.int64))
+    np.cumsum(start, out=start)
+    near = np.empty(start[-1], np.int64)
+    list_cells(line, beyond, grid, start[:-1].copy(), near)
+    return Segments(line, start, near, np.arange(len(line)), grid, reach)
+
+
+@njit(cache=True, error_model="numpy")
+def list_cells(line, reach, grid, fill, near):
+    """Count the segments within reach of cell c in `fill[c + 1]`, in place, where `near` is empty; or list them there.
+
+    fill: of a list, where each cell's begins.
+    """
+    x, y, per_metre, columns, rows = grid
+    for s in range(line.shape[0]):
+        x_0, y_0, x_1, y_1 = line[s, 0], line[s, 1], line[s, 2], line[s, 3]
+        first = max(int((min(y_0, y_1) - reach - y) * per_metre), 0)
+        for row in range(first, min(int((max(y_0, y_1) + reach - y) * per_metre), rows - 1) + 1):
+            # The part of the segment within reach of the row.
+            low, high = y + row / per_metre - reach, y + (row + 1) / per_metre + reach
+            t_0, t_1 = 0.0, 1.0
+            if y_0 != y_1:
+                a, b = (low - y_0) / (y_1 - y_0), (high - y_0) / (y_1 - y_0)
+                t_0, t_1 = max(0.0, min(a, b)), min(1.0, max(a, b))
+            a, b = x_0 + t_0 * (x_1 - x_0), x_0 + t_1 * (x_1 - x_0)
+            left = max(int((min(a, b) - reach - x) * per_metre), 0)
+            for column in range(left, min(int((max(a, b) + reach - x) * per_metre), columns - 1) + 1):
+                c = row * columns + column
+                if near.shape[0] == 0:
+                    fill[c + 1] += 1
+                else:
+                    near[fill[c]] = s
+                    fill[c] += 1
+
+
+@njit(cache=True, error_model="numpy")
+def is_far(segments, x, y):
+    """Whether no segment is within reach of a point."""
+    corner_x, corner_y, per_metre, columns, rows = segments.grid
+    column, row = (x - corner_x) * per_metre, (y - corner_y) * per_metre
+    if not (0.0 <= column < columns and 0.0 <= row < rows):
+        return True
+    c = int(row) * columns + int(column)
+    return segments.start[c] == segments.start[c + 1]
+
+
+@njit(cache=True, error_model="numpy")
+def near_box(segments, x_min, x_max, y_min, y_max, buffer):
+    """The segments within reach of a box, and others; some more than once. buffer: (S,), used."""
+    corner_x, corner_y, per_metre, columns, rows = segments.grid
+    left, right = (x_min - corner_x) * per_metre, (x_max - corner_x) * per_metre
+    low, high = (y_min - corner_y) * per_metre, (y_max - corner_y) * per_metre
+    if not (right >= 0.0 and left < columns and high >= 0.0 and low < rows):
+        return segments.every[:0]
+    first, last = int(max(left, 0.0)), int(min(right, columns - 1.0))
+    bottom, top = int(max(low, 0.0)), int(min(high, rows - 1.0))
+    if first == last and bottom == top:
+        c = bottom * columns + first
+        return segments.near[segments.start[c] : segments.start[c + 1]]
+    count = 0
+    for row in range(bottom, top + 1):
+        begin, end = segments.start[row * columns + first], segments.start[row * columns + last + 1]
+        if count + end - begin > buffer.shape[0]:
+            return segments.every
+        for k in range(begin, end):
+            buffer[count] = segments.near[k]
+            count += 1
+    return buffer[:count]
 
 
 @njit(cache=True, error_model="numpy")
@@ -85,9 +189,12 @@ def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
 
 
 @njit(cache=True)
-def touches(segments, s, x, y, reach):
-    """Whether a circle has a contact with segment s: no farther than `reach`, m, and not left to one that it joins."""
-    segment = segments[s]
+def touches(line, near, s, x, y, reach):
+    """Whether a circle has a contact with segment s: no farther than `reach`, m, and not left to one that it joins.
+
+    line: (S, 5). near: the segments within reach.
+    """
+    segment = line[s]
     if x < min(segment[0], segment[2]) - reach or x > max(segment[0], segment[2]) + reach:
         return False
     if y < min(segment[1], segment[3]) - reach or y > max(segment[1], segment[3]) + reach:
@@ -97,22 +204,22 @@ def touches(segments, s, x, y, reach):
     part = nearest_part(segment, x, y)
     if part == BESIDE:
         return True
-    for k in range(segments.shape[0]):
-        shared = shared_end(segments, s, part, k)
+    for k in near:
+        shared = shared_end(line, s, part, k)
         # Another part of that one is at least as near, since this end lies on it.
-        if shared != BESIDE and (k < s or nearest_part(segments[k], x, y) != shared):
+        if shared != BESIDE and (k < s or nearest_part(line[k], x, y) != shared):
             return False
     return True
 
 
 @njit(cache=True)
-def shared_end(segments, s, end, k):
+def shared_end(line, s, end, k):
     """The end of segment k that is the given end of another segment s; BESIDE where they do not meet there."""
     first = 0 if end == START else 2
-    x, y = segments[s, first], segments[s, first + 1]
-    if k != s and segments[k, 0] == x and segments[k, 1] == y:
+    x, y = line[s, first], line[s, first + 1]
+    if k != s and line[k, 0] == x and line[k, 1] == y:
         return START
-    return END if k != s and segments[k, 2] == x and segments[k, 3] == y else BESIDE
+    return END if k != s and line[k, 2] == x and line[k, 3] == y else BESIDE
 
 
 @njit(cache=True)
@@ -120,8 +227,12 @@ def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
     """Insert the circles and segments that touch among m sorted pairs, in place. Returns their number, -1 if full."""
     n, found = position.shape[0], m
     for i in range(n):
-        for s in range(segments.shape[0]):
-            if touches(segments, s, position[i, 0], position[i, 1], radius[i] + skin):
+        x, y = position[i, 0], position[i, 1]
+        if is_far(segments, x, y):
+            continue
+        near = near_box(segments, x, x, y, y, segments.every)
+        for s in near:
+            if touches(segments.line, near, s, x, y, radius[i] + skin):
                 if found == body_a.shape[0]:
                     return -1
                 body_a[found], body_b[found] = i, n + 4 + s
@@ -140,11 +251,11 @@ def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
 
 
 @njit(cache=True, error_model="numpy")
-def first_crossing(segments, x, y, to_x, to_y):
+def first_crossing(segments, x, y, to_x, to_y, buffer):
     """Share of the straight way from (x, y) at which it first crosses a segment; infinite where it crosses none."""
     first = math.inf
-    for s in range(segments.shape[0]):
-        segment = segments[s]
+    for s in near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), buffer):
+        segment = segments.line[s]
         e_x, e_y = segment[2] - segment[0], segment[3] - segment[1]
         before = e_x * (y - segment[1]) - e_y * (x - segment[0])
         after = e_x * (to_y - segment[1]) - e_y * (to_x - segment[0])
@@ -162,7 +273,7 @@ def positions_before(bodies, segments):
     """Positions at the start of a step for `hold_beside`; where there are no segments, nothing is copied."""
     if segments is None:
         return bodies.position
-    return bodies.position.copy() if segments.shape[0] > 0 else bodies.position
+    return bodies.position.copy() if segments.line.shape[0] > 0 else bodies.position
 
 
 @njit(cache=True)
@@ -172,14 +283,16 @@ def hold_beside(bodies, before, segments):
     before: positions at the start of the step, (n, 2), m. Only what is pressed harder than the sweeps or position
     correction can withstand comes so far.
     """
-    position = bodies.position
+    position, buffer = bodies.position, np.empty_like(segments.every)
     for i in range(bodies.mass.shape[0]):
         x, y = before[i, 0], before[i, 1]
-        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1])
+        if abs(position[i, 0] - x) + abs(position[i, 1] - y) <= segments.reach and is_far(segments, x, y):
+            continue
+        share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer)
         if share <= 0.5:
             to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)
             # On the line but for rounding, it stays.
-            stays = first_crossing(segments, x, y, to_x, to_y) <= 1.0
+            stays = first_crossing(segments, x, y, to_x, to_y, buffer) <= 1.0
             position[i, 0], position[i, 1] = (x, y) if stays else (to_x, to_y)
 
 

@@ -99,7 +99,9 @@ def wake_and_put_to_sleep(step, contacts, sleep):
     for k in range(contacts.body_a.shape[0]):
         root = root_of(parent, contacts.body_a[k])
         s = contacts.body_b[k] - n - 4
-        is_restless = contacts.separation[k] < -POSITION_TOLERANCE * scales.slop or (s >= 0 and segments[s, 4] != 0.0)
+        is_restless = contacts.separation[k] < -POSITION_TOLERANCE * scales.slop or (
+            s >= 0 and segments.line[s, 4] != 0.0
+        )
         if is_restless and shortest[root] < np.inf:
             shortest[root] = 0.0
     for i in range(n):

@@ -10,7 +10,7 @@ from numba import njit
 from deep_contact.physics.collision import Cells, make_cells, make_contacts
 from deep_contact.physics.contact_solver import Rows, make_rows
 from deep_contact.physics.position_correction import CorrectionRoom, make_correction_room
-from deep_contact.physics.segments import NO_SEGMENTS
+from deep_contact.physics.segments import NO_SEGMENTS, Segments
 from deep_contact.state import Bodies, Contacts
 from deep_contact.state.scales import ContactScales
 
@@ -31,7 +31,7 @@ class StepInput(NamedTuple):
 
     bodies: Bodies  # they move in place
     box: tuple  # of the `World`, as gravity, friction and restitution
-    segments: np.ndarray | None  # (S, 5), m and m/s (`segments.segments_of`)
+    segments: Segments | None
     gravity: tuple
     friction: float | None  # None, in place of 0, leaves the tangent rows out
     restitution: float | None

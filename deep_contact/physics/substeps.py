@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
-from deep_contact.physics.segments import segment_gap
+from deep_contact.physics.segments import near_box, segment_gap
 from deep_contact.physics.step import StepInput
 from deep_contact.state import WALL_NORMALS
 
@@ -81,6 +81,7 @@ def fastest_possible(velocity, gravity, dt):
 def fastest_onto_walls(step, fastest):
     """The fastest approach that closes the gap of a circle to a wall or a segment within Δt, m/s, or `fastest`."""
     bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
+    buffer = np.empty_like(segments.every)
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = bodies.velocity[i, 0] + dt * step.gravity[0], bodies.velocity[i, 1] + dt * step.gravity[1]
         if v_x * v_x + v_y * v_y <= fastest * fastest:
@@ -90,8 +91,10 @@ def fastest_onto_walls(step, fastest):
             approach = v_x * WALL_NORMALS[wall, 0] + v_y * WALL_NORMALS[wall, 1]
             if approach > fastest and wall_gap(x, y, box, wall) - reach < approach * dt:
                 fastest = approach
-        for s in range(segments.shape[0]):
-            gap, n_x, n_y = segment_gap(segments[s], x, y)
+        # What it closes within Δt lies within reach of where it comes in that time, at most.
+        far = dt * math.sqrt(v_x * v_x + v_y * v_y)
+        for s in near_box(segments, x - far, x + far, y - far, y + far, buffer):
+            gap, n_x, n_y = segment_gap(segments.line[s], x, y)
             approach = v_x * n_x + v_y * n_y
             if approach > fastest and gap - reach < approach * dt:
                 fastest = approach

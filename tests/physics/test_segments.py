@@ -10,7 +10,17 @@ from hypothesis import strategies as st
 
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of
-from deep_contact.physics.segments import END, START, hold_beside, segments_of, time_to_touch, touches
+from deep_contact.physics.segments import (
+    END,
+    START,
+    hold_beside,
+    in_grid,
+    is_far,
+    near_box,
+    segments_in_grid,
+    time_to_touch,
+    touches,
+)
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state import State, World
 from deep_contact.state.checks import make_bodies
@@ -29,6 +39,60 @@ def frames(state, steps, **options):
     found = []
     dc.simulate(state, steps=steps, on_step=lambda solved, _: found.append(solved), **options)
     return found
+
+
+def distances(line, points):
+    """Of points, (k, 2), from segments, (S, 5): (k, S), m."""
+    start, along = line[:, :2], line[:, 2:4] - line[:, :2]
+    share = np.clip(((points[:, None] - start) * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
+    return np.linalg.norm(start + share[..., None] * along - points[:, None], axis=2)
+
+
+GRIDS = {
+    "terrain": (lambda rng: np.cumsum(rng.uniform(-1.0, 1.5, (301, 2)), axis=0), 1.01),
+    "long ones": (lambda rng: rng.uniform(-1000.0, 1000.0, (41, 2)), 0.3),
+    "thousands in a cell": (lambda rng: rng.uniform(0.0, 1.0, (2001, 2)), 20.0),
+    "far apart": (lambda rng: np.array([[0.0, 0.0], [1e-3, 0.0], [1e9, 5.0], [1e9, 7.0]]), 1e-3),
+    "one level": (lambda rng: np.column_stack([rng.uniform(0.0, 50.0, 101), np.full(101, 3.0)]), 0.5),
+}
+
+
+@pytest.mark.parametrize("kind", GRIDS)
+def test_the_grid_lists_every_segment_within_reach_of_a_place_or_a_way(kind):
+    # Against the distance from all of them. Points lie on ends, near segments, anywhere and far outside.
+    rng, (make, reach) = np.random.default_rng(0), GRIDS[kind]
+    ends = make(rng)
+    segments = in_grid(np.column_stack([ends[:-1], ends[1:], np.zeros(len(ends) - 1)]), reach)
+    line, buffer = segments.line, np.empty_like(segments.every)
+    beside = line[rng.integers(len(line), size=200), :2] + rng.uniform(-1.5 * reach, 1.5 * reach, (200, 2))
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    anywhere = rng.uniform(low - reach, high + reach, (200, 2))
+    points = np.concatenate([ends[:100], beside, anywhere, [high + 1e6, [np.nan] * 2]])
+    for (x, y), near in zip(points, distances(line, points) <= reach):
+        cell = near_box(segments, x, x, y, y, buffer)
+        assert set(np.flatnonzero(near)) <= set(cell)
+        if is_far(segments, x, y):
+            assert not near.any()
+        else:
+            found = {s for s in cell if touches(line, cell, s, x, y, reach)}
+            assert found == {s for s in segments.every if touches(line, segments.every, s, x, y, reach)}
+    for (x, y), (to_x, to_y) in zip(points[:-2:7], points[1:-1:7]):
+        way = np.array([x, y]) + np.linspace(0.0, 1.0, 50)[:, None] * (to_x - x, to_y - y)
+        near = (distances(line, way) <= reach).any(axis=0)
+        box = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
+        assert set(np.flatnonzero(near)) <= set(near_box(segments, *box, buffer))
+
+
+def test_a_grid_of_many_segments_is_small_and_is_made_once():
+    ends = np.cumsum(np.random.default_rng(1).uniform(-0.5, 1.0, (100_001, 2)), axis=0)
+    segments = in_grid(np.column_stack([ends[:-1], ends[1:], np.zeros(100_000)]), 0.5)
+    assert len(segments.start) < 1e6
+    assert len(segments.near) < 4e6
+    world = dc.World(segments=[((0.0, 1.0), (5.0, 1.0))])
+    kept = segments_in_grid(world, 1.0)
+    assert segments_in_grid(world, 0.9) is kept
+    assert segments_in_grid(world, 1.1).reach == 1.1
+    assert dc.World(segments=[((0.0, 1.0), (5.0, 1.0))]) == world
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -160,8 +224,8 @@ def test_touching_segments_equal_brute_force():
 @pytest.mark.parametrize("point", [(-1.0, 0.0), (3.0, 0.0), (1.0, -1.0), (1.0, 1.0)])
 def test_a_segment_touches_as_far_as_the_reach_goes(point):
     for segment in ([0.0, 0.0, 2.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0, 0.0]):
-        assert touches(np.array([segment]), 0, *point, 1.0)
-        assert not touches(np.array([segment]), 0, *point, np.nextafter(1.0, 0.0))
+        assert touches(np.array([segment]), np.array([0]), 0, *point, 1.0)
+        assert not touches(np.array([segment]), np.array([0]), 0, *point, np.nextafter(1.0, 0.0))
 
 
 def test_an_end_is_touched_by_what_comes_within_and_not_by_what_is_there():
@@ -229,7 +293,7 @@ def test_nothing_passes_through_a_segment(seed, speed, name, dt):
 def test_what_has_crossed_a_segment_is_put_half_way_to_it():
     # From (4, 7) to (6, 3) it crosses y = 5 at (5, 5).
     state = scene([[6.0, 3.0], [30.0, 3.0]], ((0, 5), (10, 5)))
-    hold_beside(state.bodies, np.array([[4.0, 7.0], [30.0, 7.0]]), segments_of(state.world))
+    hold_beside(state.bodies, np.array([[4.0, 7.0], [30.0, 7.0]]), segments_in_grid(state.world, 1.0))
     np.testing.assert_allclose(state.bodies.position, [[4.5, 6.0], [30.0, 3.0]], rtol=1e-15)
 
 

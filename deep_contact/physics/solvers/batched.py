@@ -333,11 +333,11 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
         if team.rank == 0:
             stop_fast_circles(bodies, step)
         wait(team)
-    if segments.shape[0] == 0:
+    if segments.line.shape[0] == 0:
         correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps)
         wait(team)
     if team.rank == 0:
-        if segments.shape[0] > 0:
+        if segments.line.shape[0] > 0:
             room = shared.memory.correction
             correct_positions(bodies, solved, box, segments, scales, options.position_sweeps, room)
         if sweeps > 0 and not flags[:, FINITE].all():
@@ -366,7 +366,7 @@ def next_contacts(step, options, shared, mine, before, buffer):
     if team.rank == 0:
         collision.hold(bodies, before, box, segments, skin, solved)
         is_listed = collision.refresh_list(bodies.position, bodies.radius, cells, 0.0)
-        shared.flags[0, LISTED] = is_listed and segments.shape[0] == 0
+        shared.flags[0, LISTED] = is_listed and segments.line.shape[0] == 0
     wait(team)
     if shared.flags[0, LISTED]:
         mine = find_touching(step, shared, buffer, mine)
