@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.collision import COLUMNS, ROWS, make_cells, sort_level, wall_gap
-from deep_contact.physics.segments import BESIDE, near_box, segment_gap, shared_end, time_to_touch
+from deep_contact.physics.segments import BESIDE, is_free, near_box, segment_gap, shared_end, time_to_touch
 from deep_contact.state import WALL_NORMALS
 
 FAST = 0.5
@@ -168,11 +168,13 @@ def _first_touch(i, now, path, swept):
                 first, partner = time, n + wall
     x, y = start[i, 0], start[i, 1]
     to_x, to_y = x + move[i, 0], y + move[i, 1]
-    near = near_box(segments, min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y), np.empty_like(segments.every))
-    for s in near:
-        time = max(now, _touch_segment(i, s, near, path))
-        if time < first:
-            first, partner = time, n + 4 + s
+    way = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
+    if not is_free(segments.start, segments.grid, *way):
+        near = near_box(segments, *way, np.empty_like(segments.every))
+        for s in near:
+            time = max(now, _touch_segment(i, s, near, path))
+            if time < first:
+                first, partner = time, n + 4 + s
     for k in _crossing(i, path, swept):
         time = _touch(i, k, now, path)
         if time < first:

@@ -106,30 +106,54 @@ def list_cells(line, reach, grid, fill, near):
 
 
 @njit(cache=True, error_model="numpy")
-def is_far(segments, x, y):
-    """Whether no segment is within reach of a point."""
-    corner_x, corner_y, per_metre, columns, rows = segments.grid
-    column, row = (x - corner_x) * per_metre, (y - corner_y) * per_metre
-    if not (0.0 <= column < columns and 0.0 <= row < rows):
-        return True
-    c = int(row) * columns + int(column)
-    return segments.start[c] == segments.start[c + 1]
+def circles_beside(segments, before, position, found):
+    """Write into `found`, (n,), the circles that may meet a segment on their way. Returns their number.
+
+    before, position: where they were and are, (n, 2), m. None is left out that comes within reach of a segment's line.
+    """
+    (corner_x, corner_y, per_metre, columns, rows), start, reach = segments.grid, segments.start, segments.reach
+    count = 0
+    for i in range(position.shape[0]):
+        x, y = before[i, 0], before[i, 1]
+        column, row = (x - corner_x) * per_metre, (y - corner_y) * per_metre
+        is_near = False
+        if 0.0 <= column < columns and 0.0 <= row < rows:
+            c = int(row) * columns + int(column)
+            is_near = start[c] != start[c + 1]
+        found[count] = i
+        count += is_near or not abs(position[i, 0] - x) + abs(position[i, 1] - y) <= reach
+    return count
+
+
+@njit(cache=True, error_model="numpy")
+def cells_of_box(grid, x_min, x_max, y_min, y_max):
+    """(First column, last, first row, last) of the cells that a box crosses; the last before the first without any."""
+    corner_x, corner_y, per_metre, columns, rows = grid
+    left, right = (x_min - corner_x) * per_metre, (x_max - corner_x) * per_metre
+    low, high = (y_min - corner_y) * per_metre, (y_max - corner_y) * per_metre
+    if not (right >= 0.0 and left < columns and high >= 0.0 and low < rows):
+        return 0, -1, 0, -1
+    return int(max(left, 0.0)), int(min(right, columns - 1.0)), int(max(low, 0.0)), int(min(high, rows - 1.0))
+
+
+@njit(cache=True, error_model="numpy")
+def is_free(start, grid, x_min, x_max, y_min, y_max):
+    """Whether no segment is within reach of a box. start, grid: of `Segments`."""
+    first, last, bottom, top = cells_of_box(grid, x_min, x_max, y_min, y_max)
+    for row in range(bottom, top + 1):
+        if start[row * grid[3] + first] != start[row * grid[3] + last + 1]:
+            return False
+    return True
 
 
 @njit(cache=True, error_model="numpy")
 def near_box(segments, x_min, x_max, y_min, y_max, buffer):
     """The segments within reach of a box, and others; some more than once. buffer: (S,), used."""
-    corner_x, corner_y, per_metre, columns, rows = segments.grid
-    left, right = (x_min - corner_x) * per_metre, (x_max - corner_x) * per_metre
-    low, high = (y_min - corner_y) * per_metre, (y_max - corner_y) * per_metre
-    if not (right >= 0.0 and left < columns and high >= 0.0 and low < rows):
-        return segments.every[:0]
-    first, last = int(max(left, 0.0)), int(min(right, columns - 1.0))
-    bottom, top = int(max(low, 0.0)), int(min(high, rows - 1.0))
+    first, last, bottom, top = cells_of_box(segments.grid, x_min, x_max, y_min, y_max)
+    columns, count = segments.grid[3], 0
     if first == last and bottom == top:
         c = bottom * columns + first
         return segments.near[segments.start[c] : segments.start[c + 1]]
-    count = 0
     for row in range(bottom, top + 1):
         begin, end = segments.start[row * columns + first], segments.start[row * columns + last + 1]
         if count + end - begin > buffer.shape[0]:
@@ -226,10 +250,9 @@ def shared_end(line, s, end, k):
 def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
     """Insert the circles and segments that touch among m sorted pairs, in place. Returns their number, -1 if full."""
     n, found = position.shape[0], m
-    for i in range(n):
+    circles = np.empty(n, np.int64)
+    for i in circles[: circles_beside(segments, position, position, circles)]:
         x, y = position[i, 0], position[i, 1]
-        if is_far(segments, x, y):
-            continue
         near = near_box(segments, x, x, y, y, segments.every)
         for s in near:
             if touches(segments.line, near, s, x, y, radius[i] + skin):
@@ -283,11 +306,9 @@ def hold_beside(bodies, before, segments):
     before: positions at the start of the step, (n, 2), m. Only what is pressed harder than the sweeps or position
     correction can withstand comes so far.
     """
-    position, buffer = bodies.position, np.empty_like(segments.every)
-    for i in range(bodies.mass.shape[0]):
+    position, buffer, circles = bodies.position, np.empty_like(segments.every), np.empty(len(before), np.int64)
+    for i in circles[: circles_beside(segments, before, position, circles)]:
         x, y = before[i, 0], before[i, 1]
-        if abs(position[i, 0] - x) + abs(position[i, 1] - y) <= segments.reach and is_far(segments, x, y):
-            continue
         share = 0.5 * first_crossing(segments, x, y, position[i, 0], position[i, 1], buffer)
         if share <= 0.5:
             to_x, to_y = x + share * (position[i, 0] - x), y + share * (position[i, 1] - y)

@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 
 from deep_contact.physics.collision import circles_around, refresh_list, sort_into_cells, wall_gap
-from deep_contact.physics.segments import near_box, segment_gap
+from deep_contact.physics.segments import is_free, near_box, segment_gap
 from deep_contact.physics.step import StepInput
 from deep_contact.state import WALL_NORMALS
 
@@ -81,7 +81,7 @@ def fastest_possible(velocity, gravity, dt):
 def fastest_onto_walls(step, fastest):
     """The fastest approach that closes the gap of a circle to a wall or a segment within Δt, m/s, or `fastest`."""
     bodies, box, segments, dt, skin = step.bodies, step.box, step.segments, step.dt, step.scales.wall_skin
-    buffer = np.empty_like(segments.every)
+    buffer, start, grid = np.empty_like(segments.every), segments.start, segments.grid
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = bodies.velocity[i, 0] + dt * step.gravity[0], bodies.velocity[i, 1] + dt * step.gravity[1]
         if v_x * v_x + v_y * v_y <= fastest * fastest:
@@ -93,6 +93,8 @@ def fastest_onto_walls(step, fastest):
                 fastest = approach
         # What it closes within Δt lies within reach of where it comes in that time, at most.
         far = dt * math.sqrt(v_x * v_x + v_y * v_y)
+        if is_free(start, grid, x - far, x + far, y - far, y + far):
+            continue
         for s in near_box(segments, x - far, x + far, y - far, y + far, buffer):
             gap, n_x, n_y = segment_gap(segments.line[s], x, y)
             approach = v_x * n_x + v_y * n_y
