@@ -36,12 +36,13 @@ class Segments(NamedTuple):
     start: np.ndarray  # (rows · columns + 1,): `near[start[c]:start[c + 1]]` are within reach of cell c
     near: np.ndarray  # segments, for each cell in their order
     every: np.ndarray  # (S,): all segments
+    joined: np.ndarray  # (2 S,): of end e of segment s, 2 s + e, the next of those that lie on it, in a ring
     grid: tuple  # (x, y) of its corner, m, cells a metre, columns, rows
     reach: float  # m
 
 
 NO_SEGMENTS = Segments(
-    np.zeros((0, 5)), np.zeros(1, np.int64), np.zeros(0, np.int64), np.zeros(0, np.int64), (0.0, 0.0, 1.0, 0, 0), 0.0
+    np.zeros((0, 5)), np.zeros(1, np.int64), *(np.zeros(0, np.int64),) * 3, (0.0, 0.0, 1.0, 0, 0), 0.0
 )
 """Of a world that has none."""
 
@@ -74,7 +75,18 @@ def in_grid(line: np.ndarray, reach: float) -> Segments:
     np.cumsum(start, out=start)
     near = np.empty(start[-1], np.int64)
     list_cells(line, beyond, grid, start[:-1].copy(), near)
-    return Segments(line, start, near, np.arange(len(line)), grid, reach)
+    return Segments(line, start, near, np.arange(len(line)), rings(ends), grid, reach)
+
+
+def rings(ends: np.ndarray) -> np.ndarray:
+    """Of each point, (k, 2), the next of those that are equal to it, the first after the last, (k,)."""
+    order = np.lexsort((ends[:, 1], ends[:, 0]))
+    first = np.concatenate([[True], (ends[order[1:]] != ends[order[:-1]]).any(axis=1)])
+    begin, after = np.maximum.accumulate(np.where(first, np.arange(len(ends)), 0)), np.append(first[1:], True)
+    following = np.where(after, begin, np.arange(1, len(ends) + 1))
+    joined = np.empty(len(ends), np.int64)
+    joined[order] = order[following]
+    return joined
 
 
 @njit(cache=True, error_model="numpy")
@@ -213,10 +225,10 @@ def segment_gap(segment, x, y, h_x=0.0, h_y=0.0):
 
 
 @njit(cache=True)
-def touches(line, near, s, x, y, reach):
+def touches(line, joined, s, x, y, reach):
     """Whether a circle has a contact with segment s: no farther than `reach`, m, and not left to one that it joins.
 
-    line: (S, 5). near: the segments within reach.
+    line, joined: of `Segments`.
     """
     segment = line[s]
     if x < min(segment[0], segment[2]) - reach or x > max(segment[0], segment[2]) + reach:
@@ -228,11 +240,13 @@ def touches(line, near, s, x, y, reach):
     part = nearest_part(segment, x, y)
     if part == BESIDE:
         return True
-    for k in near:
-        shared = shared_end(line, s, part, k)
+    end = 2 * s + part - START
+    other = joined[end]
+    while other != end:
         # Another part of that one is at least as near, since this end lies on it.
-        if shared != BESIDE and (k < s or nearest_part(line[k], x, y) != shared):
+        if other < end or nearest_part(line[other // 2], x, y) != START + other % 2:
             return False
+        other = joined[other]
     return True
 
 
@@ -253,9 +267,8 @@ def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
     circles = np.empty(n, np.int64)
     for i in circles[: circles_beside(segments, position, position, circles)]:
         x, y = position[i, 0], position[i, 1]
-        near = near_box(segments, x, x, y, y, segments.every)
-        for s in near:
-            if touches(segments.line, near, s, x, y, radius[i] + skin):
+        for s in near_box(segments, x, x, y, y, segments.every):
+            if touches(segments.line, segments.joined, s, x, y, radius[i] + skin):
                 if found == body_a.shape[0]:
                     return -1
                 body_a[found], body_b[found] = i, n + 4 + s

@@ -74,13 +74,24 @@ def test_the_grid_lists_every_segment_within_reach_of_a_place_or_a_way(kind):
         cell = near_box(segments, x, x, y, y, buffer)
         assert set(np.flatnonzero(near)) <= set(cell)
         assert i in beside or not near.any()
-        found = {s for s in cell if touches(line, cell, s, x, y, reach)}
-        assert found == {s for s in segments.every if touches(line, segments.every, s, x, y, reach)}
+        found = {s for s in cell if touches(line, segments.joined, s, x, y, reach)}
+        assert found == {s for s in segments.every if touches(line, segments.joined, s, x, y, reach)}
     for (x, y), (to_x, to_y) in zip(points[:-2:7], points[1:-1:7]):
         way = np.array([x, y]) + np.linspace(0.0, 1.0, 50)[:, None] * (to_x - x, to_y - y)
         near = (distances(line, way) <= reach).any(axis=0)
         box = min(x, to_x), max(x, to_x), min(y, to_y), max(y, to_y)
         assert set(np.flatnonzero(near)) <= set(near_box(segments, *box, buffer))
+
+
+def test_ends_are_joined_in_rings():
+    # Four segments meet in one point, a fifth lies apart; 0 and -0 are one place.
+    line = np.array([[0, 0, 1, 1], [2, 0, 0, -0.0], [0, 0, 3, 1], [1, 5, 0, 0], [7, 7, 8, 8]], float)
+    joined = in_grid(np.column_stack([line, np.zeros(5)]), 1.0).joined
+    ring = [0]
+    while joined[ring[-1]] != 0:
+        ring.append(joined[ring[-1]])
+    assert sorted(ring) == [0, 3, 4, 7]
+    assert all(joined[end] == end for end in (1, 2, 5, 6, 8, 9))
 
 
 def test_a_grid_of_many_segments_is_small_and_is_made_once():
@@ -224,8 +235,8 @@ def test_touching_segments_equal_brute_force():
 @pytest.mark.parametrize("point", [(-1.0, 0.0), (3.0, 0.0), (1.0, -1.0), (1.0, 1.0)])
 def test_a_segment_touches_as_far_as_the_reach_goes(point):
     for segment in ([0.0, 0.0, 2.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0, 0.0]):
-        assert touches(np.array([segment]), np.array([0]), 0, *point, 1.0)
-        assert not touches(np.array([segment]), np.array([0]), 0, *point, np.nextafter(1.0, 0.0))
+        assert touches(np.array([segment]), np.arange(2), 0, *point, 1.0)
+        assert not touches(np.array([segment]), np.arange(2), 0, *point, np.nextafter(1.0, 0.0))
 
 
 def test_an_end_is_touched_by_what_comes_within_and_not_by_what_is_there():
