@@ -240,9 +240,9 @@ def integrate_positions(bodies, solver_bodies, step, segments):
     if segments is None:
         if any_fast(solver_bodies, bodies.radius, step.dt):
             return False
-        move(bodies, solver_bodies, step)
+        move(bodies, solver_bodies, step.dt, step.scales.max_translation)
     else:
-        if move(bodies, solver_bodies, step):
+        if move(bodies, solver_bodies, step.dt, step.scales.max_translation):
             stop_fast_circles(bodies, step)
     return True
 
@@ -265,9 +265,9 @@ def stop_fast_circles(bodies, step):
 
 
 @njit(cache=True, error_model="numpy")
-def move(bodies, solver_bodies, step):
+def move(bodies, solver_bodies, dt, max_translation):
     """`integrate_positions` without what stops fast circles. Returns whether there is one."""
-    dt, max_translation, any_fast = step.dt, step.scales.max_translation, False
+    any_fast = False
     for i in range(bodies.mass.shape[0]):
         v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
         spin = solver_bodies[i, V_S] / bodies.radius[i]

@@ -327,7 +327,7 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
     flags[team.rank, FINITE] = all_finite(velocities)
     store_blocks(plan, tiles, solved, step.parts, team)
     # Positions.
-    flags[team.rank, FAST] = move(mine.bodies, velocities, step)
+    flags[team.rank, FAST] = move(mine.bodies, velocities, step.dt, scales.max_translation)
     wait(team)
     if flags[:, FAST].any():
         if team.rank == 0:
