@@ -3,6 +3,8 @@
 SENTENCES has, by page, pieces of its text with a `{}` for each number, and a function that makes the numbers from files
 of data/reference. GIVEN has, by page, the pieces whose numbers were chosen, not measured. A number with a decimal
 point, a unit of time, % or × that is in neither fails a test.
+
+Pages are read as they stand in the repository, so the numbers stand in them: a template would be a second copy of each.
 """
 
 from __future__ import annotations
