@@ -20,6 +20,9 @@ import deep_contact
 from deep_contact.io import lazy
 
 ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "docs"))
+import tables  # noqa: E402
+
 GALLERY = ROOT / "docs" / "gallery"
 PICTURES = (".png", ".gif")
 TIMEOUT_S = 600
@@ -74,7 +77,10 @@ def on_files(files, config):
 
 
 def on_page_markdown(markdown, page, config, files):
-    """Turn links that are right in the repository into links of the site, and add the pictures to the gallery."""
+    """Turn links that are right in the repository into links of the site; add the gallery's pictures, and what is old."""
+    if page.file.src_uri in [path.name for path in tables.PAGES]:
+        title, _, text = markdown.partition("\n")
+        markdown = f"{title}\n\n{tables.old_on(page.file.src_uri, markdown)}{text}"
     if page.file.src_uri == "gallery/index.md":
         shown = [(name, found[0].name) for name, found in _pictures.items() if found]
         markdown += "\n\n" + "\n".join(f"[![{name}]({name}/{file}){{ width=300 }}]({name}.md)" for name, file in shown)

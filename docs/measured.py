@@ -36,9 +36,18 @@ REFERENCE = ROOT / "data" / "reference"
 NUMBER = r"[-−]?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?"
 
 
-@cache
+USED = set()
+"""Files of data/reference that were read."""
+
+
 def stored(stem: str) -> dict:
     """A file of data/reference."""
+    USED.add(stem)
+    return _read(stem)
+
+
+@cache
+def _read(stem: str) -> dict:
     return json.loads((REFERENCE / f"{stem}.json").read_text(encoding="utf-8"))
 
 

@@ -16,7 +16,7 @@ from collections import Counter
 import measured
 from deep_contact.io.files import replacing
 from deep_contact.presets import PRESETS
-from deep_contact.reporting import page, results
+from deep_contact.reporting import page, references, results
 from deep_contact.reporting.figures import cell
 from deep_contact.studies import chapter_5, verdicts
 from deep_contact.studies.runs import ERRORS
@@ -247,7 +247,7 @@ def settings_tried() -> dict[int, str]:
 def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
     """The claims of the thesis that reference runs have tested, or our goals with what was measured.
 
-    Without `holding`, those that hold are left out, and those on the thesis's network, all open, are one row a figure.
+    Without `holding`, those that hold are left out, and those of a figure that are alike are one row: `_alike_as_one`.
     """
     head = ["results", "goal", "met", "measured"]
     keys = ("text", "holds", "measured")
@@ -265,19 +265,20 @@ def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
         claim["ratio"] = ratio(claim["measured"])
         claim["measured"] = "; ".join(f"{name} = {cell(value)}" for name, value in claim["measured"].items())
     if not holding:
-        found = [*_network_as_one(found)]
+        found = [*_alike_as_one(found)]
     return [head, *([id, *(claim[key] for key in keys)] for id, claim in found)]
 
 
-def _network_as_one(found: list[tuple]):
-    """The claims of a table, in one row those of a figure that are open because of the rebuilt network."""
-    numbers = Counter(id for id, claim in found if claim["holds"] == chapter_5.OPEN)
+def _alike_as_one(found: list[tuple]):
+    """The claims of a table, in one row those of a figure that are open because of the rebuilt network, or in the noise."""
+    alike = {chapter_5.OPEN: "all {} on the network of the thesis", "within the noise": "{} claims: see the appendix"}
+    numbers = Counter((id, claim["holds"]) for id, claim in found)
     for id, claim in found:
-        if claim["holds"] != chapter_5.OPEN:
+        if claim["holds"] not in alike:
             yield id, claim
-        elif count := numbers.pop(id, 0):
-            text = claim["text"] if count == 1 else f"all {count} on the network of the thesis"
-            yield id, claim | {"text": text, "ratio": None}
+        elif count := numbers.pop((id, claim["holds"]), 0):
+            text = claim["text"] if count == 1 else alike[claim["holds"]].format(count)
+            yield id, claim | ({"text": text, "ratio": None} if count > 1 else {})
 
 
 def ratio(measured: dict) -> str | None:
@@ -375,6 +376,17 @@ def filled(page: str, text: str) -> str:
         return f"{match[1]}{markdown(TABLES[name]() if name in TABLES else rows_of(*name.split()))}{match[3]}"
 
     return measured.filled(page, _BLOCK.sub(table, text))
+
+
+def old_on(page: str, text: str) -> str:
+    """What the site says of the files of data/reference behind a page's numbers and pictures that are old; "" for none."""
+    measured.printed.cache_clear()
+    measured.USED.clear()
+    filled(page, text)
+    used = sorted(measured.USED | set(re.findall(r"data/reference/(\w+)\.png", text)))
+    old = [f"<li><code>{name}</code>: {why}</li>" for name in used if (why := references.why_old(name))]
+    title = f"Old: {len(old)} of the {len(used)} results behind this page were made by other code than today's"
+    return f"<details><summary>{title}</summary><ul>{''.join(old)}</ul></details>\n" if old else ""
 
 
 def main() -> int:

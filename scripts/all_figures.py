@@ -3,14 +3,15 @@
 Runs every scripts/figure_*.py and scripts/table_*.py in the order of their numbers. A failure does not stop the others.
 At the end it prints a summary and writes all results of the folder into one page, <out>/index.html.
 
-`--references` makes every file of data/reference: studies and benchmarks first, since figures are drawn from some of
-them, then all figures and tables, and the tables of the documentation. It takes some hours, on a machine that does
-nothing else, and keeps what this commit has made: the command goes on where it was stopped. Exit status: 0 if all
-succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
+`--stale` lists the files of data/reference that other code or inputs made than today's, why, and their time then.
+`--references` makes these again: the cheap ones first, those that hold times last, on a machine that does nothing else,
+then the tables of the documentation. What is true is kept: the command goes on where it was stopped. Exit status: 0 if
+all succeeded, 1 if any failed, 2 for bad arguments, 130 after Ctrl-C.
 """
 
 import argparse
 import ast
+import json
 import signal
 import subprocess
 import sys
@@ -18,7 +19,7 @@ import time
 from pathlib import Path
 
 from deep_contact import parallel
-from deep_contact.reporting import page, results
+from deep_contact.reporting import page, references
 from deep_contact.reporting.figures import INTERRUPTED
 from deep_contact.reporting.results import REFERENCE
 from deep_contact.reporting.scripts import choose, find, stem
@@ -27,24 +28,6 @@ INTERRUPTS = (INTERRUPTED, -signal.SIGINT)
 """Exit status of a script that was ended by Ctrl-C, the second one before it could catch it."""
 
 HERE = Path(__file__).resolve().parent
-TOOLS = HERE.parent / "tests" / "tools"
-
-STUDIES = {
-    "run_tradeoff": [HERE / "run_tradeoff.py"],
-    "run_tradeoff_verify": [HERE / "run_tradeoff.py", "--verify"],
-    "benchmark_engine": [HERE / "benchmark.py", "engine"],
-    "benchmark_step": [HERE / "benchmark.py", "step"],
-    "benchmark_transfer": [HERE / "benchmark.py", "transfer"],
-    "benchmark_state_xml": [HERE / "benchmark.py", "xml"],
-    "soak": [TOOLS / "soak.py"],
-    "mutants": [TOOLS / "mutate.py", "--mutants", "100"],
-    "mutants_late": [TOOLS / "mutate.py", "--late", "--mutants", "64"],
-}
-"""File of data/reference -> the script and options that write it; `--out` and the path follow."""
-
-ELSEWHERE = ("benchmark_disks", "benchmark_outside", "box2d_native", "fuzz", "golden", "ratios_before")
-"""Files that need problems and solvers of others (docs/benchmarks.md says which) or Box2D v3 compiled from its sources,
-one that several runs fill, ratios of the past, and golden runs, made anew only where a change of results is meant."""
 
 
 def main(arguments=None, folder=HERE):
@@ -56,20 +39,24 @@ def main(arguments=None, folder=HERE):
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
-    studies = []
-    if given.references:  # those whose files were not made by this commit
-        studies = [[*command, "--out", REFERENCE / f"{name}.json"] for name, command in STUDIES.items()]
-        studies = [command for command in studies if not results.is_current(command[-1])]
-    if given.list:
-        print(*(" ".join(map(str, command)) for command in studies), *map(str, chosen.values()), sep="\n")
+    stale = references.stale() if given.stale or given.references else []
+    if given.stale:
+        for name in stale:
+            print(f"{name}, {cost(name)}: {references.why_old(name)}")
         return 0
-    work = [(command[-1].stem, command, None) for command in studies]
-    work += [(name, [path, *passed_on], Path(given.out) / f"{stem(path)}.json") for name, path in chosen.items()]
+    work = [(name, [path, *passed_on], Path(given.out) / f"{stem(path)}.json") for name, path in chosen.items()]
     if given.references:
+        wanted = [stem(path) for path in chosen.values()] if given.only else references.STUDIES.keys() | set(stale)
+        names = [name for name in stale if name in wanted and name not in references.BY_HAND]
+        work = [(name, made_by(name, passed_on), REFERENCE / f"{name}.json") for name in names]
         work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
+    if given.list:
+        print(*(" ".join(map(str, command)) for _, command, _ in work), sep="\n")
+        return 0
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):
-        print(f"\n[{number}/{len(work)}] {command[0].name}", flush=True)
+        left = sum(references.made(one)["wall_s"] for one, *_ in work[number - 1 : -1]) if given.references else 0
+        print(f"\n[{number}/{len(work)}] {command[0].name}{f', {in_words(left)} left' * bool(left)}", flush=True)
         status, seconds = timed(command)
         done.append((name, status, seconds, stored))
         if status in INTERRUPTS:
@@ -90,7 +77,8 @@ def parse(arguments):
     add("--quick", action="store_true", help="smaller runs, each within a minute")
     add("--resume", action="store_true", help="keep what is stored with the same settings and commit")
     add("--replot", action="store_true", help="draw all again from what is stored")
-    add("--references", action="store_true", help="make data/reference")
+    add("--stale", action="store_true", help="list what of data/reference is old")
+    add("--references", action="store_true", help="make what of data/reference is old")
     add("--list", action="store_true", help="only name what is to be made")
     add("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
@@ -99,10 +87,29 @@ def parse(arguments):
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     given = parser.parse_args(arguments)
     if given.references:
-        given.out, given.resume = str(REFERENCE), True
+        given.out = str(REFERENCE)
     flags = [f"--{name}" for name in ("quick", "resume", "replot") if getattr(given, name)]
     values = [(f"--{name}", getattr(given, name)) for name in ("out", "jobs", "seed", "scheduler")]
     return given, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
+
+
+def made_by(name, passed_on):
+    """The command that makes a file of data/reference. Studies take no option of figures but the file's name."""
+    script, *options = references.commands()[name]
+    return [script, *(["--out", REFERENCE / f"{name}.json"] if name in references.STUDIES else passed_on), *options]
+
+
+def cost(name):
+    """What a file of data/reference took when it was made, in words."""
+    return in_words(references.made(name)["wall_s"]) + " by hand" * (name in references.BY_HAND)
+
+
+def in_words(seconds):
+    """Such as "3 s", "51 min", "2 h 40 min"; "unknown time" where it was not measured."""
+    minutes = round(seconds / 60)
+    if seconds < 100:
+        return f"{max(1, round(seconds))} s" if seconds else "unknown time"
+    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
 
 
 def timed(command):
@@ -135,7 +142,7 @@ def summarise(done):
     for name, status, seconds, stored in done:
         word, held = "interrupted" if status in INTERRUPTS else "failed" if status else "done", "–"
         if status == 0 and stored is not None:
-            claims = results.read_results(stored)["claims"]
+            claims = json.loads(stored.read_text(encoding="utf-8")).get("claims", [])
             held = f"{sum(claim['holds'] is True for claim in claims)} of {len(claims)}"
         print(f"{name:<6} {word:<11}  {seconds:6.1f}  {held}")
 

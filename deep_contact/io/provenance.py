@@ -7,11 +7,13 @@ import os
 import platform
 import re
 import subprocess
+import sys
 from contextlib import suppress
 from importlib import metadata
 from pathlib import Path
 
 from deep_contact.constants import VERSION
+from deep_contact.io import sources
 from deep_contact.io.shipped import find
 
 PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotlib")
@@ -21,18 +23,27 @@ PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow", "lxml", "matplotli
 def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | None = None) -> dict:
     """Version, commit, Python, packages, processor, seed and wall time in seconds, as results files record them.
 
-    options: of the run; with them also "inputs", the digests of the files that they name.
+    options: of the run; with them also "inputs", the digests of the files that they name. Where the main program is a
+    script, also "code", the digests of what it runs (`sources.code`), and "golden", that of the golden runs, if any.
     Neither paths nor the name of the machine are recorded. No package is imported to learn its version.
     """
-    return {
-        "version": VERSION,
-        "commit": commit(),
-        "python": platform.python_version(),
-        "packages": package_versions(),
-        "cpu": processor(),
-        "seed": seed,
-        "wall_s": round(float(wall_s), 3),
-    } | ({} if options is None else {"inputs": digests(options)})
+    script = Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
+    made = {}
+    if script.suffix == ".py" and script.is_file() and "site-packages" not in script.parts:
+        made = {"code": sources.code(script)} | dict(zip(["golden"], sources.golden()))
+    return (
+        made
+        | {
+            "version": VERSION,
+            "commit": commit(),
+            "python": platform.python_version(),
+            "packages": package_versions(),
+            "cpu": processor(),
+            "seed": seed,
+            "wall_s": round(float(wall_s), 3),
+        }
+        | ({} if options is None else {"inputs": digests(options)})
+    )
 
 
 def commit() -> str:

@@ -15,7 +15,7 @@ from pathlib import Path
 import jinja2
 
 from deep_contact.io.files import replacing
-from deep_contact.reporting import results
+from deep_contact.reporting import references, results
 from deep_contact.reporting.figures import cell
 
 ERRATA: dict[str, list[dict]] = json.loads((Path(__file__).parent / "errata.json").read_text(encoding="utf-8"))
@@ -76,7 +76,7 @@ def _content(path: Path) -> dict:
         for name in {**here, **there}
         if here.get(name) != there.get(name)
     }
-    run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs")}
+    run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs", "code")}
     return entry | {
         "claims": [_judged(claim, reference if other else None) for claim in entry["claims"]],
         "full": None if reference is None else not other,
@@ -85,6 +85,7 @@ def _content(path: Path) -> dict:
         "anchor": path.stem.replace("_", "-"),
         "picture": base64.b64encode(picture.read_bytes()).decode("ascii") if picture.exists() else None,
         "settings": {**here, "seed": made["seed"]},
+        "old": references.why_old(path.stem) if path.resolve().parent == results.REFERENCE else "",
         "made": run | made["packages"] | made.get("inputs", {}),
     }
 

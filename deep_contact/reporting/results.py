@@ -7,7 +7,7 @@ A results file is strict JSON with six fields, as `results_schema.json` defines 
 | id         | "3.7" for a figure, "T 5.1" for a table                                                    |
 | title      | one line                                                                                   |
 | options    | the settings of the run, name -> value                                                     |
-| provenance | version, commit, python, packages, cpu, seed, wall_s, inputs: see `io.provenance`          |
+| provenance | version, commit, python, packages, cpu, seed, wall_s, inputs, code: see `io.provenance`    |
 | claims     | list of {text, thesis, holds, measured, verdict}: see `Claim`                              |
 | data       | every plotted number                                                                       |
 
@@ -131,18 +131,16 @@ def read_results(path: str | os.PathLike) -> dict:
 
 
 def is_current(path: str | os.PathLike, made: Mapping | None = None, **fields) -> bool:
-    """Whether a record was made by this commit with these packages, and has these fields and this provenance (`made`).
+    """Whether a record was made by this code with these packages, and has these fields and this provenance (`made`).
 
-    Never in a changed or unknown checkout: the code that made the file is not known there.
+    Never where the code is not known (`sources.code`): outside of a script.
     """
     now = provenance()
-    if now["commit"] == "unknown" or now["commit"].endswith("+changes"):
-        return False
     try:
         found = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    wanted = {"commit": now["commit"], "packages": now["packages"]} | dict(made or {})
+    wanted = {"code": now.get("code", "unknown"), "packages": now["packages"]} | dict(made or {})
     by = found.get("provenance", {})
     return all(by.get(k) == v for k, v in wanted.items()) and all(found.get(k) == v for k, v in fields.items())
 

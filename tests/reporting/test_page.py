@@ -3,14 +3,11 @@
 import json
 import re
 from html.parser import HTMLParser
-from pathlib import Path
 
 import pytest
-from conftest import load_script
 
-from deep_contact.io import provenance
 from deep_contact.reporting import page as report_page
-from deep_contact.reporting import plotting, results
+from deep_contact.reporting import plotting, references, results
 
 
 def entry(id, **changes):
@@ -126,17 +123,7 @@ def test_a_quick_run_is_called_so_and_contradicts_nothing(folder):
     assert text.count("the &lt;other&gt;") == 5  # not in the list of those that do not hold
 
 
-def test_every_file_of_data_reference_is_made_by_one_of_the_commands(tmp_path, monkeypatch, capsys):
-    module = load_script("all_figures")
-    made = {path.stem for path in module.REFERENCE.glob("*.json")}
-    figures = {module.stem(script) for script in module.find(module.HERE).values()}
-    assert made - figures - set(module.ELSEWHERE) == module.STUDIES.keys()
-    assert all(script.is_file() for script, *_ in module.STUDIES.values())
-    monkeypatch.setattr(module, "REFERENCE", tmp_path)
-    monkeypatch.setattr(provenance, "commit", lambda: "0" * 40)
-    names = [*module.STUDIES][:2]
-    for name, commit in zip(names, ("0" * 40, "1" * 40)):  # what this commit made is kept
-        (tmp_path / f"{name}.json").write_text(json.dumps({"provenance": results.provenance() | {"commit": commit}}))
-    assert module.main(["--references", "--list"]) == 0
-    listed = [Path(line.split()[-1]).stem for line in capsys.readouterr().out.splitlines()]
-    assert listed[: -len(figures)] == [*module.STUDIES][1:]
+def test_every_file_of_data_reference_is_made_by_a_command_or_a_record():
+    made = {path.stem for path in results.REFERENCE.glob("*.json")}
+    assert made == references.commands().keys() | set(references.RECORDS)
+    assert all(script.is_file() for script, *_ in references.commands().values())

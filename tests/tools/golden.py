@@ -30,6 +30,7 @@ from numba.core.registry import cpu_target
 
 import deep_contact as dc
 from deep_contact import sph
+from deep_contact.io import sources
 from deep_contact.io.files import write_bytes, write_json
 from deep_contact.io.provenance import provenance
 from deep_contact.physics.lcp import contact_problem
@@ -307,7 +308,13 @@ def write():
     packed = BytesIO()
     np.savez_compressed(packed, **named)
     write_bytes(FILE.with_suffix(".npz"), packed.getvalue())
-    write_json(FILE, {"machine": machine(), "provenance": provenance(), "runs": entries})
+    before, of = json.loads(FILE.read_text(encoding="utf-8")), sources.digest_of_runs
+    bits = {name: entry["sha256"] for name, entry in entries.items()}
+    is_kept = all(bits.get(name) == entry["sha256"] for name, entry in before["runs"].items())
+    extends = dict.fromkeys([*before.get("extends", ()), of(before["runs"])]) if is_kept else {}
+    extends.pop(of(entries), None)
+    record = {"machine": machine(), "provenance": provenance(), "extends": [*extends], "runs": entries}
+    write_json(FILE, record)
 
 
 def moved(scene, share=1e-15, seed=0):
