@@ -1,4 +1,4 @@
-"""The validated interface of the engine: `solve_contacts`, `step`, `simulate`, `simulate_many`."""
+"""The validated interface of the engine: `find_contacts`, `solve_contacts`, `step`, `simulate`, `simulate_many`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy as np
 from deep_contact.compiled.team import cores
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord
-from deep_contact.physics.engine import ContactSolution
+from deep_contact.physics.engine import ContactSolution, contacts_of
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
@@ -85,6 +85,27 @@ class Simulation(NamedTuple):
             summary["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
             summary["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
         return summary | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
+
+
+def find_contacts(state: State) -> StateWithContacts:
+    """The state with the contacts at its positions: they are found, and nothing is solved.
+
+    Pairs that were contacts of the state keep their impulses, others have none. What was solved stays solved where no
+    contact comes or goes. Raises ValueError on a state that does not hold together.
+    """
+    old = ready(state)
+    if state.contacts is None:
+        return old
+    contacts = contacts_of(old)
+    end = old.bodies.count + 4 + len(old.world.segments)
+    keys, before = (one.body_a * end + one.body_b for one in (contacts, old.contacts))
+    is_same, at = np.array_equal(keys, before), np.searchsorted(before, keys)
+    (kept,) = np.nonzero(before.take(at, mode="clip") == keys) if len(before) else (np.zeros(0, np.int64),)
+    starts = old.contacts[7:]
+    impulses = old.contacts[5:7] if old.solved and is_same else (np.maximum(starts[0], 0.0), starts[1])
+    for values, carried in zip(contacts[5:], (*impulses, *starts)):
+        values[kept] = carried[at[kept]]
+    return old.replace(contacts=contacts, solved=old.solved and is_same)
 
 
 def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:

@@ -1,9 +1,11 @@
 """python scripts/predict.py STATE.xml… [--model model] [--out predictions]: predict the impulses of states.
 
-For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, from Builtin, and solved where the
-file has the solution; <out>/<name>.npy with the predicted image, of impulses or of the coefficients that correct
-Builtin's; <out>/<name>.png with the impulses in the scene. Predictions are projected on the friction cone, or with
---raw as the network has them. The velocity errors of the solver from them and from Builtin are printed.
+For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, from Builtin where the file has
+them, and solved where it has the solution; <out>/<name>.npy with the predicted image, of impulses or of the
+coefficients that correct a start; <out>/<name>.png with the impulses in the scene. The model is by default "model",
+which corrects Builtin's impulses, and "no_past" for a file without impulses. Predictions are projected on
+the friction cone, or with --raw as the network has them. The velocity errors of the solver from them and from Builtin
+are printed.
 """
 
 from __future__ import annotations
@@ -14,15 +16,20 @@ from pathlib import Path
 
 import numpy as np
 
-COLUMNS = "body_a body_b x y n_x n_y predicted_n predicted_t builtin_n builtin_t solved_n solved_t".split()
+PLACES = "body_a body_b x y n_x n_y".split()
 
 
 def contact_table(state, predicted, file) -> None:
-    """Write a CSV with a row for each contact; the last two columns are empty where the state is not solved."""
+    """Write a CSV with a row for each contact: places, predicted impulses, Builtin's and solved ones if there are."""
     c = state.contacts
-    columns = [c.body_a, c.body_b, *c.position.T, *c.normal.T, *predicted, c.normal_start, c.tangent_start]
-    columns += [c.normal_impulse, c.tangent_impulse] if state.solved else [np.full(c.count, "")] * 2
-    csv.writer(file, lineterminator="\n").writerows([COLUMNS, *zip(*(column.tolist() for column in columns))])
+    columns = dict(zip(PLACES, [c.body_a, c.body_b, *c.position.T, *c.normal.T]))
+    columns |= dict(zip(("predicted_n", "predicted_t"), predicted))
+    if c.have_past:
+        columns |= {"builtin_n": c.normal_start, "builtin_t": c.tangent_start}
+    if state.solved:
+        columns |= {"solved_n": c.normal_impulse, "solved_t": c.tangent_impulse}
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerows([[*columns], *zip(*(column.tolist() for column in columns.values()))])
 
 
 def picture(state, predicted):
@@ -39,8 +46,8 @@ def picture(state, predicted):
     return figure
 
 
-def report(state, predicted) -> list[str]:
-    """Lines on a state: what was predicted, and the errors after some sweeps from there and from Builtin."""
+def report(state, predicted, builtin: str) -> list[str]:
+    """Lines on a state: what was predicted, and the errors after some sweeps from there and from its start's name."""
     from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
 
     contacts = state.contacts
@@ -48,33 +55,41 @@ def report(state, predicted) -> list[str]:
     lines.append(f"  predicted λ_n from {predicted[0].min():.4g} to {predicted[0].max():.4g} N·s")
     if state.solved:
         lines.append(f"  error of the velocities after {', '.join(map(str, SWEEPS))} sweeps of PGS, relative")
-        starts = {"from the network": predicted, "from the last step": (contacts.normal_start, contacts.tangent_start)}
+        starts = {"from the network": predicted, builtin: (contacts.normal_start, contacts.tangent_start)}
         for name, start in starts.items():
             lines.append(f"    {name:18s}" + "".join(f"{e:9.4f}" for e in velocity_errors(state, start)))
     return lines
 
 
 def predict_file(path: Path, model, out: Path, *, raw: bool = False, pictures: bool = True) -> list[str]:
-    """Predict one state file, write the results, and return the lines to print."""
+    """Predict one state file, write the results, and return the lines to print. model: None chooses by the state."""
     import deep_contact as dc
+    from deep_contact.cnn.inference import model_of
     from deep_contact.io.files import replacing
     from deep_contact.reporting import plotting
 
     state = dc.read_state(path)
     if state.contacts is None:
-        state = dc.simulate(state, steps=0).state
+        state = dc.find_contacts(state)
     if state.contacts.count == 0:
         return [f"{path}: no contacts, nothing to predict"]
-    predicted = model.predict(state, project=not raw)
+    seen, builtin, lines = state, "from the last step", []
+    if model is None and not state.contacts.have_past:
+        # `warm_start.LearnedSupport`: the network corrects what the positions say.
+        impulses = dict(zip(("normal_start", "tangent_start"), dc.warm_start.Support()(state, None)))
+        seen, builtin = state.replace(contacts=state.contacts._replace(**impulses)), "from the support"
+        model, lines = "no_past", ["  no impulses of a step before: predicted from the positions, by no_past"]
+    model = model_of(model)
+    predicted = model.predict(seen, project=not raw)
     name = path.name.removesuffix(".gz").removesuffix(".xml")
     with replacing(out / f"{name}.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         contact_table(state, predicted, file)
     with replacing(out / f"{name}.npy") as temporary:
-        np.save(temporary, model.predict_image(state), allow_pickle=False)
+        np.save(temporary, model.predict_image(seen), allow_pickle=False)
     if pictures:
         with plotting.style():
             plotting.save(picture(state, predicted), out / f"{name}.png")
-    return [*report(state, predicted), f"  {out / name}.csv, .npy{', .png' if pictures else ''}"]
+    return [*report(seen, predicted, builtin), *lines, f"  {out / name}.csv, .npy{', .png' if pictures else ''}"]
 
 
 def main(argv=None) -> int:
@@ -83,7 +98,7 @@ def main(argv=None) -> int:
     parser = argparse.ArgumentParser(description=about, formatter_class=argparse.RawDescriptionHelpFormatter)
     add = parser.add_argument
     add("states", nargs="+", type=Path, metavar="STATE.xml", help="state files")
-    add("--model", default=None, help="model file, or a name in models/registry.json; default: model")
+    add("--model", default=None, help="model file, or a name in models/registry.json; default: by state")
     add("--out", type=Path, default=Path("predictions"), help="folder for the results")
     add("--threads", type=int, default=1, help="of TensorFlow")
     add("--raw", action="store_true", help="impulses as the network has them, not projected on the friction cone")
@@ -94,7 +109,7 @@ def main(argv=None) -> int:
 
     try:
         limit_threads(given.threads)
-        model = load_model(given.model)
+        model = load_model(given.model) if given.model else None
     except (ModuleNotFoundError, OSError, ValueError) as error:
         parser.exit(4 if isinstance(error, ModuleNotFoundError) else 2, f"{parser.prog}: {error}\n")
     given.out.mkdir(parents=True, exist_ok=True)

@@ -1,5 +1,7 @@
 """Validation of states at the border."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -55,3 +57,68 @@ def test_parts_of_the_wrong_type_are_named_by_all_that_take_a_state(change, mess
     for use in (dc.step, dc.solve_contacts, dc.solve_exactly, format_state):
         with pytest.raises(ValueError, match=message):
             use(state)
+
+
+@pytest.fixture(scope="module")
+def pile():
+    """Circles at rest on the floor of a box with a slope in it."""
+    world = dc.World(box=(0.0, 0.0, 12.0, 12.0), segments=[((0.0, 11.0), (1.0, 12.0)), ((6.0, 0.0), (12.0, 2.0))])
+    scene = dc.State(
+        name="pile",
+        world=world,
+        bodies=dc.make_bodies([[2, 1], [3, 2.6], [4, 1], [9, 2.1], [6, 8]], mass=[1, 2, 3, 4, 5]),
+    )
+    return dc.simulate(scene, steps=60, solver=dc.PGS()).state
+
+
+def carried(state):
+    """Names of the bodies that touch -> their impulses. A circle's name is its mass."""
+    n, c = state.bodies.count, state.contacts
+    names = [*state.bodies.mass, "floor", "right", "ceiling", "left", "0", "1"]
+    assert (c.body_b < n + 6).all()
+    return {(names[a], names[b]): (p, q) for a, b, p, q in zip(c.body_a, c.body_b, c.normal_start, c.tangent_start)}
+
+
+def test_contacts_that_do_not_fit_the_bodies_are_refused(pile):
+    # They were kept: what lay on the floor fell, and the new circle was pushed.
+    more = dc.make_bodies(np.vstack([pile.bodies.position, [[10.0, 10.0]]]))
+    with pytest.raises(ValueError, match=r"bodies: expected 5 circles, as the contacts have, got 6; .*with_bodies"):
+        pile.replace(bodies=more)
+    with pytest.raises(ValueError, match=r"segments\[1\]: expected .*, which has contacts, got another"):
+        pile.replace(world=replace(pile.world, segments=pile.world.segments[:1]))
+    assert pile.replace(bodies=more, contacts=None).contacts is None
+    assert pile.replace(world=replace(pile.world, friction=0.1)).contacts is pile.contacts
+
+
+@pytest.mark.parametrize(
+    ("remove", "stays"),
+    [([], [0, 1, 2, 3, 4]), ([1], [0, 2, 3, 4]), ([4, 0], [1, 2, 3]), ([True, *[False] * 4], [1, 2, 3, 4])],
+)
+def test_circles_come_and_go_and_the_contacts_of_the_others_keep_their_impulses(pile, remove, stays):
+    state = pile.with_bodies(add=dc.make_bodies([[10.0, 10.0], [0.99, 6.0]], mass=[8.0, 9.0]), remove=remove)
+    np.testing.assert_array_equal(state.bodies.position[:-2], pile.bodies.position[stays])
+    there = {*(np.array(stays) + 1.0), "floor", "1"}
+    expected = {pair: value for pair, value in carried(pile).items() if there.issuperset(pair)}
+    assert len(expected) >= 3
+    assert carried(state) == {**expected, (9.0, "left"): (0.0, 0.0)}
+    for wrong in ([5], [0, 0], [0.5], [True]):
+        with pytest.raises(ValueError, match="remove: expected different circles, 0 to 4, or 5 flags"):
+            pile.with_bodies(remove=wrong)
+
+
+def test_a_pile_rests_on_when_a_circle_is_added(pile):
+    run = dc.simulate(pile.with_bodies(add=dc.make_bodies([[10.0, 10.0]])), steps=30, solver=dc.PGS())
+    assert np.abs(run.state.bodies.position[:3] - pile.bodies.position[:3]).max() < 0.002
+
+
+def test_contacts_are_found_and_nothing_is_solved(pile):
+    # `simulate(state, steps=0)`, which was called the way to find them, solved 2,000 sweeps into them.
+    found = dc.find_contacts(pile.replace(contacts=None))
+    assert not any(values.any() for values in found.contacts[5:])
+    assert dc.find_contacts(pile) == pile
+    lifted = pile.bodies.position + np.eye(5)[:, :1] * [0.0, 7.0]
+    moved = dc.find_contacts(pile.replace(bodies=pile.bodies._replace(position=lifted)))
+    assert carried(moved) == {pair: value for pair, value in carried(pile).items() if pair[0] != pile.bodies.mass[0]}
+    solved = dc.experiments.solved_states(pile, steps=2)[-1]
+    assert solved.solved
+    assert dc.find_contacts(solved) == solved

@@ -159,5 +159,5 @@ def _image(state: State, spec: ImageSpec, channels: list) -> np.ndarray:
 def with_contacts(state: State) -> State:
     """The state in this machine's byte order. Raises ValueError where its contacts have not been searched."""
     if state.contacts is None:
-        raise ValueError("state.contacts: expected contacts, got None; `dc.simulate(state, steps=0)` finds them")
+        raise ValueError("state.contacts: expected contacts, got None; `dc.find_contacts(state)` finds them")
     return native(state)

@@ -6,6 +6,7 @@ only for networks on images, and for `LearnedModel.network`.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -163,7 +164,17 @@ class LearnedModel:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class FarFieldModel(LearnedModel):
-    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds."""
+    """A far-field network (`cnn.far_field`): what it predicts corrects Builtin's start, which the state holds.
+
+    It warns of a state that holds none: `warm_start.LearnedSupport` predicts from positions alone.
+    """
+
+    def predict(self, state, *, project=True, problem=None):
+        contacts = state.contacts if isinstance(state, State) and problem is None else None
+        if contacts is not None and contacts.count and not contacts.have_past:
+            hint = "expected impulses, which this network corrects, got none; warm_start.LearnedSupport needs none"
+            warnings.warn(f"state.contacts: {hint}", stacklevel=2)
+        return super().predict(state, project=project, problem=problem)
 
     def _seen(self, state, problem=None):
         description = describe(state, self.spec, problem=problem)

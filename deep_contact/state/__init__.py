@@ -62,6 +62,9 @@ of one: a body leaves it with at most `scales.FASTEST` and π / (2 Δt), and the
 after a start of 1e50 N·s.) Circles whose radius is below 1e-13 of their distance from the origin sink in.
 """
 
+_OWNERS = {"bodies", "world"}
+"""Fields of a state whose parts contacts name by their numbers."""
+
 LARGEST_START = 1e50
 """Largest impulse that a start may hand to the solver, N·s: below what contacts may carry, so that it can be solved."""
 
@@ -140,6 +143,11 @@ class Contacts(NamedTuple):
         """Number of contacts."""
         return self.body_a.shape[0]
 
+    @property
+    def have_past(self) -> bool:
+        """Whether any of them carries an impulse of a step before: those of positions from elsewhere do not."""
+        return bool(self.normal_start.any() or self.tangent_start.any())
+
     def _repr_html_(self) -> str:
         return notebook.arrays_shown(notebook.counted(self.count, "contact"), self._asdict())
 
@@ -214,8 +222,39 @@ class State:
         return contact_scales(self.bodies.radius, world.gravity, self.dt, world.scales, bounces=bounces)
 
     def replace(self: S, **changes) -> S:
-        """A copy with some fields changed."""
-        return replace(self, **changes)
+        """A copy with some fields changed.
+
+        Raises ValueError where contacts are kept that would become those of other bodies: of another number of circles,
+        or of another segment.
+        """
+        changed = replace(self, **changes)
+        if self.contacts is not None and "contacts" not in changes and not changes.keys().isdisjoint(_OWNERS):
+            from deep_contact.state.checks import check_kept_contacts
+
+            check_kept_contacts(self, changed)
+        return changed
+
+    def with_bodies(self, *, add: Bodies | None = None, remove: Sequence = ()) -> State:
+        """The state without some circles and with others after the rest, ready to go on.
+
+        Contacts of the circles that stay keep their impulses; those of the added are found. add: of `make_bodies`.
+        remove: indices of circles, or a flag for each. Raises ValueError on circles that there are not.
+        """
+        from deep_contact import find_contacts  # by the front door: physics stands above states
+        from deep_contact.state.checks import check_bodies, checked_indices
+
+        n, removed = self.bodies.count, checked_indices("remove", remove, self.bodies.count)
+        stays = np.delete(np.arange(n), removed)
+        parts = [[values[stays] for values in self.bodies], *([check_bodies(add)] if add is not None else [])]
+        bodies = Bodies(*map(np.concatenate, zip(*parts)))
+        if self.contacts is None:
+            return self.replace(bodies=bodies)
+        index = np.arange(n + 4 + len(self.world.segments)) + bodies.count - n
+        index[removed], index[stays] = -1, np.arange(len(stays))
+        a, b = (index[body] for body in self.contacts[:2])
+        kept = Contacts(a, b, *self.contacts[2:])
+        kept = Contacts(*(values[(a >= 0) & (b >= 0)] for values in kept))
+        return find_contacts(self.replace(bodies=bodies, contacts=kept, solved=False))
 
     def __repr__(self) -> str:
         return f"State({self.name!r}, {', '.join(self._summary().values())})"

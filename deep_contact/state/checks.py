@@ -104,6 +104,30 @@ def contact_faults(fields: Mapping, n: int, segments: int) -> Iterator[tuple[str
     yield "normal_impulse", fields["normal_impulse"] < 0, "a number >= 0"
 
 
+def check_kept_contacts(before: State, after: State) -> None:
+    """Raise ValueError where a state that keeps contacts has other bodies in the places that these name."""
+    hint = "; contacts=None lets them be found, `State.with_bodies` keeps the impulses"
+    n, contacts = before.bodies.count, before.contacts
+    if isinstance(after.bodies, Bodies) and len(after.bodies.mass) != n and contacts.count:
+        raise ValueError(f"bodies: expected {n} circles, as the contacts have, got {len(after.bodies.mass)}{hint}")
+    old, new = (getattr(state.world, "segments", ()) for state in (before, after))
+    for k in np.unique(contacts.body_b[contacts.body_b >= n + 4]) - (n + 4) if len(old) != len(new) else ():
+        expected = f"segments[{k}]: expected {old[k]}, which has contacts"
+        expect(tuple(new[k : k + 1]) == (old[k],), f"{expected}, got another{hint.partition(',')[0]}")
+
+
+def checked_indices(name: str, which, count: int) -> np.ndarray:
+    """Different indices below `count`, from indices or from a flag for each. Raises ValueError on others."""
+    chosen = np.asarray(which)
+    if chosen.dtype == bool and chosen.shape == (count,):
+        chosen = np.flatnonzero(chosen)
+    chosen = np.atleast_1d(chosen) if chosen.size else np.zeros(0, np.int64)
+    fits = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
+    fits = fits and ((chosen >= 0) & (chosen < count)).all() and len(np.unique(chosen)) == len(chosen)
+    expect(fits, f"{name}: expected different circles, 0 to {count - 1}, or {count} flags, got {reprlib.repr(which)}")
+    return chosen
+
+
 def is_unit(normal: np.ndarray) -> np.ndarray:
     """Whether vectors, (m, 2), are of length 1, (m,)."""
     with np.errstate(over="ignore"):

@@ -45,3 +45,20 @@ def test_a_state_is_predicted_and_drawn_with_either_kind_of_network(kind, raw, s
     np.testing.assert_array_equal(predicted, model.predict(state, project=not raw))
     np.testing.assert_array_equal(np.load(tmp_path / "impact_154.npy"), model.predict_image(state))
     assert (tmp_path / "impact_154.png").stat().st_size > 10_000
+
+
+def test_positions_alone_are_predicted_by_the_network_without_a_past_and_have_no_column_of_builtin(script, tmp_path):
+    state = dc.simulate(dc.circles_in_box(40, size=20, seed=1), steps=150, solver=dc.PGS()).state
+    dc.write_state(tmp_path / "alone.xml", state.replace(contacts=None))
+    printed = script.predict_file(tmp_path / "alone.xml", None, tmp_path, pictures=False)
+    assert any("no_past" in line for line in printed)
+    with open(tmp_path / "alone.csv", newline="", encoding="utf-8") as file:
+        rows = list(csv.DictReader(file))
+    assert [name for name in rows[0] if name.endswith("_n")] == ["predicted_n"]
+    predicted = [[float(row[f"predicted_{part}"]) for row in rows] for part in "nt"]
+    found = dc.find_contacts(state.replace(contacts=None))
+    np.testing.assert_allclose(predicted, dc.warm_start.LearnedSupport()(found, None), rtol=1e-12)
+    with pytest.warns(UserWarning, match="expected impulses, which this network corrects, got none"):
+        dc.load_model().predict(found)
+    script.predict_file(ROOT / "data" / "sample" / "impact_154.xml.gz", None, tmp_path, pictures=False)
+    assert "builtin_n" in (tmp_path / "impact_154.csv").read_text(encoding="utf-8")
