@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from deep_contact.io.shipped import sample_file
     from deep_contact.io.state_xml import read_state, write_state
     from deep_contact.physics.exact import solve_exactly
+    from deep_contact.physics.forces import contact_table, coordination, forces, mean_stress, neighbours, stress
     from deep_contact.physics.scenes import (
         barrel,
         bench_disks,

@@ -21,26 +21,31 @@ MOST_WORK, SECONDS = 20_000_000, 0.2
 
 def run(
     state: StateWithContacts, start, steps: int, sleep: bool = False, record: int | None = None,
-    on_step: Callable | None = None, stopped: Event | None = None,
-) -> tuple[StateWithContacts, StepLog, list[StateWithContacts]]:  # fmt: skip
-    """So many steps of a state with its solver: the state after them, their log, the recorded states.
+    on_step: Callable | None = None, until: Callable | None = None, forces: bool = False, stopped: Event | None = None,
+) -> tuple[StateWithContacts, StepLog, list[StateWithContacts], list[np.ndarray]]:  # fmt: skip
+    """So many steps of a state with its solver: the state after them, their log, the recorded states and loads.
 
-    Arguments as of `simulation.simulate`, checked. stopped: ends the run with a KeyboardInterrupt once it is set.
+    Arguments as of `simulation.simulate`, checked. Loads are `StepLog.loads` up to each recorded state. stopped: ends
+    the run with a KeyboardInterrupt once it is set.
     """
     calls = _Calls(state, start, sleep)
     # Builtin and NoStart need nothing from Python between two steps.
-    one_by_one = on_step is not None or not isinstance(start, (Builtin, NoStart))
-    every, log, done = record or steps + 1, make_log(steps), 0
+    one_by_one = on_step is not None or until is not None or not isinstance(start, (Builtin, NoStart))
+    every, log, done = record or steps + 1, make_log(steps, 4 + len(state.world.segments) if forces else 0), 0
     frames, state = [] if record is None else [state], None  # a million circles have 200 MB of contacts
-    while done < steps:
+    loads, is_over = [log.loads.copy()], False
+    while done < steps and not is_over:
         if stopped is not None and stopped.is_set():
             raise KeyboardInterrupt
         most = 1 if one_by_one else calls.affordable()
         done += calls.advance(log, done, min(steps - done, every - done % every, most), on_step)
-        if record is not None and (done % every == 0 or done == steps):
+        if until is not None:
+            is_over, calls.is_own = bool(until(calls.state)), False
+        if record is not None and (done % every == 0 or done == steps or is_over):
             frames.append(calls.state)
+            loads.append(log.loads.copy())
             calls.is_own = False
-    return calls.state, log, frames
+    return calls.state, StepLog(*(column[:done] for column in log[:5]), *log[5:]), frames, loads
 
 
 class _Calls:
@@ -65,7 +70,8 @@ class _Calls:
         problem = self._prepare()
         inputs, rows = step_input(self.state, self._solver, self._scales), some_steps(log, first, count, self._work)
         contacts, begun = self.state.contacts, time.perf_counter()
-        found = self._steps(inputs, contacts, rows, problem)
+        # Impacts that were computed with the problem are in no log.
+        found = self._steps(inputs, contacts, rows, None if len(log.loads) else problem)
         # How a run is divided changes no bit of it.
         self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / (time.perf_counter() - begun)))
         state, count = self.state, int(rows.progress[DONE]) // inputs.parts

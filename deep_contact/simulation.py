@@ -14,15 +14,16 @@ from deep_contact.compiled.team import cores
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, contacts_of
+from deep_contact.physics.forces import SIDES
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.presets import Accuracy, Decision, PresetWarning, decide
 from deep_contact.running import run
 from deep_contact.state import State, StateWithContacts, notebook
-from deep_contact.state.checks import check_types
+from deep_contact.state.checks import check_types, checked_indices
 from deep_contact.trajectory import Trajectory
-from deep_contact.validation import expect, flag, integer, number
+from deep_contact.validation import expect, flag, integer, number, one_of
 from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
 
 FIRST_SWEEPS = 500, 2000
@@ -42,6 +43,7 @@ class Simulation(NamedTuple):
     | relaxations | contacts times sweeps in each step, (steps,); with islands, summed over them              |
     | substeps    | into how many each step was divided, (steps,)                                             |
     | recorded    | the recorded states as a `Trajectory`, the last being `state`; None where none were asked |
+    | loads       | what walls and segments received until each recorded state, (T, 4 + S, 2), N·s, or None   |
 
     With substeps, contacts and θ are those of a step's last substep, sweeps and relaxations sums over all of them.
     """
@@ -53,6 +55,7 @@ class Simulation(NamedTuple):
     relaxations: np.ndarray
     substeps: np.ndarray
     recorded: Trajectory | None = None
+    loads: np.ndarray | None = None
 
     @property
     def trajectory(self) -> Trajectory:
@@ -60,6 +63,29 @@ class Simulation(NamedTuple):
         if self.recorded is None:
             raise ValueError("trajectory: expected a run of simulate(…, record=…), got one that recorded no states")
         return self.recorded
+
+    def force_on(self, part: str, index: int | Sequence[int] | None = None) -> np.ndarray:
+        """The mean force of contacts between each recorded state and the next, (T − 1, 2), N; its times are theirs.
+
+        part: "floor", "right", "ceiling", "left", "segment" or "circle". index: of the segment or the circle; the force
+        on several is their sum. The mean is over all steps and substeps, rebounds included. Of a circle it is what
+        changed its momentum, but for gravity (with e > 0, to half a step's fall of a circle that lands where motion
+        divides the step); walls and segments need a run with forces=True.
+        Raises ValueError where nothing was recorded, or what there is not.
+        """
+        recorded, world = self.trajectory, self.state.world
+        if part in SIDES:
+            part, index = "wall", SIDES.index(part)
+        count = {"wall": 4, "segment": len(world.segments), "circle": self.state.bodies.count}
+        chosen = checked_indices("index", index, count[one_of("part", part, (*SIDES, "segment", "circle", "wall"))])
+        seconds = np.diff(recorded.times)[:, None]
+        if part == "circle":
+            mass = self.state.bodies.mass[chosen]
+            change = np.einsum("tik,i->tk", np.diff(recorded.velocities[:, chosen], axis=0), mass)
+            return change / seconds - mass.sum() * np.array(world.gravity)
+        if self.loads is None:
+            raise ValueError("forces: expected a run of simulate(…, record=…, forces=True), got one without")
+        return np.diff(self.loads[:, (4 if part == "segment" else 0) + chosen].sum(axis=1), axis=0) / seconds
 
     @property
     def status(self) -> np.ndarray:
@@ -139,6 +165,8 @@ def simulate(
     accuracy: Accuracy | None = None,
     sleep: bool = False,
     record: int | None = None,
+    forces: bool = False,
+    until: Callable[[StateWithContacts], object] | None = None,
     on_step: Callable[[StateWithContacts, ConvergenceRecord], None] | None = None,
 ) -> Simulation:
     """Run a scene, or go on from a state, for so many steps.
@@ -153,20 +181,25 @@ def simulate(
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
+    forces: add up what walls and segments receive, for `Simulation.force_on`, between the states that `record` keeps.
+    until: called after each step with the state that it led to; the run ends where this is true.
     on_step: called after each step with the solved state (the bodies before the step, the contacts with the impulses
     it solved and those it started from) and the `ConvergenceRecord` of its sweeps. Of a divided step the impulses are
     what the first substep solved, times their number, and the record is that of the last.
     Raises ValueError on arguments that do not hold together, and FloatingPointError where the solver diverges beyond
     all numbers; the run can be interrupted.
     """
-    return _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_step)
+    return _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, forces, until, on_step)
 
 
-def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_step=None, stopped=None) -> Simulation:
+def _simulate(
+    state, steps, dt, solver, warm_start, accuracy, sleep, record, forces=False, until=None, on_step=None, stopped=None
+) -> Simulation:
     """`simulate`, which ends with a KeyboardInterrupt once the event `stopped` is set."""
     integer("steps", steps)
     if record is not None:
         integer("record", record, least=1)
+    expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
     if dt is not None:
         state = with_time_step(state, dt)
     given, state = state, ready(state)
@@ -178,8 +211,10 @@ def _simulate(state, steps, dt, solver, warm_start, accuracy, sleep, record, on_
     if decision and without_past and isinstance(start, Builtin) and not state.contacts.normal_start.any():
         state = _with_a_past(state)
     # A solved state is solved again from where it started, so that a resumed run repeats the steps of the first.
-    state, log, frames = run(state.replace(solver=solver), start, steps, sleep, record, on_step, stopped)
-    return Simulation(state, *log[:5], None if record is None else Trajectory.from_states(frames))
+    state = state.replace(solver=solver)
+    state, log, frames, loads = run(state, start, steps, sleep, record, on_step, until, forces, stopped)
+    recorded = None if record is None else Trajectory.from_states(frames)
+    return Simulation(state, *log[:5], recorded, np.array(loads) if forces else None)
 
 
 def simulate_many(
@@ -192,6 +227,7 @@ def simulate_many(
     accuracy: Accuracy | None = None,
     sleep: bool = False,
     record: int | None = None,
+    forces: bool = False,
     threads: int | None = None,
 ) -> list[Simulation]:
     """Run many scenes, each on its own, on all cores: for each what `simulate` returns, in their order, bit for bit.
@@ -213,7 +249,7 @@ def simulate_many(
 
     def one(number: int) -> Simulation:
         try:
-            return _simulate(states[number], steps, dt, solver, start, accuracy, sleep, record, stopped=stopped)
+            return _simulate(states[number], steps, dt, solver, start, accuracy, sleep, record, forces, stopped=stopped)
         except (ValueError, FloatingPointError) as error:
             raise type(error)(f"states[{number}]: {error}") from error
 

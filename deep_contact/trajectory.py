@@ -102,6 +102,18 @@ class Trajectory:
         potential = -(self.positions @ np.array(self.world.gravity)) @ mass
         return np.column_stack([0.5 * (linear + turning), potential])
 
+    @property
+    def dissipated(self) -> np.ndarray:
+        """The energy that contacts took from the circles between each state and the next, (T − 1,), J.
+
+        What belts and position correction gave is negative. Velocities are those half a substep before the positions
+        (symplectic Euler is a leapfrog), so that free flight dissipates nothing.
+        """
+        header, arrays = self.stored.header, self.stored.arrays
+        half = 0.5 * header["dt"] / getattr(header["solver"], "substeps", 1)
+        late = half * (self.velocities @ np.array(self.world.gravity)) @ arrays["mass"]
+        return -np.diff(self.energies.sum(axis=1) + late)
+
     def animate(self, *, fps: float = 25, height: float = 5.0, every: int = 1) -> FuncAnimation:
         """A matplotlib animation of the circles, coloured by speed, and their contacts, as wide as their impulses.
 

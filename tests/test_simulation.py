@@ -110,3 +110,13 @@ def test_memory_kept_between_calls_changes_no_bit(monkeypatch, friction):
         scene = run.state
         assert run.theta[0] == theta
     assert found.state == scene
+
+
+def test_a_run_ends_where_it_is_told_to_and_is_called_once_a_step_whatever_divides_it():
+    scene, solver, called = dc.column(2, friction=0.3), dc.PGS(sweeps=5, substeps=4), []
+    on_step = lambda *solved: called.append(solved[0].time)  # noqa: E731
+    run = dc.simulate(scene, solver=solver, until=lambda state: state.step == 7, record=5, on_step=on_step)
+    assert run.state == dc.simulate(scene, steps=7, solver=solver).state
+    assert run.sweeps.shape == run.theta.shape == (7,)
+    assert [round(time, 6) for time in run.trajectory.times] == [0.0, 0.05, 0.07]
+    assert [round(time, 6) for time in called] == [0.0, 0.01, 0.02, 0.03, 0.04, 0.05, 0.06]

@@ -102,7 +102,7 @@ def test_circles_come_and_go_and_the_contacts_of_the_others_keep_their_impulses(
     assert len(expected) >= 3
     assert carried(state) == {**expected, (9.0, "left"): (0.0, 0.0)}
     for wrong in ([5], [0, 0], [0.5], [True]):
-        with pytest.raises(ValueError, match="remove: expected different circles, 0 to 4, or 5 flags"):
+        with pytest.raises(ValueError, match="remove: expected different numbers, 0 to 4, or 5 flags"):
             pile.with_bodies(remove=wrong)
 
 

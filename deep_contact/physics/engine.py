@@ -39,6 +39,7 @@ from deep_contact.physics.step import (
     StepLog,
     StepMemory,
     StepOptions,
+    add_loads,
     log_part,
     make_memory,
     with_rare,
@@ -67,6 +68,7 @@ def advance(step, motion, contacts, sleep, options, memory, log):
         if sleep is not None:
             if sleeping.all_asleep(sleep):
                 log_part(log, j // step.parts, 0, 0, theta, 0)
+                add_loads(log, contacts, bodies.mass.shape[0], 1.0 / step.parts)
                 log.progress[DONE] = j + 1
                 continue
         if motion is not None:
@@ -82,7 +84,7 @@ def advance(step, motion, contacts, sleep, options, memory, log):
             rows = memory.rows
             if not memory.is_built:
                 if motion is not None:
-                    rebound(part, active)
+                    rebound(part, active, log.loads)
                 integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
                 if sleep is not None:
                     sleeping.hold_sleeping(solver_bodies, sleep)
@@ -103,6 +105,7 @@ def advance(step, motion, contacts, sleep, options, memory, log):
             if sleep is not None:
                 sleeping.wake_and_put_to_sleep(part, contacts, sleep)
             log_part(log, j // step.parts, active.body_a.shape[0], sweeps, theta, relaxations)
+            add_loads(log, solved, bodies.mass.shape[0], 1.0 / part.parts)
         if motion is not None:
             if part.parts > step.parts:
                 rejoin(step, part, contacts)
@@ -247,7 +250,7 @@ def after_impacts(state: State) -> State:
         return state
     bodies = state.bodies._replace(velocity=state.bodies.velocity.copy(), spin=state.bodies.spin.copy())
     state = state.replace(bodies=bodies)
-    rebound(step_input(state, None), state.contacts)
+    rebound(step_input(state, None), state.contacts, np.zeros((0, 2)))
     return state
 
 

@@ -29,8 +29,10 @@ SLOWEST = 1e-4
 
 
 @njit(cache=True, error_model="numpy")
-def rebound(step, contacts):
+def rebound(step, contacts, loads):
     """Let circles that meet rebound, in place on their velocities and spins, where e > 0. step: `StepInput`.
+
+    loads: of `StepLog`, to which what walls and segments receive is added.
 
     Approaches of up to (1 − e²) times the scene's `restitution_threshold`, and of what gravity gives in a step, do not
     rebound, so that piles come to rest.
@@ -52,10 +54,13 @@ def rebound(step, contacts):
         for i in range(contacts.body_a.shape[0]):
             a, b = contacts.body_a[i], min(contacts.body_b[i], n)
             if max(changed[a], changed[b]) >= k - 1 and parting_speed(bodies, contacts, i, ground) < -least:
-                strike(bodies, contacts, i, ground, restitution, step.friction, step.segments)
+                impulse = strike(bodies, contacts, i, ground, restitution, step.friction, step.segments)
                 changed[a] = k
                 if b < n:
                     changed[b] = k
+                elif loads.shape[0] > 0:
+                    loads[contacts.body_b[i] - n, 0] += impulse[0]
+                    loads[contacts.body_b[i] - n, 1] += impulse[1]
                 hits += 1
         if hits == 0:
             return
@@ -71,7 +76,10 @@ def parting_speed(bodies, contacts, i, ground):
 
 @njit(cache=True, error_model="numpy")
 def strike(bodies, contacts, i, ground, restitution, friction, segments):
-    """Let the two bodies of a contact rebound, in place: λ_n = −(1 + e) k_n v_n, λ_t = −k_t v_t within ±μ λ_n."""
+    """Let the two bodies of a contact rebound, in place: λ_n = −(1 + e) k_n v_n, λ_t = −k_t v_t within ±μ λ_n.
+
+    Returns the impulse on the second, (x, y), N·s.
+    """
     n, a, b = bodies.mass.shape[0], contacts.body_a[i], contacts.body_b[i]
     n_x, n_y = contacts.normal[i, 0], contacts.normal[i, 1]
     w_a, w_b = 1.0 / bodies.mass[a], 1.0 / bodies.mass[b] if b < n else 0.0
@@ -98,3 +106,4 @@ def strike(bodies, contacts, i, ground, restitution, friction, segments):
         bodies.velocity[b, 0] += w_b * p_x
         bodies.velocity[b, 1] += w_b * p_y
         bodies.spin[b] += 2.0 * w_b * arms[1] * p_t / bodies.radius[b]
+    return p_x, p_y

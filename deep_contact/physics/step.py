@@ -96,17 +96,18 @@ class StepLog(NamedTuple):
     relaxations: np.ndarray
     parts: np.ndarray  # of a step
     progress: np.ndarray  # (3,): `DONE`, `WORK`, `LAST_SWEEPS`
+    loads: np.ndarray  # (4 + S, 2): the sum of all that walls and segments received, N·s; (0, 2) where nobody asks
 
 
-def make_log(steps: int) -> StepLog:
-    """A log for so many steps, which one call may do all."""
+def make_log(steps: int, loads: int = 0) -> StepLog:
+    """A log for so many steps, which one call may do all. loads: walls and segments, or 0."""
     columns = (np.zeros(steps, kind) for kind in (np.int64, np.int64, np.float64, np.int64, np.int64))
-    return StepLog(*columns, np.array([0, np.iinfo(np.int64).max, 0]))
+    return StepLog(*columns, np.array([0, np.iinfo(np.int64).max, 0]), np.zeros((loads, 2)))
 
 
 def some_steps(log: StepLog, first: int, count: int, work: int) -> StepLog:
     """The rows of a log from `first` on, as views, for a call that ends after so much work."""
-    return StepLog(*(column[first : first + count] for column in log[:-1]), np.array([0, work, 0]))
+    return StepLog(*(column[first : first + count] for column in log[:5]), np.array([0, work, 0]), log.loads)
 
 
 @njit(cache=True)
@@ -119,3 +120,13 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
     log.parts[k] += 1
     log.progress[WORK] -= relaxations + 20 * contacts
     log.progress[LAST_SWEEPS] = sweeps
+
+
+@njit(cache=True)
+def add_loads(log, contacts, n, share):
+    """Add what walls and segments received of this share of a step to the log, in place. n: circles."""
+    for i in range(contacts.body_a.shape[0] if log.loads.shape[0] > 0 else 0):
+        wall, p_n, p_t = contacts.body_b[i] - n, contacts.normal_impulse[i], contacts.tangent_impulse[i]
+        if wall >= 0:
+            log.loads[wall, 0] += share * (p_n * contacts.normal[i, 0] + p_t * contacts.normal[i, 1])
+            log.loads[wall, 1] += share * (p_n * contacts.normal[i, 1] - p_t * contacts.normal[i, 0])

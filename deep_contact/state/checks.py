@@ -124,7 +124,7 @@ def checked_indices(name: str, which, count: int) -> np.ndarray:
     chosen = np.atleast_1d(chosen) if chosen.size else np.zeros(0, np.int64)
     fits = chosen.ndim == 1 and np.issubdtype(chosen.dtype, np.integer)
     fits = fits and ((chosen >= 0) & (chosen < count)).all() and len(np.unique(chosen)) == len(chosen)
-    expect(fits, f"{name}: expected different circles, 0 to {count - 1}, or {count} flags, got {reprlib.repr(which)}")
+    expect(fits, f"{name}: expected different numbers, 0 to {count - 1}, or {count} flags, got {reprlib.repr(which)}")
     return chosen
 
 

@@ -43,7 +43,7 @@ from deep_contact.physics.position_correction import (
 from deep_contact.physics.segments import positions_before
 from deep_contact.physics.solvers.pgs import MOST_SWEEPS, PGS
 from deep_contact.physics.solvers.registry import Loop, register, tolerance_argument
-from deep_contact.physics.step import DONE, WORK, log_part
+from deep_contact.physics.step import DONE, WORK, add_loads, log_part
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
 from deep_contact.state import Bodies
 
@@ -312,7 +312,7 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
     bodies, box, segments, scales, team = step.bodies, step.box, step.segments, step.scales, mine.team
     flags, theta, is_built = shared.flags, shared.memory.theta, shared.memory.is_built
     if team.rank == 0:
-        plan_step(step, shared)
+        plan_step(step, shared, log.loads)
     wait(team)
     plan, tiles, solved = shared.plan, shared.tiles, shared.solved
     velocities, before = tiles.solver_bodies[mine.first : mine.last], positions_before(bodies, segments)
@@ -343,11 +343,12 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
         if sweeps > 0 and not flags[:, FINITE].all():
             theta[sweeps - 1] = np.nan
         log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
+        add_loads(log, solved, bodies.mass.shape[0], 1.0 / step.parts)
     return next_contacts(step, options, shared, mine, before, buffer)
 
 
 @njit(cache=True, error_model="numpy")
-def plan_step(step, shared):
+def plan_step(step, shared, loads):
     """What a team needs before it solves the contacts, in `shared`: a plan for them, room for their tiles, impacts."""
     n, contacts = step.bodies.mass.shape[0], shared.contacts
     if not batches.is_plan_of(shared.plan, n, contacts, shared.solved):
@@ -355,7 +356,7 @@ def plan_step(step, shared):
     shared.tiles = batches.with_room(shared.plan, shared.tiles)
     shared.solved = contacts
     if not shared.memory.is_built:
-        rebound(step, contacts)
+        rebound(step, contacts, loads)
 
 
 @njit(cache=True, error_model="numpy")

@@ -1,0 +1,143 @@
+"""Forces in the user's terms: of contacts, on circles, walls and segments; stress, coordination, neighbours, a table.
+
+A force is an impulse over Δt: λ / Δt is the mean over the step, or over the last substep of a divided one, that solved
+the impulses which the state carries. Of a solved state (`on_step`) that is its own step; of any other the step before,
+without the contacts that have opened since. Impulses of rebounds (e > 0) are in no contact:
+`Simulation.force_on` adds up everything over time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.ready import ready
+from deep_contact.state import State
+from deep_contact.validation import integer, number
+
+SIDES = ("floor", "right", "ceiling", "left")
+"""Names of the walls, in the order of their numbers."""
+
+
+class Forces(NamedTuple):
+    """The forces that the contacts of a state carry.
+
+    | field    | meaning                                                          | shape  | unit |
+    |----------|------------------------------------------------------------------|--------|------|
+    | contact  | of each contact on its second body; on the first is the opposite | (m, 2) | N    |
+    | net      | of all contacts on each circle, without gravity                  | (n, 2) | N    |
+    | torque   | of all contacts on each circle, counter-clockwise                | (n,)   | N·m  |
+    | walls    | "floor", "right", "ceiling", "left" → the force on it            | (2,)   | N    |
+    | segments | on each segment                                                  | (S, 2) | N    |
+    """
+
+    contact: np.ndarray
+    net: np.ndarray
+    torque: np.ndarray
+    walls: dict[str, np.ndarray]
+    segments: np.ndarray
+
+
+def forces(state: State) -> Forces:
+    """The forces of the contacts, which are found where they are not known. Raises ValueError on a bad state."""
+    state = ready(state)
+    c, n = state.contacts, state.bodies.count
+    impulses = c.normal_impulse, c.tangent_impulse
+    places = c.body_a, c.body_b, c.normal, c.separation, state.bodies.radius
+    contact, on, torque = sum_forces(*places, *impulses, 1.0 / state.dt, len(state.world.segments))
+    return Forces(contact, on[:n], torque, dict(zip(SIDES, on[n:])), on[n + 4 :])
+
+
+@njit(cache=True)
+def sum_forces(body_a, body_b, normal, separation, radius, normal_impulse, tangent_impulse, rate, segments):
+    """Forces of the contacts, (m, 2), on circles, walls and segments, (n + 4 + S, 2), N, and torques, (n,), N·m."""
+    n, m = radius.shape[0], body_a.shape[0]
+    contact, on, torque = np.empty((m, 2)), np.zeros((n + 4 + segments, 2)), np.zeros(n)
+    for i in range(m):
+        a, b, n_x, n_y = body_a[i], body_b[i], normal[i, 0], normal[i, 1]
+        f_n, f_t, half = rate * normal_impulse[i], rate * tangent_impulse[i], 0.5 * separation[i]
+        f_x, f_y = f_n * n_x + f_t * n_y, f_n * n_y - f_t * n_x
+        contact[i, 0], contact[i, 1] = f_x, f_y
+        on[a, 0] -= f_x
+        on[a, 1] -= f_y
+        on[b, 0] += f_x
+        on[b, 1] += f_y
+        torque[a] += (radius[a] + half) * f_t
+        if b < n:
+            torque[b] += (radius[b] + half) * f_t
+    return contact, on, torque
+
+
+def stress(state: State) -> np.ndarray:
+    """The mean stress in each circle, (n, 2, 2), N/m, compression positive: σ = −Σ l ⊗ f / (π r²), the virial.
+
+    l: from the centre to a contact. f: of the contact on the circle. Half of the trace is the pressure. At rest σ is
+    symmetric. Source: Christoffersen, Mehrabadi and Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
+    """
+    state, found = ready(state), forces(state)
+    bodies, c = state.bodies, state.contacts
+    total = np.zeros((bodies.count, 2, 2))
+    of_circles = c.body_b < bodies.count
+    b = c.body_b[of_circles]
+    np.add.at(total, c.body_a, (c.position - bodies.position[c.body_a])[:, :, None] * found.contact[:, None])
+    arms = (c.position[of_circles] - bodies.position[b])[:, :, None]
+    np.subtract.at(total, b, arms * found.contact[of_circles][:, None])
+    return total / (math.pi * bodies.radius**2)[:, None, None]
+
+
+def mean_stress(state: State, spacing: float) -> np.ndarray:
+    """The stress of the medium in square cells over the box, (rows, columns, 2, 2), N/m: rows from the bottom.
+
+    spacing: of the cells, m. A cell has what the circles hold whose centres lie in it, over its area; fewer than some
+    five circles in a cell are a picture of contacts more than one of a medium.
+    """
+    x_min, y_min, x_max, y_max = state.world.box
+    spacing = number("spacing", spacing, above=0)
+    columns, rows = (max(1, math.ceil((high - low) / spacing)) for low, high in ((x_min, x_max), (y_min, y_max)))
+    place = ((state.bodies.position - (x_min, y_min)) / spacing).astype(int)
+    mean = np.zeros((rows, columns, 2, 2))
+    column, row = np.clip(place, 0, (columns - 1, rows - 1)).T
+    np.add.at(mean, (row, column), stress(state) * (math.pi * state.bodies.radius**2)[:, None, None])
+    return mean / spacing**2
+
+
+def coordination(state: State) -> np.ndarray:
+    """How many contacts of each circle push, (n,): λ_n > 0."""
+    state = ready(state)
+    c, n = state.contacts, state.bodies.count
+    pushes = c.normal_impulse > 0
+    return sum(np.bincount(body[pushes], minlength=n)[:n] for body in (c.body_a, c.body_b))
+
+
+def name_of(state: State, body: int) -> int | str:
+    """A body as users name it: a circle's number, the name of a wall, or "segment 3"."""
+    beyond = int(body) - state.bodies.count
+    return int(body) if beyond < 0 else SIDES[beyond] if beyond < 4 else f"segment {beyond - 4}"
+
+
+def neighbours(state: State, circle: int) -> list[int | str]:
+    """What touches a circle: numbers of circles, "floor", "right", "ceiling", "left", "segment 3"."""
+    state = ready(state)
+    circle, c = integer("circle", circle, most=state.bodies.count - 1), state.contacts
+    return [name_of(state, body) for body in [*c.body_a[c.body_b == circle], *c.body_b[c.body_a == circle]]]
+
+
+def contact_table(state: State, path=None) -> np.ndarray:
+    """The contacts as a structured array, which `pandas.DataFrame` takes; with a path, written there as CSV as well.
+
+    Columns: a, b (as of `neighbours`), x, y, n_x, n_y, separation, m; normal_impulse, tangent_impulse, N·s; force_x,
+    force_y on b, N. Raises OSError where the file cannot be written.
+    """
+    state, force = ready(state), forces(state).contact
+    c = state.contacts
+    names = [str(name_of(state, body)) for body in c.body_b]
+    numbers = [*c.position.T, *c.normal.T, c.separation, c.normal_impulse, c.tangent_impulse, *force.T]
+    columns = "x y n_x n_y separation normal_impulse tangent_impulse force_x force_y".split()
+    kinds = [("a", int), ("b", "U32"), *((name, float) for name in columns)]
+    table = np.array([*zip(c.body_a, names, *numbers)], dtype=kinds)
+    if path is not None:
+        np.savetxt(path, table, "%s", ",", header=",".join(table.dtype.names), comments="", encoding="utf-8")
+    return table
