@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.ready import ready
+from deep_contact.physics.ready import has_engine_arrays, ready
 from deep_contact.state import State
+from deep_contact.state.checks import check_types
 from deep_contact.validation import integer, number
 
 SIDES = ("floor", "right", "ceiling", "left")
@@ -43,21 +44,32 @@ class Forces(NamedTuple):
 
 def forces(state: State) -> Forces:
     """The forces of the contacts, which are found where they are not known. Raises ValueError on a bad state."""
-    state = ready(state)
-    c, n = state.contacts, state.bodies.count
+    check_types(state)
+    if not has_engine_arrays(state):
+        state = ready(state)
+    c, n, segments = state.contacts, state.bodies.count, len(state.world.segments)
     impulses = c.normal_impulse, c.tangent_impulse
     places = c.body_a, c.body_b, c.normal, c.separation, state.bodies.radius
-    contact, on, torque = sum_forces(*places, *impulses, 1.0 / state.dt, len(state.world.segments))
+    contact, on, torque = sum_forces(*places, *impulses, 1.0 / state.dt, segments)
+    if len(on) != n + 4 + segments:
+        ready(state)  # which says why: to look for it first would take longer than the sums
     return Forces(contact, on[:n], torque, dict(zip(SIDES, on[n:])), on[n + 4 :])
 
 
 @njit(cache=True)
 def sum_forces(body_a, body_b, normal, separation, radius, normal_impulse, tangent_impulse, rate, segments):
-    """Forces of the contacts, (m, 2), on circles, walls and segments, (n + 4 + S, 2), N, and torques, (n,), N·m."""
-    n, m = radius.shape[0], body_a.shape[0]
-    contact, on, torque = np.empty((m, 2)), np.zeros((n + 4 + segments, 2)), np.zeros(n)
+    """Forces of the contacts, (m, 2), on circles, walls and segments, (n + 4 + S, 2), N, and torques, (n,), N·m.
+
+    On nothing, (0, 2), where the contacts do not fit the circles.
+    """
+    n, m, end = radius.shape[0], body_a.shape[0], radius.shape[0] + 4 + segments
+    contact, on, torque = np.empty((m, 2)), np.zeros((end, 2)), np.zeros(n)
+    if not m == body_b.size == normal.shape[0] == separation.size == normal_impulse.size == tangent_impulse.size:
+        return contact, on[:0], torque
     for i in range(m):
         a, b, n_x, n_y = body_a[i], body_b[i], normal[i, 0], normal[i, 1]
+        if not 0 <= a < min(n, b) <= b < end:
+            return contact, on[:0], torque
         f_n, f_t, half = rate * normal_impulse[i], rate * tangent_impulse[i], 0.5 * separation[i]
         f_x, f_y = f_n * n_x + f_t * n_y, f_n * n_y - f_t * n_x
         contact[i, 0], contact[i, 1] = f_x, f_y

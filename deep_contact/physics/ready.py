@@ -31,7 +31,7 @@ def ready(state: State) -> StateWithContacts:
     Raises ValueError naming the quantity and the value, and the limit where it is beyond `state.LIMITS`.
     """
     check_types(state)
-    if not (_has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
+    if not (has_engine_arrays(state) and is_valid(state.bodies, state.contacts, len(state.world.segments))):
         state = check_limits(check_state(state))
     elif not (state.world.is_within_limits and LIMITS["dt"][0] <= state.dt <= LIMITS["dt"][1]):
         check_limits(state)
@@ -53,7 +53,7 @@ def _warn_of_coincidence(state: StateWithContacts) -> None:
         warnings.warn(f"bodies.position: {which}{more}; the solver pushes them apart at once", stacklevel=5)
 
 
-def _has_engine_arrays(state: State) -> bool:
+def has_engine_arrays(state: State) -> bool:
     """Whether all arrays are of the kind that compiled functions were compiled for: what `check_state` makes them."""
     return state.contacts is not None and all(
         type(array) is np.ndarray and array.dtype == dtype and array.ndim == ndim and array.flags.carray

@@ -138,6 +138,9 @@ def test_neighbours_coordination_and_table_name_what_touches(tmp_path):
         rows = list(csv.DictReader(file))
     assert [(int(row["a"]), row["b"]) for row in rows] == list(zip(table["a"], table["b"]))
     assert [float(row["force_x"]) for row in rows] == table["force_x"].tolist()
+    wrong = state.replace(contacts=state.contacts._replace(body_b=state.contacts.body_b + 9))
+    with pytest.raises(ValueError, match=r"contacts.body_b\[0\]: expected a body after body_a, up to 9"):
+        dc.forces(wrong)
     with pytest.raises(ValueError, match="circle: expected an integer <= 3, got 4"):
         dc.neighbours(state, 4)
 
