@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -124,8 +125,7 @@ class Trajectory:
 
         from deep_contact.reporting import plotting
 
-        fastest = max(float(np.hypot(*self.velocities.reshape(-1, 2).T).max(initial=0.0)), 1e-9)
-        strongest = float(self.impulses[:, 0].max(initial=0.0)) or None
+        fastest, strongest = self._scales()
         x_min, y_min, x_max, y_max = self.world.box
         width = height * min(2.0, max(0.5, (x_max - x_min) / (y_max - y_min)))
         with plotting.style():
@@ -133,11 +133,31 @@ class Trajectory:
 
         def draw(i: int) -> None:
             ax.clear()
-            plotting.draw_state(ax, self[i], limits=(0.0, fastest), largest_impulse=strongest)
+            plotting.draw_state(ax, self[i], limits=(0.0, fastest or 1e-9), largest_impulse=strongest or None)
             ax.set_title(f"t = {self.times[i]:.2f} s", loc="left")
 
         shown = range(0, len(self), integer("every", every, 1))
         return FuncAnimation(figure, draw, frames=shown, interval=1000 / number("fps", fps, above=0), repeat=False)
+
+    def film(self, path, *, fps: float = 25, size: int = 640, every: int = 1) -> Path:
+        """Write a film of the circles, coloured by speed, and of their impulses. Returns its path.
+
+        path: of a .gif, or of an .mp4, for which ffmpeg is needed. size: of the longer side, pixels. every: one in so
+        many states is shown. Raises ValueError for another ending and where ffmpeg is missing, OSError where the file
+        cannot be written.
+        """
+        from deep_contact.reporting.film import Canvas, check_name, write_film
+
+        check_name("path", path)
+        fastest, strongest = self._scales()
+        canvas = Canvas(self.world, size=integer("size", size, least=32), fastest=fastest, strongest=strongest)
+        shown = range(0, len(self), integer("every", every, 1))
+        return write_film(path, (canvas(self[i]) for i in shown), number("fps", fps, above=0))
+
+    def _scales(self) -> tuple[float, float]:
+        """(Fastest speed, largest normal impulse) of the run, m/s and N·s; 0 where nothing moves or touches."""
+        fastest = float(np.hypot(*self.velocities.reshape(-1, 2).T).max(initial=0.0))
+        return fastest, float(self.impulses[:, 0].max(initial=0.0))
 
 
 def load_trajectory(path) -> Trajectory:

@@ -11,9 +11,10 @@ import numpy as np
 
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.reporting import plotting
+from deep_contact.reporting.film import check_name
 from deep_contact.simulation import simulate
 from deep_contact.state import State
-from deep_contact.validation import expect, integer
+from deep_contact.validation import integer
 from deep_contact.warm_start import Start
 
 PANELS = (1.0, 0.8)
@@ -115,10 +116,5 @@ def record(found: Iterator[Frame], path, *, fps: int = 25) -> list[Path]:
 
     Raises ValueError for another kind of file, and for an MP4 without ffmpeg, before the first frame is made.
     """
-    from matplotlib import animation
-
-    suffix, name = Path(path).suffix, str(path)
-    expect(suffix in (".gif", ".mp4"), f"out: expected a name that ends in .gif or .mp4, got {name!r}")
-    can_write = suffix == ".gif" or animation.writers.is_available("ffmpeg")
-    expect(can_write, f"out: expected ffmpeg to be installed for {name!r}, found none; a .gif needs none")
+    check_name("out", path)
     return plotting.animate(found, path, draw=Painter(), panels=PANELS, fps=fps)

@@ -1,5 +1,7 @@
 """`deep_contact.trajectory`: a run as arrays, as a file, as a table and as an animation."""
 
+import os
+
 import numpy as np
 import pytest
 from conftest import solved_states
@@ -66,6 +68,43 @@ def test_an_animation_has_a_frame_for_each_state(run):
     pyplot.close("all")
     with pytest.raises(ValueError, match="fps: expected a finite number > 0, got 0"):
         run.animate(fps=0)
+
+
+def test_a_film_shows_circles_where_they_are_in_the_colour_of_their_speed(tmp_path):
+    from matplotlib import colormaps
+    from PIL import Image
+
+    scene = dc.circles_in_box(12, size=10, radius=(0.5, 0.9), seed=0)
+    run = dc.simulate(scene, steps=8, record=2).trajectory  # before anything touches
+    assert not run.impulses.any()
+    with Image.open(run.film(tmp_path / "films" / "fall.gif", fps=10, size=208, every=3)) as gif:
+        assert (gif.n_frames, gif.info["duration"]) == (-(-len(run) // 3), 100)
+        picture = np.asarray(gif.convert("RGB"), float)
+    assert max(picture.shape) == 208
+    state, scale = run[0], 192 / 10
+    fastest = np.hypot(*run.velocities.reshape(-1, 2).T).max()
+    for (x, y), radius, speed in zip(state.bodies.position, state.bodies.radius, np.hypot(*state.bodies.velocity.T)):
+        column, row = (int(8 + scale * value) for value in (x, 10 - y))
+        colour = 255 * np.array(colormaps["viridis"](speed / fastest)[:3])
+        assert np.abs(picture[row, column] - colour).max() < 24
+        assert np.abs(picture[row, int(8 + scale * (x + radius)) + 2] - colour).max() > 24
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a program by a shell script")
+def test_an_mp4_gets_the_pictures_or_says_that_ffmpeg_is_missing(run, tmp_path, monkeypatch):
+    from matplotlib import animation
+
+    with pytest.raises(ValueError, match=r"path: expected a name that ends in \.gif or \.mp4"):
+        run.film(tmp_path / "fall.avi")
+    (tmp_path / "ffmpeg").write_text('#!/bin/sh\nfor last; do :; done\ncat > "$last"\n')  # keeps the raw pictures
+    (tmp_path / "ffmpeg").chmod(0o755)
+    with monkeypatch.context() as patch:
+        patch.setenv("PATH", str(tmp_path), prepend=os.pathsep)
+        film = run.film(tmp_path / "fall.mp4", size=64)
+    assert film.stat().st_size == len(run) * 64 * 64 * 3
+    monkeypatch.setattr(animation.writers, "is_available", lambda writer: False)
+    with pytest.raises(ValueError, match=r"path: expected ffmpeg to be installed for .*fall\.mp4"):
+        run.film(tmp_path / "fall.mp4")
 
 
 def test_states_that_are_no_run_are_refused(states):

@@ -287,6 +287,13 @@ def draw_state(
     if state.world.segments:
         segments = np.reshape(state.world.segments, (-1, 2, 2))
         ax.add_collection(LineCollection(segments, colors=BLACK, linewidths=1.5, capstyle="round"))
+        along = (
+            np.sign(state.world.surface_speeds or np.zeros(len(segments)))[:, None] * np.diff(segments, axis=1)[:, 0]
+        )
+        for middle, way in zip(segments.mean(axis=1), along):
+            if way.any():  # a belt, with the direction in which it drags
+                look = {"arrowstyle": "-|>", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
+                ax.annotate("", xy=middle + 0.25 * way, xytext=middle - 0.25 * way, arrowprops=look)
     ax.add_collection(circles)
 
     heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
@@ -313,6 +320,42 @@ def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
     # A white line below sets each line off from circles of any colour.
     for colour, more in (("white", 0.8), (VERMILION, 0.0)):
         ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
+
+
+def draw_forces(ax, state, *, largest: float | None = None) -> None:
+    """Draw, into the axes of a state, the net force of the contacts on each circle, wall and segment as an arrow.
+
+    largest: of the longest arrow, a tenth of the box, N; by default the largest of this state. Forces on walls and
+    segments begin at their middles.
+    """
+    from deep_contact.physics.forces import forces
+
+    found, (x_min, y_min, x_max, y_max) = forces(state), state.world.box
+    x, y = 0.5 * (x_min + x_max), 0.5 * (y_min + y_max)
+    middles = [(x, y_min), (x_max, y), (x, y_max), (x_min, y)]
+    start = np.concatenate([state.bodies.position, middles, np.reshape(state.world.segments, (-1, 2, 2)).mean(axis=1)])
+    force = np.concatenate([found.net, *([value] for value in found.walls.values()), found.segments])
+    longest = np.hypot(*force.T).max() if largest is None else largest
+    arrows = force * (0.1 * max(x_max - x_min, y_max - y_min) / (longest or 1.0))
+    look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "zorder": 4}
+    ax.quiver(*start.T, *arrows.T, color=BLUE, **look)
+
+
+def draw_stress(ax, state, *, spacing: float):
+    """Draw the pressure of the medium in square cells, half the trace of `forces.mean_stress`, as an image.
+
+    spacing: of the cells, m. Returns the image, for a colour bar in N/m.
+    """
+    from deep_contact.physics.forces import mean_stress
+
+    pressure = 0.5 * np.trace(mean_stress(state, spacing), axis1=2, axis2=3)
+    scene_axes(ax, state.world.box)
+    (rows, columns), (left, low) = pressure.shape, state.world.box[:2]
+    place = (left, left + columns * spacing, low, low + rows * spacing)
+    limits = {"xlim": ax.get_xlim(), "ylim": ax.get_ylim()}
+    image = ax.imshow(pressure, origin="lower", extent=place, cmap=COLOUR_MAP)
+    ax.set(**limits)
+    return image
 
 
 def impulse_key(figure, largest: float) -> None:
