@@ -169,16 +169,6 @@ def saved(row: str) -> float:
     return cell("figure_6_7", row, "times cheaper")
 
 
-def call() -> list[float]:
-    """What a call of `dc.step` takes beside the step, 100 settled circles, µs."""
-    (case,) = (
-        case
-        for case in stored("benchmark_engine")["data"]["cases"]
-        if (case["n_bodies"], case["kind"]) == (100, "settled")
-    )
-    return [case["engines"]["dc.step"]["overhead_us"] - case["engines"]["ours"]["overhead_us"]]
-
-
 def of_siconos() -> tuple[float, float]:
     """The least and the most that 40 sweeps of ours take of the time of Siconos's solver on its bench-disks."""
     states = [state["seconds"] for states in stored("benchmark_disks")["sides"].values() for state in states]
@@ -388,7 +378,6 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     "benchmarks.md": [
         ("in a whole step of ours, take {:.1f} to {:.1f} of the time of Siconos's NSGS alone", of_siconos)
     ],
-    "guide.md": [("each call costs some {:.0f} µs beside the step", call)],
     "other_starts.md": [
         (
             "loses {:.2f} of the impulse of an isolated contact and {:.2f} of those of a falling pile",
