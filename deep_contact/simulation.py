@@ -6,6 +6,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -137,8 +138,8 @@ def find_contacts(state: State) -> StateWithContacts:
 def solve_contacts(state: State, *, solver=None, start: Start | Sequence[np.ndarray] = "builtin") -> ContactSolution:
     """Solve the contact problem of a state: gravity for Δt, then the impulses. The state stays as it is.
 
-    solver: options such as `PGS(sweeps=…)`; by default the state's own. start: None, the name of a start, a callable
-    of `deep_contact.warm_start`, or two arrays (normal, tangent), (m,) each, N·s.
+    solver: options such as `PGS(sweeps=…)`; by default the state's own. start: as `warm_start` of `simulate`, or
+    two arrays (normal, tangent), (m,) each, N·s.
     Raises ValueError on a state, solver or start that does not hold together.
     """
     state = ready(state)
@@ -173,7 +174,8 @@ def simulate(
 
     dt: time step, s; if it is not the state's, carried impulses are scaled by the ratio.
     solver: options such as `PGS(sweeps=…)`; by default the state's own, or what accuracy="fast" takes.
-    warm_start: None, the name of a start, or a callable of `deep_contact.warm_start`, which is asked once a step.
+    warm_start: None, the name of a start, a callable of `deep_contact.warm_start`, which is asked once a step, or a
+    network, as `dc.load_model` gives it or by the path of its file, "….h5".
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
     were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run. Where the
     scene's circles are too small or too fast for its Δt, the step is divided into substeps. At step 0
@@ -314,7 +316,7 @@ def method_of(state: State, solver=None, start="builtin", accuracy: str | None =
     solver = checked_solver(solver, state)
     if flag("sleep", sleep) and not entry_of(solver).can_sleep:
         raise ValueError(f"sleep: expected False with {type(solver).__name__}, got True")
-    named = start if isinstance(start, str) else getattr(start, "__name__", type(start).__name__)
+    named = str(start) if isinstance(start, (str, Path)) else getattr(start, "__name__", type(start).__name__)
     return Method(solver, warm_start_of(start), "none" if start is None else named, decision)
 
 

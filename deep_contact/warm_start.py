@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 WarmStart = Callable[[Any, Any], tuple[np.ndarray, np.ndarray]]
 Name = Literal["none", "builtin", "scaled", "support", "copy", "random", "bad", "sph", "cnn", "learned support"]
-Start = Name | WarmStart | None
-"""What `warm_start=` takes; None is "none"."""
+Start = Name | WarmStart | Path | None
+"""What `warm_start=` takes: a name, a callable, a `LearnedModel` or the path of its file; None is "none"."""
 
 
 @dataclass(frozen=True)
@@ -256,13 +256,23 @@ def solved_impulses(state: State, solver) -> tuple[np.ndarray, np.ndarray]:
     return solution.normal_impulses, solution.tangent_impulses
 
 
+def is_network(start) -> bool:
+    """Whether a start is a `LearnedModel` or the path of one, "….h5"."""
+    return hasattr(start, "predict") or isinstance(start, Path) or (isinstance(start, str) and start.endswith(".h5"))
+
+
 def warm_start_of(start: Start) -> WarmStart:
-    """The start meant by None, a name, or a callable, which is returned as it is. Raises ValueError on others."""
+    """The start meant by None, a name, a network or its path, or a callable, which is returned as it is.
+
+    Raises ValueError on others.
+    """
     if callable(start):
         return start
+    if is_network(start):
+        return Cnn(start)
     if start is None or isinstance(start, str):
         return STARTS[one_of("warm_start", "none" if start is None else start, STARTS)]()
-    raise ValueError(f"warm_start: expected None, a name or a callable, got {start!r}")
+    raise ValueError(f"warm_start: expected None, a name, a network, its path or a callable, got {start!r}")
 
 
 def starting_impulses(
@@ -275,7 +285,7 @@ def starting_impulses(
     Raises ValueError on impulses that do not fit the contacts or are beyond `state.LARGEST_START`.
     """
     problem = None
-    if start is None or isinstance(start, str) or callable(start):
+    if start is None or isinstance(start, str) or callable(start) or is_network(start):
         start = warm_start_of(start)
         if isinstance(start, Builtin):
             return *start(state, solver), None  # the state's own, which have been checked

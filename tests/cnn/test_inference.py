@@ -321,6 +321,14 @@ def test_inference_is_traced_once(network, falling_states, monkeypatch):
 # ---- the start ----
 
 
+def test_a_network_or_its_path_is_a_start(falling_states):
+    state, model = falling_states[5], dc.load_model()
+    starts = "cnn", model, model.path, str(model.path)
+    found = {dc.solve_contacts(state, start=start).normal_impulses.tobytes() for start in starts}
+    runs = {dc.step(state, solver=dc.PGS(), warm_start=start).bodies.position.tobytes() for start in starts}
+    assert len(found) == len(runs) == 1
+
+
 def test_cnn_start_is_the_prediction_projected(file, falling_states):
     start, state = Cnn(file), falling_states[5]
     raw_n, raw_t = start.model.predict(state, project=False)
