@@ -19,6 +19,7 @@ from deep_contact.reporting import scripts
 COMMANDS = {
     "simulate": "run a scene, or go on from a state",
     "view": "play a simulation: contacts, impulses and θ as it runs",
+    "warm-up": "compile ahead what first runs need, once: some two minutes",
     "sample": "print the path of a state of the thesis's scene",
     "figure": "draw a figure by its number in the thesis; without a number, list them",
     "table": "make a table by its number in the thesis; without a number, list them",
@@ -81,7 +82,14 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     for name in ("figure", "table"):
         text = "3.7, say, or all; the options after it are in `… 3.7 --help`"
         commands[name].add_argument("number", nargs="?", help=text)
-    runs = {"simulate": _simulate, "view": _view, "sample": _sample, "figure": _list, "table": _list}
+    runs = {
+        "simulate": _simulate,
+        "view": _view,
+        "warm-up": _warm_up,
+        "sample": _sample,
+        "figure": _list,
+        "table": _list,
+    }
     for name, run in runs.items():
         commands[name].set_defaults(run=run)
     return parser, commands
@@ -193,6 +201,26 @@ def _scene(given):
     if options or given.no_gravity:
         raise ValueError("options of a scene: expected none beside STATE.xml, which is a scene already")
     return dc.read_state(given.state)
+
+
+def _warm_up(given) -> int:
+    """Run a step of each kind of scene and solver that is compiled by itself."""
+    import time
+
+    import deep_contact as dc
+
+    plain = dc.lattice_in_box(20)
+    kinds = {
+        "a pile": (plain, {"accuracy": "fast"}),
+        "a pile, accurately": (plain, {"accuracy": "reference"}),
+        "many circles": (plain, {"solver": dc.BatchedPGS()}),
+        "segments that move": (dc.drum(20), {"accuracy": "fast"}),
+    }
+    for kind, (scene, options) in kinds.items():
+        begun = time.perf_counter()
+        dc.simulate(scene, steps=1, **options)
+        print(f"{kind}: {time.perf_counter() - begun:.1f} s", flush=True)
+    return 0
 
 
 def _sample(given) -> int:

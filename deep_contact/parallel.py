@@ -18,6 +18,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from functools import cache
 from pathlib import Path
@@ -63,6 +64,9 @@ def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator
                     numbers[executor.submit(function, item)] = i
             for future in as_completed(list(numbers)):
                 yield numbers.pop(future), future.result()
+        except BrokenProcessPool:
+            guard = 'a program that imports as a module does, with its calls below `if __name__ == "__main__":`'
+            raise RuntimeError(f"jobs: a process ended before its task was done; expected {guard}, or jobs=1") from None
         except BaseException:
             if executor is jobs:  # a pool of our own cancels its tasks itself, and must not find them cancelled
                 for future in numbers:
@@ -161,6 +165,8 @@ def code() -> dict[str, str]:
 @contextmanager
 def _processes(count: int) -> Iterator[Executor]:
     """Spawned processes of this machine; after an error they are ended at once, even in the middle of a task."""
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        os._exit(1)  # a process that imports a main program without a guard; the parent says so
     # Spawned, not forked: a fork would copy the threads of the parent's libraries in an unknown state.
     context = multiprocessing.get_context("spawn")
     others = set(multiprocessing.active_children())

@@ -18,7 +18,8 @@ COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting
 def compute(options, seed, jobs, progress):
     """Settling piles of two sizes, the smaller in the thesis's box; one process, since its time counts."""
     networks, found = options["networks"], {}
-    described = {"none": "none", "builtin": "builtin", **starts.CHOSEN}
+    size = {"spacing": options["spacing"]}
+    described = {"none": "none", "builtin": "builtin"} | {name: of | size for name, of in starts.CHOSEN.items()}
     described |= {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
     every = {name: starts.start_of(description) for name, description in described.items()}
     for size, count, after, most in zip(*(options[name] for name in ("sizes", "states", "every", "most"))):
@@ -149,7 +150,7 @@ def draw(data, options):
 
 OPTIONS = {
     "sizes": [100, 1000], "scenes": 10, "states": [4, 1], "every": [25, 100], "most": [10000, 20000], "repeats": 3,
-    "networks": chapter_5.NETWORKS,
+    "spacing": starts.SPACING, "networks": chapter_5.NETWORKS,
 }  # fmt: skip
 QUICK = {
     "sizes": [100, 300], "scenes": 1, "most": [5000, 5000], "repeats": 3,

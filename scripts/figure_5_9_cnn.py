@@ -9,10 +9,11 @@ TITLE = "Does a network's start converge like SPH's?"
 
 def compute(options, seed, jobs, progress):
     """The starts on scenes of a random number of circles each, and what the model files say about themselves."""
-    networks = options.pop("networks")
+    networks, size = options.pop("networks"), {"spacing": options.pop("spacing")}
     about = chapter_5.networks_info(networks)
     described = {name: {"model": path} for name, path in networks.items()}
-    chosen = {"none": "none", "builtin": "builtin", **starts.CHOSEN, **described}
+    chosen = {"none": "none", "builtin": "builtin", **{name: of | size for name, of in starts.CHOSEN.items()}}
+    chosen |= described
     shared = [name for name, card in about.items() if card["architecture"] == "thesis"]
     chosen |= {f"{name}, shared": chapter_5.ReadBySharing(networks[name]) for name in shared} | {"copy": "copy"}
     own = {"modes": ["independent"], "seed": seed, "jobs": jobs, "progress": progress}
@@ -30,7 +31,7 @@ def draw(data, options):
 
 
 # The data set's seeds are SeedSequence(0, spawn_key=(i,)); these scenes come from other random numbers.
-OPTIONS = starts.THESIS_SETTINGS | {"n_bodies": [51, 99], "networks": chapter_5.NETWORKS}
+OPTIONS = starts.THESIS_SETTINGS | {"n_bodies": [51, 99], "spacing": starts.SPACING, "networks": chapter_5.NETWORKS}
 QUICK = {"steps": 250, "sweeps": 1000, "scenes": 1, "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
 FIGURE = Figure("5.9", TITLE, compute, starts.table_of_starts, draw, claims, options=OPTIONS, quick=QUICK, seed=59)
 figures.run_as_script(FIGURE, __name__)

@@ -1,8 +1,17 @@
 #!/usr/bin/env bash
 # From a fresh clone to two pictures in figures/: a pile that falls, and how fast the solver converges from each start.
+# Then compiles ahead what first runs need. DEEP_CONTACT_CONSTRAINTS=constraints.txt: the versions of data/reference.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . scripts/venv.sh
 ensure_venv ""
 "$PYTHON" scripts/figure_3_6_snapshots.py "$@"
 "$PYTHON" scripts/figure_5_7_starts.py --quick "$@"
+"$PYTHON" -m deep_contact warm-up
+cat <<END
+
+Two pictures: figures/figure_3_6.png, figures/figure_5_7.png. Go on with
+  $PYTHON -m deep_contact view                      # watch a pile fall
+  $PYTHON -m deep_contact simulate --bodies 100 --accuracy fast --out run.h5
+  $PYTHON -m deep_contact figure 3.3                # any figure or table by its number; without one, what there is
+END

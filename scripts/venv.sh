@@ -1,5 +1,6 @@
 # Sourced by quickstart.sh, test.sh and docs.sh: `ensure_venv EXTRAS` makes .venv if needed, installs the package into it
 # with the extras, "[test,docs]", unless that has been done for this setup.cfg, and leaves its python in $PYTHON.
+# DEEP_CONTACT_CONSTRAINTS names a file of versions for pip, such as constraints.txt: those that made data/reference.
 # DEEP_CONTACT_VENV names another folder for it, DEEP_CONTACT_PYTHON another python to make it with.
 
 ensure_venv() {
@@ -17,7 +18,8 @@ ensure_venv() {
         "${DEEP_CONTACT_PYTHON:-python3}" -m venv "$venv"
     fi
     # What pip says is worth a screen only if it fails.
-    if ! "$PYTHON" -m pip install --quiet --disable-pip-version-check --editable ".$1" >"$venv/install.log" 2>&1; then
+    if ! "$PYTHON" -m pip install --quiet --disable-pip-version-check \
+        ${DEEP_CONTACT_CONSTRAINTS:+--constraint "$DEEP_CONTACT_CONSTRAINTS"} --editable ".$1" >"$venv/install.log" 2>&1; then
         cat "$venv/install.log" >&2
         return 1
     fi

@@ -2,10 +2,14 @@
 
 import multiprocessing
 import sys
+import time
 from collections.abc import Callable
 from functools import cache
 
 # compiled in: deep_contact.compiled.boxing
+
+PATIENCE, ESTIMATE = 0.5, "it takes half a minute to a minute; `deep-contact warm-up` does it ahead"
+"""After how many seconds a process says that it is compiling, and how long it may take."""
 
 
 @cache
@@ -28,23 +32,26 @@ def prepare_numba() -> None:
         import numba.np.arraymath  # noqa: F401
     finally:
         linalg.ensure_blas = check
-    if multiprocessing.parent_process() is None:
+    if multiprocessing.parent_process() is None or multiprocessing.current_process().name.endswith("-1"):
         event.register("numba:compile", announcement(lambda line: print(line, file=sys.stderr, flush=True)))
 
 
 def announcement(echo: Callable[[str], None]):
-    """A listener that hands one line to `echo` when Numba first compiles physics, which no cache had."""
+    """A listener that hands one line to `echo` once physics, which no cache had, take Numba longer than `PATIENCE`."""
     from numba.core import event
 
     class Announcement(event.Listener):
-        is_made = False
+        is_made, running, begun = False, 0, 0.0
 
         def on_start(self, event) -> None:
-            if not self.is_made and event.data["dispatcher"].py_func.__module__.startswith("deep_contact.physics."):
+            self.begun = self.begun if self.running else time.perf_counter()
+            self.running += 1
+            is_long = time.perf_counter() - self.begun >= PATIENCE
+            if is_long and not self.is_made and "deep_contact.physics." in event.data["dispatcher"].py_func.__module__:
                 self.is_made = True
-                echo("deep_contact: compiling for this kind of scene and solver, once; it takes 20 to 60 s")
+                echo(f"deep_contact: compiling for this kind of scene and solver, once; {ESTIMATE}")
 
         def on_end(self, event) -> None:
-            pass
+            self.running -= 1
 
     return Announcement()

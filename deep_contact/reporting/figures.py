@@ -281,7 +281,7 @@ def _report(figure: Figure, found: dict, path: Path) -> None:
     for row in rows:
         print(f"  {'  '.join(map(str.ljust, row, widths))}".rstrip())
     for claim in found["claims"]:
-        print(claim_line(claim, beside))
+        print(claim_line(claim, beside, measured=beside is None))
     print(f"picture: {path.with_suffix('.png')}")
 
 

@@ -94,7 +94,7 @@ def _judged(claim: dict, beside: dict | None) -> dict:
     """A claim with its verdict, and whether it holds, does not, does in part, or is left open."""
     verdict = results.verdict(claim, beside)
     kind = {True: "holds", False: "not", None: "part" if verdict.startswith("holds") else "open"}[claim["holds"]]
-    return claim | {"verdict": verdict, "kind": "open" if verdict == results.OPEN else kind}
+    return claim | {"verdict": verdict, "kind": "open" if verdict.startswith(results.OPEN) else kind}
 
 
 def _order(id: str) -> tuple:

@@ -160,16 +160,16 @@ def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
     """How a stored claim reads: its own verdict if it has one, else "holds", "does not hold" or "open".
 
     beside: results of the reference run, for a claim of a smaller run. Where both agree, that is said; where they do
-    not, or the reference run has no such claim, it is "too few states to tell". A number of circles may differ.
+    not, it is "too few states to tell", and what the reference run says. A number of circles may differ.
     """
     found = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
     if beside is None:
         return found
-    if claim["holds"] is None:
-        return OPEN
-    others = {_of_any_size(other["text"]): other["holds"] for other in beside["claims"]}
-    agree = others.get(_of_any_size(claim["text"])) == claim["holds"]
-    return f"as in the reference run, {found}" if agree else OPEN
+    others = {_of_any_size(other["text"]): other for other in beside["claims"]}
+    other = others.get(_of_any_size(claim["text"]))
+    if other and claim["holds"] is not None and claim["holds"] == other["holds"]:
+        return f"as in the reference run, {found}"
+    return OPEN + (f" (reference run: {verdict(other)})" if other else "")
 
 
 def _of_any_size(text: str) -> str:

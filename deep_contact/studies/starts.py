@@ -52,7 +52,10 @@ SPACINGS = {
 }
 """Which d are compared, m. The thesis prints no list: its text names 0.25 and 0.5, its authors' code runs with 0.75."""
 
-CHOSEN = {name: {"spacing": 0.5, "transfer": transfer} for name, transfer in TRANSFERS.items()}
+SPACING = 0.5
+"""d = h that the thesis chooses, m."""
+
+CHOSEN = {name: {"spacing": SPACING, "transfer": transfer} for name, transfer in TRANSFERS.items()}
 """The SPH start at d = h = 0.5 m, which the thesis chooses, both ways."""
 
 
@@ -189,7 +192,7 @@ def compare_starts(
     run = partial(_run, n_bodies=n_bodies, size=size, steps=steps, sweeps=sweeps)
     found = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
     sample = np.unique(np.round(np.geomspace(1, sweeps, 160)).astype(np.int64))  # even on a logarithmic axis
-    data = {"sweep": sample, "threshold": THRESHOLD} | {mode: {} for mode in modes}
+    data = {"sweep": sample.tolist(), "threshold": THRESHOLD} | {mode: {} for mode in modes}
     for mode in modes:
         for name in starts:
             parts = [part[name] for task, part in zip(tasks, found) if task[0] == mode and name in part]
@@ -232,18 +235,24 @@ def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Seque
         plotting.band(left, sweeps, *np.maximum(curves, FLOOR), **look)
     left.axhline(data["threshold"], color=plotting.GREY, linewidth=1, zorder=1, label=f"θ = {data['threshold']:g} N·s")
     left.set(xscale="log", yscale="log")
-    title_of_left = "mean θ by sweep; bands: quartiles of the scenes"
+    title_of_left = "mean θ by sweep" + bands(data, "quartiles of the scenes")
     plotting.label_axes(left, "sweep", "mean convergence rate θ", y_unit="N·s", title=title_of_left)
     if min(min(found[name]["theta"]) for name in drawn) < FLOOR:
         note = f"θ below {FLOOR:.0e}, zero included, is drawn there"
         left.text(0.01, 0.01, note, transform=left.transAxes, fontsize=8, color="#555555", va="bottom")
-    near = [name for name in found if verdicts.intervals(found, name, over)[0, sweeps.index(10)] > 0.1]
+    after_ten = int(np.argmin(np.abs(np.asarray(sweeps) - 10)))
+    near = [name for name in found if verdicts.intervals(found, name, over)[0, after_ten] > 0.1]
     draw_ratios(right, data, near, over)
-    right.set_title("ratio; bands: 95 % intervals")
+    right.set_title("ratio" + bands(data))
     curves = {text: line for ax in (left, right) for line, text in zip(*ax.get_legend_handles_labels())}
     figure.legend(curves.values(), curves.keys(), loc="outside lower center", ncols=4)
     figure.suptitle(title)
     return figure
+
+
+def bands(data: dict, of: str = "95 % intervals") -> str:
+    """What a title says of the bands, which one scene does not have."""
+    return f"; bands: {of}" if verdicts.scenes_of(data["independent"]) > 1 else ""
 
 
 def draw_ratios(ax, data: dict, names: Sequence[str], over: str) -> None:
@@ -267,15 +276,23 @@ def convergence_figure(
     hidden: Sequence[str] = (),
     modes: Sequence[str] = ("independent",),
 ) -> Figure:
-    """A figure of `compare_starts`' data with the thesis's settings; starts: name -> description."""
+    """A figure of `compare_starts`' data with the thesis's settings; starts: name -> description.
+
+    Those described as in `CHOSEN` follow the figure's option "spacing".
+    """
+    plain_sph = {"spacing", "transfer"}
+    chosen = {name: of for name, of in starts.items() if isinstance(of, Mapping) and of.keys() == plain_sph}
 
     def compute(options, seed, jobs, progress):
-        return compare_starts(starts, modes=modes, seed=seed, jobs=jobs, progress=progress, **options)
+        described = starts | {name: of | {"spacing": options["spacing"]} for name, of in chosen.items()}
+        options = {name: options[name] for name in options if name != "spacing"}
+        return compare_starts(described, modes=modes, seed=seed, jobs=jobs, progress=progress, **options)
 
     def draw(data, options):
         return draw_comparison(data, title, over, hidden)
 
     options, quick = THESIS_SETTINGS | {"sweeps": sweeps}, {"scenes": 1, "steps": 300}
+    options |= {"spacing": SPACING} if chosen else {}
     return Figure(id, title, compute, table_of_starts, draw, claims, options=options, quick=quick, seed=seed)
 
 
@@ -318,7 +335,7 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
         ]
         for ax, (text, names, over) in zip(panels, sides):
             draw_ratios(ax, data, names, over)
-            ax.set(title=f"{text}; bands: 95 % intervals")
+            ax.set(title=text + bands(data))
             ax.legend(loc="upper center", bbox_to_anchor=(0.5, -0.15), ncols=2)
         figure.suptitle(title)
         return figure

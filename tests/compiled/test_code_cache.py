@@ -136,7 +136,8 @@ def test_an_index_that_names_a_class_which_has_moved_counts_as_none(tmp_path):
     assert file.load(("key",)) == "code"
 
 
-def test_compiling_is_announced_once_and_only_where_physics_are_compiled():
+def test_compiling_is_announced_once_and_only_where_physics_are_compiled(monkeypatch):
+    monkeypatch.setattr(compiled, "PATIENCE", 0.0)
     one, two, other = (njit(lambda x, k=k: x + k) for k in range(3))
     one.py_func.__module__ = two.py_func.__module__ = "deep_contact.physics.engine"
     for functions, lines in (((other,), 0), ((one, two), 1), ((one,), 0)):

@@ -86,7 +86,7 @@ def test_a_run_writes_both_files_and_reports_numbers_and_claims(tmp_path, capsys
 
 
 def test_a_quick_run_says_so_and_where_it_agrees_with_the_reference(tmp_path, capsys, monkeypatch):
-    claim = "a walk comes back (section 1.2): walks = 3"
+    claim = "a walk comes back (section 1.2)"
     run(tmp_path, "--quick")  # there is no reference run of it
     assert capsys.readouterr().out.splitlines()[5] == f"too few states to tell: {claim}"
     run(tmp_path)
@@ -302,6 +302,14 @@ def test_an_interrupt_leaves_no_traceback_no_files_and_no_processes(tmp_path, jo
     assert process.returncode == status
     assert "Traceback" not in errors
     assert not list(tmp_path.glob("out/*"))
+
+
+def test_jobs_of_a_program_without_a_guard_say_what_it_needs(tmp_path):
+    script = tmp_path / "mine.py"
+    script.write_text("from deep_contact.reporting.figures import parallel_map\nparallel_map(abs, [1, 2], jobs=2)\n")
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True)
+    assert done.stderr.splitlines()[-1].startswith("RuntimeError: jobs: a process ended before its task was done;")
+    assert "bootstrapping" not in done.stderr
 
 
 # ---- all_figures.py ----

@@ -124,3 +124,10 @@ def test_stale_lists_what_is_old_once_and_the_pages_show_it(monkeypatch, capsys)
     monkeypatch.setattr(references, "why_old", lambda name: "")
     assert all_figures.main(["--stale"]) == 0
     assert capsys.readouterr().out == ""
+
+
+def test_the_constraints_are_the_versions_that_made_the_results():
+    lines = (ROOT / "constraints.txt").read_text(encoding="utf-8").splitlines()
+    versions = dict(line.split("==") for line in lines if "==" in line)
+    for name in references.commands().keys() - references.BY_HAND.keys():
+        assert versions.items() >= references.made(name)["packages"].items(), name

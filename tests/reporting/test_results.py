@@ -120,7 +120,7 @@ FULL = {"claims": [{"text": "faster, 100 circles", "holds": True}]}
         ("", None, None, None, "open"),
         ("", True, "holds, sweeps 1 to 180", None, "holds, sweeps 1 to 180"),
         ("faster, 60 circles", True, None, FULL, "as in the reference run, holds"),
-        ("faster, 60 circles", False, None, FULL, "too few states to tell"),
+        ("faster, 60 circles", False, None, FULL, "too few states to tell (reference run: holds)"),
         ("slower", False, None, FULL, "too few states to tell"),
     ],
 )

@@ -170,3 +170,17 @@ def test_table_6_1_calls_equal_what_the_seeds_cannot_tell_apart():
     assert (one.holds, one.verdict) == (None, "open: 3 trainings of each show a difference")
     assert not list(script.claims(variants(one=[0.5], deeper=[0.4], each=[0.4])))
     assert {len(row) for row in script.table(data)} == {7}
+
+
+def test_the_spacing_of_the_grid_is_a_setting_and_what_is_compared_can_be_drawn():
+    small = {"n_bodies": 12, "size": 14.0, "steps": 60, "sweeps": 5, "scenes": 1}
+    figure = load_script("figure_5_7_starts").FIGURE
+    fine, coarse = (
+        figure.compute(figure.settings(small | {"spacing": d}, quick=False), 1, 1, None)["independent"]
+        for d in (0.25, 1.0)
+    )
+    same = {name: fine[name]["theta"].tolist() == coarse[name]["theta"].tolist() for name in fine}
+    assert same == {"none": True, "builtin": True, "sph": False, "sph spline": False, "copy": True}
+    data = starts.compare_starts({"none": "none", "builtin": "builtin"}, **small)
+    titles = [ax.get_title() for ax in starts.draw_comparison(data, "as returned").axes]
+    assert titles == ["mean θ by sweep", "ratio"]  # one scene has no bands
