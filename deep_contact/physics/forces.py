@@ -43,7 +43,10 @@ class Forces(NamedTuple):
 
 
 def forces(state: State) -> Forces:
-    """The forces of the contacts, which are found where they are not known. Raises ValueError on a bad state."""
+    """The forces of the contacts; without a step before, as of positions alone, they are 0.
+
+    Raises ValueError on a state that does not hold together.
+    """
     check_types(state)
     if not has_engine_arrays(state):
         state = ready(state)

@@ -135,26 +135,12 @@ def write_film(path, pictures: Iterable[np.ndarray], fps: float) -> Path:
     return path
 
 
-def palette_of_films() -> np.ndarray:
-    """The colours of `Canvas` and what lies between those that meet at an edge, (k, 3), k ≤ 256."""
-    from matplotlib import colormaps
-    from matplotlib.colors import to_rgb
-
-    speeds = 255.0 * colormaps[plotting.COLOUR_MAP](np.linspace(0.0, 1.0, LEVELS))[:, :3]
-    dark, red, white = (255.0 * np.array(to_rgb(name)) for name in ("#333333", plotting.VERMILION, "white"))
-    between = [
-        (share * one + (1 - share) * other)
-        for one, other in ((speeds, dark), (speeds, white))
-        for share in (1 / 3, 2 / 3)
-    ]
-    edges = [np.linspace(one, other, 14) for one, other in ((red, white), (dark, white))]
-    return np.concatenate([speeds, *between, *edges])
-
-
 def _write_gif(path: Path, pictures, fps: float) -> None:
+    from matplotlib import colormaps
     from PIL import Image
 
-    palette = palette_of_films()
+    speeds = 255 * colormaps[plotting.COLOUR_MAP](np.linspace(0.0, 1.0, LEVELS))[:, :3]
+    palette = np.concatenate([speeds, np.mgrid[:6, :6, :6].reshape(3, -1).T * 51]).round()  # and what edges need
     shades = (np.mgrid[:32, :32, :32].reshape(3, -1).T * 8 + 4).astype(float)
     nearest = ((palette**2).sum(axis=1) - 2 * shades @ palette.T).argmin(axis=1).astype(np.uint8)
 
