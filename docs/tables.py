@@ -257,8 +257,8 @@ def claims(*, of_thesis: bool, holding: bool = True) -> list[list]:
     files.sort(key=lambda one: (one["id"][0] > "9", [int(n) for n in re.findall(r"\d+", one["id"])]))
     found = [(one["id"], dict(claim)) for one in files for claim in one["claims"] if bool(claim["thesis"]) == of_thesis]
     found = [(id, claim) for id, claim in found if holding or claim["holds"] is not True]
-    for _, claim in found:
-        verdict = results.verdict(claim)
+    for id, claim in found:
+        verdict, claim["thesis"] = results.verdict(claim), (claim["thesis"] or "").removesuffix(f", Figure {id}")
         if not of_thesis and not claim.get("verdict"):
             verdict = {True: "yes", False: "no", None: "open"}[claim["holds"]]
         claim["holds"] = f"**{verdict}**" if claim["holds"] is False else verdict
