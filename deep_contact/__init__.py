@@ -12,7 +12,7 @@ from deep_contact.io.lazy import attach
 
 # ruff: noqa: F401
 if TYPE_CHECKING:
-    from deep_contact import cnn, physics, sph, warm_start
+    from deep_contact import cnn, peers, physics, sph, warm_start
     from deep_contact.cnn.inference import load_model
     from deep_contact.io.shipped import sample_file
     from deep_contact.io.state_xml import read_state, write_state
@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from deep_contact.state import Bodies, Contacts, State, World
     from deep_contact.state.checks import make_bodies
     from deep_contact.state.scales import BOX2D, ContactScales
-    from deep_contact.studies import peers
     from deep_contact.studies import starts as experiments
+    from deep_contact.trade import load_trade, measure_trade
     from deep_contact.trajectory import Trajectory, load_trajectory
 
 __getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -18,6 +18,7 @@ from deep_contact.reporting import scripts
 
 COMMANDS = {
     "simulate": "run a scene, or go on from a state",
+    "trade": "measure what each setting costs on a scene, and what it gets wrong",
     "view": "play a simulation: contacts, impulses and θ as it runs",
     "warm-up": "compile ahead what first runs need, once: some two minutes",
     "sample": "print the path of a state of the thesis's scene",
@@ -26,6 +27,11 @@ COMMANDS = {
     "predict": "predict the impulses of state files",
     "train": "train a network; --quick: a small one on its own data, in two minutes",
 }
+
+SCENES = ("circles_in_box", "lattice_in_box", "drifting_circles", "hopper", "terrain", "drum")
+"""What `trade --scene` makes of numbers of circles and seeds."""
+
+TRADE_FILES = (".png", ".json")
 
 DIVERGED, BAD_FILE, NO_PACKAGE, INTERRUPTED = 1, 3, 4, 130
 
@@ -82,8 +88,10 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
     for name in ("figure", "table"):
         text = "3.7, say, or all; the options after it are in `… 3.7 --help`"
         commands[name].add_argument("number", nargs="?", help=text)
+    _add_trade(commands["trade"])
     runs = {
         "simulate": _simulate,
+        "trade": _trade,
         "view": _view,
         "warm-up": _warm_up,
         "sample": _sample,
@@ -115,6 +123,19 @@ def _add_runs(simulate: argparse.ArgumentParser, view: argparse.ArgumentParser) 
     add("--tolerance", type=float, metavar="N·s", help="θ, the largest change of an impulse, that ends a step's sweeps")
     add("--accuracy", metavar="NAME", help="preview, fast, balanced, accurate or reference, in place of both")
     add("--out", metavar="FILE", help="the last state as .xml or .xml.gz, or the run as .h5")
+
+
+def _add_trade(parser: argparse.ArgumentParser) -> None:
+    add = parser.add_argument
+    add("state", nargs="?", metavar="STATE.xml", help="the scene, or a state to go on from (default: --scene)")
+    add("--scene", default="circles_in_box", metavar="NAME", help="hopper, drum, terrain, … (default: %(default)s)")
+    add("--bodies", type=int, metavar="N", help="circles of the scene (default: its own)")
+    add("--steps", type=int, default=600, metavar="N", help="time steps of a run (default: %(default)s)")
+    add("--seeds", type=int, default=6, metavar="N", help="runs of each setting (default: %(default)s)")
+    add("--minutes", type=float, metavar="M", help="a budget: fewer seeds and settings (default: none)")
+    add("--engines", action="store_true", help="other engines too")
+    add("--jobs", type=int, default=1, metavar="N", help="processes (default: %(default)s)")
+    add("--out", metavar="FILE", help="a picture (.png), or all of it (.json)")
 
 
 # ---- commands of their own ----
@@ -165,6 +186,28 @@ def _method(given, scene) -> dict:
     if "solver" in options:
         return start | {"solver": METHODS[one_of("--solver", options.pop("solver"), METHODS)](**options)}
     return start | ({"solver": replace(scene.solver or dc.PGS(), **options)} if options else {})
+
+
+def _trade(given) -> int:
+    import deep_contact as dc
+    from deep_contact.validation import expect, one_of
+
+    suffix = Path(given.out or "x.json").suffix
+    expect(suffix in TRADE_FILES, f"--out: expected a file that ends in {', '.join(TRADE_FILES)}, got {given.out!r}")
+    scene = given.state and dc.read_state(given.state)
+    if scene is None:
+        make, count = (
+            getattr(dc, one_of("--scene", given.scene, SCENES)),
+            () if given.bodies is None else (given.bodies,),
+        )
+        scene = lambda seed: make(*count, seed=seed)  # noqa: E731
+    names = ("steps", "seeds", "minutes", "engines", "jobs")
+    trade = dc.measure_trade(scene, **{name: getattr(given, name) for name in names})
+    print(trade)
+    if given.out is not None:
+        trade.save(given.out) if suffix == ".json" else dc.plotting.save(trade.plot(), given.out)
+        print(given.out)
+    return 0
 
 
 def _view(given) -> int:

@@ -1,6 +1,6 @@
 """How accurate, and the cheapest way there: the presets of `simulate(accuracy=…)`, and `recommend`.
 
-A preset is a table of tolerances on the errors of a run (`studies.runs.ERRORS`). Which setting keeps them at the
+A preset is a table of tolerances on the errors of a run (`run_errors.ERRORS`). Which setting keeps them at the
 least cost is read from what `scripts/run_tradeoff.py --install` measured: errors and times of settings (method, sweeps,
 time step) on falling piles of equal and of mixed circles, with and without friction, elastic ones, a gas and a drum.
 
@@ -19,7 +19,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -36,6 +36,13 @@ TABLE = Path(__file__).parent / "reference" / "runs.json"
 
 Accuracy = Literal["preview", "fast", "balanced", "accurate", "reference"]
 """The names of `PRESETS`, from the loosest to the tightest."""
+
+
+class MeasuredAccuracy(Protocol):
+    """What was measured on the scene itself, a `trade.Trade`: it decides in place of the study."""
+
+    def decide(self, scene: State) -> Decision: ...
+
 
 PRESETS: dict[str, dict[str, float]] = {
     "preview": {"energy": 25, "height": 5, "creep": 5, "penetration": 1, "penetration_95": 2.5, "penetration_max": 40,
@@ -55,7 +62,7 @@ PRESETS: dict[str, dict[str, float]] = {
 changes; the forces of frictionless piles are tolerated loosely up to "accurate", since slop closes their gaps.
 """
 
-_MARGIN = 0.85
+MARGIN = 0.85
 """Share of its tolerance that an error of the study should have: its ensembles are few seeds of a few scenes."""
 
 _NEARLY = 1.05
@@ -76,6 +83,10 @@ LAYERED = 0.25
 SPREAD, DENSE = 2.5, 0.5
 """A dam that breaks is so many times as high as its circles would lie if they filled the width of the box, and they
 cover at least the second of the rectangle around them."""
+
+
+MEASURING = 600 * 500
+"""Steps of a preset that measuring a trade of 600 steps takes the time of: six seeds, a reference and its half step."""
 
 
 class PresetWarning(UserWarning):
@@ -118,6 +129,8 @@ class Recommendation:
         errors = ", ".join(f"{name} {self.errors[name]:.2g} ({most:g})" for name, most in known)
         yield "errors of a run (tolerances)", errors
         yield from (("outside of the study", sentence) for sentence in self.outside)
+        if self.outside or not self.reached:
+            yield "what to do", _way_out(self.us)
         yield from ((name, text) for name, text in (("cheaper", self.cheaper), ("better", self.better)) if text)
 
     def __str__(self) -> str:
@@ -164,12 +177,14 @@ class Decision(NamedTuple):
     warnings: tuple[str, ...]
 
 
-def decide(scene: State, accuracy: str | None, *, sleep: bool = False) -> Decision:
+def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool = False) -> Decision:
     """What a preset takes; without a name, what "fast" takes. Raises ValueError on another name.
 
     sleep: only solvers that can put circles to sleep. That no setting of the study keeps a preset is a warning only
     where it was asked for by name.
     """
+    if hasattr(accuracy, "decide"):
+        return accuracy.decide(scene)
     name, n = one_of("accuracy", accuracy or "fast", PRESETS), scene.bodies.count
     substeps = _substeps(scene, installed())
     stiff = stiffness(scene, substeps[TIME_STEP])
@@ -181,10 +196,15 @@ def decide(scene: State, accuracy: str | None, *, sleep: bool = False) -> Decisi
     if accuracy is not None and _excess(best, name) > 1:
         sentences.append(
             f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
-            f"(print(dc.recommend(scene, accuracy={name!r})) says more)"
+            f"(print(dc.recommend(scene, accuracy={name!r})) says more); {_way_out(best['us'])}"
         )
     warnings = tuple(f"accuracy={name!r}: {one}" for one in sentences)
     return Decision(best["solver"], best["start"], best["us"], stiff, warnings)
+
+
+def _way_out(us: float) -> str:
+    """How to learn what the study does not know. us: of a step of a setting."""
+    return f"dc.measure_trade(scene) measures it on this scene, in about {MEASURING * us / 1e6:,.0f} s for 600 steps"
 
 
 @functools.lru_cache(256)
@@ -217,9 +237,13 @@ def _fastest(scene: State) -> float:
 
 def _substeps(scene: State, study: Mapping) -> dict[float, int]:
     """Into how many the scene's Δt is divided, for each time step of the study and for `TIME_STEP`."""
-    longest = longest_step(scene, 1.0)
     time_steps = {setting["dt"] for setting in study["settings"]} | {TIME_STEP}
-    return {dt: _parts(scene.dt / (dt * longest)) for dt in sorted(time_steps)}
+    return {dt: parts_for(scene, dt) for dt in sorted(time_steps)}
+
+
+def parts_for(scene: State, dt: float) -> int:
+    """Into how many a scene's Δt is divided, so that they are to it what `dt` is to circles of r = 1 m."""
+    return _parts(scene.dt / longest_step(scene, dt))
 
 
 def _parts(ratio: float) -> int:
@@ -228,9 +252,17 @@ def _parts(ratio: float) -> int:
 
 
 def keeping(candidates: list[dict], accuracy: str, *, margin: bool = True) -> list[dict]:
-    """Those that keep a preset: where there are any, and with `margin`, those that keep it by `_MARGIN`."""
-    shares = (_MARGIN, 1.0) if margin else (1.0,)
+    """Those that keep a preset: where there are any, and with `margin`, those that keep it by `MARGIN`."""
+    shares = (MARGIN, 1.0) if margin else (1.0,)
     return next(filter(None, ([one for one in candidates if _excess(one, accuracy) <= most] for most in shares)), [])
+
+
+def keeps(errors: Mapping, accuracy: str, at: int = 0) -> bool:
+    """Whether errors (value, low, high) keep a preset: the values (0), the lower or the upper ends (1, 2)."""
+    return (
+        _excess({"errors": {name: of[at] for name, of in errors.items() if of and name in PRESETS[accuracy]}}, accuracy)
+        <= 1
+    )
 
 
 def _cheapest(candidates: list[dict], accuracy: str) -> dict:
@@ -243,7 +275,7 @@ def _cheapest(candidates: list[dict], accuracy: str) -> dict:
 def _excess(candidate: Mapping, accuracy: str) -> float:
     """The largest error in units of its tolerance."""
     tolerances = PRESETS[accuracy]
-    return max(value / tolerances[name] for name, value in candidate["errors"].items())
+    return max((value / tolerances[name] for name, value in candidate["errors"].items()), default=0.0)
 
 
 def _recommendation(scene: State, accuracy: str, best: dict, candidates: list[dict], study: Mapping) -> Recommendation:

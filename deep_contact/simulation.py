@@ -19,7 +19,7 @@ from deep_contact.physics.forces import SIDES
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
-from deep_contact.presets import Accuracy, Decision, PresetWarning, decide
+from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
 from deep_contact.running import run
 from deep_contact.state import State, StateWithContacts, notebook
 from deep_contact.state.checks import check_types, checked_indices
@@ -163,7 +163,7 @@ def simulate(
     dt: float | None = None,
     solver=None,
     warm_start: Start = "builtin",
-    accuracy: Accuracy | None = None,
+    accuracy: Accuracy | MeasuredAccuracy | None = None,
     sleep: bool = False,
     record: int | None = None,
     forces: bool = False,
@@ -177,9 +177,10 @@ def simulate(
     warm_start: None, the name of a start, a callable of `deep_contact.warm_start`, which is asked once a step, or a
     network, as `dc.load_model` gives it or by the path of its file, "….h5".
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
-    were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run. Where the
-    scene's circles are too small or too fast for its Δt, the step is divided into substeps. At step 0
-    contacts that carry no impulses, as of positions from elsewhere, are first solved well (`FIRST_SWEEPS`).
+    were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run; or what
+    `measure_trade` measured on your scene. Where the scene's circles are too small or too fast for its Δt, the step is
+    divided into substeps. At step 0 contacts that carry no impulses, as of positions from elsewhere, are first solved
+    well (`FIRST_SWEEPS`).
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
@@ -226,7 +227,7 @@ def simulate_many(
     dt: float | None = None,
     solver=None,
     warm_start: Literal["builtin", "none"] | Builtin | NoStart | None = "builtin",
-    accuracy: Accuracy | None = None,
+    accuracy: Accuracy | MeasuredAccuracy | None = None,
     sleep: bool = False,
     record: int | None = None,
     forces: bool = False,
@@ -302,7 +303,7 @@ class Method(NamedTuple):
     decision: Decision | None  # of the preset that chose the solver; None where it was given
 
 
-def method_of(state: State, solver=None, start="builtin", accuracy: str | None = None, *, sleep=False) -> Method:
+def method_of(state: State, solver=None, start="builtin", accuracy=None, *, sleep=False) -> Method:
     """The method of a run from this state: that of a preset, or the given one, or the state's solver.
 
     Without any of these the solver is that of the preset "fast". Raises ValueError where they do not fit each other.

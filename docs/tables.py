@@ -18,8 +18,8 @@ from deep_contact.io.files import replacing
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import page, references, results
 from deep_contact.reporting.figures import cell
+from deep_contact.run_errors import ERRORS
 from deep_contact.studies import chapter_5, verdicts
-from deep_contact.studies.runs import ERRORS
 from measured import REFERENCE, ROOT, stored
 
 PAGES = (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")))

@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import sph
+from deep_contact import peers, sph
 from deep_contact.compiled import team
 from deep_contact.io.fc2d import read_problem
 from deep_contact.io.files import write_json
@@ -37,7 +37,7 @@ from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
 from deep_contact.reporting import results
 from deep_contact.sph.thesis import splat_by_tree
 from deep_contact.state import State
-from deep_contact.studies import peers, piles, rivals, timing
+from deep_contact.studies import piles, rivals, timing
 
 TIME_STEP, POSITION_SWEEPS = 0.01, 3
 FEW, MANY = 10, 100

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from deep_contact import run_errors, trade
 from deep_contact.constants import TIME_STEP
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
@@ -26,8 +27,8 @@ def compute(options, seed, jobs, progress):
         parts = round(TIME_STEP / setting["dt"])
         state = runs.scene(options["kind"], options["n_bodies"], seed).replace(dt=setting["dt"])
         steps, every = round(options["seconds"] / setting["dt"]), EACH * parts
-        run = simulate(state, steps=steps, solver=runs.solver_of(setting), record=every)
-        seen = runs.observe(run.trajectory[k] for k in range(1, len(run.trajectory)))
+        run = simulate(state, steps=steps, solver=trade.solver_of(setting), record=every)
+        seen = run_errors.observe(run.trajectory[k] for k in range(1, len(run.trajectory)))
         found[name] = {
             "time": [runs.INTERVAL * (k + 1) for k in range(len(seen.kinetic))],
             "kinetic": seen.kinetic,

@@ -2,10 +2,11 @@
 
 from itertools import product
 
+from deep_contact import peers, trade
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.studies import peers, runs
+from deep_contact.studies import runs
 
 SHOWN = {"energy": "kinetic energy", "penetration_max": "deepest penetration"}
 OURS = {"color": plotting.BLUE, "marker": "o"}
@@ -50,14 +51,7 @@ def draw(data, options):
     figure, panels = plotting.subplots(len(SHOWN), len(sizes), size=size, squeeze=False, sharey="row")
     for (ax_row, name), (j, n) in product(zip(panels, SHOWN), enumerate(sizes)):
         ax, rows = ax_row[j], [row for row in data["rows"] if row["n_bodies"] == n]
-        for row in rows:
-            value, reach = runs.with_reach(row["errors"][name])
-            ax.errorbar(row["us"], value, reach, linewidth=0.5, markersize=3, **LOOKS.get(row["group"], OURS))
-        ours = sorted((row["us"], row["errors"][name][0]) for row in rows if row["group"] not in LOOKS)
-        front = [(us, error) for k, (us, error) in enumerate(ours) if all(error < before for _, before in ours[:k])]
-        ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.2, zorder=3)
-        ax.margins(y=0.1)
-        plotting.log_axes(ax)
+        trade.draw_plane(ax, rows, name)
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
         for preset, tolerances in PRESETS.items():
             ax.axhline(tolerances[name], color=plotting.BLACK, linewidth=0.7, linestyle=":")

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from deep_contact import run_errors
 from deep_contact.constants import TIME_STEP
 from deep_contact.reporting import figures, plotting
 from deep_contact.reporting.figures import Claim, Figure
@@ -71,7 +72,7 @@ def draw(data, options):
     for ax, (name, text) in zip(panels.ravel(), SHOWN.items()):
         for (n, rows), colour in zip((found := by_size(data)).items(), plotting.shades(len(found))):
             steps, values = zip(*((row["dt"], row["errors"][name]) for row in rows if row["errors"][name]))
-            values, reach = zip(*map(runs.with_reach, values))
+            values, reach = zip(*map(run_errors.with_reach, values))
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}
             ax.errorbar(steps, values, np.concatenate(reach, axis=1), **look)
         for dt in (TIME_STEP, runs.REFERENCE["dt"]):

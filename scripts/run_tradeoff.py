@@ -23,9 +23,9 @@ from multiprocessing import get_context
 from pathlib import Path
 from types import MappingProxyType
 
-from deep_contact import parallel
+from deep_contact import parallel, presets, run_errors, trade
 from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS, TABLE, keeping, recommend
+from deep_contact.presets import PRESETS, TABLE, recommend
 from deep_contact.reporting import figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
@@ -240,9 +240,9 @@ def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tup
                 cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in on_plain]
                 cases += [(setting, options["peer_seeds"][str(n)]) for setting in rivals]
             # Of a name that is there twice, the first has the most seeds.
-            by_name = {runs.name_of(setting): (setting, wanted) for setting, wanted in reversed(cases)}
+            by_name = {trade.name_of(setting): (setting, wanted) for setting, wanted in reversed(cases)}
             stays = {name for name, (_, wanted) in by_name.items() if is_known(kind, n, name, wanted)}
-            if stays == by_name.keys() - {runs.name_of(runs.REFERENCE)}:
+            if stays == by_name.keys() - {trade.name_of(runs.REFERENCE)}:
                 stays = by_name.keys()  # the reference is needed for what is new
             for name, (setting, wanted) in by_name.items():
                 if name in stays:
@@ -288,8 +288,8 @@ def is_ours(row: Mapping) -> bool:
 
 
 def keeps(row: Mapping, preset: str, at: int = 1) -> bool:
-    """Whether a row's errors are within the tolerances. at: 0 the values, 1 the lower ends of their intervals."""
-    return bool(keeping([{"errors": {name: of[at] for name, of in row["errors"].items() if of}}], preset, margin=False))
+    """Whether a row keeps a preset: by its values (at = 0), or by the lower ends of their intervals."""
+    return presets.keeps(row["errors"], preset, at)
 
 
 def contenders(rows: list) -> list:
@@ -323,8 +323,8 @@ def study(
     ensembles: dict = {}  # runs in the order of their seeds, so that each meets the reference of its own scene
     for (_, part), stored in zip(seen, found):
         ensemble = ensembles.setdefault((part["kind"], part["n_bodies"]), {})
-        _, runs_seen = ensemble.setdefault(runs.name_of(part["setting"]), (part["setting"], []))
-        runs_seen.append(runs.observation(stored))
+        _, runs_seen = ensemble.setdefault(trade.name_of(part["setting"]), (part["setting"], []))
+        runs_seen.append(run_errors.observation(stored))
     rows = [*(kept | {key_of(row): row for row in runs.rows(ensembles)}).values()]
     took: list[dict] = []
     for process in range(options["processes"]):
@@ -334,7 +334,7 @@ def study(
             times = done(parts, FUNCTIONS, work=work, jobs=jobs, text="times")
         took.append({(of["kind"], of["n_bodies"], of["phase"]): us for (_, of), us in zip(parts, times)})
         rows = [runs.with_times(row, took) for row in rows]
-    return {"errors": runs.ERRORS, "rows": rows, "presets": runs.presets(rows)}
+    return {"errors": run_errors.ERRORS, "rows": rows, "presets": runs.presets(rows)}
 
 
 def key_of(row: Mapping) -> tuple[str, int, str]:
@@ -400,9 +400,7 @@ VERIFY_QUICK = VERIFY | {
 def recommended(kind: str, n_bodies: int, seed: int, dt: float, preset: str) -> tuple[dict, float]:
     """(The setting that a preset takes for a scene, its predicted cost of TIME_STEP, μs)."""
     found = recommend(runs.scene(kind, n_bodies, seed).replace(dt=dt), accuracy=preset)
-    options = {key: value for key, value in vars(found.solver).items() if key != "tolerance"}
-    start = {"start": found.warm_start} if found.warm_start != "builtin" else {}
-    return {"method": type(found.solver).__name__, "dt": dt, **options, **start}, found.us * TIME_STEP / dt
+    return trade.setting_of(found.solver, dt, found.warm_start), found.us * TIME_STEP / dt
 
 
 def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool) -> dict | None:
@@ -421,13 +419,13 @@ def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors
     found = done([part for _, parts in cases for part in parts], FUNCTIONS, work=work, jobs=jobs, text="scenes")
     if errors_only:
         return None
-    rows, reference, seen = [], None, map(runs.observation, found)
+    rows, reference, seen = [], None, map(run_errors.observation, found)
     for case, parts in cases:
         ensemble = [next(seen) for _ in parts]
         if case["preset"] is None:
             reference = ensemble
             continue
-        errors = runs.intervals(ensemble, reference)
+        errors = run_errors.intervals(ensemble, reference)
         # Kept: the value. Within: not exceeded beyond what the seeds can tell, the lower end of the interval.
         known = {name: (errors[name], most) for name, most in PRESETS[case["preset"]].items() if errors[name]}
         kept, within = ({name: of[at] <= most for name, (of, most) in known.items()} for at in (0, 1))
@@ -435,14 +433,14 @@ def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors
     timed = []
     for n, kind in ((int(n), kind) for n, kinds in options["timed"].items() for kind in kinds):
         wanted = {preset: recommended(kind, n, seed + 5000, TIME_STEP, preset) for preset in PRESETS}
-        settings = list({runs.name_of(setting): setting for setting, _ in wanted.values()}.values())
+        settings = list({trade.name_of(setting): setting for setting, _ in wanted.values()}.values())
         arguments = {"kind": kind, "n_bodies": n, "seed": seed + 5000, "settings": settings}
         arguments |= {"steps": options["steps"][str(n)], "repeats": options["repeats"]}
         parts = [("times", arguments | {"phase": moment}) for moment in runs.MOMENTS]
         moments = done(parts, FUNCTIONS, work=work, jobs=1, text="times")
         took = {name: sum(us[name] for us in moments) / len(moments) for name in moments[0]}
         for preset, (setting, predicted) in wanted.items():
-            us = took[runs.name_of(setting)]
+            us = took[trade.name_of(setting)]
             timed.append({"n_bodies": n, "kind": kind, "preset": preset, "predicted_us": predicted, "us": us})
     return {"rows": rows, "times": timed}
 

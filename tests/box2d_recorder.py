@@ -6,14 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from deep_contact import constants
+from deep_contact import constants, peers
 from deep_contact.physics.collision import make_contacts, write_geometry
 from deep_contact.physics.engine import ContactSolution, solve
 from deep_contact.physics.segments import segments_in_grid
 from deep_contact.physics.solvers import PGS
 from deep_contact.state import Bodies, Contacts, State, World
 from deep_contact.state.checks import check_state
-from deep_contact.studies import peers
 
 
 class RecordedStep(NamedTuple):

@@ -11,9 +11,10 @@ import deep_contact as dc
 from deep_contact import presets
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
+from deep_contact.run_errors import ERRORS
 from deep_contact.stiffness import stiffness
 from deep_contact.studies import runs
-from deep_contact.studies.runs import ERRORS, KINDS, dam_break, two_densities
+from deep_contact.studies.runs import KINDS, dam_break, two_densities
 
 
 def entry(name, dt, us, share, **options):

@@ -22,7 +22,7 @@ from itertools import product
 
 import numpy as np
 
-from deep_contact import constants
+from deep_contact import constants, peers
 from deep_contact.constants import POSITION_TOLERANCE, WALL_SKIN
 from deep_contact.physics import metrics
 from deep_contact.physics.ready import ready
@@ -33,7 +33,7 @@ from deep_contact.state import Bodies, State, World
 from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import mean
 from deep_contact.stiffness import stiffness
-from deep_contact.studies import peers, timing
+from deep_contact.studies import timing
 from deep_contact.validation import one_of
 
 SAFE, DEGRADED, FAILED, REFUSED, ABSENT = ("safe", "degraded", "failed", "refused", "absent")

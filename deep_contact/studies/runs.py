@@ -1,38 +1,35 @@
 """The trade of speed for accuracy in whole runs: errors and times of settings and of other engines.
 
-Run by `scripts/run_tradeoff.py`, read by the presets. A setting is a method with a fixed number of sweeps and a time
-step; an engine's is its iterations and a time step. Every setting runs the same falling piles. A pile is chaotic: two
-runs differ after a second, whatever the solver. So errors compare means and distributions over ensembles of seeds with
-those of the limit of small steps. Errors need no quiet machine; times are measured one after the other on one.
+Run by `scripts/run_tradeoff.py`, read by the presets: here are the scenes, times and what the study says;
+`deep_contact.trade` runs a setting and `deep_contact.run_errors` looks at it. Every setting runs the same scenes.
+Errors need no quiet machine; times are measured one after the other on one.
 
-Time steps are given for circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r). Errors count lengths in
-mean radii r and speeds in √(g r): the numbers are the same at every scale. Without gravity a tenth of the fastest
-circle's speed stands in for √(g r), as in `presets.longest_step`.
+Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import product
-from typing import NamedTuple
 
 import numpy as np
 
+from deep_contact import peers
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.io import shipped
-from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.scenes import drum, hopper, lattice_in_box, terrain
-from deep_contact.physics.solvers import METHODS, solver_from
+from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.presets import FASTEST, PRESETS, keeping
 from deep_contact.reporting import results
+from deep_contact.run_errors import intervals, observe
 from deep_contact.simulation import simulate
 from deep_contact.state import State
-from deep_contact.studies import peers, piles, timing
-from deep_contact.studies.verdicts import interval
+from deep_contact.studies import piles, timing
+from deep_contact.trade import name_of, run_world, solver_of, states_of, world_of
 from deep_contact.validation import one_of
 
 RESULTS = {"results": "data/reference/run_tradeoff.json"}
@@ -124,9 +121,6 @@ HELD_OUT_KINDS = {
 MOMENTS = (0.75, 2.25, 3.75, 5.25)
 """When piles are timed, s after the start. The cost of a setting is the mean over these: that of a run of 6 s."""
 
-POSITION_SWEEPS = 10
-"""Of Box2D 2.3, at most."""
-
 WARM = 5
 """Steps of another engine before its time counts: the first ones fill its memory and find all contacts anew."""
 
@@ -148,25 +142,6 @@ def scene(kind: str, n_bodies: int, seed: int) -> State:
     return piles.scene(n_bodies, seed, **{key: options[key] for key in options if key != "gap" or n_bodies > 100})
 
 
-def solver_of(setting: Mapping):
-    """The options of a setting's method, without substeps."""
-    options = {name: value for name, value in setting.items() if name not in ("method", "dt", "start")}
-    return solver_from(setting["method"], options | {"tolerance": None})
-
-
-def name_of(setting: Mapping) -> str:
-    """Such as "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; Δt is 0.01 s."""
-    budget = "iteration" if "engine" in setting else "sweep"
-    words = [
-        setting.get("engine") or setting["method"],
-        f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}",
-    ]
-    words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "dt")]
-    ratio = TIME_STEP / setting["dt"]
-    words.append("Δt" if ratio == 1 else f"Δt / {ratio:g}" if ratio > 1 else f"{1 / ratio:g} Δt")
-    return ", ".join(words)
-
-
 # ---- observations ----
 
 
@@ -175,198 +150,7 @@ def observed(kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: 
     if not np.isclose(INTERVAL / setting["dt"], round(INTERVAL / setting["dt"])):
         raise ValueError(f"dt: expected a step that divides {INTERVAL} s, got {setting['dt']}")
     start, frames = scene(kind, n_bodies, seed), round(seconds / INTERVAL)
-    states = (_states_of_peer if "engine" in setting else _states)(start, setting, frames)
-    return results.plain(observe(states)._asdict(), digits=5)
-
-
-def observation(stored: Mapping) -> Observation:
-    """The inverse of `observed`."""
-    arrays = {name: np.array(value) if isinstance(value, list) else value for name, value in stored.items()}
-    return Observation(**arrays)
-
-
-def _states(state: State, setting: Mapping, frames: int) -> Iterator[State]:
-    state, each = state.replace(dt=setting["dt"]), round(INTERVAL / setting["dt"])
-    solver = solver_of(setting)
-    for _ in range(frames):
-        state = simulate(state, steps=each, solver=solver, warm_start=setting.get("start", "builtin")).state
-        yield state
-
-
-def _world(start: State, setting: Mapping, **threads):
-    """The scene in the engine that a setting names, with the setting's knobs."""
-    knobs = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
-    return peers.ENGINES[setting["engine"]](start.replace(dt=setting["dt"], contacts=None), **knobs, **threads)
-
-
-def _run(world, setting: Mapping, steps: int) -> None:
-    """So many steps of the setting's Δt."""
-    world.run(steps, setting["dt"], setting["sweeps"], setting.get("position_sweeps", POSITION_SWEEPS))
-
-
-def _states_of_peer(start: State, setting: Mapping, frames: int) -> Iterator[State]:
-    world, each = _world(start, setting), round(INTERVAL / setting["dt"])
-    for k in range(frames):
-        _run(world, setting, each)
-        state = start.replace(bodies=world.bodies(), time=(k + 1) * INTERVAL)
-        yield state.replace(contacts=contacts_of(state))
-
-
-# ---- errors of an ensemble of runs ----
-
-LOADS = np.linspace(0.0, 6.0, 121)
-"""Where the distribution of λ_n / mean λ_n is kept."""
-
-REST = 20
-"""The last so many observations are those at rest."""
-
-SETTLED = 0.2
-"""Root mean square speed of the reference at rest, √(g r), below which heights are settled: those in a drum are not."""
-
-TOUCHING = 1e-3
-"""Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
-
-ERRORS = {
-    "energy": "kinetic-energy curve: Σ |⟨E_k⟩ − ⟨E_k⟩*| / Σ ⟨E_k⟩* over the whole run, %",
-    "height": "settled height of the centre of mass: difference, % of the reference's",
-    "creep": "change of the settled height: difference of speeds, % of √(g r)",
-    "penetration": "penetration at rest, mean over contacts, % of r",
-    "penetration_95": "penetration at rest, 95th percentile over contacts, % of r",
-    "penetration_max": "deepest penetration at any time, mean over seeds, % of r",
-    "restlessness": "rms speed at rest above the reference's, % of √(g r)",
-    "contacts": "contacts per circle at rest, gap below 0.1 % of r: difference",
-    "forces": "distribution of λ_n / mean λ_n at rest: Kolmogorov-Smirnov distance, %",
-    "impact": "largest force on the box in an interval: difference, % of the reference's",
-}
-"""Name -> what it is, and its unit. All but the penetrations, which should be 0, are against the reference.
-
-Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv_y / dt), in weights; its
-mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a granular packing (Radjai et
-al., Phys. Rev. Lett. 77, 1996); penetration and restlessness are what engine users look at (Catto, Solver2D, 2024).
-"""
-
-
-class Observation(NamedTuple):
-    """What is looked at of one run, at T equally spaced times.
-
-    | field       | meaning                                                                    | shape    | unit    |
-    |-------------|----------------------------------------------------------------------------|----------|---------|
-    | kinetic     | kinetic energy                                                             | (T,)     | M u²    |
-    | height      | of the centre of mass above the floor                                      | (T,)     | r       |
-    | speed       | root mean square over the circles                                          | (T,)     | u       |
-    | penetration | mean, 95th percentile and largest over the contacts                        | (T, 3)   | r       |
-    | contacts    | pairs whose gap is below `TOUCHING`, per circle                            | (T,)     | –       |
-    | force       | mean vertical force on the box since the time before; None without gravity | (T − 1,) | M g     |
-    | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
-    | interval    | between two times                                                          | ()       | r / u   |
-
-    u = √(g r); without gravity a tenth of the fastest circle's speed at the first time.
-    """
-
-    kinetic: np.ndarray
-    height: np.ndarray
-    speed: np.ndarray
-    penetration: np.ndarray
-    contacts: np.ndarray
-    force: np.ndarray | None
-    loads: np.ndarray | None
-    interval: float
-
-
-def observe(states: Iterable[State]) -> Observation:
-    """What is looked at of a run: of its states, with contacts, at equally spaced times (a `Trajectory` has them).
-
-    Impulses are those that unsolved states carry. Raises ValueError with fewer than `REST` states, or where there is
-    neither gravity nor motion.
-    """
-    rows, momentum, loads, times, unit = [], [], [], [], None
-    for state in states:
-        bodies = state.bodies
-        g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
-        squares = (bodies.velocity**2).sum(axis=1)
-        unit = unit or math.sqrt(g * r) or math.sqrt(squares.max()) / FASTEST
-        if unit == 0:
-            raise ValueError("states: expected gravity or motion, by which errors of a run are scaled, got none")
-        kinetic = 0.5 * (bodies.mass @ squares + bodies.inertia @ bodies.spin**2) / (mass * unit**2)
-        height = (bodies.mass @ bodies.position[:, 1] / mass - state.world.box[1]) / r
-        speed = np.sqrt(squares.mean()) / unit
-        depth = np.maximum(0.0, -state.contacts.separation) / r
-        deep = (depth.mean(), np.percentile(depth, 95), depth.max()) if depth.size else (0.0, 0.0, 0.0)
-        touching = np.count_nonzero(state.contacts.separation <= TOUCHING * r) / bodies.count
-        rows.append((kinetic, height, speed, *deep, touching))
-        momentum.append(bodies.mass @ bodies.velocity[:, 1] / mass / unit)
-        impulses = state.contacts.normal_start
-        loads.append(impulses[impulses > 0])
-        times.append(state.time * unit / r)
-    if len(rows) < REST:
-        raise ValueError(f"states: expected at least {REST}, got {len(rows)}")
-    table = np.array(rows)
-    interval = (times[-1] - times[0]) / (len(times) - 1)
-    force = 1.0 + np.diff(momentum) / interval if g else None
-    at_rest = np.concatenate([found / found.mean() for found in loads[-REST:] if found.size] or [np.empty(0)])
-    known = np.searchsorted(np.sort(at_rest), LOADS, side="right") / at_rest.size if at_rest.size else None
-    return Observation(table[:, 0], table[:, 1], table[:, 2], table[:, 3:6], table[:, 6], force, known, interval)
-
-
-def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
-    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for an unknown one.
-
-    Without gravity nothing comes to rest: the energy and the deepest penetration are left.
-    """
-    mean, true = _means(found), _means(reference)
-    at_rest = slice(-REST, None)
-
-    def creep(means):
-        """Slope of the straight line through the settled heights, √(g r)."""
-        return np.polyfit(reference[0].interval * np.arange(REST), means["height"][at_rest], 1)[0]
-
-    values = {
-        "energy": np.abs(mean["kinetic"] - true["kinetic"]).sum() / true["kinetic"].sum(),
-        "height": abs(mean["height"][at_rest].mean() / true["height"][at_rest].mean() - 1),
-        "creep": abs(creep(mean) - creep(true)) if true["speed"][at_rest].mean() < SETTLED else None,
-        "penetration": mean["penetration"][at_rest, 0].mean(),
-        "penetration_95": mean["penetration"][at_rest, 1].mean(),
-        "penetration_max": np.mean([one.penetration[:, 2].max() for one in found]),
-        "restlessness": max(0.0, mean["speed"][at_rest].mean() - true["speed"][at_rest].mean()),
-        "contacts": abs(mean["contacts"][at_rest].mean() - true["contacts"][at_rest].mean()),
-        "forces": None if mean["loads"] is None else np.abs(mean["loads"] - true["loads"]).max(),
-        "impact": mean["peak"] and abs(mean["peak"] / true["peak"] - 1),
-    }
-    if true["peak"] is None:
-        values |= dict.fromkeys(values.keys() - {"energy", "penetration_max"})
-    return {
-        name: None if value is None else float(value) * (1.0 if name == "contacts" else 100.0)
-        for name, value in values.items()
-    }
-
-
-def intervals(
-    found: Sequence[Observation], reference: Sequence[Observation], *, resamples: int = 400
-) -> dict[str, tuple[float, float, float] | None]:
-    """Each of the `errors` with its interval (`verdicts.interval`): name -> (value, low, high), or None.
-
-    The same seeds are drawn for both ensembles. Raises ValueError where these differ in length.
-    """
-    if len(found) != len(reference):
-        raise ValueError(f"found: expected {len(reference)} runs, as the reference has, got {len(found)}")
-    values = errors(found, reference)
-    known = [name for name, value in values.items() if value is not None]
-
-    def of_seeds(drawn):
-        pairs = [([found[i] for i in row], [reference[i] for i in row]) for row in drawn]
-        return np.array([[value for name, value in errors(*pair).items() if name in known] for pair in pairs])
-
-    three = interval(of_seeds, len(found), resamples=resamples).T.tolist()
-    return dict.fromkeys(values) | {name: tuple(numbers) for name, numbers in zip(known, three)}
-
-
-def _means(runs: Sequence[Observation]) -> dict:
-    """Mean curves of an ensemble, and its mean peak of the force."""
-    names = ("kinetic", "height", "speed", "penetration", "contacts")
-    means = {name: np.mean([getattr(run, name) for run in runs], axis=0) for name in names}
-    known = all(run.loads is not None for run in runs)
-    means["peak"] = None if runs[0].force is None else np.mean([run.force.max() for run in runs])
-    return means | {"loads": np.mean([run.loads for run in runs], axis=0) if known else None}
+    return results.plain(observe(states_of(start, setting, frames, INTERVAL))._asdict(), digits=5)
 
 
 # ---- times ----
@@ -389,8 +173,8 @@ def times(
     runs, setup, worlds = {}, {}, {}
 
     def warmed(key, setting, threads):
-        worlds[key] = _world(start, setting, **threads)  # here the world of the run before is destroyed
-        _run(worlds[key], setting, WARM)
+        worlds[key] = world_of(start, setting, **threads)  # here the world of the run before is destroyed
+        run_world(worlds[key], setting, WARM)
 
     for setting in settings:
         name, count = name_of(setting), round(steps * TIME_STEP / setting["dt"])
@@ -402,7 +186,7 @@ def times(
         for threads in (1, 2) if two else (1,):
             key = name, threads
             setup[key] = partial(warmed, key, setting, {"threads": threads} if threads > 1 else {})
-            runs[key] = lambda key=key, setting=setting, count=count: _run(worlds[key], setting, count)
+            runs[key] = lambda key=key, setting=setting, count=count: run_world(worlds[key], setting, count)
     found: dict[str, float] = {}
     for (name, _), seconds in timing.interleaved(runs, repeats=repeats, setup=setup).items():
         found[name] = min(found.get(name, math.inf), 1e6 * seconds / steps)
@@ -508,15 +292,6 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
 def rounded(error: float) -> float:
     """An error with the three digits that the presets' table has, so that it and the study choose alike."""
     return float(f"{error:.3g}")
-
-
-def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
-    """An error of `intervals`, and how far its interval reaches down and up, (2, 1).
-
-    A bootstrap interval by percentiles can lie beside the value, where the value is the largest of what is possible.
-    """
-    value, low, high = error
-    return value, np.maximum([[value - low], [high - value]], 0.0)
 
 
 def sizes_of(rows: Iterable[Mapping]) -> list[int]:

@@ -10,9 +10,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy import stats
 
 from deep_contact.reporting.figures import Claim
+from deep_contact.run_errors import interval
 
 FEWEST = 10
 """Scenes from which on a claim is judged."""
@@ -37,22 +37,6 @@ Names = str | Sequence[str]
 def scenes_of(part: Mapping) -> int:
     """Number of scenes in one mode of `starts.compare_starts`' data."""
     return len(next(iter(part.values()))["scenes"]["states"])
-
-
-def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
-    """[value, low, high], (3, …): a statistic of scenes and its bootstrap interval of 95 % by percentiles (Efron 1979).
-
-    statistic: numbers of the scenes that are drawn, (rows, count), one row a resampling -> (rows, …). count: of scenes.
-    One scene has no spread: its interval is the value.
-    """
-    value = statistic(np.arange(count)[None])[0]
-    if count == 1:
-        return np.stack([value] * 3)
-    found = stats.bootstrap(
-        (np.arange(count),), lambda drawn, axis: np.moveaxis(statistic(np.atleast_2d(drawn)), 0, -1),
-        vectorized=True, method="percentile", n_resamples=resamples, random_state=0,
-    )  # fmt: skip
-    return np.stack([value, *found.confidence_interval])
 
 
 def mean_over_states(part: Mapping, name: str, drawn: np.ndarray) -> np.ndarray:

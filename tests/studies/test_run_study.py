@@ -8,11 +8,14 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
+from deep_contact import peers
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
-from deep_contact.studies import peers, runs
+from deep_contact.run_errors import SETTLED, observation
+from deep_contact.studies import runs
 from deep_contact.studies.parts import done
+from deep_contact.trade import name_of
 
 COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
 
@@ -21,7 +24,7 @@ def observed(kind, n_bodies, seed, setting, seconds):
     """What is read of the stored observation of a run, which is the same every time."""
     stored, again = (runs.observed(kind, n_bodies, seed, setting, seconds=seconds) for _ in range(2))
     assert stored == again
-    return runs.observation(json.loads(json.dumps(stored)))
+    return observation(json.loads(json.dumps(stored)))
 
 
 @pytest.mark.parametrize("engine", list(peers.ENGINES))
@@ -36,9 +39,9 @@ def test_other_engines_fall_as_ours(engine):
 
 def test_rows_hold_every_setting_against_the_reference():
     settings = [runs.REFERENCE, COARSE]
-    seen = {runs.name_of(s): (s, [observed("plain", 30, k, s, 1.5) for k in (1, 2)]) for s in settings}
+    seen = {name_of(s): (s, [observed("plain", 30, k, s, 1.5) for k in (1, 2)]) for s in settings}
     took = {runs.MOMENTS[0]: 6.0, runs.MOMENTS[1]: 8.0, "rest": 5.0}
-    took = [{("plain", 30, phase): {runs.name_of(COARSE): k * us} for phase, us in took.items()} for k in (1, 2, 3)]
+    took = [{("plain", 30, phase): {name_of(COARSE): k * us} for phase, us in took.items()} for k in (1, 2, 3)]
     reference, coarse = (runs.with_times(row, took) for row in runs.rows({("plain", 30): seen}))
     assert (reference["errors"], reference["us"]) == (None, None)
     assert (coarse["us"], coarse["times"], coarse["phases"], coarse["seeds"]) == (14, [7, 14, 21], {"rest": 10}, 2)
@@ -49,7 +52,7 @@ def test_rows_hold_every_setting_against_the_reference():
 def row(setting, us, error, kind="plain"):
     errors = {name: (error, error, error) for name in PRESETS["preview"]}
     common = {"kind": kind, "n_bodies": 100, "phases": {"impact": us, "rest": us}, "errors": errors, "seeds": 6}
-    return common | {"name": runs.name_of(setting), "setting": setting, "us": us, "times": [us, 1.1 * us, 0.9 * us]}
+    return common | {"name": name_of(setting), "setting": setting, "us": us, "times": [us, 1.1 * us, 0.9 * us]}
 
 
 def test_the_cheapest_setting_that_keeps_a_preset_is_chosen_for_each_kind():
@@ -106,14 +109,14 @@ def test_neither_the_first_step_nor_the_destruction_of_a_world_is_timed(monkeypa
     monkeypatch.setitem(peers.ENGINES, "slow", Slow)
     slow = {"engine": "slow", "sweeps": 4, "dt": TIME_STEP}
     took = runs.times("plain", 10, 1, [slow, COARSE], steps=10, repeats=2, phase=0.1)
-    assert took[runs.name_of(slow)] < 1e3  # μs a step: with either of them it would be 10,000
+    assert took[name_of(slow)] < 1e3  # μs a step: with either of them it would be 10,000
 
 
 @pytest.mark.parametrize("kind", ["mixed radii", "gas", "drum"])
 def test_scenes_are_observed(kind):
     seen = observed(kind, 40, 3, COARSE, 1.0)
     assert (seen.force is None) == (kind == "gas")
-    assert seen.speed[-1] > runs.SETTLED  # it still falls, or never rests
+    assert seen.speed[-1] > SETTLED  # it still falls, or never rests
     assert 0 < seen.kinetic.max()
     assert seen.penetration.max() < 1
 

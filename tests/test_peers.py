@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from box2d_recorder import RecordingBox2D
 
+from deep_contact import peers
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state import BOTTOM, LEFT, RIGHT, TOP, WALL_NORMALS, State, World
 from deep_contact.state.checks import make_bodies
-from deep_contact.studies import peers
 
 FLOAT32 = 1e-6
 """A few roundings of float32 (6e-8) at values of up to ten."""

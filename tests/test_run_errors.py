@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import deep_contact as dc
-from deep_contact.studies.runs import ERRORS, LOADS, REST, Observation, errors, intervals, observe, with_reach
+from deep_contact.run_errors import ERRORS, LOADS, REST, Observation, errors, intervals, observe, with_reach
 
 
 def states(scene, *, count=40, each=5, **options):

@@ -1,0 +1,211 @@
+"""What is looked at of a run, and the errors of an ensemble of runs against another, with intervals.
+
+A pile is chaotic: two runs differ after a second, whatever the solver. So errors compare means and distributions over
+ensembles of seeds with those of the limit of small steps. They count lengths in mean radii r and speeds in √(g r): the
+numbers are the same at every scale. Without gravity a tenth of the fastest circle's speed stands in for √(g r), as in
+`presets.longest_step`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from deep_contact.presets import FASTEST
+from deep_contact.state import State
+
+LOADS = np.linspace(0.0, 6.0, 121)
+"""Where the distribution of λ_n / mean λ_n is kept."""
+
+REST = 20
+"""The last so many observations are those at rest."""
+
+SETTLED = 0.2
+"""Root mean square speed of the reference at rest, √(g r), below which heights are settled: those in a drum are not."""
+
+TOUCHING = 1e-3
+"""Gap, in radii, below which two circles count as in contact: rigid ones that touch have a gap of 0."""
+
+ERRORS = {
+    "energy": "kinetic-energy curve: Σ |⟨E_k⟩ − ⟨E_k⟩*| / Σ ⟨E_k⟩* over the whole run, %",
+    "height": "settled height of the centre of mass: difference, % of the reference's",
+    "creep": "change of the settled height: difference of speeds, % of √(g r)",
+    "penetration": "penetration at rest, mean over contacts, % of r",
+    "penetration_95": "penetration at rest, 95th percentile over contacts, % of r",
+    "penetration_max": "deepest penetration at any time, mean over seeds, % of r",
+    "restlessness": "rms speed at rest above the reference's, % of √(g r)",
+    "contacts": "contacts per circle at rest, gap below 0.1 % of r: difference",
+    "forces": "distribution of λ_n / mean λ_n at rest: Kolmogorov-Smirnov distance, %",
+    "impact": "largest force on the box in an interval: difference, % of the reference's",
+}
+"""Name -> what it is, and its unit. All but the penetrations, which should be 0, are against the reference.
+
+Energy, height and force are those of the whole pile (the force from its momentum: M (g + dv_y / dt), in weights; its
+mean at rest is 1, exactly). The distribution of forces is the classical fingerprint of a granular packing (Radjai et
+al., Phys. Rev. Lett. 77, 1996); penetration and restlessness are what engine users look at (Catto, Solver2D, 2024).
+"""
+
+
+class Observation(NamedTuple):
+    """What is looked at of one run, at T equally spaced times.
+
+    | field       | meaning                                                                    | shape    | unit    |
+    |-------------|----------------------------------------------------------------------------|----------|---------|
+    | kinetic     | kinetic energy                                                             | (T,)     | M u²    |
+    | height      | of the centre of mass above the floor                                      | (T,)     | r       |
+    | speed       | root mean square over the circles                                          | (T,)     | u       |
+    | penetration | mean, 95th percentile and largest over the contacts                        | (T, 3)   | r       |
+    | contacts    | pairs whose gap is below `TOUCHING`, per circle                            | (T,)     | –       |
+    | force       | mean vertical force on the box since the time before; None without gravity | (T − 1,) | M g     |
+    | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
+    | interval    | between two times                                                          | ()       | r / u   |
+
+    u = √(g r); without gravity a tenth of the fastest circle's speed at the first time.
+    """
+
+    kinetic: np.ndarray
+    height: np.ndarray
+    speed: np.ndarray
+    penetration: np.ndarray
+    contacts: np.ndarray
+    force: np.ndarray | None
+    loads: np.ndarray | None
+    interval: float
+
+
+def observation(stored: Mapping) -> Observation:
+    """The observation whose fields JSON has stored as lists."""
+    return Observation(**{name: np.array(of) if isinstance(of, list) else of for name, of in stored.items()})
+
+
+def observe(states: Iterable[State]) -> Observation:
+    """What is looked at of a run: of its states, with contacts, at equally spaced times (a `Trajectory` has them).
+
+    Impulses are those that unsolved states carry. Raises ValueError with fewer than `REST` states, or where there is
+    neither gravity nor motion.
+    """
+    rows, momentum, loads, times, unit = [], [], [], [], None
+    for state in states:
+        bodies = state.bodies
+        g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
+        squares = (bodies.velocity**2).sum(axis=1)
+        unit = unit or math.sqrt(g * r) or math.sqrt(squares.max()) / FASTEST
+        if unit == 0:
+            raise ValueError("states: expected gravity or motion, by which errors of a run are scaled, got none")
+        kinetic = 0.5 * (bodies.mass @ squares + bodies.inertia @ bodies.spin**2) / (mass * unit**2)
+        height = (bodies.mass @ bodies.position[:, 1] / mass - state.world.box[1]) / r
+        speed = np.sqrt(squares.mean()) / unit
+        depth = np.maximum(0.0, -state.contacts.separation) / r
+        deep = (depth.mean(), np.percentile(depth, 95), depth.max()) if depth.size else (0.0, 0.0, 0.0)
+        touching = np.count_nonzero(state.contacts.separation <= TOUCHING * r) / bodies.count
+        rows.append((kinetic, height, speed, *deep, touching))
+        momentum.append(bodies.mass @ bodies.velocity[:, 1] / mass / unit)
+        impulses = state.contacts.normal_start
+        loads.append(impulses[impulses > 0])
+        times.append(state.time * unit / r)
+    if len(rows) < REST:
+        raise ValueError(f"states: expected at least {REST}, got {len(rows)}")
+    table = np.array(rows)
+    interval = (times[-1] - times[0]) / (len(times) - 1)
+    force = 1.0 + np.diff(momentum) / interval if g else None
+    at_rest = np.concatenate([found / found.mean() for found in loads[-REST:] if found.size] or [np.empty(0)])
+    known = np.searchsorted(np.sort(at_rest), LOADS, side="right") / at_rest.size if at_rest.size else None
+    return Observation(table[:, 0], table[:, 1], table[:, 2], table[:, 3:6], table[:, 6], force, known, interval)
+
+
+def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
+    """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for an unknown one.
+
+    Without gravity nothing comes to rest: the energy and the deepest penetration are left. A share of nothing, such as
+    of the energy of circles that never move, is unknown too.
+    """
+    mean, true = _means(found), _means(reference)
+    at_rest = slice(-REST, None)
+
+    def creep(means):
+        """Slope of the straight line through the settled heights, √(g r)."""
+        return np.polyfit(reference[0].interval * np.arange(REST), means["height"][at_rest], 1)[0]
+
+    def share(difference, whole):
+        return difference / abs(whole) if whole else None
+
+    height = true["height"][at_rest].mean()
+    values = {
+        "energy": share(np.abs(mean["kinetic"] - true["kinetic"]).sum(), true["kinetic"].sum()),
+        "height": share(abs(mean["height"][at_rest].mean() - height), height),
+        "creep": abs(creep(mean) - creep(true)) if true["speed"][at_rest].mean() < SETTLED else None,
+        "penetration": mean["penetration"][at_rest, 0].mean(),
+        "penetration_95": mean["penetration"][at_rest, 1].mean(),
+        "penetration_max": np.mean([one.penetration[:, 2].max() for one in found]),
+        "restlessness": max(0.0, mean["speed"][at_rest].mean() - true["speed"][at_rest].mean()),
+        "contacts": abs(mean["contacts"][at_rest].mean() - true["contacts"][at_rest].mean()),
+        "forces": None if mean["loads"] is None else np.abs(mean["loads"] - true["loads"]).max(),
+        "impact": None if true["peak"] is None else share(abs(mean["peak"] - true["peak"]), true["peak"]),
+    }
+    if true["peak"] is None:
+        values |= dict.fromkeys(values.keys() - {"energy", "penetration_max"})
+    return {
+        name: None if value is None else float(value) * (1.0 if name == "contacts" else 100.0)
+        for name, value in values.items()
+    }
+
+
+def intervals(
+    found: Sequence, reference: Sequence, *, resamples: int = 400, of: Callable = errors
+) -> dict[str, tuple[float, float, float] | None]:
+    """Each of the errors with its `interval`: name -> (value, low, high), or None.
+
+    of: function of two ensembles, such as `errors`. The same seeds are drawn for both. Raises ValueError where these
+    differ in length.
+    """
+    if len(found) != len(reference):
+        raise ValueError(f"found: expected {len(reference)} runs, as the reference has, got {len(found)}")
+    values = of(found, reference)
+    known = [name for name, value in values.items() if value is not None]
+
+    def of_seeds(drawn):
+        pairs = (([found[i] for i in row], [reference[i] for i in row]) for row in drawn)
+        resampled = [of(*pair) for pair in pairs]
+        # What the whole ensemble has, such as settled heights, a resampling may lack.
+        return np.array([[values[n] if one[n] is None else one[n] for n in known] for one in resampled], float)
+
+    three = interval(of_seeds, len(found), resamples=resamples).T.tolist()
+    return dict.fromkeys(values) | {name: tuple(numbers) for name, numbers in zip(known, three)}
+
+
+def _means(runs: Sequence[Observation]) -> dict:
+    """Mean curves of an ensemble, and its mean peak of the force."""
+    names = ("kinetic", "height", "speed", "penetration", "contacts")
+    means = {name: np.mean([getattr(run, name) for run in runs], axis=0) for name in names}
+    known = all(run.loads is not None for run in runs)
+    means["peak"] = None if runs[0].force is None else np.mean([run.force.max() for run in runs])
+    return means | {"loads": np.mean([run.loads for run in runs], axis=0) if known else None}
+
+
+def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resamples: int = 2000) -> np.ndarray:
+    """[value, low, high], (3, …): a statistic of scenes and its bootstrap interval of 95 % by percentiles (Efron 1979).
+
+    statistic: numbers of the scenes that are drawn, (rows, count), one row a resampling -> (rows, …). count: of scenes.
+    One scene has no spread: its interval is the value.
+    """
+    value = statistic(np.arange(count)[None])[0]
+    if count == 1:
+        return np.stack([value] * 3)
+    found = stats.bootstrap(
+        (np.arange(count),), lambda drawn, axis: np.moveaxis(statistic(np.atleast_2d(drawn)), 0, -1),
+        vectorized=True, method="percentile", n_resamples=resamples, random_state=0,
+    )  # fmt: skip
+    return np.stack([value, *found.confidence_interval])
+
+
+def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:
+    """An error of `intervals`, and how far its interval reaches down and up, (2, 1).
+
+    A bootstrap interval by percentiles can lie beside the value, where the value is the largest of what is possible.
+    """
+    value, low, high = error
+    return value, np.maximum([[value - low], [high - value]], 0.0)
