@@ -574,7 +574,8 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
     if outside := presets.outside(first, presets.installed()):
         notes.append("outside of the study of the presets: " + "; ".join(outside))
     for setting in (*by_preset.values(), *more):
-        simulate(first, steps=1, solver=solver_of(setting), warm_start=setting.get("start", "builtin"))
+        with contextlib.suppress(FloatingPointError):  # its runs will say it
+            simulate(first, steps=1, solver=solver_of(setting), warm_start=setting.get("start", "builtin"))
     return Trade(
         scene=first.name, n_bodies=first.bodies.count, dt=first.dt, steps=steps, quantities=quantities, notes=notes,
         settings={name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)},
@@ -605,19 +606,22 @@ def _costs(trade: Trade, scene: State, frames: int, interval: float) -> dict[str
     steps = round(interval / scene.dt)
     moments = [scene]
     for _ in range(4):
-        moments.append(simulate(moments[-1], steps=max(1, frames // 5) * steps, solver=fast).state)
+        with contextlib.suppress(FloatingPointError):  # as the runs will say
+            moments.append(simulate(moments[-1], steps=max(1, frames // 5) * steps, solver=fast).state)
     begun = time.perf_counter()
-    with contextlib.suppress(ValueError):  # of neither gravity nor motion, as the runs will say
+    with contextlib.suppress(ValueError):  # of neither gravity nor motion
         observe(moments[1:] * REST)
-    looking = (time.perf_counter() - begun) / (4 * REST)
+    moments = moments[1:] or moments
+    looking = (time.perf_counter() - begun) / (len(moments) * REST)
 
     def cost(setting):
         took = []
-        for moment in moments[1:]:
+        for moment in moments:
             states = states_of(moment, setting, 3, interval)
-            next(states)
-            took.append(min(_next_seconds(states) for _ in range(2)))
-        return frames * (sum(took) / 4 + looking)
+            with contextlib.suppress(FloatingPointError):
+                next(states)
+                took.append(min(_next_seconds(states) for _ in range(2)))
+        return frames * (sum(took) / len(moments) + looking)
 
     costs = {name: cost(setting) for name, setting in trade.settings.items()}
     return costs | {REFERENCE: cost(trade.reference), HALF: cost(reference_of(scene, 2))}
@@ -696,7 +700,7 @@ def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> 
         unit = unit if name in ERRORS else " %"
         of = [row["errors"][name][0] for row in trade.rows if row["errors"][name]]
         differ = max(of, default=0.0) - min(of, default=0.0)
-        if name in (*SHOWN, *trade.quantities) and noise > differ > 0:
+        if name in (*SHOWN, *trade.quantities) and noise > differ > 1e-3 * noise:
             seeds = trade.enough(name, differ)
             text = f"seeds alone make {scale * noise:.2g}{unit}, settings differ by {scale * differ:.2g}{unit}"
             yield f"{name} is undecided: {text}; {seeds} seeds would do"
