@@ -107,7 +107,12 @@ def _add_runs(simulate: argparse.ArgumentParser, view: argparse.ArgumentParser) 
     of_simulate = (simulate, 600, 10, "steps between two states of the run in an .h5")
     for parser, steps, every, what in (of_simulate, (view, 400, 4, "steps a frame")):
         add = parser.add_argument
-        add("state", nargs="?", metavar="STATE.xml", help="go on from this state (default: a scene of falling circles)")
+        add(
+            "state",
+            nargs="?",
+            metavar="STATE.xml",
+            help="go on from this state, or the last of a run.h5 (default: a scene of falling circles)",
+        )
         add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
         add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
         add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
@@ -243,7 +248,7 @@ def _scene(given):
         return (dc.drifting_circles if given.no_gravity else dc.circles_in_box)(**options)
     if options or given.no_gravity:
         raise ValueError("options of a scene: expected none beside STATE.xml, which is a scene already")
-    return dc.read_state(given.state)
+    return dc.load_trajectory(given.state)[-1] if given.state.endswith(".h5") else dc.read_state(given.state)
 
 
 def _warm_up(given) -> int:

@@ -126,7 +126,8 @@ class Recommendation:
         if not self.reached:
             yield "nearest", "no setting of the study keeps all tolerances; this one comes nearest"
         known = ((name, most) for name, most in self.tolerances.items() if name in self.errors)
-        errors = ", ".join(f"{name} {self.errors[name]:.2g} ({most:g})" for name, most in known)
+        percent = {name: "" if name == "contacts" else " %" for name in self.errors}
+        errors = ", ".join(f"{name} {self.errors[name]:.2g}{percent[name]} ({most:g})" for name, most in known)
         yield "errors of a run (tolerances)", errors
         yield from (("outside of the study", sentence) for sentence in self.outside)
         if self.outside or not self.reached:

@@ -105,12 +105,14 @@ class Simulation(NamedTuple):
     def _summary(self) -> dict[str, str]:
         summary = {"steps": notebook.counted(self.sweeps.size, "step")}
         if self.sweeps.size:
-            ends, times = np.unique(self.status, return_counts=True)
+            ends = self.status
             summary["sweeps"] = f"{self.sweeps.mean():.1f} sweeps a step"
             if self.substeps.max() > 1:
                 summary["substeps"] = f"{self.substeps.mean():.1f} substeps a step"
-            summary["last θ"] = f"last θ {self.theta[-1]:.2g} N·s"
-            summary["solves"] = ", ".join(f"{count:,} {end.replace('_', ' ')}" for end, count in zip(ends, times))
+            if tolerance_argument(self.state.solver) > 0:  # otherwise every step takes its number of sweeps, as meant
+                summary["solves"] = f"converged in {np.isin(ends, ('converged', 'no_contacts')).sum():,} steps"
+            if (ends == "diverged").any():
+                summary["diverged"] = f"{(ends == 'diverged').sum():,} diverged"
         return summary | ({} if self.recorded is None else {"record": notebook.counted(len(self.recorded), "state")})
 
 

@@ -35,7 +35,15 @@ def load_model(path=None) -> LearnedModel:
     network, spec, metadata = read_model(path)
     kind = FarFieldModel if isinstance(spec, FarFieldSpec) else LearnedModel
     box = None if metadata["box"] is None else tuple(metadata["box"])
-    return kind(source=network, spec=spec, card=metadata["card"], box=box, path=path)
+    return kind(source=network, spec=spec, card=Card(metadata["card"]), box=box, path=path)
+
+
+class Card(dict):
+    """Where a network comes from and what it is worth; printed, long entries are cut. `dict(card)` has all."""
+
+    def __repr__(self) -> str:
+        texts = ((name, repr(value)) for name, value in self.items())
+        return "\n".join(f"{name}: {text if len(text) <= 100 else f'{text[:99]}…'}" for name, text in texts)
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)

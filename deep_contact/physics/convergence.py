@@ -30,6 +30,10 @@ class ConvergenceRecord(NamedTuple):
     sweeps: int
     status: str
 
+    def __repr__(self) -> str:
+        last = f", last θ {self.theta[-1]:.2g} N·s" if self.theta.size else ""
+        return f"ConvergenceRecord({self.sweeps:,} sweeps, {self.status.replace('_', ' ')}{last})"
+
 
 def convergence_record(theta: np.ndarray, solver, n_contacts: int) -> ConvergenceRecord:
     """Record of a solve from the θ of its sweeps, the solver's options and the number of contacts."""

@@ -45,7 +45,7 @@ from deep_contact.physics.step import (
     with_rare,
 )
 from deep_contact.physics.substeps import depart, part_of, parts_of, rejoin
-from deep_contact.state import Contacts, State, native
+from deep_contact.state import Contacts, State, native, notebook
 from deep_contact.state.scales import ContactScales, mean
 
 
@@ -196,6 +196,9 @@ class ContactSolution(NamedTuple):
     velocities: np.ndarray
     angular_velocities: np.ndarray
     record: ConvergenceRecord
+
+    def __repr__(self) -> str:
+        return f"ContactSolution({notebook.counted(self.normal_impulses.size, 'contact')}, {self.record})"
 
 
 class StepProblem(NamedTuple):

@@ -445,8 +445,12 @@ def draw_network(
 
 
 def save(figure, path: str | os.PathLike) -> Path:
-    """Write a figure as PNG; its path. The same figure gives the same bytes."""
+    """Write a figure as PNG; its path, "….png". The same figure gives the same bytes."""
     path = Path(path)
+    if path.suffix.lower() != ".png":
+        raise ValueError(
+            f"path: expected a name that ends in .png, got {str(path)!r}; figure.savefig writes other formats"
+        )
     path.parent.mkdir(parents=True, exist_ok=True)
     with style(), replacing(path) as temporary:
         # No date and no version in the file, so that equal pictures are equal files.

@@ -214,6 +214,10 @@ class State:
     solver: object = None
     solved: bool = False
 
+    def __post_init__(self):
+        if not isinstance(self.bodies, Bodies):
+            raise ValueError(f"bodies: expected Bodies, as dc.make_bodies makes them, got {type(self.bodies).__name__}")
+
     @property
     def scales(self) -> ContactScales:
         """Lengths, speeds and times of the contact model in the steps of this state (`scales.contact_scales`)."""

@@ -31,6 +31,7 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
         raise ValueError(f"position: expected numbers of shape (n, 2), x and y, got {position!r}") from None
     n = position.shape[0]
     radius = _for_each("radius", radius, (n,))
+    _refuse_where(radius <= 0, "bodies", "radius", radius, "a number > 0")  # before a mass is made from it
     if mass is None:
         mass = _for_each("density", density, (n,)) * np.pi * radius**2
     angle, spin, mass = (_for_each(*given, (n,)) for given in (("angle", angle), ("spin", spin), ("mass", mass)))

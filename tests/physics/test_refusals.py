@@ -57,7 +57,9 @@ REFUSED = [
         (dc.step, {"state": COLUMN.replace(bodies=COLUMN.bodies._replace(**field))}, f"bodies.{next(iter(field))}: exp")
         for field in ({"mass": 1j}, {"position": [[1], [1, 2]]}, {"spin": np.zeros(3)})
     ),
-    (dc.step, {"state": COLUMN.replace(bodies=[[1.0, 1.0]])}, "bodies: expected Bodies, got list"),
+    (COLUMN.replace, {"bodies": [[1.0, 1.0]]}, "bodies: expected Bodies, as dc.make_bodies makes them, got list"),
+    (dc.make_bodies, {"position": [[1.0, 1.0]], "radius": 0.0}, r"bodies.radius\[0\]: expected a number > 0, got 0.0"),
+    (dc.plotting.save, {"figure": None, "path": "x.foo"}, "path: expected a name that ends in .png, got 'x.foo'"),
     (dc.step, {"state": COLUMN.replace(solved=1j)}, "solved: expected True or False, got 1j"),
     # a world
     (dc.World, {"gravity": -9.81}, r"gravity: expected two finite numbers, such as \(0, -9.81\), got -9.81"),
