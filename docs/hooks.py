@@ -4,6 +4,7 @@ MkDocs calls the `on_` functions (mkdocs.yml). Any failure stops the build.
 """
 
 import inspect
+import itertools
 import os
 import re
 import subprocess
@@ -34,9 +35,9 @@ for _public, (_module, _name) in lazy.homes(deep_contact.__file__).items():
     _place = _found.__name__ if inspect.ismodule(_found) else f"{_module}.{_name}"
     _page = _public if inspect.ismodule(_found) else _module.split(".")[-1]
     NAMES.setdefault(_page, {})[_public] = _place
-THUMBNAIL = 160
+THUMBNAIL = 280
 """Width of the pictures in the index of results, pixels."""
-_pictures = {}
+_pictures, _titles = {}, {}
 _work = tempfile.TemporaryDirectory()
 
 
@@ -82,8 +83,10 @@ def on_page_markdown(markdown, page, config, files):
         title, _, text = markdown.partition("\n")
         markdown = f"{title}\n\n{tables.old_on(page.file.src_uri, markdown)}{text}"
     if page.file.src_uri == "gallery/index.md":
-        shown = [(name, found[0].name) for name, found in _pictures.items() if found]
-        markdown += "\n\n" + "\n".join(f"[![{name}]({name}/{file}){{ width=300 }}]({name}.md)" for name, file in shown)
+        shown = [(_titles[name], found[0].name, name) for name, found in _pictures.items() if found]
+        cells = (f"[![]({name}/{file}){{ width=300 }}<br>{title}]({name}.md)" for title, file, name in shown)
+        rows = "".join(f"| {' | '.join(row)} |\n" for row in itertools.zip_longest(*[cells] * 2, fillvalue=""))
+        markdown = markdown.replace("\n## ", f"\n| | |\n| --- | --- |\n{rows}\n## ", 1)
     if page.file.src_uri == "results.md":
         small = rf"[![\1](thumbnails/\2){{ width={THUMBNAIL} }}<br>\1](reference/\2)"
         markdown = re.sub(r"\[(T?[ .\d]+)\]\(\.\./data/reference/(\w+\.png)\)", small, markdown)
@@ -117,14 +120,16 @@ def _parameters(public: str) -> str:
     found = getattr(deep_contact, public)
     if not (inspect.isfunction(found) or inspect.isclass(found)):
         return ""
-    rows = []
+    rows, text = [], inspect.getdoc(found) or ""
     for given in inspect.signature(found).parameters.values():
+        about = re.search(rf"(?:^|\s){re.escape(given.name)}: (.*?)(?=\.\s+(?:[a-z_]\w*, )*[a-z_]\w*: |\n\n|$)", text, re.S)
+        about = " ".join(about[1].split()).replace("|", "\\|") if about else ""
         name = given.replace(annotation=given.empty, default=given.empty)  # with its stars
         kind = getattr(given.annotation, "__forward_arg__", given.annotation)  # as written: a string
         kind = "" if kind is given.empty else f"`{kind}`"
         default = "" if given.default is given.empty else f"`{given.default!r}`"
-        rows.append(f"| `{name}` | {kind} | {default} |\n")
-    return f"\n| Parameter | Type | Default |\n| --- | --- | --- |\n{''.join(rows)}" if rows else ""
+        rows.append(f"| `{name}` | {about} | {kind} | {default} |\n")
+    return f"\n| Parameter | Meaning | Type | Default |\n| --- | --- | --- | --- |\n{''.join(rows)}" if rows else ""
 
 
 def _example(name: str) -> tuple[str, list[Path]]:
@@ -141,5 +146,6 @@ def _example(name: str) -> tuple[str, list[Path]]:
     pictures = sorted(found for found in folder.iterdir() if found.suffix in PICTURES)
     shown = "\n".join(f"![{found.stem}]({name}/{found.name})" for found in pictures)
     printed = f"It prints\n\n```text\n{run.stdout.rstrip()}\n```\n" if run.stdout else ""
+    _titles[name] = title.rstrip(".")
     page = f"# {title.rstrip('.')}\n{text}\n```python\n{code.strip()}\n```\n\n{shown}\n\n{printed}"
     return f"{page}\nThe file is `docs/gallery/{name}.py`.\n", pictures
