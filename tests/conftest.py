@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
 import sys
 from pathlib import Path
 
@@ -17,6 +18,9 @@ from deep_contact.studies.starts import solved_states
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = ROOT / "scripts"
 TOOLS = ROOT / "tests" / "tools"
+
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell has it in the background, and processes inherit it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def load_script(name):
