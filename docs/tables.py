@@ -192,13 +192,6 @@ def rivals() -> list[list]:
     return [["circles", *PRESETS, "settings, ours / theirs"], *([f"{n:,}", *row, tried[n]] for n, row in times.items())]
 
 
-def rivals_before() -> list[list]:
-    """The same beside what was published when destroying a rival's world was part of its time."""
-    before, now = (stored(name)["data"][key] for name, key in (("ratios_before", "ratios"), ("figure_6_1", "presets")))
-    before, now = ratios(before), ratios(now)
-    return [["circles", "", *PRESETS], *([f"{n:,}", when, *of[n]] for n in now for when, of in (("before", before), ("now", now)))]
-
-
 def kinds() -> list[list]:
     """What "fast" and "reference" cost for each kind of scene, in those of a plain pile of its size."""
     costs = {(row["n_bodies"], row["preset"]): row["kinds"] for row in stored("figure_6_1")["data"]["presets"]}
@@ -360,7 +353,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, rivals_before, kinds, missed, figures)
+_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, kinds, missed, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),

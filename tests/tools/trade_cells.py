@@ -34,7 +34,9 @@ def pyramid(n, seed):
 def two_heaps(n, seed):
     heap = dc.lattice_in_box(n // 2, seed=seed).bodies
     width = np.ptp(heap.position[:, 0]) + 4.0
-    places = np.concatenate([heap.position + (2.0, 0.0), heap.position[::-1] + (2.0 + 1.5 * width, 0.0)])
+    places = np.concatenate(
+        [heap.position + np.array([2.0, 0.0]), heap.position[::-1] + np.array([2.0 + 1.5 * width, 0.0])]
+    )
     velocity = np.repeat([[6.0, 0.0], [-6.0, 0.0]], n // 2, axis=0)
     return placed(places, "two_heaps", velocity=velocity)
 
@@ -44,12 +46,14 @@ def belt(n, seed):
     x_min, y_min, x_max, y_max = scene.world.box
     line = ((x_min, 1.0, x_max, 1.0),)
     world = replace(scene.world, box=(x_min, y_min, x_max + 40, y_max + 2), segments=line, surface_speeds=(3.0,))
-    return scene.replace(world=world, bodies=scene.bodies._replace(position=scene.bodies.position + (0.0, 1.2)))
+    return scene.replace(
+        world=world, bodies=scene.bodies._replace(position=scene.bodies.position + np.array([0.0, 1.2]))
+    )
 
 
 def placed(places, name, **options):
     places = places - places.min(axis=0) + 1.01
-    box = (0, 0, *(places.max(axis=0) + (21.0, 3.0)))
+    box = (0, 0, *(places.max(axis=0) + np.array([21.0, 3.0])))
     return dc.State(name=name, world=dc.World(box=box), bodies=dc.make_bodies(places, radius=1.0, **options))
 
 

@@ -1,0 +1,25 @@
+"""What does a setting make of the angle of a drum's surface?
+
+For users of granular media: the angle of the centre of all circles, seen from the drum's axis, against straight down.
+Its error is that of the mean curve over seeds; "angle spread" is how far the distributions over seeds lie apart.
+"""
+
+import math
+
+import deep_contact as dc
+
+
+def scene(seed):
+    return dc.drum(100, froude=0.05, sides=24, seed=seed)
+
+
+def angle(state):
+    x, y = state.bodies.position.mean(axis=0) - 0.5 * state.world.box[2]
+    return math.degrees(math.atan2(x, -y))
+
+
+trade = dc.measure_trade(scene, steps=400, seeds=4, quantities={"angle": angle})
+print(trade)
+for name, runs in trade.values("angle").items():
+    print(f"{runs[:, -40:].mean():5.1f}° at the end, {name}")
+dc.plotting.save(trade.plot(), "drum_trade.png")
