@@ -7,6 +7,7 @@ import pytest
 
 import deep_contact as dc
 from deep_contact import trade as module
+from deep_contact.__main__ import main
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state.checks import make_bodies
 
@@ -178,3 +179,12 @@ def test_a_barrel_is_measured():
     """Its resamplings lack what the ensemble has: this once ended in "x must have real dtype"."""
     trade = dc.measure_trade(lambda seed: dc.barrel(4, columns=3, seed=seed), steps=40, seeds=3)
     assert all(row["errors"]["energy"] for row in trade.rows)
+
+
+def test_the_command_line_and_recommend_lead_to_it(tmp_path, capsys):
+    out = tmp_path / "trade.json"
+    words = ["--scene", "hopper", "--bodies", "20", "--steps", "20", "--seeds", "1", "--out", str(out)]
+    assert main(["trade", *words]) == 0
+    assert capsys.readouterr().out.startswith("hopper_20: 20 circles, 20 steps of 0.01 s, 1 seed")
+    assert dc.load_trade(out).n_bodies == 20
+    assert "dc.measure_trade(scene) measures it on this scene" in str(dc.recommend(dc.lattice_in_box(40, friction=0.9)))
