@@ -16,7 +16,8 @@ from pathlib import Path
 from deep_contact.io import lazy, shipped
 
 NO_NUMBERS = (
-    *("reporting/", "parallel.py", "studies/verdicts.py", "state/notebook.py", "compiled/code_cache.py"),
+    *("reporting/", "parallel.py", "studies/verdicts.py", "state/notebook.py", "compiled/__init__.py"),
+    *("compiled/boxing.py", "compiled/code_cache.py"),
     *("io/lazy.py", "io/provenance.py", "io/shipped.py", "io/sources.py"),
 )
 """Files and folders of the package that change no number of a result."""
