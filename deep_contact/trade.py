@@ -214,20 +214,23 @@ def timed(start: State, setting: Mapping, seconds: float) -> float:
 
     Of one thread its own time counts, which other programs disturb least.
     """
-    steps, clock = round(seconds / setting["dt"]), time.thread_time
-    if "engine" in setting:
-        world = world_of(start, setting)
-        begun = clock()
-        run_world(world, setting, steps)
-        return clock() - begun
-    solver, state = solver_of(setting), start.replace(dt=setting["dt"])
-    if threads_of(solver, state.bodies.count) > 1:
+    steps, clock, state = round(seconds / setting["dt"]), time.thread_time, start.replace(dt=setting["dt"])
+    solver = None if "engine" in setting else solver_of(setting)
+    if solver and threads_of(solver, state.bodies.count) > 1:
         clock = time.perf_counter
+
+    def once():
+        world = None if solver else world_of(start, setting)
+        begun = clock()
+        if solver:
+            simulate(state, steps=steps, solver=solver, warm_start=setting.get("start", "builtin"))
+        else:
+            run_world(world, setting, steps)
+        return clock() - begun
+
     took: list[float] = []
     while len(took) < 5 and sum(took) < LONG_ENOUGH:  # the least of several short ones
-        begun = clock()
-        simulate(state, steps=steps, solver=solver, warm_start=setting.get("start", "builtin"))
-        took.append(clock() - begun)
+        took.append(once())
     return min(took)
 
 
