@@ -124,7 +124,7 @@ def _sorted_contacts(bodies: Bodies, world: World, listener, ratio: float) -> tu
     contacts.body_a[:], contacts.body_b[:] = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
     # Of Box2D's geometry all but the separations is known.
     write_geometry(
-        bodies.position, bodies.radius, world.box, segments_in_grid(world, 2.0), constants.WALL_SKIN, contacts
+        bodies.position, bodies.radius, world.box, segments_in_grid(world, 2.0), constants.WALL_SKIN, contacts, 0
     )
     contacts = contacts._replace(
         position=found[:, 0:2],

@@ -69,6 +69,18 @@ def where_less(context, x, y, then, otherwise):
     return then(x, y, then, otherwise), emit
 
 
+@intrinsic
+def any_less(context, x, y):
+    """Whether x < y in any lane."""
+
+    def emit(context, builder, signature, values):
+        mask = builder.fcmp_ordered("<", *values)
+        bits = builder.bitcast(mask, ir.IntType(mask.type.count))
+        return builder.icmp_unsigned("!=", bits, bits.type(0))
+
+    return types.boolean(x, y), emit
+
+
 def _choice(sign):
     """For each two, y where "y sign x" holds; else, and where one of them is none, x."""
 

@@ -14,6 +14,10 @@ def where_less(x, y, then, otherwise):
     return np.where(x < y, then, otherwise)
 
 
+def any_less(x, y):
+    return bool((x < y).any())
+
+
 def least(x, y):
     return np.where(y < x, y, x)
 

@@ -14,12 +14,27 @@ block has five bodies of its own beside the circles: the four walls, and the idl
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
-from deep_contact.compiled.simd import WIDTH, lowest_zero
+from deep_contact.compiled.simd import (
+    WIDTH,
+    any_less,
+    least,
+    load,
+    load_rows,
+    lowest_zero,
+    root,
+    spread,
+    store,
+    store_rows,
+    times,
+    where_less,
+)
+from deep_contact.physics.collision import SMALLEST_DISTANCE, parting
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -33,11 +48,8 @@ from deep_contact.physics.contact_solver import (
     TANGENT,
     TANGENT_MASS,
     V_S,
-    apply_impulse,
-    arms_of,
-    effective_masses,
 )
-from deep_contact.physics.position_correction import IDLE
+from deep_contact.physics.position_correction import IDLE, fill_ground
 from deep_contact.physics.segments import surface_velocity
 
 BLOCK = 1024
@@ -46,7 +58,7 @@ BLOCK = 1024
 COLOURS = 64
 """Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own; so are phases."""
 
-CONTACTS, BLOCKS, TILES, PHASES, CIRCLES = range(5)
+CONTACTS, BLOCKS, TILES, PHASES, CIRCLES, ROWS = range(6)
 """Elements of `Plan.count`."""
 
 BATCHES, PHASE_BITS = range(2)
@@ -62,11 +74,12 @@ class Plan(NamedTuple):
     fill: np.ndarray  # (M,): of a batch: contacts in it, then the next free place
     used: np.ndarray  # (M,): of a tile: lanes in use
     first: np.ndarray  # (B+1,): of a block: its first tile; one more at the end
+    own: np.ndarray  # (B+1,): of a block: the first row of its contacts with segments; one more at the end
     phase: np.ndarray  # (B,): of a block: its phase
     order: np.ndarray  # (B,): blocks by phase
     start: np.ndarray  # (B+2,): of a phase: where it starts in `order`; one more at the end
     worst: np.ndarray  # (B, 2): of a block: the θ of a sweep, or the deepest separation, by turns
-    count: np.ndarray  # (5,): contacts, blocks, tiles and phases in use, circles
+    count: np.ndarray  # (6,): contacts, blocks, tiles and phases in use, circles, rows of bodies
 
 
 class Tiles(NamedTuple):
@@ -75,8 +88,8 @@ class Tiles(NamedTuple):
     body: np.ndarray  # (T, 2, 8): a, b as rows of `solver_bodies` and `centre`
     data: np.ndarray  # (T, 6, 8): as in `Rows`
     impulse: np.ndarray  # (T, 2, 8): λ_n, λ_t, N·s
-    solver_bodies: np.ndarray  # (n+5B, 4): as in the engine, with the bodies of the blocks
-    centre: np.ndarray  # (n+5B, 4): see `position_correction.fill_ground`
+    solver_bodies: np.ndarray  # (R, 4): as in the engine: circles, walls and idle bodies of the blocks, segments
+    centre: np.ndarray  # (R, 4): likewise; see `position_correction.fill_ground`
 
 
 @njit(cache=True)
@@ -86,15 +99,15 @@ def make_plan(n, capacity):
     whole = np.int64
     return Plan(
         np.zeros((n, 2), np.uint64), np.empty(capacity, whole), np.empty(capacity, np.uint32),
-        np.empty(capacity, whole), np.empty(capacity, whole), np.empty(blocks + 1, whole), np.empty(blocks, whole),
-        np.empty(blocks, whole), np.empty(blocks + 2, whole), np.empty((blocks, 2)), np.zeros(5, whole),
+        np.empty(capacity, whole), np.empty(capacity, whole), np.empty(blocks + 1, whole),
+        np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole), np.empty(blocks + 2, whole),
+        np.empty((blocks, 2)), np.zeros(6, whole),
     )  # fmt: skip
 
 
 @njit(cache=True)
-def make_tiles(n, blocks, tiles):
-    """Buffers for so many tiles and blocks of contacts of n circles."""
-    rows = n + 5 * blocks
+def make_tiles(rows, tiles):
+    """Buffers for so many rows of bodies and tiles."""
     return Tiles(
         np.empty((tiles, 2, WIDTH), np.uint32), np.empty((tiles, 6, WIDTH)), np.empty((tiles, 2, WIDTH)),
         np.empty((rows, 4)), np.empty((rows, 4)),
@@ -111,18 +124,19 @@ def plan_batches(body_a, body_b, n, plan):
     if m > plan.batch.shape[0]:
         plan = make_plan(n, m + m // 2)
     blocks, tiles, alone = (m + BLOCK - 1) // BLOCK, 0, 0
+    rows = n + 5 * blocks
     plan.mark[:] = 0
     for k in range(blocks):
         begin, end = k * BLOCK, min(k * BLOCK + BLOCK, m)
-        batches = choose_batches(body_a, body_b, n, begin, end, plan)
-        phase = find_phase(body_a, body_b, n, begin, end, plan)
+        batches, taken, segments = choose_batches(body_a, body_b, n, begin, end, plan)
+        phase = take_phase(body_a, body_b, n, begin, end, taken, plan)
         if phase == COLOURS:
             phase, alone = COLOURS + alone, alone + 1
-        plan.phase[k], plan.first[k] = phase, tiles
-        tiles = place_contacts(begin, end, batches, tiles, plan)
-    plan.first[blocks] = tiles
+        plan.phase[k], plan.first[k], plan.own[k] = phase, tiles, rows
+        tiles, rows = place_contacts(begin, end, batches, tiles, plan), rows + segments
+    plan.first[blocks], plan.own[blocks] = tiles, rows
     plan.count[CONTACTS], plan.count[BLOCKS], plan.count[TILES], plan.count[CIRCLES] = m, blocks, tiles, n
-    plan.count[PHASES] = sort_phases(blocks, plan)
+    plan.count[PHASES], plan.count[ROWS] = sort_phases(blocks, plan), rows
     return plan
 
 
@@ -140,51 +154,56 @@ def is_plan_of(plan, n, contacts, planned):
 
 @njit(cache=True)
 def choose_batches(body_a, body_b, n, begin, end, plan):
-    """Batches of the contacts of one block; counts them in `fill`. Returns how many batches there are.
+    """Batches of the contacts of one block; counts them in `fill`.
 
+    Returns how many batches there are, the phases that its circles have, as bits, and the contacts with segments.
     Here and below, numbers without a sign index arrays: Numba looks whether others are negative, for each element.
     """
-    mark, batches, alone = plan.mark, 0, 0
+    mark, batches, alone, segments = plan.mark, 0, 0, 0
     nothing, one = np.uint64(0), np.uint64(1)
+    taken = of_a = nothing
+    held = np.uint32(body_a[begin])  # contacts are sorted by body a, so its marks need no trip through memory
     for i in range(begin, end):
         a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
-        of_a, of_b = mark[a, BATCHES], mark[b, BATCHES] if b < n else nothing
-        batch, mine = lowest_zero(of_a | of_b), nothing
+        if a != held:
+            taken, mark[held, BATCHES] = taken | mark[held, PHASE_BITS], of_a
+            held, of_a = a, mark[a, BATCHES]
+        of_b, mine = mark[b, BATCHES] if b < n else nothing, nothing
+        batch = lowest_zero(of_a | of_b)
         if batch == COLOURS:
             batch, alone = COLOURS + alone, alone + 1
         else:
             mine = one << np.uint64(batch)
-        mark[a, BATCHES] = of_a | mine
+        of_a |= mine
         if b < n:
             mark[b, BATCHES] = of_b | mine
+            taken |= mark[b, PHASE_BITS]
+        else:
+            segments += b >= n + 4
         while batch >= batches:
             plan.fill[begin + batches] = 0
             batches += 1
         plan.batch[i] = batch
         plan.fill[begin + batch] += 1
-    return batches
+    return batches, taken | mark[held, PHASE_BITS], segments
 
 
 @njit(cache=True)
-def find_phase(body_a, body_b, n, begin, end, plan):
-    """The first phase in which no other block has a circle of this one, or `COLOURS`. Wipes its marks of colours."""
-    mark = plan.mark
-    taken = np.uint64(0)
-    for i in range(begin, end):
-        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
-        taken |= mark[a, PHASE_BITS]
-        mark[a, BATCHES] = 0
-        if b < n:
-            taken |= mark[b, PHASE_BITS]
-            mark[b, BATCHES] = 0
-    phase = lowest_zero(taken)
+def take_phase(body_a, body_b, n, begin, end, taken, plan):
+    """The first phase that is not taken, in which no other block has a circle of this one, or `COLOURS`.
+
+    Wipes the marks of colours.
+    """
+    mark, phase, mine = plan.mark, lowest_zero(taken), np.uint64(0)
     if phase < COLOURS:
         mine = np.uint64(1) << np.uint64(phase)
-        for i in range(begin, end):
-            a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
-            mark[a, PHASE_BITS] |= mine
-            if b < n:
-                mark[b, PHASE_BITS] |= mine
+    for i in range(begin, end):
+        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
+        mark[a, BATCHES] = 0
+        mark[a, PHASE_BITS] |= mine
+        if b < n:
+            mark[b, BATCHES] = 0
+            mark[b, PHASE_BITS] |= mine
     return phase
 
 
@@ -228,10 +247,10 @@ def sort_phases(blocks, plan):
 @njit(cache=True)
 def with_room(plan, tiles):
     """The tiles, larger ones if the plan needs them; walls and idle bodies at rest."""
-    n, blocks, last = plan.count[CIRCLES], plan.count[BLOCKS], plan.count[TILES]
-    if last > tiles.body.shape[0] or n + 5 * blocks > tiles.solver_bodies.shape[0]:
-        tiles = make_tiles(n, blocks + blocks // 2 + 1, last + last // 2)
-    tiles.solver_bodies[n : n + 5 * blocks] = 0.0
+    n, rows, last = plan.count[CIRCLES], plan.count[ROWS], plan.count[TILES]
+    if last > tiles.body.shape[0] or rows > tiles.solver_bodies.shape[0]:
+        tiles = make_tiles(n + (rows - n) * 3 // 2 + 5, last + last // 2)
+    tiles.solver_bodies[n : n + 5 * plan.count[BLOCKS]] = 0.0
     return tiles
 
 
@@ -242,40 +261,120 @@ def contacts_of_block(plan, k):
 
 
 @njit(cache=True, error_model="numpy")
-def write_block(step, contacts, plan, tiles, k, rows, is_built):
-    """Write the rows of a block's contacts to their places, and give its circles the impulses that they start from.
+def place_block(step, contacts, plan, tiles, k, rows, is_built):
+    """Write the bodies of a block's contacts, and the impulses that they start from, to their places.
 
-    step: `StepInput`. The solver bodies have their velocities after gravity. rows: `Rows`, if built.
+    Of walls and segments also what `fill_rows` does not know. step: `StepInput`. rows: `Rows`, if built.
     """
-    body, data, impulse, v, n = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies, plan.count[CIRCLES]
-    ground, (begin, end), segments = n + 5 * k, contacts_of_block(plan, k), step.segments
-    share = 1.0 / step.parts
-    if segments.line.shape[0] > 0:
-        v[ground + 3, V_S] = 1.0  # see `contact_solver.move_surfaces`
+    body, data, impulse, n = tiles.body, tiles.data, tiles.impulse, plan.count[CIRCLES]
+    body_a, body_b, place = contacts.body_a, contacts.body_b, plan.place
+    normal, normal_start, tangent_start = contacts.normal, contacts.normal_start, contacts.tangent_start
+    ground, (begin, end), last = n + 5 * k, contacts_of_block(plan, k), n + 3
+    share, eight = 1.0 / step.parts, np.uint64(WIDTH)
+    fill_ground(step.box, step.scales, tiles.centre[ground : ground + 5])
+    if plan.own[k + 1] > plan.own[k]:
+        place_segments(step, contacts, plan, tiles, k)
+    own = np.uint32(plan.own[k])
     for i in range(begin, end):
-        t, j = plan.place[i] // WIDTH, plan.place[i] % WIDTH
-        a, b, s = np.uint32(contacts.body_a[i]), np.uint32(contacts.body_b[i]), contacts.body_b[i] - n - 4
-        row_b = np.uint32(b if b < n else ground + min(b - n, 3))
-        body[t, BODY_A, j], body[t, BODY_B, j] = a, row_b
+        t, j = np.uint64(place[i]) // eight, np.uint64(place[i]) % eight
+        a, b = np.uint32(body_a[i]), np.uint32(body_b[i])
+        if b >= n:
+            data[t, N_X, j], data[t, N_Y, j] = normal[i, 0], normal[i, 1]
+            if b > last:
+                b, own = own, own + np.uint32(1)
+            else:
+                b, data[t, ARM_B, j] = np.uint32(ground + b - n), 0.0
+        body[t, BODY_A, j], body[t, BODY_B, j] = a, b
+        impulse[t, NORMAL, j], impulse[t, TANGENT, j] = share * normal_start[i], share * tangent_start[i]
         if is_built:
             for column in range(ARM_B + 1):
                 data[t, column, j] = rows.data[i, column]
-        else:
-            normal = (contacts.normal[i, 0], contacts.normal[i, 1])
-            arms = arms_of(step.bodies.radius, a, b, contacts.separation[i])
-            data[t, N_X, j], data[t, N_Y, j] = normal
-            masses = effective_masses(v[a, INVERSE_MASS], v[row_b, INVERSE_MASS], arms)
-            data[t, NORMAL_MASS, j], data[t, TANGENT_MASS, j] = masses
-            data[t, ARM_A, j], data[t, ARM_B, j] = arms
-            if s >= 0:
-                data[t, ARM_B, j] = surface_velocity(segments.line[s], normal[0], normal[1])
-        impulse[t, NORMAL, j] = share * contacts.normal_start[i]
-        impulse[t, TANGENT, j] = share * contacts.tangent_start[i]
-        apply_impulse(
-            v, a, row_b, (data[t, N_X, j], data[t, N_Y, j]), (data[t, ARM_A, j], data[t, ARM_B, j]),
-            (impulse[t, NORMAL, j], impulse[t, TANGENT, j]),
-        )  # fmt: skip
     pad_block(plan, tiles, k)
+
+
+@njit(cache=True)
+def place_segments(step, contacts, plan, tiles, k):
+    """Write the points that a block's contacts touch on segments, each as a wall of its own (`fill_ground`)."""
+    n, row, (begin, end), skin = plan.count[CIRCLES], plan.own[k], contacts_of_block(plan, k), step.scales.wall_skin
+    centre, solver_bodies, place = tiles.centre, tiles.solver_bodies, plan.place
+    position, radius, line = step.bodies.position, step.bodies.radius, step.segments.line
+    body_a, body_b, normal, separation = contacts.body_a, contacts.body_b, contacts.normal, contacts.separation
+    for i in range(begin, end):
+        s = body_b[i] - n - 4
+        if s >= 0:
+            a, n_x, n_y = body_a[i], normal[i, 0], normal[i, 1]
+            distance = separation[i] + radius[a] + skin
+            centre[row, 0], centre[row, 1] = position[a, 0] + distance * n_x, position[a, 1] + distance * n_y
+            centre[row, 2], centre[row, 3] = skin, 0.0
+            solver_bodies[row, :] = 0.0
+            solver_bodies[row, V_S] = 1.0  # see `contact_solver.move_surfaces`
+            tiles.data[place[i] // WIDTH, ARM_B, place[i] % WIDTH] = surface_velocity(line[s], n_x, n_y)
+            row += 1
+
+
+@njit(cache=True)
+def fill_rows(tiles, first, last):
+    """Fill the rows of the tiles from `first` to before `last`, in place. Returns whether two centres coincide.
+
+    The numbers of `contact_solver.contact_rows`, from the centres (`fill_centres`) and from what `place_block` writes;
+    without the normals of centres that coincide (`part_coinciding`).
+    """
+    body, data, centre, v = tiles.body, tiles.data, tiles.centre, tiles.solver_bodies
+    none, one, half, tiny = spread(0.0), spread(1.0), spread(0.5), spread(SMALLEST_DISTANCE)
+    nearest = one
+    for t in range(first, last):
+        row = 6 * t
+        a_x, a_y, r_a, _ = load_rows(centre, body, 2 * t)
+        b_x, b_y, r_b, m_b = load_rows(centre, body, 2 * t + 1)
+        w_a, w_b = load_rows(v, body, 2 * t)[INVERSE_MASS], load_rows(v, body, 2 * t + 1)[INVERSE_MASS]
+        d_x, d_y = b_x - a_x, b_y - a_y
+        distance, coincide = root(times(d_x, d_x) + times(d_y, d_y)), times(tiny, r_a + r_b)
+        # An unused lane is a contact of its block's idle body, without inverse mass, with itself.
+        nearest = least(nearest, where_less(none, w_b, distance - coincide, one))
+        written_x, written_y = load(data, row + N_X), load(data, row + N_Y)
+        n_x = where_less(distance, coincide, written_x, d_x / distance)
+        n_y = where_less(distance, coincide, written_y, d_y / distance)
+        distance = where_less(none, m_b, distance, times(d_x, written_x) + times(d_y, written_y))
+        separation = times(half, distance - r_a - r_b)
+        arm_a = one + separation / r_a
+        arm_b = where_less(none, m_b, one + separation / r_b, load(data, row + ARM_B))
+        both = w_a + w_b
+        turning = times(times(arm_a, arm_a), w_a) + times(times(arm_b, arm_b), w_b)
+        store(data, row + N_X, where_less(none, m_b, n_x, written_x))
+        store(data, row + N_Y, where_less(none, m_b, n_y, written_y))
+        store(data, row + NORMAL_MASS, where_less(none, w_a, one / both, none))
+        store(data, row + TANGENT_MASS, where_less(none, w_a, one / (both + (turning + turning)), none))
+        store(data, row + ARM_A, arm_a)
+        store(data, row + ARM_B, arm_b)
+    return any_less(nearest, none)
+
+
+@njit(cache=True)
+def part_coinciding(tiles, first, last):
+    """Write the normals of circles whose centres coincide (`collision.parting`), in place."""
+    centre = tiles.centre
+    for t in range(first, last):
+        for j in range(WIDTH):
+            a, b = np.int64(tiles.body[t, BODY_A, j]), np.int64(tiles.body[t, BODY_B, j])
+            distance = math.hypot(centre[b, 0] - centre[a, 0], centre[b, 1] - centre[a, 1])
+            if a != b and centre[b, 3] > 0.0 and distance < SMALLEST_DISTANCE * (centre[a, 2] + centre[b, 2]):
+                tiles.data[t, N_X, j], tiles.data[t, N_Y, j] = parting(a, b)
+
+
+@njit(cache=True)
+def start_tiles(tiles, first, last):
+    """`contact_solver.apply_impulses` of the tiles from `first` to before `last`, in place."""
+    body, data, impulse, v = tiles.body, tiles.data, tiles.impulse, tiles.solver_bodies
+    for t in range(first, last):
+        row = 6 * t
+        a_x, a_y, a_s, w_a = load_rows(v, body, 2 * t)
+        b_x, b_y, b_s, w_b = load_rows(v, body, 2 * t + 1)
+        n_x, n_y = load(data, row + N_X), load(data, row + N_Y)
+        arm_a, arm_b = load(data, row + ARM_A), load(data, row + ARM_B)
+        p_n, p_t = load(impulse, 2 * t + NORMAL), load(impulse, 2 * t + TANGENT)
+        p_x, p_y, turn = p_n * n_x + p_t * n_y, p_n * n_y - p_t * n_x, p_t + p_t
+        store_rows(v, body, 2 * t, (a_x - w_a * p_x, a_y - w_a * p_y, a_s + w_a * arm_a * turn, w_a))
+        store_rows(v, body, 2 * t + 1, (b_x + w_b * p_x, b_y + w_b * p_y, b_s + w_b * arm_b * turn, w_b))
 
 
 @njit(cache=True)

@@ -414,12 +414,12 @@ def find_contacts(position, radius, box, segments, skin, cells, buffer):
     skin: of walls and segments, m. cells, buffer: memory to use. Returns views of the buffer, or of a larger one.
     """
     refresh_list(position, radius, cells, 0.0)
-    return contacts_at(position, radius, box, segments, skin, cells, buffer)
+    return contacts_at(position, radius, box, segments, skin, cells, buffer, 0)
 
 
 @njit(cache=True, error_model="numpy")
-def contacts_at(position, radius, box, segments, skin, cells, buffer):
-    """`find_contacts` after `refresh_list` at these positions."""
+def contacts_at(position, radius, box, segments, skin, cells, buffer, least):
+    """`find_contacts` after `refresh_list` at these positions. least: see `write_geometry`."""
     while True:
         m = write_pairs(position, radius, box, skin, cells, buffer.body_a, buffer.body_b)
         if segments is not None:
@@ -430,16 +430,21 @@ def contacts_at(position, radius, box, segments, skin, cells, buffer):
         # Only a heap of overlapping circles has so many pairs.
         buffer = more_contacts(2 * buffer.body_a.shape[0] + 64)
     contacts = some_contacts(buffer, 0, m)
-    write_geometry(position, radius, box, segments, skin, contacts)
+    write_geometry(position, radius, box, segments, skin, contacts, least)
     return contacts
 
 
 @njit(cache=True, error_model="numpy")
-def write_geometry(position, radius, box, segments, skin, contacts):
-    """Narrow phase: normal, separation and point (the middle of the overlap) of every contact, in place."""
+def write_geometry(position, radius, box, segments, skin, contacts, least):
+    """Narrow phase: normal, separation and point (the middle of the overlap) of contacts, in place.
+
+    least: the least body b of those to write: 0 for all of them, n for walls and segments.
+    """
     n = position.shape[0]
     for i in range(contacts.body_a.shape[0]):
         a, b = contacts.body_a[i], contacts.body_b[i]
+        if b < least:
+            continue
         x, y = position[a, 0], position[a, 1]
         if b < n:
             n_x, n_y = position[b, 0] - x, position[b, 1] - y

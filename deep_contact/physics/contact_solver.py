@@ -250,10 +250,10 @@ def integrate_positions(bodies, solver_bodies, step, segments):
 @njit(cache=True, error_model="numpy")
 def any_fast(solver_bodies, radius, dt):
     """Whether a circle is fast (`continuous`) with these velocities."""
-    fast = False
+    fast, share = False, FAST / dt
     for i in range(radius.shape[0]):
         v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
-        fast |= dt * math.sqrt(v_x * v_x + v_y * v_y) > FAST * radius[i]
+        fast |= v_x * v_x + v_y * v_y > (share * radius[i]) * (share * radius[i])
     return fast
 
 
@@ -267,23 +267,31 @@ def stop_fast_circles(bodies, step):
 @njit(cache=True, error_model="numpy")
 def move(bodies, solver_bodies, dt, max_translation):
     """`integrate_positions` without what stops fast circles. Returns whether there is one."""
-    any_fast = False
-    for i in range(bodies.mass.shape[0]):
-        v_x, v_y = solver_bodies[i, V_X], solver_bodies[i, V_Y]
-        spin = solver_bodies[i, V_S] / bodies.radius[i]
-        distance = dt * math.sqrt(v_x * v_x + v_y * v_y)
-        any_fast |= distance > FAST * bodies.radius[i]
-        # Factors of 1 instead of branches, so that several circles are moved at a time.
-        slower = max_translation / distance if distance > max_translation else 1.0
-        v_x, v_y = v_x * slower, v_y * slower
-        spin *= MAX_ROTATION / abs(dt * spin) if abs(dt * spin) > MAX_ROTATION else 1.0
-        bodies.velocity[i, 0] = v_x
-        bodies.velocity[i, 1] = v_y
-        bodies.spin[i] = spin
-        bodies.position[i, 0] += dt * v_x
-        bodies.position[i, 1] += dt * v_y
-        bodies.angle[i] += dt * spin
-    return any_fast
+    position, velocity, angle, spin = bodies.position, bodies.velocity, bodies.angle, bodies.spin
+    farthest = widest = 0.0
+    # Loops without branches, so that several circles are moved at a time.
+    for i in range(angle.shape[0]):
+        v_x, v_y, turn = solver_bodies[i, V_X], solver_bodies[i, V_Y], solver_bodies[i, V_S] / bodies.radius[i]
+        velocity[i, 0], velocity[i, 1], spin[i] = v_x, v_y, turn
+        farthest, widest = max(farthest, v_x * v_x + v_y * v_y), max(widest, abs(turn))
+    if dt * math.sqrt(farthest) > max_translation or dt * widest > MAX_ROTATION:
+        cut_motion(velocity, spin, dt, max_translation)
+    for i in range(angle.shape[0]):
+        position[i, 0] += dt * velocity[i, 0]
+        position[i, 1] += dt * velocity[i, 1]
+        angle[i] += dt * spin[i]
+    return any_fast(solver_bodies, bodies.radius, dt)
+
+
+@njit(cache=True, error_model="numpy")
+def cut_motion(velocity, spin, dt, max_translation):
+    """Cut velocities and spins, in place, to the largest translation and rotation within Δt."""
+    for i in range(spin.shape[0]):
+        distance, angle = dt * math.sqrt(velocity[i, 0] ** 2 + velocity[i, 1] ** 2), abs(dt * spin[i])
+        if distance > max_translation:
+            velocity[i] *= max_translation / distance
+        if angle > MAX_ROTATION:
+            spin[i] *= MAX_ROTATION / angle
 
 
 @njit(cache=True, error_model="numpy")

@@ -18,7 +18,19 @@ import numpy as np
 from numba import njit
 
 from deep_contact.compiled import simd
-from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most, spread, store_rows, times, where_less
+from deep_contact.compiled.simd import (
+    WIDTH,
+    any_less,
+    lane,
+    least,
+    load,
+    load_rows,
+    most,
+    spread,
+    store_rows,
+    times,
+    where_less,
+)
 from deep_contact.constants import BAUMGARTE, POSITION_TOLERANCE
 from deep_contact.physics.collision import SMALLEST_DISTANCE, wall_gap
 from deep_contact.physics.segments import segment_gap
@@ -161,18 +173,20 @@ def correct_tiles(body, normal, stride, centre, first, last, scales):
         b_x, b_y, r_b, m_b = load_rows(centre, body, 2 * t + 1)
         d_x, d_y, reach = b_x - a_x, b_y - a_y, r_a + r_b
         wanted = most(reach - slop, none)
-        square = times(d_x, d_x) + times(d_y, d_y)
+        square, squared = times(d_x, d_x) + times(d_y, d_y), times(wanted, wanted)
+        found_x, found_y = load(normal, stride * t), load(normal, stride * t + 1)
+        # A mass of 0 is a wall's: its normal is given, and a alone moves.
+        behind = times(d_x, found_x) + times(d_y, found_y) - r_a - r_b
+        if not any_less(none, where_less(none, m_b, squared - square, none - slop - behind)):
+            continue  # Nothing to correct; found without a square root.
         distance = simd.root(square)
         push = least(times(share, wanted - distance), longest) / (m_a + m_b)
         # Coinciding centres are pushed apart along the normal that the narrow phase gave them.
-        found_x, found_y = load(normal, stride * t), load(normal, stride * t + 1)
         push = where_less(distance, times(tiny, reach), push, push / distance)
-        push = where_less(square, times(wanted, wanted), push, none)
+        push = where_less(square, squared, push, none)
         n_x = where_less(distance, times(tiny, reach), found_x, d_x)
         n_y = where_less(distance, times(tiny, reach), found_y, d_y)
-        depth = where_less(square, times(wanted, wanted), distance - reach, none)
-        # A mass of 0 is a wall's: its normal is given, and a alone moves.
-        behind = times(d_x, found_x) + times(d_y, found_y) - r_a - r_b
+        depth = where_less(square, squared, distance - reach, none)
         from_wall = most(none, least(times(none - share, behind + slop), longest))
         n_x, n_y = where_less(none, m_b, n_x, found_x), where_less(none, m_b, n_y, found_y)
         push_a = where_less(none, m_b, times(push, m_b), from_wall)

@@ -16,7 +16,7 @@ from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most
 from deep_contact.compiled.team import Team, share_of, team_size, together, wait
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics import batches, collision
-from deep_contact.physics.batches import BLOCKS, CIRCLES, CONTACTS, PHASES
+from deep_contact.physics.batches import BLOCKS, CONTACTS, PHASES
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -34,10 +34,8 @@ from deep_contact.physics.contact_solver import (
 from deep_contact.physics.convergence import all_finite, is_over
 from deep_contact.physics.impacts import rebound
 from deep_contact.physics.position_correction import (
-    correct_positions,
     correct_tiles,
     fill_centres,
-    fill_ground,
     take_centres,
 )
 from deep_contact.physics.segments import positions_before
@@ -110,59 +108,62 @@ def sweep_tiles(tiles, first, last, friction):
 
 
 @njit(cache=True)
-def share_of_phase(plan, p, team):
+def share_of_phase(start, count, p, team):
     """The places in `Plan.order`, first and after the last, of the blocks of a phase that this thread does.
 
     Neighbours in the list, so that threads share the circles of a few blocks: to get one that another core has changed
-    costs more than to relax a contact. Where phases are not shared, rank 0 does all.
+    costs more than to relax a contact. Where phases are not shared, rank 0 does all. start, count: of the `Plan`, of
+    which a call would count the references to all its arrays, for each sweep.
     """
-    first, last = share_of(plan.start[p + 1] - plan.start[p], team)
-    if not phases_are_shared(plan):
-        first, last = 0, plan.start[p + 1] - plan.start[p] if team.rank == 0 else 0
-    return plan.start[p] + first, plan.start[p] + last
+    first, last = share_of(start[p + 1] - start[p], team)
+    if not phases_are_shared(count):
+        first, last = 0, start[p + 1] - start[p] if team.rank == 0 else 0
+    return start[p] + first, start[p] + last
 
 
 @njit(cache=True)
-def phases_are_shared(plan):
+def phases_are_shared(count):
     """Whether phases have more than one block. Those of circles that are numbered at random have nothing to share."""
-    return 3 * plan.count[PHASES] <= 2 * plan.count[BLOCKS]
+    return 3 * count[PHASES] <= 2 * count[BLOCKS]
 
 
 @njit(cache=True)
-def end_phase(plan, p, team):
+def end_phase(count, p, team):
     """The barrier after a phase, where the next one needs it."""
-    if phases_are_shared(plan) or p == plan.count[PHASES] - 1:
+    if phases_are_shared(count) or p == count[PHASES] - 1:
         wait(team)
 
 
 @njit(cache=True)
 def sweep_blocks(plan, tiles, friction, turn, team):
     """One sweep over all tiles, in place, by a team. Returns θ. turn: 0 and 1 alternate."""
-    for p in range(plan.count[PHASES]):
-        first, last = share_of_phase(plan, p, team)
+    start, order, begin, worst, count = plan.start, plan.order, plan.first, plan.worst, plan.count
+    for p in range(count[PHASES]):
+        first, last = share_of_phase(start, count, p, team)
         for q in range(first, last):
-            k = plan.order[q]
-            plan.worst[k, turn] = sweep_tiles(tiles, plan.first[k], plan.first[k + 1], friction)
-        end_phase(plan, p, team)
+            k = order[q]
+            worst[k, turn] = sweep_tiles(tiles, begin[k], begin[k + 1], friction)
+        end_phase(count, p, team)
     theta = 0.0
-    for k in range(plan.count[BLOCKS]):
-        theta = max(theta, plan.worst[k, turn])
+    for k in range(count[BLOCKS]):
+        theta = max(theta, worst[k, turn])
     return theta
 
 
 @njit(cache=True)
 def correct_blocks(plan, tiles, scales, turn, team):
     """One sweep of position correction, likewise. Returns the deepest separation, m."""
-    for p in range(plan.count[PHASES]):
-        first, last = share_of_phase(plan, p, team)
+    start, order, begin, worst, count = plan.start, plan.order, plan.first, plan.worst, plan.count
+    body, data, centre = tiles.body, tiles.data, tiles.centre
+    for p in range(count[PHASES]):
+        first, last = share_of_phase(start, count, p, team)
         for q in range(first, last):
-            k = plan.order[q]
-            begin, end = plan.first[k], plan.first[k + 1]
-            plan.worst[k, turn] = correct_tiles(tiles.body, tiles.data, ARM_B + 1, tiles.centre, begin, end, scales)
-        end_phase(plan, p, team)
+            k = order[q]
+            worst[k, turn] = correct_tiles(body, data, ARM_B + 1, centre, begin[k], begin[k + 1], scales)
+        end_phase(count, p, team)
     deepest = 0.0
-    for k in range(plan.count[BLOCKS]):
-        deepest = min(deepest, plan.worst[k, turn])
+    for k in range(count[BLOCKS]):
+        deepest = min(deepest, worst[k, turn])
     return deepest
 
 
@@ -182,19 +183,17 @@ def relax_in_batches(settings, rows, friction, solver_bodies, theta, workspace):
     m, n = rows.body.shape[0], solver_bodies.shape[0] - 4
     pairs = rows.body.astype(np.int64)
     plan = batches.plan_batches(pairs[:, 0].copy(), pairs[:, 1].copy(), n, batches.make_plan(n, m))
-    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
     sweeps = relax_tiles(settings, plan, tiles, friction, theta, Team(0, 1, np.zeros(24, np.int64)))
     batches.empty_tiles(plan, tiles, rows, solver_bodies)
     return sweeps
 
 
 @njit(cache=True, error_model="numpy")
-def correct_positions_in_batches(plan, tiles, mine, box, scales, sweeps):
+def correct_positions_in_batches(plan, tiles, mine, scales, sweeps):
     """`position_correction.correct_positions` over the tiles of the plan, by a team. mine: `Share` of a thread."""
-    n, team, centre = plan.count[CIRCLES], mine.team, tiles.centre[mine.first : mine.last]
+    team, centre = mine.team, tiles.centre[mine.first : mine.last]
     fill_centres(mine.bodies, centre)
-    for k in range(team.rank, plan.count[BLOCKS], team.size):
-        fill_ground(box, scales, tiles.centre[n + 5 * k : n + 5 * k + 5])
     wait(team)
     for k in range(sweeps):
         if correct_blocks(plan, tiles, scales, k % 2, team) >= -POSITION_TOLERANCE * scales.slop:
@@ -239,7 +238,7 @@ else:
 def make_shared(contacts, memory, size):
     """A `Shared` for a team of that size, that starts from these contacts."""
     n = memory.cells.cell.shape[0]
-    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n, 1, 1)
+    plan, tiles = batches.make_plan(n, 4 * n + 64), batches.make_tiles(n + 5, 1)
     flags, counts = np.zeros((size, 8), np.bool_), np.zeros((size, 8), np.int64)
     return Shared(plan, tiles, contacts, contacts, memory, flags, counts)
 
@@ -300,6 +299,7 @@ def advance_by_team(step, options, log, shared, team):
             log.progress[DONE] = j + 1
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
+    write_last_geometry(step, shared.contacts, team)
 
 
 @njit(cache=True, error_model="numpy")
@@ -309,7 +309,7 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
     Each thread does its share of circles, contacts and blocks; rank 0 makes the plan, the list of near pairs, and what
     scenes with segments or fast circles need.
     """
-    bodies, box, segments, scales, team = step.bodies, step.box, step.segments, step.scales, mine.team
+    bodies, segments, scales, team = step.bodies, step.segments, step.scales, mine.team
     flags, theta, is_built = shared.flags, shared.memory.theta, shared.memory.is_built
     if team.rank == 0:
         plan_step(step, shared, log.loads)
@@ -321,8 +321,9 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
         velocities[:] = shared.memory.solver_bodies[mine.first : mine.last]
     else:
         integrate_velocities(mine.bodies, step.gravity, step.dt, velocities)
+    fill_centres(mine.bodies, tiles.centre[mine.first : mine.last])
     wait(team)
-    write_blocks(step, solved, plan, tiles, team, shared.memory.rows, is_built)
+    start_blocks(step, solved, plan, tiles, team, shared.memory.rows, is_built)
     sweeps = relax_tiles(options.settings, plan, tiles, step.friction, theta, team)
     flags[team.rank, FINITE] = all_finite(velocities)
     store_blocks(plan, tiles, solved, step.parts, team)
@@ -333,13 +334,9 @@ def step_by_team(step, options, shared, mine, buffer, log, k):
         if team.rank == 0:
             stop_fast_circles(bodies, step)
         wait(team)
-    if segments.line.shape[0] == 0:
-        correct_positions_in_batches(plan, tiles, mine, box, scales, options.position_sweeps)
-        wait(team)
+    correct_positions_in_batches(plan, tiles, mine, scales, options.position_sweeps)
+    wait(team)
     if team.rank == 0:
-        if segments.line.shape[0] > 0:
-            room = shared.memory.correction
-            correct_positions(bodies, solved, box, segments, scales, options.position_sweeps, room)
         if sweeps > 0 and not flags[:, FINITE].all():
             theta[sweeps - 1] = np.nan
         log_part(log, k, plan.count[CONTACTS], sweeps, theta, sweeps * plan.count[CONTACTS])
@@ -373,10 +370,27 @@ def next_contacts(step, options, shared, mine, before, buffer):
         mine = find_touching(step, shared, buffer, mine)
         describe_touching(step, options, shared, mine)
     elif team.rank == 0:
-        shared.contacts = collision.contacts_at(bodies.position, bodies.radius, box, segments, skin, cells, buffer)
+        shared.contacts = collision.contacts_at(
+            bodies.position, bodies.radius, box, segments, skin, cells, buffer, least_known(step)
+        )
         collision.carry_impulses(solved, shared.contacts, options.carry)
     wait(team)
     return mine
+
+
+@njit(cache=True)
+def least_known(step):
+    """`collision.write_geometry`'s `least` within a call: impacts read all, tiles that of walls and segments."""
+    return 0 if step.restitution > 0.0 else step.bodies.mass.shape[0]
+
+
+@njit(cache=True, error_model="numpy")
+def write_last_geometry(step, contacts, team):
+    """The geometry of all contacts after the last step of a call."""
+    first, last = share_of(contacts.body_a.shape[0], team)
+    bodies, skin = step.bodies, step.scales.wall_skin
+    mine = collision.some_contacts(contacts, first, last)
+    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, mine, 0)
 
 
 @njit(cache=True, error_model="numpy")
@@ -418,18 +432,23 @@ def describe_touching(step, options, shared, mine):
     contacts = collision.some_contacts(shared.contacts, before, before + count)
     for i in range(count):
         contacts.body_a[i], contacts.body_b[i] = mine.body_a[i], mine.body_b[i]
-    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, contacts)
+    collision.write_geometry(bodies.position, bodies.radius, step.box, step.segments, skin, contacts, least_known(step))
     collision.carry_impulses(shared.solved, contacts, options.carry)
 
 
 @njit(cache=True, error_model="numpy")
-def write_blocks(step, contacts, plan, tiles, team, rows, is_built):
-    """`batches.write_block` of all blocks, phase by phase, since it changes velocities."""
+def start_blocks(step, contacts, plan, tiles, team, rows, is_built):
+    """The rows of all blocks and what they start from, phase by phase, since that changes velocities."""
     for p in range(plan.count[PHASES]):
-        first, last = share_of_phase(plan, p, team)
+        first, last = share_of_phase(plan.start, plan.count, p, team)
         for q in range(first, last):
-            batches.write_block(step, contacts, plan, tiles, plan.order[q], rows, is_built)
-        end_phase(plan, p, team)
+            k = plan.order[q]
+            batches.place_block(step, contacts, plan, tiles, k, rows, is_built)
+            begin, end = plan.first[k], plan.first[k + 1]
+            if not is_built and batches.fill_rows(tiles, begin, end):
+                batches.part_coinciding(tiles, begin, end)
+            batches.start_tiles(tiles, begin, end)
+        end_phase(plan.count, p, team)
 
 
 @njit(cache=True)

@@ -8,7 +8,7 @@ from numba import config
 import deep_contact as dc
 from deep_contact.compiled.team import ALONE
 from deep_contact.physics import batches, contact_solver, engine, position_correction
-from deep_contact.physics.segments import NO_SEGMENTS
+from deep_contact.physics.segments import NO_SEGMENTS, segment_gap
 from deep_contact.physics.solvers import batched
 from deep_contact.physics.step import make_log
 from deep_contact.studies.piles import packed_pile
@@ -136,11 +136,30 @@ def test_positions_are_corrected_in_the_order_of_the_batches(pile):
     for _ in range(3):
         position_correction.correct_in_turn(expected, sorted_contacts, state.world.box, NO_SEGMENTS, state.scales)
     rows, solver_bodies, _ = engine.step_problem(state)
-    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n, 1, 1))
+    tiles = batches.fill_tiles(rows, solver_bodies, plan, batches.make_tiles(n + 5, 1))
+    for ground in range(n, plan.count[batches.ROWS], 5):
+        position_correction.fill_ground(state.world.box, state.scales, tiles.centre[ground : ground + 5])
     mine = batched.share_of_scene(found, ALONE)
-    batched.correct_positions_in_batches(plan, tiles, mine, state.world.box, state.scales, 3)
+    batched.correct_positions_in_batches(plan, tiles, mine, state.scales, 3)
     assert np.abs(expected.position - deep.position).max() > 0.05
     np.testing.assert_array_equal(found.position, expected.position)
+
+
+@pytest.mark.parametrize("sweeps, tolerance", [(1, 1e-13), (30, 2e-4)])
+def test_overlaps_with_segments_are_corrected_as_contact_by_contact(sweeps, tolerance):
+    """The same push at first; then PGS turns the normal of an end, by a share of the depth squared."""
+    x = np.arange(2.0, 60.0, 3.0)
+    line = [(4.0 * k, 5.0 + k % 3, 4.0 * k + 4.0, 5.0 + (k + 1) % 3) for k in range(15)]
+    world = dc.World(box=(0.0, 0.0, 62.0, 20.0), gravity=(0.0, 0.0), segments=line[::2])
+    gap = [min(segment_gap(np.array([*one, 0.0]), at, 6.9)[0] for one in world.segments) for at in x]
+    scene = dc.State(
+        name="posts", world=world, bodies=dc.make_bodies(np.column_stack([x, np.full(len(x), 6.9)]), radius=1.0)
+    )
+    assert np.sum(np.array(gap) < 0.95) > 3
+    options = {"sweeps": 1, "tolerance": None, "position_sweeps": sweeps}
+    states = [dc.simulate(scene, steps=1, solver=one(**options)).state for one in (dc.PGS, dc.BatchedPGS)]
+    np.testing.assert_allclose(*(state.bodies.position for state in states), atol=tolerance)
+    assert np.abs(states[0].bodies.position - scene.bodies.position).max() > 0.01
 
 
 def gas():
@@ -175,7 +194,7 @@ def shuffled(state):
 )
 def test_threads_change_no_bit(scene, on_step, pile):
     state = {"pile": lambda: pile, "shuffled": lambda: shuffled(pile), "gas": gas, "terrain": terrain}[scene]()
-    assert scene in ("gas", "terrain") or batched.phases_are_shared(plan_of(state)) == (scene == "pile")
+    assert scene in ("gas", "terrain") or batched.phases_are_shared(plan_of(state).count) == (scene == "pile")
     solvers = (dc.BatchedPGS(sweeps=15, threads=threads) for threads in (1, 2))
     one, two = (dc.simulate(state, steps=20, on_step=on_step, solver=solver) for solver in solvers)
     assert (one.contacts > 0).any()
