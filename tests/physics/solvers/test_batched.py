@@ -145,7 +145,7 @@ def test_positions_are_corrected_in_the_order_of_the_batches(pile):
     np.testing.assert_array_equal(found.position, expected.position)
 
 
-@pytest.mark.parametrize("sweeps, tolerance", [(1, 1e-13), (30, 2e-4)])
+@pytest.mark.parametrize(("sweeps", "tolerance"), [(1, 1e-13), (30, 2e-4)])
 def test_overlaps_with_segments_are_corrected_as_contact_by_contact(sweeps, tolerance):
     """The same push at first; then PGS turns the normal of an end, by a share of the depth squared."""
     x = np.arange(2.0, 60.0, 3.0)
