@@ -524,7 +524,7 @@ def measure_trade(
         for name, i in parts
     ]
     trade.predicted_s = time.perf_counter() - begun + sum(_cost(part, costs, trade) for part in parts) / workers
-    trade.predicted_s += JUDGING * (len(names) + 1) + (STARTING if workers > 1 else 0.0)
+    trade.predicted_s += costs["judging"] * (len(names) + 1) + (STARTING if workers > 1 else 0.0)
     what = f"{notebook.counted(len(names), 'setting')} and a reference, {notebook.counted(count, 'seed')}"
     print(f"measure_trade: {what}: about {trade.predicted_s:.0f} s", file=sys.stderr, flush=True)
     trade.observed = known
@@ -539,7 +539,7 @@ def measure_trade(
                     trade.notes.append(f"{parts[i][0]} comes to no end: {result}")
                 else:
                     trade.observed[parts[i]] = result
-                following = _cost(parts[min(i + workers, len(parts) - 1)], costs, trade) + JUDGING * len(names)
+                following = _cost(parts[min(i + workers, len(parts) - 1)], costs, trade) + costs["judging"] * len(names)
                 if minutes is not None and time.perf_counter() - begun + following > 60.0 * minutes:
                     trade.notes += [f"the budget of {minutes:g} min ended first"] * (i + 1 < len(parts))
                     break
@@ -629,10 +629,15 @@ def _costs(trade: Trade, scene: State, frames: int, interval: float) -> dict[str
         with contextlib.suppress(FloatingPointError):  # as the runs will say
             moments.append(simulate(moments[-1], steps=max(1, frames // 5) * steps, solver=fast).state)
     begun = time.perf_counter()
+    judging, looking = JUDGING, 0.0
     with contextlib.suppress(ValueError):  # of neither gravity nor motion
-        observe(moments[1:] * REST)
+        seen = observe((moments[1:] or moments) * REST)
+        looking = (time.perf_counter() - begun) / (len(moments) * REST)
+        ensemble, begun = [(seen, {})] * len(trade.digests), time.perf_counter()
+        for _ in range(10):
+            all_errors(ensemble, ensemble)
+        judging = 40 * (time.perf_counter() - begun)  # of 400 resamplings
     moments = moments[1:] or moments
-    looking = (time.perf_counter() - begun) / (len(moments) * REST)
 
     def cost(setting):
         took = []
@@ -644,7 +649,7 @@ def _costs(trade: Trade, scene: State, frames: int, interval: float) -> dict[str
         return frames * (sum(took) / len(moments) + looking)
 
     costs = {name: cost(setting) for name, setting in trade.settings.items()}
-    return costs | {REFERENCE: cost(trade.reference), HALF: cost(reference_of(scene, 2))}
+    return costs | {"judging": judging, REFERENCE: cost(trade.reference), HALF: cost(reference_of(scene, 2))}
 
 
 def _next_seconds(states: Iterator) -> float:
@@ -666,7 +671,7 @@ def _planned(trade: Trade, costs: Mapping, count: int, workers: int, seconds: fl
 
     def total():
         runs = sum(_cost((name, i), costs, trade) for name in (REFERENCE, *names) for i in range(count))
-        return (runs + checked * costs[HALF]) / workers + JUDGING * len(names)
+        return (runs + checked * costs[HALF]) / workers + costs["judging"] * len(names)
 
     while seconds is not None and total() > 0.9 * seconds:
         others = [name for name in names if name not in presets_own]
