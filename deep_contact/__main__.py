@@ -53,8 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         elif name in ("figure", "table") and following and not following[0].startswith("-"):
             script = _script(name, following.pop(0))
         else:
-            given = parser.parse_args(arguments)
-            return given.run(given)
+            args = parser.parse_args(arguments)
+            return args.run(args)
     except BrokenPipeError:  # of `deep-contact figure | head`
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # Python flushes it once more
         return 0
@@ -146,26 +146,26 @@ def _add_trade(parser: argparse.ArgumentParser) -> None:
 # ---- commands of their own ----
 
 
-def _simulate(given) -> int:
+def _simulate(args) -> int:
     import deep_contact as dc
     from deep_contact.physics.solvers import describe
     from deep_contact.validation import expect
 
-    out = Path(given.out or "")
-    if given.out is not None:  # before the run, not after it
+    out = Path(args.out or "")
+    if args.out is not None:  # before the run, not after it
         fits = out.name.endswith((".xml", ".xml.gz", ".h5"))
-        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .h5, got {given.out!r}")
+        expect(fits, f"--out: expected a file that ends in .xml, .xml.gz, .h5, got {args.out!r}")
         expect(out.parent.is_dir(), f"--out: expected a folder that exists, got {str(out.parent)!r}")
-    scene = _scene(given)
-    record = given.every if out.suffix == ".h5" else None
-    run = dc.simulate(scene, steps=given.steps, dt=given.dt, record=record, **_method(given, scene))
+    scene = _scene(args)
+    record = args.every if out.suffix == ".h5" else None
+    run = dc.simulate(scene, steps=args.steps, dt=args.dt, record=record, **_method(args, scene))
     state = run.state
-    what = f"{state.bodies.count} circles, {given.steps} steps of {state.dt:g} s, {describe(state.solver)}"
+    what = f"{state.bodies.count} circles, {args.steps} steps of {state.dt:g} s, {describe(state.solver)}"
     print(f"{state.name}: {what}")
-    if given.steps:
+    if args.steps:
         ended = f"last θ: {run.theta[-1]:.3g} N·s ({run.status[-1].replace('_', ' ')})"
         print(f"contacts: {state.contacts.count}; sweeps a step: {run.sweeps.mean():.1f}; {ended}")
-    if given.out is not None:
+    if args.out is not None:
         if record is None:
             dc.write_state(out, state)
         else:
@@ -174,7 +174,7 @@ def _simulate(given) -> int:
     return 0
 
 
-def _method(given, scene) -> dict:
+def _method(args, scene) -> dict:
     """Solver and start, or the accuracy in place of both, as arguments of `simulate`."""
     from dataclasses import replace
 
@@ -183,72 +183,72 @@ def _method(given, scene) -> dict:
     from deep_contact.validation import expect, one_of
 
     names = ("solver", "sweeps", "tolerance", "warm_start")
-    options = {name: getattr(given, name) for name in names if getattr(given, name) is not None}
-    if given.accuracy is not None:
+    options = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    if args.accuracy is not None:
         expect(not options, "--accuracy: expected no --solver, --sweeps, --tolerance or --warm-start beside it")
-        return {"accuracy": given.accuracy}
+        return {"accuracy": args.accuracy}
     start = {"warm_start": options.pop("warm_start", "builtin")}
     if "solver" in options:
         return start | {"solver": METHODS[one_of("--solver", options.pop("solver"), METHODS)](**options)}
     return start | ({"solver": replace(scene.solver or dc.PGS(), **options)} if options else {})
 
 
-def _trade(given) -> int:
+def _trade(args) -> int:
     import deep_contact as dc
     from deep_contact.validation import expect, one_of
 
-    suffix = Path(given.out or "x.json").suffix
-    expect(suffix in TRADE_FILES, f"--out: expected a file that ends in {', '.join(TRADE_FILES)}, got {given.out!r}")
-    scene = given.state and dc.read_state(given.state)
+    suffix = Path(args.out or "x.json").suffix
+    expect(suffix in TRADE_FILES, f"--out: expected a file that ends in {', '.join(TRADE_FILES)}, got {args.out!r}")
+    scene = args.state and dc.read_state(args.state)
     if scene is None:
         make, count = (
-            getattr(dc, one_of("--scene", given.scene, SCENES)),
-            () if given.bodies is None else (given.bodies,),
+            getattr(dc, one_of("--scene", args.scene, SCENES)),
+            () if args.bodies is None else (args.bodies,),
         )
         scene = lambda seed: make(*count, seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
-    trade = dc.measure_trade(scene, **{name: getattr(given, name) for name in names})
+    trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
-    if given.out is not None:
-        trade.save(given.out) if suffix == ".json" else dc.plotting.save(trade.plot(), given.out)
-        print(given.out)
+    if args.out is not None:
+        trade.save(args.out) if suffix == ".json" else dc.plotting.save(trade.plot(), args.out)
+        print(args.out)
     return 0
 
 
-def _view(given) -> int:
+def _view(args) -> int:
     import deep_contact as dc
     from deep_contact import viewer
     from deep_contact.reporting.figures import progress_bar
 
-    scene = _scene(given)
-    solver = None if given.sweeps is None else dc.PGS(sweeps=given.sweeps)
-    start = given.warm_start or "builtin"
-    found = viewer.frames(scene, steps=given.steps, every=given.every, solver=solver, warm_start=start)
-    if given.out is None:
+    scene = _scene(args)
+    solver = None if args.sweeps is None else dc.PGS(sweeps=args.sweeps)
+    start = args.warm_start or "builtin"
+    pictures = viewer.frames(scene, steps=args.steps, every=args.every, solver=solver, warm_start=start)
+    if args.out is None:
         if viewer.has_display():
-            viewer.play(found)
+            viewer.play(pictures)
             return 0
         print("no display: writing a film instead", file=sys.stderr)
-    fps = min(50, max(1, round(1 / (given.every * scene.dt))))
-    total = -(-given.steps // given.every)
-    for path in viewer.record(progress_bar(found, total=total, text="frames"), given.out or "view.gif", fps=fps):
+    fps = min(50, max(1, round(1 / (args.every * scene.dt))))
+    total = -(-args.steps // args.every)
+    for path in viewer.record(progress_bar(pictures, total=total, text="frames"), args.out or "view.gif", fps=fps):
         print(path)
     return 0
 
 
-def _scene(given):
+def _scene(args):
     import deep_contact as dc
     from deep_contact.validation import integer
 
-    if given.sweeps is not None:
-        integer("--sweeps", given.sweeps, least=1)
-    options = {"n_bodies": given.bodies, "size": given.size, "seed": given.seed}
+    if args.sweeps is not None:
+        integer("--sweeps", args.sweeps, least=1)
+    options = {"n_bodies": args.bodies, "size": args.size, "seed": args.seed}
     options = {name: value for name, value in options.items() if value is not None}
-    if given.state is None:
-        return (dc.drifting_circles if given.no_gravity else dc.circles_in_box)(**options)
-    if options or given.no_gravity:
+    if args.state is None:
+        return (dc.drifting_circles if args.no_gravity else dc.circles_in_box)(**options)
+    if options or args.no_gravity:
         raise ValueError("options of a scene: expected none beside STATE.xml, which is a scene already")
-    return dc.load_trajectory(given.state)[-1] if given.state.endswith(".h5") else dc.read_state(given.state)
+    return dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
 
 
 def _warm_up(given) -> int:
@@ -271,8 +271,8 @@ def _warm_up(given) -> int:
     return 0
 
 
-def _sample(given) -> int:
-    names = [given.name] if given.name else shipped.sample_names()
+def _sample(args) -> int:
+    names = [args.name] if args.name else shipped.sample_names()
     print(*map(shipped.sample_file, names), sep="\n")
     return 0
 
@@ -280,16 +280,16 @@ def _sample(given) -> int:
 # ---- commands by a script ----
 
 
-def _list(given) -> int:
-    for number, path in _known(given.command).items():
+def _list(args) -> int:
+    for number, path in _known(args.command).items():
         print(f"{number:6s}{scripts.summary(path)}", flush=True)
     return 0
 
 
 def _known(command: str) -> dict[str, Path]:
     """All figures and tables, or the tables alone."""
-    found = scripts.find(shipped.ROOT / "scripts")
-    return {number: path for number, path in found.items() if command == "figure" or number.startswith("T")}
+    paths = scripts.find(shipped.ROOT / "scripts")
+    return {number: path for number, path in paths.items() if command == "figure" or number.startswith("T")}
 
 
 def _script(command: str, number: str) -> Path:

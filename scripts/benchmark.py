@@ -166,14 +166,14 @@ def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
     return {name: costs(seconds[name], contacts[name], steps) for name in ENGINES}
 
 
-def engine(given) -> dict:
+def engine(args) -> dict:
     """Ours and the peers on settled and falling piles."""
     cases, names = [], ("sweep_ns", "overhead_us", "step_us")
-    for n_bodies, kind in product(given.sizes, ("settled", "falling")):
+    for n_bodies, kind in product(args.sizes, ("settled", "falling")):
         # Long enough that the fixed cost of one `simulate` does not count; what falls has landed after a while.
-        steps = int(np.clip(300_000 // n_bodies, 10, 10 if given.quick else 200 if kind == "settled" else 30))
-        state = made_pile(kind, n_bodies, given.seed).replace(contacts=None, solver=None, solved=False)
-        measured = costs_of_engines(state, steps, given.repeats)
+        steps = int(np.clip(300_000 // n_bodies, 10, 10 if args.quick else 200 if kind == "settled" else 30))
+        state = made_pile(kind, n_bodies, args.seed).replace(contacts=None, solver=None, solved=False)
+        measured = costs_of_engines(state, steps, args.repeats)
         ratios = {peer: {name: measured[peer][name] / measured["ours"][name] for name in names} for peer in PEERS}
         cases.append({"n_bodies": n_bodies, "kind": kind, "engines": measured, "ratios": ratios})
         for name, cost in measured.items():
@@ -210,21 +210,21 @@ dc.simulate(packed_pile({n_bodies}, steps=0), steps=5, solver=dc.PGS(sweeps=10, 
 """What a process does whose largest memory is measured."""
 
 
-def step(given) -> dict:
+def step(args) -> dict:
     """Microseconds of a step in a run, memory of large runs, and many piles of 100 in one call."""
     runs = []
-    for n_bodies in given.sizes:
+    for n_bodies in args.sizes:
         steps = max(5, min(200, 200_000 // n_bodies))
         for kind in ("packed",) if n_bodies >= LARGE else ("settled", "falling"):
-            state = dc.simulate(made_pile(kind, n_bodies, given.seed), steps=WARM_UP, solver=solver_of(FEW)).state
+            state = dc.simulate(made_pile(kind, n_bodies, args.seed), steps=WARM_UP, solver=solver_of(FEW)).state
             calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in RUNS.items()}
-            least = timing.interleaved(calls, repeats=max(2, min(given.repeats, 3_000_000 // n_bodies)))
+            least = timing.interleaved(calls, repeats=max(2, min(args.repeats, 3_000_000 // n_bodies)))
             us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
             runs.append({"n_bodies": n_bodies, "kind": kind, "us": us})
             say(f"{n_bodies} {kind}", {name: f"{one:,.1f} µs" for name, one in us.items()})
-    memory = {str(n): timing.fresh(MEMORY.format(n_bodies=n))["memory_kib"] for n in given.sizes if n >= LARGE}
+    memory = {str(n): timing.fresh(MEMORY.format(n_bodies=n))["memory_kib"] for n in args.sizes if n >= LARGE}
     memory = {n: 1.024e-3 * kib for n, kib in memory.items() if kib}
-    many = many_piles(given.seed, min(given.repeats, 5), 20 if given.quick else 600)
+    many = many_piles(args.seed, min(args.repeats, 5), 20 if args.quick else 600)
     return {"runs": runs, "memory_mb": memory, "many": many}
 
 
@@ -243,9 +243,9 @@ def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
 # ---- transfer and state files ----
 
 
-def transfer(given) -> dict:
+def transfer(args) -> dict:
     """The calls of a step with images: 100 bodies and 170 contacts on the thesis's grid, and a k-d tree beside."""
-    rng, kernel = np.random.default_rng(given.seed), {"h": 0.5, "kernel": "poly6"}
+    rng, kernel = np.random.default_rng(args.seed), {"h": 0.5, "kernel": "poly6"}
     options, consistent = ({**kernel, "normalization": how} for how in ("particle", "consistent"))
     grid = sph.Grid.over_box((0.0, 0.0, 30.0, 30.0), 0.5)
     bodies, contacts = (
@@ -272,49 +272,49 @@ def transfer(given) -> dict:
         "k-d tree, splat of both": lambda: both(splat_by_tree),
         "k-d tree, all nodes in one query": lambda: both(splat_by_tree, one_query=True),
     }
-    case = {name: timing.fastest(call, 3 if "tree" in name else given.repeats) for name, call in calls.items()}
+    case = {name: timing.fastest(call, 3 if "tree" in name else args.repeats) for name, call in calls.items()}
     trees = {"k-d tree": "k-d tree, splat of both", "k-d tree, one query": "k-d tree, all nodes in one query"}
     ratio = {f"{name} / splat of both": case[tree] / case["splat of both"] for name, tree in trees.items()}
     say("µs", {name: f"{1e6 * seconds:.4g}" for name, seconds in case.items()})
     return {"options": options, "spacing": 0.5, "case": case, "ratio": ratio}
 
 
-def xml(given) -> dict:
+def xml(args) -> dict:
     """Writing and reading a state of 100 circles, plain and compressed. The goals are 4 ms and 6 ms."""
-    state = dc.simulate(dc.circles_in_box(100, seed=given.seed), steps=400).state
-    found = {"circles": state.bodies.count, "contacts": state.contacts.count, "repeats": given.repeats}
+    state = dc.simulate(dc.circles_in_box(100, seed=args.seed), steps=400).state
+    measured = {"circles": state.bodies.count, "contacts": state.contacts.count, "repeats": args.repeats}
     with tempfile.TemporaryDirectory() as folder:
         for suffix in (".xml", ".xml.gz"):
             path = Path(folder) / f"state{suffix}"
             runs = {"write": partial(dc.write_state, path, state), "read": partial(dc.read_state, path)}
-            least = timing.interleaved(runs, repeats=given.repeats)
-            found[suffix] = {way: {"min_ms": 1e3 * seconds} for way, seconds in least.items()}
-            say(suffix, found[suffix])
-    return found
+            least = timing.interleaved(runs, repeats=args.repeats)
+            measured[suffix] = {way: {"min_ms": 1e3 * seconds} for way, seconds in least.items()}
+            say(suffix, measured[suffix])
+    return measured
 
 
 # ---- solvers of others ----
 
 
-def added(given, found: dict) -> dict:
-    """The rows of the file that is there, and those that were found; ours of this run as "…, again"."""
-    first = json.loads(given.out.read_text(encoding="utf-8"))
+def added(args, rerun: dict) -> dict:
+    """The rows of the file that is there, and those of this run; ours of this run as "…, again"."""
+    first = json.loads(args.out.read_text(encoding="utf-8"))
     for key in ("tolerance", "contacts"):
-        if first[key] != found[key]:
-            raise ValueError(f"{key}: expected {first[key]} as in the first run, got {found[key]}")
+        if first[key] != rerun[key]:
+            raise ValueError(f"{key}: expected {first[key]} as in the first run, got {rerun[key]}")
     for table in ("seconds", "error"):
         for title, row in first[table].items():
-            row |= {f"{name}, again" if name in row else name: one for name, one in found[table][title].items()}
-    return first | {"second_provenance": results.provenance(seed=given.seed)}
+            row |= {f"{name}, again" if name in row else name: one for name, one in rerun[table][title].items()}
+    return first | {"second_provenance": results.provenance(seed=args.seed)}
 
 
-def outside(given) -> dict:
+def outside(args) -> dict:
     """Processor time of every solver on every problem, and Siconos's error of what it returned; None beyond `MOST`."""
-    solvers = rivals.methods(given.tolerance)
-    solvers = {name: solve for name, solve in solvers.items() if name in (given.only or solvers)}
-    problems = {Path(path).name.split(".")[0]: read_problem(path) for path in given.files}
-    for count in given.sizes:
-        state = piles.states_of(piles.pile("settling", count, given.seed), count=1)[0]
+    solvers = rivals.methods(args.tolerance)
+    solvers = {name: solve for name, solve in solvers.items() if name in (args.only or solvers)}
+    problems = {Path(path).name.split(".")[0]: read_problem(path) for path in args.files}
+    for count in args.sizes:
+        state = piles.states_of(piles.pile("settling", count, args.seed), count=1)[0]
         problems[f"settling pile of {count}"] = check_problem(contact_problem(state))
     seconds, errors, slow = {}, {}, set()
     for title, problem in sorted(problems.items(), key=lambda item: item[1].friction.size):
@@ -322,25 +322,25 @@ def outside(given) -> dict:
         first = {name: timing.timed(run, time.process_time) for name, run in runs.items()}
         slow |= {name for name, (took, _) in first.items() if took > MOST}
         rest = {name: run for name, run in runs.items() if name not in slow}
-        least = timing.interleaved(rest, repeats=given.repeats, clock=time.process_time)
+        least = timing.interleaved(rest, repeats=args.repeats, clock=time.process_time)
         seconds[title] = {name: least.get(name, first[name][0] if name in first else None) for name in solvers}
-        found = {name: siconos_error(problem, impulse) for name, (_, impulse) in first.items()}
-        errors[title] = {name: min(found[name], 1.0) if name in found else None for name in solvers}  # NaN is 1.0
+        residual = {name: siconos_error(problem, impulse) for name, (_, impulse) in first.items()}
+        errors[title] = {name: min(residual[name], 1.0) if name in residual else None for name in solvers}  # NaN is 1.0
         say(f"{title}, {problem.friction.size} contacts", seconds[title])
     contacts = {title: int(problems[title].friction.size) for title in seconds}
-    found = {"tolerance": given.tolerance, "contacts": contacts, "seconds": seconds, "error": errors}
-    return added(given, found) if given.add else found
+    table = {"tolerance": args.tolerance, "contacts": contacts, "seconds": seconds, "error": errors}
+    return added(args, table) if args.add else table
 
 
-def disks(given) -> dict:
+def disks(args) -> dict:
     """Steps of ours, and Siconos's NSGS to the tolerance of its own benchmark, at states along a run."""
     solvers = {f"ours, {k} sweeps": PSOR(omega=1.5, friction_omega=1.5, sweeps=k, tolerance=None) for k in (40, 800)}
     rival, sides = rivals.methods(1e-2).get("Siconos NSGS"), {}
-    for side in given.sizes:
+    for side in args.sizes:
         state, sides[str(side)] = dc.bench_disks(side), []
-        for _ in range(1 if given.quick else 4):
+        for _ in range(1 if args.quick else 4):
             state = dc.simulate(state, steps=500, solver=solvers["ours, 40 sweeps"]).state
-            sides[str(side)].append(disks_at(ready(state), solvers, rival, given.repeats))
+            sides[str(side)].append(disks_at(ready(state), solvers, rival, args.repeats))
             say(f"{side}², step {state.step}", sides[str(side)][-1]["seconds"])
     return {"sides": sides}
 
@@ -350,7 +350,7 @@ def disks_at(state: State, solvers: dict, rival, repeats: int) -> dict:
     steps, problem = 10, check_problem(contact_problem(state))
     near = dc.solve_contacts(state, solver=NNCG(sweeps=20_000, tolerance=1e-12))
     exact = dc.solve_exactly(state, near.normal_impulses, near.tangent_impulses).solution
-    reference = min((impulses(one) for one in (near, exact)), key=lambda found: natural_residual(problem, found))
+    reference = min((impulses(one) for one in (near, exact)), key=lambda impulse: natural_residual(problem, impulse))
     solved = {name: impulses(dc.solve_contacts(state, solver=solver)) for name, solver in solvers.items()}
     calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in solvers.items()}
     if rival is not None:
@@ -359,8 +359,8 @@ def disks_at(state: State, solvers: dict, rival, repeats: int) -> dict:
         solved["Siconos"] = rival(problem, start)
     seconds = timing.interleaved(calls, repeats=repeats, clock=time.process_time)
 
-    def energy(found):  # (v − v*)² M / 2, up to a factor, since v − v* = M⁻¹ Jᵀ (λ − λ*)
-        return max(0.0, found @ (problem.A @ found))
+    def energy(impulse):  # (v − v*)² M / 2, up to a factor, since v − v* = M⁻¹ Jᵀ (λ − λ*)
+        return max(0.0, impulse @ (problem.A @ impulse))
 
     scale = energy(reference)
     return {
@@ -409,24 +409,27 @@ def main(arguments=None) -> None:
     parser.add_argument("--only", nargs="*", metavar="SOLVER", help="solvers of outside")
     parser.add_argument("--add", action="store_true", help="add the solvers to the file that is there")
     parser.add_argument("--quick", action="store_true", help="smaller piles, fewer steps")
-    given = parser.parse_args(arguments)
-    run, sizes, repeats = BENCHMARKS[given.name]
-    given.sizes = given.sizes if given.sizes is not None else sizes[:2] if given.quick else sizes
-    given.repeats = repeats if given.repeats is None else given.repeats
-    if min([*given.sizes, given.repeats]) < 1:
-        parser.error(f"expected sizes and repeats of at least 1, got {given.sizes} and {given.repeats}")
-    given.out = given.out or Path(f"build/results/benchmark_{'state_xml' if given.name == 'xml' else given.name}.json")
+    args = parser.parse_args(arguments)
+    run, sizes, repeats = BENCHMARKS[args.name]
+    args.sizes = args.sizes if args.sizes is not None else sizes[:2] if args.quick else sizes
+    args.repeats = repeats if args.repeats is None else args.repeats
+    if min([*args.sizes, args.repeats]) < 1:
+        parser.error(f"expected sizes and repeats of at least 1, got {args.sizes} and {args.repeats}")
+    args.out = args.out or Path(f"build/results/benchmark_{'state_xml' if args.name == 'xml' else args.name}.json")
     begin = time.perf_counter()
-    found, write = run(given), write_json
-    if given.name in TITLES:
-        options = {name: getattr(given, name) for name in ("sizes", "repeats", "quick")}
+    made, write = run(args), write_json
+    if args.name in TITLES:
+        options = {name: getattr(args, name) for name in ("sizes", "repeats", "quick")}
         options |= {"sweeps": [FEW, MANY], "dt": TIME_STEP, "position_sweeps": POSITION_SWEEPS}
-        about = {"id": f"B.{1 + list(TITLES).index(given.name)}", "title": TITLES[given.name], "options": options}
-        if given.name == "engine":
+        about = {"id": f"B.{1 + list(TITLES).index(args.name)}", "title": TITLES[args.name], "options": options}
+        if args.name == "engine":
             options["peers"] = {name: metadata.version(adapter.package) for name, adapter in peers.ENGINES.items()}
-        found, write = about | {"claims": list(claims(found.get("cases", [])))} | {"data": found}, results.write_results
-    found.setdefault("provenance", results.provenance(seed=given.seed, wall_s=time.perf_counter() - begin))
-    print(f"written: {write(given.out, found) or given.out}")
+        made, write = (
+            about | {"claims": list(claims(made.get("cases", [])))} | {"data": made},
+            results.write_results,
+        )
+    made.setdefault("provenance", results.provenance(seed=args.seed, wall_s=time.perf_counter() - begin))
+    print(f"written: {write(args.out, made) or args.out}")
 
 
 if __name__ == "__main__":

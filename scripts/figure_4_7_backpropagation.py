@@ -28,26 +28,26 @@ def compute(options, seed, jobs, progress):
     """
     x, w_h, w_o = (np.array(options[name]) for name in ("x", "hidden weights", "output weights"))
     target, rate = options["target"], options["rate"]
-    found = worked.backpropagate(x, w_h, w_o, target)
+    values = worked.backpropagate(x, w_h, w_o, target)
     right = worked.automatic_gradients(x, w_h, w_o, target)
-    chain, e = found["chain"], found["e"]
+    chain, e = values["chain"], values["e"]
     factors = [right[name] for name in chain]
     common = chain["∂L/∂e"] * chain["∂e/∂y"]
     step_o, step_h = -rate * right["output"], -rate * right["hidden"]  # Eq 4.8, the first step
     compared = {
         "Eq 4.12": ([*chain.values(), common * chain["∂y/∂w"]], [*factors, right["output"]]),
-        "Eq 4.13": ([found["output"]], [right["output"]]),
-        "Eq 4.14": ([rate * found["v"] * e], [step_o]),
+        "Eq 4.13": ([values["output"]], [right["output"]]),
+        "Eq 4.14": ([rate * values["v"] * e], [step_o]),
         "Eq 4.15": ([*chain.values(), common * chain["∂y/∂v"] * chain["∂v/∂w"]], [*factors, right["hidden"]]),
-        "Eq 4.17": ([found["hidden"]], [right["hidden"]]),
+        "Eq 4.17": ([values["hidden"]], [right["hidden"]]),
         "Eq 4.18": ([2 * rate * e * np.outer(x, w_o)], [step_h]),
         "late": ([2 * rate * e * np.outer(x, w_o + step_o)], [step_h]),
     }
     stepped = worked.backpropagate(x, w_h + step_h, w_o + step_o, target)
     return {
         **{name: options[name] for name in ("x", "hidden weights", "output weights", "target")},
-        **{name: found[name] for name in ("v", "y", "e")},
-        "loss": {"before": found["loss"], "after the step of Eq 4.8": stepped["loss"]},
+        **{name: values[name] for name in ("v", "y", "e")},
+        "loss": {"before": values["loss"], "after the step of Eq 4.8": stepped["loss"]},
         "compared": {name: [np.hstack([*map(np.ravel, side)]) for side in sides] for name, sides in compared.items()},
     }
 

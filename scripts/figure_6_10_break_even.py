@@ -21,10 +21,10 @@ def compute(options, seed, jobs, progress):
         for count, kind in product(options["counts"], options["kinds"])
         for s in figures.seeds(seed + 20_000, options["piles"][str(count)])
     ]
-    found = parallel_map(learned_starts.errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
+    errors = parallel_map(learned_starts.errors_of_pile, tasks, jobs=jobs, progress=progress, text="piles")
     made = {name: start_of(description) for name, description in starts.items()}
-    times = (learned_starts.times_on(states, made, options["repeats"]) for _, states in progress(found, text="times"))
-    return {"sweeps": options["sweeps"], "piles": [pile | took for (pile, _), took in zip(found, times)]}
+    times = (learned_starts.times_on(states, made, options["repeats"]) for _, states in progress(errors, text="times"))
+    return {"sweeps": options["sweeps"], "piles": [pile | took for (pile, _), took in zip(errors, times)]}
 
 
 def cases(data):
@@ -32,13 +32,13 @@ def cases(data):
 
     By kind, and by rising numbers of circles.
     """
-    found = {}
+    by_case = {}
     for pile in sorted(data["piles"], key=lambda pile: pile["circles"]):
         if pile["start_seconds"][LEARNED]:
-            found.setdefault((pile["kind"], pile["circles"]), []).append(pile)
+            by_case.setdefault((pile["kind"], pile["circles"]), []).append(pile)
     return {
-        case: (found[case], [time_ratios(found[case], data["sweeps"], error) for error in TOLERANCES])
-        for case in sorted(found, key=lambda case: case[0], reverse=True)
+        case: (by_case[case], [time_ratios(by_case[case], data["sweeps"], error) for error in TOLERANCES])
+        for case in sorted(by_case, key=lambda case: case[0], reverse=True)
     }
 
 
@@ -76,13 +76,13 @@ def draw(data, options):
 
     Grey where there are fewer than `FEWEST` states; ∞ where the network alone does not reach the error.
     """
-    found = {case: ratios for case, (_, ratios) in cases(data).items()}
-    kinds = list(dict.fromkeys(kind for kind, _ in found))
+    by_case = {case: ratios for case, (_, ratios) in cases(data).items()}
+    kinds = list(dict.fromkeys(kind for kind, _ in by_case))
     figure, axes = plotting.subplots(1, len(kinds), size=(plotting.PAGE, 3.2), squeeze=False, sharey=True)
     for ax, kind in zip(axes[0], kinds):
-        counts = [n for other, n in found if other == kind]
-        values = np.array([[np.median(r) if r.size else np.nan for r in found[kind, n]] for n in counts])
-        enough = np.array([[r.size >= FEWEST for r in found[kind, n]] for n in counts])
+        counts = [n for other, n in by_case if other == kind]
+        values = np.array([[np.median(r) if r.size else np.nan for r in by_case[kind, n]] for n in counts])
+        enough = np.array([[r.size >= FEWEST for r in by_case[kind, n]] for n in counts])
         coloured = np.where(enough, np.log10(np.clip(values, 0.1, 10)), np.nan)
         picture = ax.imshow(coloured, cmap="PuOr_r", vmin=-1, vmax=1, aspect="auto")
         for (row, column), value in np.ndenumerate(values):

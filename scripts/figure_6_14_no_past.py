@@ -34,8 +34,8 @@ def compute(options, seed, jobs, progress):
     piles = done(parts, {"pile": no_past.measure}, work=Path(options["work"]), jobs=jobs, text="piles")
     timed = []
     for cell in progress(wanted, text="times"):
-        given = cell["n_bodies"], cell["kind"], options["radii"][cell["radii"]], seeds(seed, 1)[0]
-        state, *_ = no_past.pile(*given)
+        description = cell["n_bodies"], cell["kind"], options["radii"][cell["radii"]], seeds(seed, 1)[0]
+        state, *_ = no_past.pile(*description)
         timed.append(cell | no_past.times(state, no_past.starts_of(state, options["model"]), options["repeats"]))
     return {"piles": piles, "times": timed}
 

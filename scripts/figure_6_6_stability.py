@@ -55,10 +55,10 @@ def claims(data):
 
 def by_quantity(data):
     """quantity -> engine -> its cells, by rising value; none of an engine that does not have the quantity."""
-    found = {name: {engine: [] for engine in ENGINES} for name in data["units"]}
+    grouped = {name: {engine: [] for engine in ENGINES} for name in data["units"]}
     for cell in sorted(data["cells"], key=lambda cell: cell["value"]):
-        found[cell["quantity"]][cell["engine"]].append(cell)
-    return found
+        grouped[cell["quantity"]][cell["engine"]].append(cell)
+    return grouped
 
 
 def ranges(cells, verdict):

@@ -46,16 +46,16 @@ def table(data):
 
 def draw(data, options):
     """Error over the best classical setting's for each kind of scene, with intervals."""
-    found = ratios_of(data)
-    figure, ax = plotting.subplots(size=(7.0, 0.28 * len(found) + 1.6))
-    y = -np.arange(len(found))
+    by_kind = ratios_of(data)
+    figure, ax = plotting.subplots(size=(7.0, 0.28 * len(by_kind) + 1.6))
+    y = -np.arange(len(by_kind))
     for i, (k, colour) in enumerate(zip(FEW, plotting.shades(len(FEW)))):
-        ratio, low, high = np.array([ratios[i] for ratios in found.values()]).T
+        ratio, low, high = np.array([ratios[i] for ratios in by_kind.values()]).T
         off = np.maximum([ratio - low, high - ratio], 0)
         look = {"fmt": "o", "markersize": 3, "color": colour, "label": f"after {k} sweeps"}
         ax.errorbar(ratio, y + 0.22 * (1 - i), xerr=off, **look)
     ax.axvline(1.0, color=plotting.GREY, linewidth=1.0)
-    ax.set_yticks(y, list(found))
+    ax.set_yticks(y, list(by_kind))
     text = "velocity error over the best classical setting's\nafter as many sweeps, its price left out (Figure 6.10)"
     plotting.label_axes(ax, text, "")
     return plotting.legend_below(figure, ax, "Does the network's start carry over to other scenes?")

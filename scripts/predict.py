@@ -38,10 +38,10 @@ def picture(state, predicted):
 
     drawn = state.contacts._replace(normal_impulse=np.maximum(predicted[0], 0.0), tangent_impulse=predicted[1])
     shown = {"predicted": state.replace(contacts=drawn)} | ({"solved": state} if state.solved else {})
-    largest = max(float(found.contacts.normal_impulse.max(initial=0.0)) for found in shown.values())
+    largest = max(float(one.contacts.normal_impulse.max(initial=0.0)) for one in shown.values())
     figure, axes = plotting.subplots(1, len(shown), size=(4.2 * len(shown), 3.9), squeeze=False)
-    for (name, found), ax in zip(shown.items(), axes[0]):
-        plotting.draw_state(ax, found, largest_impulse=largest)
+    for (name, one), ax in zip(shown.items(), axes[0]):
+        plotting.draw_state(ax, one, largest_impulse=largest)
         ax.set_title(f"{name}: impulses at the contacts")
     return figure
 
@@ -103,20 +103,20 @@ def main(argv=None) -> int:
     add("--threads", type=int, default=1, help="of TensorFlow")
     add("--raw", action="store_true", help="impulses as the network has them, not projected on the friction cone")
     add("--no-pictures", action="store_true", help="numbers only")
-    given = parser.parse_args(argv)
+    args = parser.parse_args(argv)
     from deep_contact.cnn.backend import limit_threads
     from deep_contact.cnn.inference import load_model
 
     try:
-        limit_threads(given.threads)
-        model = load_model(given.model) if given.model else None
+        limit_threads(args.threads)
+        model = load_model(args.model) if args.model else None
     except (ModuleNotFoundError, OSError, ValueError) as error:
         parser.exit(4 if isinstance(error, ModuleNotFoundError) else 2, f"{parser.prog}: {error}\n")
-    given.out.mkdir(parents=True, exist_ok=True)
+    args.out.mkdir(parents=True, exist_ok=True)
     bad = 0
-    for path in given.states:
+    for path in args.states:
         try:
-            print("\n".join(predict_file(path, model, given.out, raw=given.raw, pictures=not given.no_pictures)))
+            print("\n".join(predict_file(path, model, args.out, raw=args.raw, pictures=not args.no_pictures)))
         except (OSError, ValueError) as error:
             bad += 1
             print(f"{parser.prog}: {error}")

@@ -21,16 +21,16 @@ def equal(theirs, mine):
 
 def claims(data):
     same_length = len(data["built"]) == len(data["printed"])
-    found = {}
+    misprints = {}
     for theirs, mine in zip(data["printed"], data["built"]):
         if not equal(theirs, mine):
             kinds = dict.fromkeys([theirs["kind"], mine["kind"]])
-            found[f"{' / '.join(kinds)}: printed, built"] = [text(theirs), text(mine)]
+            misprints[f"{' / '.join(kinds)}: printed, built"] = [text(theirs), text(mine)]
     count = {"layers, printed and built": [len(data["printed"]), len(data["built"])]}
     same = "the layers and shapes are those of Table 5.1"
-    yield Claim(same, "Table 5.1", not found and same_length, count | found)
+    yield Claim(same, "Table 5.1", not misprints and same_length, count | misprints)
     known = "they are, but for its channels and its second batch normalisation"
-    yield Claim(known, "Table 5.1", same_length and found.keys() == MISPRINTS, found)
+    yield Claim(known, "Table 5.1", same_length and misprints.keys() == MISPRINTS, misprints)
 
 
 def text(layer):

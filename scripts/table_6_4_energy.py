@@ -29,13 +29,13 @@ def run_case(task):
     """The energy at the end of a run, and the least and the greatest on its way, over that at its start."""
     case, options = task
     state = scene_of(case, options)
-    start, found = mechanical_energy(state, state.bodies), []
+    start, shares = mechanical_energy(state, state.bodies), []
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", PresetWarning)
         for _ in range(options["steps"] // options["every"]):
             state = simulate(state, steps=options["every"], accuracy=case["preset"]).state.replace(solver=None)
-            found.append(mechanical_energy(state, state.bodies) / start)
-    return case | {"end": found[-1], "least": min(found), "greatest": max(found)}
+            shares.append(mechanical_energy(state, state.bodies) / start)
+    return case | {"end": shares[-1], "least": min(shares), "greatest": max(shares)}
 
 
 def compute(options, seed, jobs, progress):

@@ -70,22 +70,22 @@ def option(text: str):
     return name, float(value) if "." in value or "e" in value else int(value)
 
 
-def configuration(given: dict, from_model, quick: bool = False) -> TrainingConfig:
+def configuration(changes: dict, from_model, quick: bool = False) -> TrainingConfig:
     """The settings by their flags: those of a model, or the defaults of the architecture, with changes."""
-    if "options" in given:
-        given["options"] = dict(given["options"])
+    if "options" in changes:
+        changes["options"] = dict(changes["options"])
     if from_model is not None:
         from deep_contact.cnn.model_file import read_metadata
 
-        return config_of(read_metadata(from_model), **given)
-    small = QUICK.get(given.get("architecture", "far field"), {}) if quick else {}
-    return CONFIGS.get(given.get("architecture"), TrainingConfig)(**(small | given))
+        return config_of(read_metadata(from_model), **changes)
+    small = QUICK.get(changes.get("architecture", "far field"), {}) if quick else {}
+    return CONFIGS.get(changes.get("architecture"), TrainingConfig)(**(small | changes))
 
 
-def run(data, out, model, quick, **given) -> None:
+def run(data, out, model, quick, **changes) -> None:
     """Train, and print the errors on the test states."""
-    options = {name: given.pop(name) for name in ("threads", "held_out", "from_model")}
-    config = configuration(given, options["from_model"], quick)
+    options = {name: changes.pop(name) for name in ("threads", "held_out", "from_model")}
+    config = configuration(changes, options["from_model"], quick)
     out = Path(out or f"runs/{'quick_' if quick else ''}{config.architecture.replace(' ', '_')}")
     from deep_contact.cnn.dataset import Store
 
@@ -109,9 +109,9 @@ def run(data, out, model, quick, **given) -> None:
     print(f"best epoch {done.best_epoch + 1} of {len(done.history)}; {done.path}; {out / 'history.png'}")
     errors = done.model.card["held_out"]
     print("mean relative velocity error after", ", ".join(map(str, errors["sweeps"])), "sweeps, test states")
-    for phase, found in errors["phases"].items():
-        count = found.pop("states")
-        for start, values in found.items():
+    for phase, starts in errors["phases"].items():
+        count = starts.pop("states")
+        for start, values in starts.items():
             print(f"  {phase:9s} ({count:4d})  {start:8s} {'  '.join(f'{value:8.4f}' for value in values['mean'])}")
     if model:
         write_bytes(model, done.path.read_bytes())
@@ -119,8 +119,8 @@ def run(data, out, model, quick, **given) -> None:
             write_bytes(Path(model).with_name(f"{Path(model).stem}_{name}"), (out / name).read_bytes())
 
 
-def main(given=None) -> int:
-    parsed = vars(arguments().parse_args(given))
+def main(argv=None) -> int:
+    parsed = vars(arguments().parse_args(argv))
     try:
         run(**parsed)
     except KeyboardInterrupt:

@@ -86,11 +86,11 @@ class Program:
     """
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
-        found = dimensions(weights)
-        expect(found, f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
+        sizes = dimensions(weights)
+        expect(sizes, f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
         self._of = weights
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
-        image, outputs = self._image(*shape, found[0]), found[1]
+        image, outputs = self._image(*shape, sizes[0]), sizes[1]
         second = self._block("second", self._down("to_second", image))
         fourth = self._block("fourth", self._down("to_fourth", second[0]))
         eighth = self._block("far", self._block("eighth", self._down("to_eighth", fourth[0])))
@@ -181,12 +181,12 @@ class Program:
 
 def dimensions(weights: dict[str, list[np.ndarray]]) -> tuple[int, int, int] | None:
     """(channels, outputs, width) of a network with the layers of `architectures.far_field`, None for any other."""
-    found = {name: [array.shape for array in arrays] for name, arrays in weights.items() if arrays}
+    shapes = {name: [array.shape for array in arrays] for name, arrays in weights.items() if arrays}
     try:
-        (*_, channels, width), outputs = found["to_second"][0], found["coefficients"][0][-1]
+        (*_, channels, width), outputs = shapes["to_second"][0], shapes["coefficients"][0][-1]
     except (KeyError, IndexError, ValueError):
         return None
-    return (channels, outputs, width) if found == layer_shapes(channels, outputs, width) else None
+    return (channels, outputs, width) if shapes == layer_shapes(channels, outputs, width) else None
 
 
 def _whole(count: int) -> int:

@@ -150,14 +150,16 @@ def describe(state: State, spec: FarFieldSpec, symmetry: int = 0, problem: StepP
         raise ValueError("state.contacts: expected at least one contact, got 0")
     rows, free, _ = step_problem(state) if problem is None else problem
     world = state.world
-    found = _measure(state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4)
+    measured = _measure(
+        state.bodies, state.contacts, rows, free, world.box, world.friction, symmetry >= 4, symmetry % 4
+    )
     # In NumPy, whose arsinh is vectorised.
-    np.arcsinh(found.contact_sizes, out=found.contact_sizes)
-    np.arcsinh(found.body_sizes, out=found.body_sizes)
-    grid = spec.window(found.low, found.high, found.mean_radius)
+    np.arcsinh(measured.contact_sizes, out=measured.contact_sizes)
+    np.arcsinh(measured.body_sizes, out=measured.body_sizes)
+    grid = spec.window(measured.low, measured.high, measured.mean_radius)
     image = np.zeros((*grid.shape, _ROOM), np.float32)
-    _paint(image, (*grid.origin, grid.spacing[0]), spec.support * grid.spacing[0] / spec.spacing, found)
-    return Description(image[:, :, : len(spec.channels)], grid, found.point, found.features, rows.impulse.copy())
+    _paint(image, (*grid.origin, grid.spacing[0]), spec.support * grid.spacing[0] / spec.spacing, measured)
+    return Description(image[:, :, : len(spec.channels)], grid, measured.point, measured.features, rows.impulse.copy())
 
 
 def correct(image: np.ndarray, description: Description) -> np.ndarray:
@@ -314,19 +316,19 @@ def _turned(c, s, x, y):
 
 
 @njit(cache=True, error_model="numpy")
-def _paint(image, geometry, h, found):
+def _paint(image, geometry, h, measured):
     """Splat `CONTACT_CHANNELS` and `BODY_CHANNELS` as `sph.splat` with poly6 and the normalization "particle" does.
 
     A particle with no node within h goes to the nearest node; a circle outside the image touches nothing and is left
-    out. image: (n_y, n_x, `_ROOM`), float32. geometry: x and y of its first node and spacing, m. found: `_Measured`,
+    out. image: (n_y, n_x, `_ROOM`), float32. geometry: x and y of its first node and spacing, m. measured: `_Measured`,
     compressed.
     """
     n_y, n_x, _ = image.shape
     first = len(CONTACT_CHANNELS)
     values = np.zeros(_ROOM, np.float32)
-    sizes, residual = found.contact_sizes, found.residual
-    for k in range(found.point.shape[0]):
-        x, y = found.normal[k, 0], found.normal[k, 1]
+    sizes, residual = measured.contact_sizes, measured.residual
+    for k in range(measured.point.shape[0]):
+        x, y = measured.normal[k, 0], measured.normal[k, 1]
         xx, xy = x * x - y * y, 2.0 * x * y
         values[0], values[1], values[2] = 1.0, xx, xy
         rows = (sizes[k, 0], sizes[k, 1]), (residual[k, 0], residual[k, 1]), (sizes[k, 2], sizes[k, 3])
@@ -334,17 +336,17 @@ def _paint(image, geometry, h, found):
             values[3 + 6 * j], values[4 + 6 * j], values[5 + 6 * j] = along, along * xx, along * xy
             # t ⊗ n with t = (n_y, -n_x): its symmetric part has xx = 2 n_x n_y, xy = n_y² − n_x².
             values[6 + 6 * j], values[7 + 6 * j], values[8 + 6 * j] = across, across * xy, -across * xx
-        values[first - 1] = found.wall[k]
-        _add(image, geometry, h, found.point[k], values, 0, (first - 1) // WIDTH + 1)
+        values[first - 1] = measured.wall[k]
+        _add(image, geometry, h, measured.point[k], values, 0, (first - 1) // WIDTH + 1)
     values[:] = 0.0
     x_last, y_last = geometry[0] + geometry[2] * (n_x - 1), geometry[1] + geometry[2] * (n_y - 1)
     values[first] = 1.0
-    for k in range(found.centre.shape[0]):
-        x, y = found.centre[k, 0], found.centre[k, 1]
+    for k in range(measured.centre.shape[0]):
+        x, y = measured.centre[k, 0], measured.centre[k, 1]
         if geometry[0] <= x <= x_last and geometry[1] <= y <= y_last:
             for j in range(6):
-                values[first + 1 + j] = found.body_sizes[k, j]
-            _add(image, geometry, h, found.centre[k], values, first // WIDTH, _ROOM // WIDTH)
+                values[first + 1 + j] = measured.body_sizes[k, j]
+            _add(image, geometry, h, measured.centre[k], values, first // WIDTH, _ROOM // WIDTH)
 
 
 @njit(cache=True, error_model="numpy")

@@ -64,8 +64,8 @@ class Spec:
             got = sorted(values) if isinstance(values, dict) else values
             raise ValueError(f"{cls.__name__}: expected the fields {', '.join(sorted(names))}, got {got!r}")
         for name in only.keys() & values:
-            given = values[name] if isinstance(values[name], list) else [values[name]]
-            if any(value != only[name] for value in given):
+            entries = values[name] if isinstance(values[name], list) else [values[name]]
+            if any(value != only[name] for value in entries):
                 raise ValueError(
                     f"{cls.__name__}: {name}: expected {only[name]!r}, the only one left, got {values[name]!r}"
                 )
@@ -103,12 +103,12 @@ class ImageSpec(Spec):
         return self.grid(world).shape
 
 
-def _names(name: str, given, table) -> tuple[str, ...]:
-    names = (given,) if isinstance(given, str) or not np.iterable(given) else tuple(given)
+def _names(name: str, chosen, table) -> tuple[str, ...]:
+    names = (chosen,) if isinstance(chosen, str) or not np.iterable(chosen) else tuple(chosen)
     for i, item in enumerate(names):
         one_of(f"{name}[{i}]", item, table)
     if not names or len(set(names)) != len(names):
-        raise ValueError(f"{name}: expected one or more different names, got {given!r}")
+        raise ValueError(f"{name}: expected one or more different names, got {chosen!r}")
     return names
 
 
@@ -137,11 +137,11 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
     It reads bilinearly (Algorithm 4). Raises ValueError where the image does not fit the spec, or is not finite around
     a contact.
     """
-    state, given = with_contacts(state), np.asarray(image, dtype=np.float64)
+    state, pixels = with_contacts(state), np.asarray(image, dtype=np.float64)
     expected = (*spec.shape(state.world), len(spec.targets))
-    if given.shape != expected:
-        raise ValueError(f"image: expected shape {expected}, got {given.shape}")
-    values = gather(spec.grid(state.world), given, state.contacts.position, **_REACH)
+    if pixels.shape != expected:
+        raise ValueError(f"image: expected shape {expected}, got {pixels.shape}")
+    values = gather(spec.grid(state.world), pixels, state.contacts.position, **_REACH)
     return tuple(np.ascontiguousarray(column) for column in values.T)
 
 

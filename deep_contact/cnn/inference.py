@@ -88,10 +88,10 @@ class LearnedModel:
         Raises ValueError naming the shape that was expected and the one that came.
         """
         image, read = self._seen(state)
-        shape, given = self._output_shape(image.shape), np.asarray(output, np.float32)
-        if given.size != np.prod(shape):
-            raise ValueError(f"output: expected shape {(1, *shape)}, got {given.shape}")
-        return _cut(read(given.reshape(shape)), state, project)
+        shape, pixels = self._output_shape(image.shape), np.asarray(output, np.float32)
+        if pixels.size != np.prod(shape):
+            raise ValueError(f"output: expected shape {(1, *shape)}, got {pixels.shape}")
+        return _cut(read(pixels.reshape(shape)), state, project)
 
     def predict(self, state: State | Sequence[State], *, project: bool = True, problem: StepProblem | None = None):
         """(λ_n, λ_t) at the state's contacts, (m,) each, N·s; for several states, a list of such pairs.
@@ -128,7 +128,7 @@ class LearnedModel:
 
     def _output_shape(self, shape):
         takes = self.network.input_shape[1:]
-        if len(shape) != 3 or any(side not in (None, given) for side, given in zip(takes, shape)):
+        if len(shape) != 3 or any(side not in (None, nodes) for side, nodes in zip(takes, shape)):
             raise ValueError(f"image: expected shape {takes}, got {shape}")
         return (*shape[:2], len(self.spec.targets))
 

@@ -21,15 +21,15 @@ def network_file(model=None) -> Path:
 
     Where "models/x.h5" does not exist, it is the registered "x". Raises FileNotFoundError where there is none.
     """
-    given, known = "model" if model is None else str(model), registered()
-    for place in () if given in known else (Path(given), ROOT / given):
+    text, known = "model" if model is None else str(model), registered()
+    for place in () if text in known else (Path(text), ROOT / text):
         if place.exists() and not place.is_dir():
             return place
-    name = given.removeprefix("models/").removesuffix(".h5")
+    name = text.removeprefix("models/").removesuffix(".h5")
     if name in known:
         return path_of(name)
     raise FileNotFoundError(
-        f"model file: expected a file or one of {', '.join(known)}, got {given}, which does not exist; "
+        f"model file: expected a file or one of {', '.join(known)}, got {text}, which does not exist; "
         "`python scripts/train.py` makes one"
     )
 
@@ -48,8 +48,8 @@ def path_of(name: str) -> Path:
             f"source repository has it, {FOLDER} names another folder, and `{entry['command']}` trains such a network"
         )
     status = path.stat()
-    if (found := _sha256(path, status.st_mtime_ns, status.st_size)) != entry["sha256"]:
-        raise ModelFileError(f"{path}: sha256: expected {entry['sha256']}, as registered, got {found}")
+    if (digest := _sha256(path, status.st_mtime_ns, status.st_size)) != entry["sha256"]:
+        raise ModelFileError(f"{path}: sha256: expected {entry['sha256']}, as registered, got {digest}")
     return path
 
 
@@ -63,18 +63,18 @@ def registered() -> dict[str, dict]:
     if path is None:
         return {}
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        for name, entry in found.items():
+        entries = json.loads(path.read_text(encoding="utf-8"))
+        for name, entry in entries.items():
             if any(not isinstance(entry[field], str) for field in ("file", "sha256", "command")):
                 raise ValueError(f"{name}: expected texts, got {entry}")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ModelFileError(f"{path}: expected a name -> file, sha256 and command, got {error!r}") from None
-    return found
+    return entries
 
 
 def _folders() -> list[Path]:
-    given = [Path(os.environ[FOLDER])] if os.environ.get(FOLDER) else []
-    return list(dict.fromkeys([*given, ROOT / "models", Path.cwd() / "models"]))
+    first = [Path(os.environ[FOLDER])] if os.environ.get(FOLDER) else []
+    return list(dict.fromkeys([*first, ROOT / "models", Path.cwd() / "models"]))
 
 
 @lru_cache(maxsize=64)

@@ -58,18 +58,18 @@ def member(group, name: str):
 
 def dataset(group, name: str) -> h5py.Dataset:
     """An array of the group, before it is read. Raises ValueError unless it is in this file."""
-    found, where = member(group, name), f"{group.name}/{name}".strip("/")
-    is_here = isinstance(found, h5py.Dataset) and not (found.is_virtual or found.external)
-    expect(is_here, f"{where}: expected an array in this file, got {found}")
-    is_held = found.nbytes <= MOST_PACKED * found.id.get_storage_size()
-    expect(is_held, f"{where}: expected what the file holds, got {found.nbytes} bytes that are not in it")
-    _check_chunks(found, where)
-    return found
+    array, where = member(group, name), f"{group.name}/{name}".strip("/")
+    is_here = isinstance(array, h5py.Dataset) and not (array.is_virtual or array.external)
+    expect(is_here, f"{where}: expected an array in this file, got {array}")
+    is_held = array.nbytes <= MOST_PACKED * array.id.get_storage_size()
+    expect(is_held, f"{where}: expected what the file holds, got {array.nbytes} bytes that are not in it")
+    _check_chunks(array, where)
+    return array
 
 
 def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> dict[str, h5py.Dataset]:
     """All arrays below the group by their paths, as `dataset` finds them. Raises ValueError for one met twice."""
-    found, seen = {}, seen or set()
+    below, seen = {}, seen or set()
     for name in sorted(group):
         item = member(group, name)
         if isinstance(item, (h5py.Group, h5py.Dataset)):
@@ -77,29 +77,29 @@ def datasets(group, prefix: str = "", seen: frozenset | set = frozenset()) -> di
             expect(place not in seen, f"{group.name}/{name}: expected every object once, got a second link to one")
             seen.add(place)
         if isinstance(item, h5py.Group):
-            found |= datasets(item, f"{prefix}{name}/", seen)
+            below |= datasets(item, f"{prefix}{name}/", seen)
         else:
-            found[prefix + name] = dataset(group, name)
-    return found
+            below[prefix + name] = dataset(group, name)
+    return below
 
 
-def read(found: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]:
+def read(arrays: Mapping[str, h5py.Dataset], most: int) -> dict[str, np.ndarray]:
     """The arrays, of numbers. Raises ValueError where they have more than `most` bytes together."""
-    for name, data in found.items():
+    for name, data in arrays.items():
         expect(data.dtype.kind in "iuf", f"{name}: expected numbers, got {data.dtype}")
-    size = sum(data.nbytes for data in found.values())
-    expect(size <= most, f"{', '.join(found)[:80]}: expected at most {most} bytes unpacked, got {size}")
-    return {name: data[()] for name, data in found.items()}
+    size = sum(data.nbytes for data in arrays.values())
+    expect(size <= most, f"{', '.join(arrays)[:80]}: expected at most {most} bytes unpacked, got {size}")
+    return {name: data[()] for name, data in arrays.items()}
 
 
 def attribute(item, name: str):
     """An attribute of a group or file. Raises ValueError where there is none, or one larger than the file."""
     expect(name in item.attrs, f"{name}: expected this attribute, got none")
-    found = item.attrs.get_id(name)
-    count = math.prod(found.shape or ())
-    is_long = h5py.check_vlen_dtype(found.dtype) or h5py.check_string_dtype(found.dtype)
-    is_held = count * found.dtype.itemsize <= item.file.id.get_filesize() and not (is_long and count > _MOST_TEXTS)
-    expect(is_held, f"{name}: expected an attribute that lies in the file, got shape {found.shape}")
+    stored = item.attrs.get_id(name)
+    count = math.prod(stored.shape or ())
+    is_long = h5py.check_vlen_dtype(stored.dtype) or h5py.check_string_dtype(stored.dtype)
+    is_held = count * stored.dtype.itemsize <= item.file.id.get_filesize() and not (is_long and count > _MOST_TEXTS)
+    expect(is_held, f"{name}: expected an attribute that lies in the file, got shape {stored.shape}")
     return item.attrs[name]
 
 

@@ -231,18 +231,13 @@ def barrel(rows: int = 150, *, columns: int = 26, seed: int | np.random.Generato
     return heap.replace(name=f"barrel_{rows}_{columns}", world=world)
 
 
-def two_bodies(
-    *, speed: float = 2.0, radius: tuple[float, float] = (1.0, 1.0), density: float = 1.0, offset: float = 0.0, **world
-) -> State:
+def two_bodies(*, speed: float = 2.0, radius: tuple[float, float] = (1.0, 1.0), density: float = 1.0, **world) -> State:
     """Two circles that touch and run into each other without gravity, each at half the closing `speed`, m/s.
 
-    radius: of the first (left) and of the second, m. offset: height of the second over the first, m; 0 is head-on.
-    world: friction and restitution of the `World`.
+    radius: of the first (left) and of the second, m. world: friction and restitution of the `World`.
     """
     first, second = (float(r) for r in radius)
-    reach = first + second
-    expect(abs(offset) < reach, f"offset: expected less than the sum of the radii {reach}, got {offset}")
-    centres = 15.0 + np.array([[0.0, 0.0], [math.sqrt(reach**2 - offset**2), offset]])
+    centres = 15.0 + np.array([[0.0, 0.0], [first + second, 0.0]])
     bodies = make_bodies(centres, radius=[first, second], velocity=[[speed / 2, 0], [-speed / 2, 0]], density=density)
     return State(name="two_bodies", world=World(gravity=(0, 0), **world), bodies=bodies)
 

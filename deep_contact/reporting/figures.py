@@ -126,30 +126,30 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     Any other error of the figure's own functions is raised.
     """
     parser = _parser(figure)
-    given = parser.parse_args(arguments)
+    args = parser.parse_args(arguments)
     if hasattr(sys.stdout, "reconfigure"):
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
-    if given.jobs < 1 or (given.seed or 0) < 0:
-        parser.error(f"expected --jobs of at least 1 and no negative --seed, got {given.jobs} and {given.seed}")
-    if given.replot and (given.set or given.quick or given.resume or given.seed is not None):
+    if args.jobs < 1 or (args.seed or 0) < 0:
+        parser.error(f"expected --jobs of at least 1 and no negative --seed, got {args.jobs} and {args.seed}")
+    if args.replot and (args.set or args.quick or args.resume or args.seed is not None):
         parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
     try:
-        Path(given.out).mkdir(parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=given.out).close()  # a folder without write permission is refused before the work
+        Path(args.out).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=args.out).close()  # a folder without write permission is refused before the work
     except OSError as error:
-        parser.error(f"--out: expected a folder that can be written, got {given.out!r} ({error.strerror})")
-    changes, path = dict(given.set), Path(given.out, f"{figure.stem}.json")
-    seed = figure.seed if given.seed is None else given.seed
+        parser.error(f"--out: expected a folder that can be written, got {args.out!r} ({error.strerror})")
+    changes, path = dict(args.set), Path(args.out, f"{figure.stem}.json")
+    seed = figure.seed if args.seed is None else args.seed
     # An exit, so that temporary files and child processes are cleaned up.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
-        if given.replot:
+        if args.replot:
             _report(figure, _redrawn(figure, path), path)
-        elif given.resume and _is_current(figure, path, figure.settings(changes, given.quick), seed):
+        elif args.resume and _is_current(figure, path, figure.settings(changes, args.quick), seed):
             print(f"{figure.stem}: up to date")
         else:
-            with parallel.opened(given.jobs, given.scheduler) as jobs:
-                produce(figure, options=changes, quick=given.quick, seed=seed, out=given.out, jobs=jobs)
+            with parallel.opened(args.jobs, args.scheduler) as jobs:
+                produce(figure, options=changes, quick=args.quick, seed=seed, out=args.out, jobs=jobs)
         return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
@@ -158,7 +158,7 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         print(f"{figure.stem}: {error}", file=sys.stderr)
         return 1
     except ValueError as error:
-        if given.replot and isinstance(error, results.ResultsError):
+        if args.replot and isinstance(error, results.ResultsError):
             parser.error(f"--replot: {error}")
         if not changes:
             raise
@@ -193,12 +193,12 @@ def produce(
             f"{unread[0]}: expected a setting that changes what is drawn, got one without effect beside {others}"
         )
     data = results.plain(data, digits=figure.digits)
-    found = {"id": figure.id, "title": figure.title, "options": options, "provenance": made}
-    found |= {"claims": list(figure.claims(data)), "data": data}
-    found = results.read_results(results.write_results(path, found))
-    _draw(figure, found, path)
-    _report(figure, found, path)
-    return Results(found, figure=figure, picture=path.with_suffix(".png"))
+    stored = {"id": figure.id, "title": figure.title, "options": options, "provenance": made}
+    stored |= {"claims": list(figure.claims(data)), "data": data}
+    stored = results.read_results(results.write_results(path, stored))
+    _draw(figure, stored, path)
+    _report(figure, stored, path)
+    return Results(stored, figure=figure, picture=path.with_suffix(".png"))
 
 
 class _Watched(UserDict):
@@ -222,8 +222,8 @@ class _Watched(UserDict):
 class Results(dict):
     """The stored results of a figure, which a notebook shows as its picture and its claims. picture: its path."""
 
-    def __init__(self, found: dict, *, figure: Figure, picture: Path):
-        super().__init__(found)
+    def __init__(self, stored: dict, *, figure: Figure, picture: Path):
+        super().__init__(stored)
         self._figure, self._picture = figure, picture
 
     def __repr__(self) -> str:
@@ -237,29 +237,29 @@ class Results(dict):
         return f'{text}<img style="max-width:100%" src="data:image/png;base64,{picture}">'
 
 
-def _draw(figure: Figure, found: dict, path: Path) -> None:
+def _draw(figure: Figure, stored: dict, path: Path) -> None:
     with plotting.style():
         if figure.draw is None:
-            picture = plotting.draw_table(figure.rows(found["data"]), figure.heading)
+            picture = plotting.draw_table(figure.rows(stored["data"]), figure.heading)
         else:
-            picture = figure.draw(found["data"], found["options"])
-        if figure.beside(found["options"]) is not None:
+            picture = figure.draw(stored["data"], stored["options"])
+        if figure.beside(stored["options"]) is not None:
             picture.text(1.0, 0.0, "quick", ha="right", va="bottom", color=plotting.GREY, in_layout=False)
         plotting.save(picture, path.with_suffix(".png"))
     if figure.is_table:
         with replacing(path.with_suffix(".md")) as temporary:
-            temporary.write_text(_markdown(figure, found), encoding="utf-8")
+            temporary.write_text(_markdown(figure, stored), encoding="utf-8")
 
 
 def _redrawn(figure: Figure, path: Path) -> dict:
     """The stored results, judged as of now and drawn again. Raises ResultsError where they are none of this figure."""
     if not path.exists():
         raise results.ResultsError(f"{path}: expected the results of a run, got no file")
-    found = results.read_results(path)
-    if found["id"] != figure.id:
-        raise results.ResultsError(f"{path.name}: expected id {figure.id!r}, got {found['id']!r}")
-    judged = found | results.plain({"title": figure.title, "claims": list(figure.claims(found["data"]))})
-    if judged != found:
+    stored = results.read_results(path)
+    if stored["id"] != figure.id:
+        raise results.ResultsError(f"{path.name}: expected id {figure.id!r}, got {stored['id']!r}")
+    judged = stored | results.plain({"title": figure.title, "claims": list(figure.claims(stored["data"]))})
+    if judged != stored:
         results.write_results(path, judged)
     _draw(figure, judged, path)
     return judged
@@ -272,15 +272,15 @@ def _is_current(figure: Figure, path: Path, options: dict, seed: int) -> bool:
     return drawn and results.is_current(path, made, id=figure.id, options=options)
 
 
-def _report(figure: Figure, found: dict, path: Path) -> None:
+def _report(figure: Figure, stored: dict, path: Path) -> None:
     """Print the numbers as a table, one line a claim, and the picture's path."""
-    beside = figure.beside(found["options"])
+    beside = figure.beside(stored["options"])
     print(figure.heading)
-    rows = figure.rows(found["data"]) if figure.table else []
+    rows = figure.rows(stored["data"]) if figure.table else []
     widths = [max(map(len, column)) for column in zip(*rows)]
     for row in rows:
         print(f"  {'  '.join(map(str.ljust, row, widths))}".rstrip())
-    for claim in found["claims"]:
+    for claim in stored["claims"]:
         print(claim_line(claim, beside, measured=beside is None))
     print(f"picture: {path.with_suffix('.png')}")
 
@@ -292,11 +292,11 @@ def claim_line(claim: dict, beside: dict | None = None, *, measured: bool = True
     return f"{results.verdict(claim, beside)}: {claim['text']}{source}" + (f": {numbers}" if measured else "")
 
 
-def _markdown(figure: Figure, found: dict) -> str:
-    beside = figure.beside(found["options"])
-    head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(found["data"])]
+def _markdown(figure: Figure, stored: dict) -> str:
+    beside = figure.beside(stored["options"])
+    head, *body = [[text.replace("|", "\\|") for text in row] for row in figure.rows(stored["data"])]
     rows = "".join(f"| {' | '.join(row)} |\n" for row in (head, ["---"] * len(head), *body))
-    claims = "".join(f"- {claim_line(claim, beside)}\n" for claim in found["claims"])
+    claims = "".join(f"- {claim_line(claim, beside)}\n" for claim in stored["claims"])
     return f"**{figure.heading}**\n\n{rows}" + (f"\n{claims}" if claims else "")
 
 
@@ -415,8 +415,8 @@ def parallel_map(
     """
     items = list(items)
     progress = progress or (lambda iterable, **_: iterable)
-    found = [None] * len(items)
+    returned = [None] * len(items)
     with closing(parallel.finished(function, items, jobs=jobs)) as done:
         for i, result in progress(done, total=len(items), text=text):
-            found[i] = result
-    return found
+            returned[i] = result
+    return returned

@@ -37,15 +37,15 @@ def write_report(
     folder = Path(folder)
     if not folder.is_dir():
         raise FileNotFoundError(f"folder of results: {folder} does not exist")
-    found, faults, captions = [], [], captions or {}
+    entries, faults, captions = [], [], captions or {}
     for path in sorted(folder.glob("*.json")):
         if re.fullmatch(r"(figure|table)_[0-9A-Z]+_[0-9]+\.json", path.name):
             try:
-                found.append(_content(path))
+                entries.append(_content(path))
             except results.ResultsError as error:
                 faults.append(str(error))
-    found.sort(key=lambda entry: _order(entry["id"]))
-    there, expected = {entry["id"] for entry in found}, set(expected)
+    entries.sort(key=lambda entry: _order(entry["id"]))
+    there, expected = {entry["id"] for entry in entries}, set(expected)
     missing, not_drawn = (
         ", ".join(results.name_of(id) for id in sorted(ids, key=_order))
         for ids in (expected - there, captions.keys() - expected - there)
@@ -56,8 +56,8 @@ def write_report(
     environment.filters["cell"] = cell
     page = environment.get_template("page.html.j2").render(
         policy=POLICY,
-        found=[entry | {"caption": captions.get(entry["id"], "")} for entry in found],
-        claims=[claim for entry in found for claim in entry["claims"] if claim["thesis"]],
+        found=[entry | {"caption": captions.get(entry["id"], "")} for entry in entries],
+        claims=[claim for entry in entries for claim in entry["claims"] if claim["thesis"]],
         faults=faults,
         not_drawn=not_drawn,
         errata=ERRATA,

@@ -110,12 +110,12 @@ def style_of(start: str) -> dict:
 
 def styles_of(names: Iterable[str]) -> dict[str, dict]:
     """Name -> keywords for `ax.plot`: starts as `style_of` has them, others with the next free colour and line."""
-    found = {name: START_STYLE.get(name) for name in names}
-    taken = {look["color"] for look in found.values() if look}
+    looks = {name: START_STYLE.get(name) for name in names}
+    taken = {look["color"] for look in looks.values() if look}
     # Seven colours and four lines have no common factor: 28 different pairs. Colours of starts come last.
     pairs = zip(cycle(CYCLE), cycle(("-", "--", "-.", ":")))
     free = (pair for pair in pairs if pair[0] not in taken or taken >= set(CYCLE))
-    return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in found.items()}
+    return {name: look or dict(zip(("color", "linestyle"), next(free)), label=name) for name, look in looks.items()}
 
 
 def subplots(rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **keywords):

@@ -18,13 +18,13 @@ def find(folder: Path) -> dict[str, Path]:
     """
     matches = [(match, path) for path in folder.glob("*_*.py") if (match := _SCRIPT.fullmatch(path.name))]
     matches.sort(key=lambda one: (int(one[0][3]), int(one[0][4]), one[0][2] == "table", one[1].name))
-    found: dict[str, Path] = {}
+    paths: dict[str, Path] = {}
     for match, path in matches:
         name = f"{'T' * (match[2] == 'table')}{match[3]}.{match[4]}"
-        if name in found:
-            raise ValueError(f"expected one script for {name}, got {found[name].name} and {path.name}")
-        found[name] = path
-    return found
+        if name in paths:
+            raise ValueError(f"expected one script for {name}, got {paths[name].name} and {path.name}")
+        paths[name] = path
+    return paths
 
 
 def normalized(name: str) -> str:

@@ -292,15 +292,15 @@ def splat(
     chosen, h = kernel_number(kernel), check_support_radius(h)
     codes = _code("normalization", normalization), _code("unreached", unreached), _code("outside", outside)
     position = positions(position)
-    given = _finite("values", as_floats("values", values))
-    columns = given.reshape(-1, 1) if given.ndim == 1 else given
+    samples = _finite("values", as_floats("values", values))
+    columns = samples.reshape(-1, 1) if samples.ndim == 1 else samples
     if columns.ndim != 2 or columns.shape[0] != position.shape[0]:
-        raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {given.shape}")
+        raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {samples.shape}")
     image = np.zeros((*grid.shape, columns.shape[1]))
     code, k = _splat_core(grid._geometry, position, columns, h, chosen, *codes, image)
     if code != _DONE:
         raise _error(code, k, grid, position, h)
-    return image if given.ndim == 2 else image.reshape(grid.shape)
+    return image if samples.ndim == 2 else image.reshape(grid.shape)
 
 
 def density(
@@ -363,32 +363,32 @@ def gather(
     return out if np.ndim(image) == 3 else out.reshape(-1)
 
 
-def _several(name, given, count=2, *, check=number, expected="finite numbers"):
+def _several(name, values, count=2, *, check=number, expected="finite numbers"):
     try:
-        found = tuple(check(name, value) for value in given)
+        checked = tuple(check(name, value) for value in values)
     except (TypeError, ValueError):
-        found = ()
-    expect(len(found) == count, f"{name}: expected {count} {expected}, got {given}")
-    return found
+        checked = ()
+    expect(len(checked) == count, f"{name}: expected {count} {expected}, got {values}")
+    return checked
 
 
-def _spacing(given):
-    spacing = _several("spacing", (given,) * 2 if np.ndim(given) == 0 else given)
-    expect(min(spacing) > 0, f"spacing: expected numbers > 0, got {given}")
+def _spacing(lengths):
+    spacing = _several("spacing", (lengths,) * 2 if np.ndim(lengths) == 0 else lengths)
+    expect(min(spacing) > 0, f"spacing: expected numbers > 0, got {lengths}")
     return spacing
 
 
-def image_of(grid: Grid, given) -> np.ndarray:
+def image_of(grid: Grid, pixels) -> np.ndarray:
     """An image as (n_y, n_x, c), float64. Raises ValueError unless it has the nodes of the grid."""
-    image = as_floats("image", given)
+    image = as_floats("image", pixels)
     if image.ndim not in (2, 3) or image.shape[:2] != grid.shape:
         raise ValueError(f"image: expected shape {(*grid.shape, 'channels')}, got {image.shape}")
     return image if image.ndim == 3 else image.reshape(*grid.shape, 1)
 
 
-def positions(given) -> np.ndarray:
+def positions(points) -> np.ndarray:
     """Positions as (k, 2), float64. Raises ValueError for other shapes, and for what is not finite."""
-    position = as_floats("position", given)
+    position = as_floats("position", points)
     if position.size == 0 and position.ndim == 1:
         position = position.reshape(0, 2)
     expect(position.ndim == 2 and position.shape[1] == 2, f"position: expected shape (k, 2), got {position.shape}")
@@ -403,9 +403,9 @@ def _finite(name: str, array: np.ndarray) -> np.ndarray:
     return array
 
 
-def _code(name, given):
+def _code(name, choice):
     """The number of an option."""
-    return _OPTIONS[name][one_of(name, given, _OPTIONS[name])]
+    return _OPTIONS[name][one_of(name, choice, _OPTIONS[name])]
 
 
 def _error(code, k, grid, position, h) -> ValueError:

@@ -37,11 +37,11 @@ def correlate(image: np.ndarray, kernel: np.ndarray) -> np.ndarray:
     return np.array([[window_products(image, kernel, i, j).sum() for j in columns] for i in rows])
 
 
-def by_keras(layer: str, *given, x: np.ndarray, weights: Sequence[np.ndarray] = (), **options) -> np.ndarray:
+def by_keras(layer: str, *arguments, x: np.ndarray, weights: Sequence[np.ndarray] = (), **options) -> np.ndarray:
     """What a Keras layer of this name makes of x, without a batch, in float64."""
     from deep_contact.cnn.backend import keras
 
-    made = getattr(keras.layers, layer)(*given, dtype="float64", **options)
+    made = getattr(keras.layers, layer)(*arguments, dtype="float64", **options)
     made.build((None, *x.shape))
     made.set_weights(list(weights))
     return np.asarray(made(np.asarray(x, dtype=np.float64)[None])[0])
@@ -49,8 +49,8 @@ def by_keras(layer: str, *given, x: np.ndarray, weights: Sequence[np.ndarray] = 
 
 def keras_convolution(image: np.ndarray, kernel: np.ndarray, *, stride: int = 1) -> np.ndarray:
     """`correlate` by Keras's `Conv2D`: (o_y, o_x, f). image: (n_y, n_x, d); kernel: (k_y, k_x, d, f)."""
-    given = kernel.shape[3], kernel.shape[:2]
-    return by_keras("Conv2D", *given, x=image, weights=[kernel], strides=stride, use_bias=False)
+    arguments = kernel.shape[3], kernel.shape[:2]
+    return by_keras("Conv2D", *arguments, x=image, weights=[kernel], strides=stride, use_bias=False)
 
 
 # ---- neurons ----
@@ -133,8 +133,8 @@ def backpropagate(x: np.ndarray, w_hidden: np.ndarray, w_output: np.ndarray, tar
     e = float(target - y)
     of_hidden = np.repeat(x[:, None], w_output.size, axis=1)  # of v_j by w_ij; the others are zero
     chain = {"∂L/∂e": np.array(2 * e), "∂e/∂y": np.array(-1.0), "∂y/∂v": w_output, "∂y/∂w": v, "∂v/∂w": of_hidden}
-    found = {"v": v, "y": y, "e": e, "loss": e**2, "chain": chain}
-    return found | {"output": -2 * v * e, "hidden": -2 * e * np.outer(x, w_output)}
+    values = {"v": v, "y": y, "e": e, "loss": e**2, "chain": chain}
+    return values | {"output": -2 * v * e, "hidden": -2 * e * np.outer(x, w_output)}
 
 
 def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
@@ -152,10 +152,10 @@ def automatic_gradients(x, w_hidden, w_output, target) -> dict[str, np.ndarray]:
         e = d - y
         loss = e**2
         total = tf.reduce_sum(v)
-    found = {"output": (loss, w_o), "hidden": (loss, w_h), "∂L/∂e": (loss, e), "∂e/∂y": (e, y)}
+    pairs = {"output": (loss, w_o), "hidden": (loss, w_h), "∂L/∂e": (loss, e), "∂e/∂y": (e, y)}
     # w_ij acts on v_j alone, so the derivative of the sum of v is that of v_j.
-    found |= {"∂y/∂v": (y, v), "∂y/∂w": (y, w_o), "∂v/∂w": (total, w_h)}
-    return {name: tape.gradient(*pair).numpy() for name, pair in found.items()}
+    pairs |= {"∂y/∂v": (y, v), "∂y/∂w": (y, w_o), "∂v/∂w": (total, w_h)}
+    return {name: tape.gradient(*pair).numpy() for name, pair in pairs.items()}
 
 
 # ---- inside a trained network ----

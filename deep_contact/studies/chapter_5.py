@@ -46,12 +46,12 @@ def networks_info(networks: Mapping[str, str]) -> dict[str, dict]:
     Returns name -> {"file", "architecture", "parameters": None if the card has none, "visits": states shown in
     training, each as often as it was}. Raises FileNotFoundError for a missing file, before anything long begins.
     """
-    found = {}
+    infos = {}
     for name, path in networks.items():
         card = card_of(path)
         about = {"file": str(path), "architecture": card["architecture"], "parameters": card.get("parameters")}
-        found[name] = about | {"visits": len(card["history"]) * card["config"]["states_per_epoch"]}
-    return found
+        infos[name] = about | {"visits": len(card["history"]) * card["config"]["states_per_epoch"]}
+    return infos
 
 
 def card_of(path) -> dict:
@@ -231,19 +231,19 @@ def time_to_threshold(
     a state}}}; a start has the stages that it needs.
     """
     solver = PGS(sweeps=most, tolerance=THRESHOLD)
-    found = {name: {"sweeps": [], "missed": 0, "seconds": {}} for name in starts}
+    times = {name: {"sweeps": [], "missed": 0, "seconds": {}} for name in starts}
     for state in progress(states, total=len(states), text="states"):
         calls = {}
         for name, start in starts.items():
             impulses = start(state, solver)
             theta = solve(state, solver, *impulses).record.theta
-            found[name]["sweeps"].append(sweeps_to(theta))
-            found[name]["missed"] += int(theta[-1] > THRESHOLD)
+            times[name]["sweeps"].append(sweeps_to(theta))
+            times[name]["missed"] += int(theta[-1] > THRESHOLD)
             counted = partial(solve, state, PGS(sweeps=sweeps_to(theta), tolerance=None), *impulses)
             calls |= {(name, stage): call for stage, call in (stages_of(start, state) | {"solve": counted}).items()}
         for (name, stage), seconds in timing.interleaved(calls, repeats=repeats, **CLOCK).items():
-            found[name]["seconds"].setdefault(stage, []).append(float(seconds))
-    return found
+            times[name]["seconds"].setdefault(stage, []).append(float(seconds))
+    return times
 
 
 def time_by_tree(state: State, *, repeats: int) -> float:
@@ -360,7 +360,7 @@ MEASURES = ("normal", "tangent", "velocity")
 
 def of_seeds(data: Mapping, variant: str, measure: str) -> np.ndarray:
     """One of the `MEASURES` of a variant, one a seed."""
-    errors = [found[measure] for found in data["variants"][variant]["errors"]]
+    errors = [one[measure] for one in data["variants"][variant]["errors"]]
     return np.array([e[0] if measure == "velocity" else e for e in errors])
 
 

@@ -356,12 +356,12 @@ def cases(names, *, quick: bool, steps: int) -> list[dict]:
 
     quick: with every other value. Raises ValueError on an unknown name.
     """
-    found = []
+    runs = []
     for name in names:
         _, values, _ = QUANTITIES[one_of("quantities", name, QUANTITIES)]
         cells = product(values[:: 1 + quick], ENGINES[:1] if name in OURS_ALONE else ENGINES)
-        found += [{"quantity": name, "value": value, "engine": engine, "steps": steps} for value, engine in cells]
-    return found
+        runs += [{"quantity": name, "value": value, "engine": engine, "steps": steps} for value, engine in cells]
+    return runs
 
 
 def run_case(case: dict) -> dict:

@@ -75,12 +75,12 @@ def fixed(solver: str, sweeps: int):
     return replace(SOLVERS[solver], sweeps=sweeps, tolerance=None)
 
 
-def errors_of(state: State, given: Mapping, settings: Iterable[str], sweeps: Sequence, references: Sequence) -> dict:
-    """Setting -> distances to the nearest reference after so many sweeps. given: start -> its impulses."""
+def errors_of(state: State, impulses: Mapping, settings: Iterable[str], sweeps: Sequence, references: Sequence) -> dict:
+    """Setting -> distances to the nearest reference after so many sweeps. impulses: start -> its impulses."""
     found = {}
     for name in settings:
         start, solver = parts_of(name)
-        ends = (solve(state, fixed(solver, k), *given[start]) for k in sweeps)
+        ends = (solve(state, fixed(solver, k), *impulses[start]) for k in sweeps)
         found[name] = [metrics.nearest_velocity_error(state, end, references) for end in ends]
     return found
 
@@ -123,8 +123,8 @@ def _errors_on_scene(task: Mapping) -> dict:
     found: dict = {"step": [], "errors": {name: [] for name in task["settings"]}}
     for state in solved_states(scene, steps=steps, every=max(1, steps // count), solver=PGS(sweeps=5000)):
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
-        given = {name: start(state, PGS()) for name, start in starts.items()}
-        errors = errors_of(state, given, task["settings"], task["after"], [solution])
+        impulses = {name: start(state, PGS()) for name, start in starts.items()}
+        errors = errors_of(state, impulses, task["settings"], task["after"], [solution])
         if np.isfinite(list(errors.values())).all():  # not where contacts have nothing to solve
             found["step"].append(state.step)
             for name, values in errors.items():

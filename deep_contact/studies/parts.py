@@ -25,7 +25,7 @@ def done(
     arguments is another part. One that JSON cannot read is computed again. jobs: as in `parallel.finished`. text: of
     the progress bar.
     """
-    paths = [work / f"{name}_{given['n_bodies']}_{digest_of([name, given])}.json" for name, given in parts]
+    paths = [work / f"{name}_{arguments['n_bodies']}_{digest_of([name, arguments])}.json" for name, arguments in parts]
     stored = [_read(path) for path in paths]
     missing = [i for i, found in enumerate(stored) if found is None]
     work.mkdir(parents=True, exist_ok=True)

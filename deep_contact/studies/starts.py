@@ -103,10 +103,10 @@ def paired(
     found = {}
     for name, start in starts.items():
         impulses = [start(state, solver) for state in states]
-        thetas = [solve_contacts(s, solver=solver, start=given).record.theta for s, given in zip(states, impulses)]
+        thetas = [solve_contacts(s, solver=solver, start=impulse).record.theta for s, impulse in zip(states, impulses)]
         found[name] = convergence_of(thetas, sweeps)
         if velocity_sweeps:
-            errors = [velocity_errors(goal, given, velocity_sweeps) for goal, given in zip(goals, impulses)]
+            errors = [velocity_errors(goal, impulse, velocity_sweeps) for goal, impulse in zip(goals, impulses)]
             found[name]["velocity"] = np.array(errors)
     return found
 

@@ -94,7 +94,6 @@ REFUSED = [
     (lambda: dc.circles_in_box(5, seed=np.matrix([[1, 2]])), {}, "seed: expected an integer >= 0 or a numpy"),
     (dc.terrain, {"n_bodies": 5, "seed": [1, 2]}, r"seed: expected an integer >= 0 or a numpy.*, got \[1, 2"),
     (dc.column, {"width": 1.0}, "width: expected a finite number >= the diameter"),
-    (dc.two_bodies, {"offset": 3.0}, "offset: expected less than the sum of the radii"),
     (dc.drum, {"gravity": (0.0, 0.0)}, r"froude: expected 0 without gravity, which it is measured by, got 0\.05"),
     (dc.make_bodies, {"position": [[1, 1], [2]]}, r"position: expected numbers of shape \(n, 2\)"),
     (

@@ -102,21 +102,21 @@ class NetworkRun:
             mean = at["loss"] / at["states"]
             if not math.isfinite(mean):
                 raise FloatingPointError(f"loss: expected a finite number, got {mean} in epoch {epoch}; lower the rate")
-            found = {"loss": mean} | self.validate()
-            self._end_epoch(epoch, found, perf_counter() - start)
-            called.on_epoch_end(epoch, found | {"val_loss": found["validation_loss"]})
+            measured = {"loss": mean} | self.validate()
+            self._end_epoch(epoch, measured, perf_counter() - start)
+            called.on_epoch_end(epoch, measured | {"val_loss": measured["validation_loss"]})
             if self.model.stop_training:
                 break
         called.on_train_end()
 
-    def _end_epoch(self, epoch: int, found: dict, seconds: float) -> None:
+    def _end_epoch(self, epoch: int, measured: dict, seconds: float) -> None:
         """Go to the next epoch, and write all files of the folder."""
         rate = float(f"{float(self.optimizer.learning_rate):.7g}")
         best = min((line["validation_loss"] for line in self.history), default=math.inf)
-        self.history.append({"epoch": epoch, "rate": rate} | found | {"seconds": round(seconds, 2)})
+        self.history.append({"epoch": epoch, "rate": rate} | measured | {"seconds": round(seconds, 2)})
         self.position = _beginning(epoch + 1)
         # The best one first: killed between the two, the last part is repeated with the same result.
-        if found["validation_loss"] < best:
+        if measured["validation_loss"] < best:
             save_model(self.out / "best.h5", self.model, self.spec, self.card(), box=self.box)
         self.save()
         with replacing(self.out / "history.csv") as temporary, open(temporary, "w", newline="") as file:
@@ -197,5 +197,5 @@ class ImageRun(NetworkRun):
     def validate(self) -> dict[str, float]:
         """The loss on the validation states."""
         steps = -(-len(self.validation) // self.config.batch_size)
-        found = self.model.evaluate(self._images(self.validation, steps), steps=steps, verbose=0, return_dict=True)
-        return {"validation_loss": float(found["masked_squared_error"])}
+        measured = self.model.evaluate(self._images(self.validation, steps), steps=steps, verbose=0, return_dict=True)
+        return {"validation_loss": float(measured["masked_squared_error"])}
