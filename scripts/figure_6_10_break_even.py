@@ -46,7 +46,9 @@ def claims(data):
     known, sizes = [], {}
     for (kind, n), (piles, ratios) in cases(data).items():
         sizes[n] = sizes.get(n, []) + piles
-        for error, found in zip(TOLERANCES, map(learned_starts.median_with_interval, ratios)):
+        with np.errstate(invalid="ignore"):  # a time that never comes is infinite, and so are its ratios
+            intervals = [*map(learned_starts.median_with_interval, ratios)]
+        for error, found in zip(TOLERANCES, intervals):
             if found:
                 known.append({"where": f"{n}, {kind}, {error}"} | dict(zip(("ratio", "from", "to"), found)))
     known.sort(key=lambda one: one["to"])

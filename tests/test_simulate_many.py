@@ -46,12 +46,12 @@ def test_options_are_those_of_simulate(options):
 @pytest.mark.parametrize(
     ("scenes", "options", "message"),
     [
-        (SCENES[:2], {"warm_start": "sph"}, "warm_start: expected 'builtin', 'none' or None .*, got 'sph'"),
-        (SCENES[:2], {"threads": 0}, "threads: expected an integer >= 1, got 0"),
-        (SCENES[:2], {"steps": -1}, r"states\[0\]: steps: expected an integer >= 0, got -1"),
-        (SCENES[:2], {"solver": dc.BatchedPGS(threads=2)}, "solver: expected one with threads=1 for many scenes"),
-        ([SCENES[0], "pile"], {}, "state: expected a State"),
-        ([SCENES[0], SCENES[1].replace(dt=-1.0)], {}, r"^states\[1\]: dt: expected a finite number > 0, got -1.0$"),
+        (SCENES[:2], {"warm_start": "sph"}, "warm_start: expected"),
+        (SCENES[:2], {"threads": 0}, "threads: expected"),
+        (SCENES[:2], {"steps": -1}, r"states\[0\]: steps: expected"),
+        (SCENES[:2], {"solver": dc.BatchedPGS(threads=2)}, "solver: expected"),
+        ([SCENES[0], "pile"], {}, "state: expected"),
+        ([SCENES[0], SCENES[1].replace(dt=-1.0)], {}, r"^states\[1\]: dt: expected"),
     ],
 )
 def test_what_cannot_run_many_times_at_once_is_refused(scenes, options, message):

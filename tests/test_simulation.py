@@ -65,7 +65,7 @@ def test_a_recorded_run_keeps_one_state_in_so_many_steps_and_the_last_and_change
     np.testing.assert_allclose(run.trajectory.times, [*np.arange(0.0, 0.64, 0.1), 0.65], atol=1e-12)
     assert run.trajectory[-1] == run.state == plain.state
     assert run.trajectory[5].bodies == dc.simulate(scene, steps=50, **options).state.bodies
-    with pytest.raises(ValueError, match="trajectory: expected a run of simulate"):
+    with pytest.raises(ValueError, match="trajectory: expected"):
         plain.trajectory  # noqa: B018
 
 

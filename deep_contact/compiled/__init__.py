@@ -47,7 +47,8 @@ def announcement(echo: Callable[[str], None]):
             self.begun = self.begun if self.running else time.perf_counter()
             self.running += 1
             is_long = time.perf_counter() - self.begun >= PATIENCE
-            if is_long and not self.is_made and "deep_contact.physics." in event.data["dispatcher"].py_func.__module__:
+            module = str(event.data["dispatcher"].py_func.__module__)  # Numba makes functions of no module
+            if is_long and not self.is_made and "deep_contact.physics." in module:
                 self.is_made = True
                 echo(f"deep_contact: compiling for this kind of scene and solver, once; {ESTIMATE}")
 

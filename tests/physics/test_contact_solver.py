@@ -119,5 +119,5 @@ def test_zero_sweeps_apply_the_start_only(falling_states):
 def test_mean_theta_repeats_a_finished_step():
     # Eq 2.30 over two steps, the first of which stopped after one sweep at θ = 1 (not left out: survivor bias).
     np.testing.assert_array_equal(mean_theta([np.array([1.0]), np.array([5.0, 3.0, 1.0])], 3), [3.0, 2.0, 1.0])
-    with pytest.raises(ValueError, match=r"thetas\[1\]: expected at least one sweep, got none"):
+    with pytest.raises(ValueError, match=r"thetas\[1\]: expected"):
         mean_theta([np.ones(1), np.empty(0)], 3)

@@ -66,21 +66,6 @@ def test_pile_comes_to_rest_in_the_box():
     assert (bodies.position < 29.02).all()
 
 
-FALL, COLUMN = dc.circles_in_box(40, seed=9), dc.column(4)
-
-
-@pytest.mark.parametrize(
-    ("scene", "options"),
-    [*((FALL, {"warm_start": start}) for start in (None, "builtin", "copy")), (COLUMN, {"sleep": True})],
-    ids=str,
-)
-def test_watching_changes_nothing(scene, options):
-    options, seen = {"steps": 150, "solver": dc.PGS(sweeps=200, tolerance=1e-9)} | options, []
-    watched = dc.simulate(scene, on_step=lambda state, record: seen.append(record.status), **options).state
-    assert_same_run(watched, dc.simulate(scene, **options).state)
-    assert (seen[-1] == "no_contacts") == ("sleep" in options)
-
-
 LOOSE = dc.PGS(sweeps=40, tolerance=1e-3, position_sweeps=4)
 RESUMED = [(method(sweeps=25), "builtin", False) for method in METHODS.values()]
 RESUMED += [(LOOSE, start, solved) for start in (None, "builtin") for solved in (True, False)]

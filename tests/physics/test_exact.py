@@ -294,12 +294,12 @@ ONE = ready(single_body())
 @pytest.mark.parametrize(
     ("state", "arguments", "options", "message"),
     [
-        (None, (), {}, "state: expected a State or a ContactProblem, got None"),
-        (ONE.replace(contacts=None), (), {}, r"state\.contacts: expected the contacts to have been found, got None"),
-        (ONE, (), {"residual": 0.0}, "residual: expected a finite number > 0, got 0.0"),
-        (ONE, ([0.0], None), {}, r"tangent_start: expected finite numbers of shape \(1,\), got None"),
-        (ONE, ([0.0, 1.0], [0.0]), {}, r"normal_start: expected finite numbers of shape \(1,\), got shape \(2,\)"),
-        (ONE, ([1e300], [0.0]), {}, r"normal_start: expected numbers up to .* N·s, got 1e\+300"),
+        (None, (), {}, "state: expected"),
+        (ONE.replace(contacts=None), (), {}, r"state\.contacts: expected"),
+        (ONE, (), {"residual": 0.0}, "residual: expected"),
+        (ONE, ([0.0], None), {}, "tangent_start: expected"),
+        (ONE, ([0.0, 1.0], [0.0]), {}, "normal_start: expected"),
+        (ONE, ([1e300], [0.0]), {}, "normal_start: expected"),
     ],
 )
 def test_bad_arguments_are_refused(state, arguments, options, message):

@@ -70,16 +70,16 @@ def test_another_solver_of_the_same_name_is_refused():
     class PGS:
         sweeps: int = 1
 
-    with pytest.raises(ValueError, match="options: expected a new name, got PGS"):
+    with pytest.raises(ValueError, match="options: expected"):
         register(PGS, lambda solver: ToySettings(0.0), ())
 
 
 def test_the_precision_that_old_files_name_is_double():
     assert solver_from("PSOR", {"omega": 1.5, "precision": "double"}) == dc.PSOR(omega=1.5)
-    with pytest.raises(ValueError, match="precision: expected one of double, got 'single'"):
+    with pytest.raises(ValueError, match="precision: expected"):
         solver_from("PSOR", {"precision": "single"})
 
 
 def test_options_that_are_not_registered_are_refused():
-    with pytest.raises(ValueError, match=r"solver: expected options such as PGS\(sweeps=…\), of one of PGS"):
+    with pytest.raises(ValueError, match="solver: expected"):
         dc.simulate(dc.column(2), steps=1, solver=object())

@@ -42,7 +42,7 @@ def frames(state, steps, **options):
 
 
 def distances(line, points):
-    """Of points, (k, 2), from segments, (S, 5): (k, S), m."""
+    """Of points, (k, 2), from segments, (S, 4 or 5): (k, S), m."""
     start, along = line[:, :2], line[:, 2:4] - line[:, :2]
     share = np.clip(((points[:, None] - start) * along).sum(axis=2) / (along**2).sum(axis=1), 0.0, 1.0)
     return np.linalg.norm(start + share[..., None] * along - points[:, None], axis=2)
@@ -219,10 +219,7 @@ def test_touching_segments_equal_brute_force():
     segments = rng.uniform(5, 35, (25, 4))
     state = scene(position, *segments, radius=radius)
     contacts = contacts_of(state)
-    a, along = segments[:, :2], segments[:, 2:] - segments[:, :2]
-    share = np.clip(((position[:, None] - a) * along).sum(axis=2) / (along**2).sum(axis=1), 0, 1)
-    distance = np.linalg.norm(a + share[..., None] * along - position[:, None], axis=2)
-    gap = distance - radius[:, None] - state.scales.wall_skin
+    gap = distances(segments, position) - radius[:, None] - state.scales.wall_skin
     found = contacts.body_b >= 84
     expected = np.argwhere(gap <= 0)
     assert len(expected) > 100

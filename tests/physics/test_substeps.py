@@ -33,14 +33,6 @@ def test_substeps_are_short_steps(solver, sleep):
     np.testing.assert_array_equal(whole.theta, short.theta[3::4])
 
 
-def test_any_number_divides_and_records_are_whole_steps():
-    scene = dc.circles_in_box(20, size=15, seed=3)
-    run = dc.simulate(scene, steps=10, record=4, solver=dc.PGS(sweeps=3, tolerance=None, substeps=3))
-    np.testing.assert_allclose(run.trajectory.times, [0, 0.04, 0.08, 0.1], atol=1e-15)
-    assert run.trajectory[-1].step == 10
-    assert all(state.dt == 0.01 for state in run.trajectory)
-
-
 @pytest.mark.parametrize("solver", SOLVERS[:1] + SOLVERS[-1:], ids=str)
 @pytest.mark.parametrize("division", [{"substeps": 3}, {"most_substeps": 8}])
 def test_on_step_sees_whole_steps_from_which_the_run_goes_on(solver, division):

@@ -432,7 +432,7 @@ def test_a_state_is_coloured_by_speed_or_by_the_impulses_on_a_body():
     np.testing.assert_allclose(plotting.body_values(three_circles(), "speed")[0], [5, 0, 1])
     np.testing.assert_allclose(plotting.body_values(three_circles(), "impulse")[0], [7, 4, 0])
     np.testing.assert_allclose(plotting.body_values(three_circles(contacts=False), "impulse")[0], 0)
-    with pytest.raises(ValueError, match="colour_by: expected one of speed, impulse, got 'mass'"):
+    with pytest.raises(ValueError, match="colour_by: expected"):
         plotting.body_values(three_circles(), "mass")
 
 

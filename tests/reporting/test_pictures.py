@@ -3,7 +3,7 @@
 import pytest
 from conftest import load_script
 
-from deep_contact.reporting import plotting, results
+from deep_contact.reporting import results
 from deep_contact.studies import runs
 
 
@@ -12,13 +12,6 @@ def drawn(id):
     script = load_script(f"figure_{id.replace('.', '_')}")
     stored = results.reference(f"figure_{id.replace('.', '_')}")
     return script, stored["data"], script.draw(stored["data"], stored["options"])
-
-
-def test_no_start_has_the_colour_of_a_method_a_size_a_step_or_a_preset():
-    starts = {look["color"] for look in plotting.START_STYLE.values()}
-    others = [plotting.NESTEROV, plotting.SHARING, *plotting.shades(5), *plotting.shades(4)[1:-1]]
-    assert len(set(others)) == len(others)
-    assert starts.isdisjoint(others)
 
 
 def test_the_time_step_s_picture_ends_above_the_step_that_is_taken_for_the_truth():
@@ -44,19 +37,6 @@ def test_the_extremes_axis_says_from_where_to_where():
         values = [cell["value"] for cell in data["cells"] if (cell["quantity"], cell["engine"]) == (name, "ours")]
         assert label.startswith(name)
         assert label.endswith(f"{min(values):g} to {max(values):g}")
-
-
-def test_no_curve_of_a_way_through_the_grid_lies_on_another():
-    """Where losses are large: a sixtieth of the axis apart at some spacing below 1 m, or both below a tenth of it."""
-    script, data, picture = drawn("6.3")
-    few = [k for k, d in enumerate(data["charted"]) if d <= 0.75]
-    for ax, of in zip(picture.axes, data["by spacing"].values()):
-        high = ax.get_ylim()[1]
-        large = [name for name in script.WAYS if min(of[name][k] for k in few) > 0.1 * high]
-        assert len(large) > 1
-        for i, one in enumerate(large):
-            for other in large[:i]:
-                assert max(abs(of[one][k] - of[other][k]) for k in few) > high / 60
 
 
 @pytest.mark.parametrize("row", ["asleep: a step", "islands, thesis scene: time", "job: import"])

@@ -18,7 +18,6 @@ import deep_contact
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
 import measured
-import tables
 
 ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
@@ -59,16 +58,9 @@ def test_a_number_of_the_prose_has_its_file_or_was_chosen(page):
 def test_a_sentence_gets_its_numbers_wherever_its_lines_end(monkeypatch):
     monkeypatch.setitem(measured.SENTENCES, "a.md", [("it takes {:.1f} ms, or {:g}", lambda: [2.25, 1e-8])])
     assert measured.filled("a.md", "So it\ntakes 0 ms,\nor 1e3.") == "So it\ntakes 2.2 ms,\nor 1e-8."
-    with pytest.raises(ValueError, match=r"a\.md: expected one sentence with 'it takes .*, got 0"):
+    with pytest.raises(ValueError, match=r"a\.md: expected"):
         measured.filled("a.md", "It takes 2.25 ms.")
     assert measured.unexplained("a.md", "it takes 2.2 ms, or 1e-8; Figure 6.1: 3.5 N, 7 %") == ["3.5", "7"]
-
-
-def test_the_page_of_results_tells_claims_of_the_thesis_from_goals_of_ours():
-    found = [{"text": "a", "holds": False}, {"text": "b", "holds": None, "verdict": "open: 3 scenes"}]
-    assert tables.outcome(found, ("hold", "does not hold")) == "0 of 2 hold, 1 open. **Does not hold**: a."
-    assert tables.outcome(found, ("met", "missed")) == "0 of 2 met, 1 open. **Missed**: a."
-    assert tables.outcome([], ("met", "missed")) is None
 
 
 def test_the_appendix_has_every_claim_element_and_erratum():

@@ -71,7 +71,7 @@ def test_solvers_are_compared_on_files_and_piles_and_a_second_run_is_added(run, 
     assert set(both["seconds"]["pile"]) == {"ours, PGS", "ours, PGS, again", "ours, NesterovPGS"}
     assert both["seconds"]["pile"]["ours, PGS"] == first["seconds"]["pile"]["ours, PGS"] > 0
     assert all(error <= 1e-4 for row in both["error"].values() for error in row.values())
-    with pytest.raises(ValueError, match=r"tolerance: expected 0.0001 as in the first run, got 1e-05"):
+    with pytest.raises(ValueError, match="tolerance: expected"):
         run(*command[:-1], 1e-5, "--add")
 
 

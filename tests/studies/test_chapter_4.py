@@ -22,7 +22,7 @@ def keras():
 @pytest.mark.parametrize("bad", [{"row": 5}, {"column": -1}, {"kernel": np.ones((2, 2, 3))}])
 def test_a_kernel_that_sticks_out_is_refused(bad):
     arguments = {"kernel": np.ones((2, 2)), "row": 0, "column": 0} | bad
-    with pytest.raises(ValueError, match="kernel: expected one that lies within"):
+    with pytest.raises(ValueError, match="kernel: expected"):
         worked.window_products(np.ones((6, 6)), **arguments)
 
 

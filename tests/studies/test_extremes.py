@@ -217,7 +217,7 @@ def push(state, solver):
 
 NOTHING = dc.PGS(sweeps=0, tolerance=None, position_sweeps=0)
 OUTCOMES = [
-    (Trial(scene=extremes.silo(2).replace(dt=2.0), steps=5), REFUSED, "dt: expected 1e-09 to 1 s, got 2.0"),
+    (Trial(scene=extremes.silo(2).replace(dt=2.0), steps=5), REFUSED, "dt: expected"),
     # 2 m a step, each: more than a diameter between two looks. Continuous collision is not modelled.
     (Trial(scene=extremes.channel(20.0), steps=100, solver=NOTHING, ordered=0), FAILED, "passed through another"),
     (Trial(scene=extremes.silo(2), steps=3, solver=NOTHING, warm_start=push), FAILED, "the energy rose by"),

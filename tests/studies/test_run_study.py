@@ -122,7 +122,7 @@ def test_scenes_are_observed(kind):
 
 
 def test_a_step_that_misses_the_observations_is_refused():
-    with pytest.raises(ValueError, match=r"dt: expected a step that divides 0\.05 s, got 0\.02"):
+    with pytest.raises(ValueError, match="dt: expected"):
         runs.observed("plain", 30, 1, COARSE | {"dt": 0.02}, seconds=1.0)
 
 
@@ -205,5 +205,5 @@ def test_the_script_adds_settings_to_its_results(tmp_path, monkeypatch):
         assert row["setting"] == runs.REFERENCE or after[name]["us"] > 0
     assert after["BatchedPGS, 3 sweeps, Δt"]["errors"]["energy"]
     monkeypatch.setattr(script, "QUICK", small | {"seconds": 2.0})
-    with pytest.raises(ValueError, match=r"seconds: expected 2\.0 in the results, got 1\.0"):
+    with pytest.raises(ValueError, match="seconds: expected"):
         script.main([*arguments, str(tmp_path / "third"), "--add"])
