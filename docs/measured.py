@@ -211,14 +211,6 @@ def price(n_bodies: int) -> dict:
     return break_even()["far field"][f"{n_bodies} circles"]
 
 
-def along_runs() -> list:
-    """Figure 6.12: wins, cells and those too short for the network; its least and largest ratio in times of its own."""
-    measured, most = claim("figure_6_12", "in 4 of 9 cells"), stored("figure_6_12")["options"]["runs"].values()
-    ratios = (cell["ratio"] for cell in claim("figure_6_12", "the time that it takes itself").values())
-    counted = [measured[name] for name in ("wins", "cells", "too slow")]
-    return [*counted, *spread(ratios), max(run["sweeps"][-1] for run in most)]
-
-
 def sizes() -> tuple:
     """Weights and price in sweeps of Figure 6.4's smallest and largest networks, and the ratio of their errors."""
     rows = [row for row in printed("figure_6_4")[1:] if row[1]]
@@ -402,12 +394,6 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "(size, error, settling or resting, radii) {} are below 0.7 with an interval below 0.85: {} of {} at 10,000 "
             "circles, {} of {} at 3,000 and {} of {} at 1,000, where it costs the time of {:.0f} sweeps more",
             without_past,
-        ),
-        (
-            "At equal time it was best in {} of {} cells; in {} even its fewest sweeps did not fit into the time. In the "
-            "time that it takes itself, it leaves {:.1f} to {:.1f} times the error of the best classical setting of at "
-            "most {} sweeps",
-            along_runs,
         ),
         (
             "tried has {:,} weights. For 100 circles it takes the time of {:.0f} sweeps. One of {:,} weights takes "

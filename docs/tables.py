@@ -54,8 +54,6 @@ def learned() -> list[list]:
     worst = [max((str(row[i]) for row in other), key=lambda text: float(text.split(" ")[0])) for i in (1, 2, 3)]
     found, prices = measured.break_even(), [measured.price(n)["in sweeps"] for n in (100, 1000)]
     networks = [row for row in measured.printed("figure_6_4")[1:] if row[1]]
-    wins, number, slow, *_ = measured.along_runs()
-    cells = f"{wins} of {number} cells; {slow} are too short for it"
 
     def error(row, first):
         return " / ".join(str(text).split(" ")[0] for text in row[first : first + 3])
@@ -71,7 +69,6 @@ def learned() -> list[list]:
             "6.8, 6.10",
         ],
         [f"`model.h5` on {len(other)} other kinds of scenes, the worst", error(worst, 0), "as above", "–", "6.9"],
-        ["`model.h5` along its own runs, at equal time", "–", "in the time", cells, "6.12"],
     ]
     for row in (networks[0], networks[-1]):
         text = f"a network of {row[1]:,} weights, over Builtin's error"
@@ -338,7 +335,7 @@ def appendix() -> str:
     return APPENDIX + "".join(f"\n## {title}\n\n{markdown(rows)}" for title, rows in parts)
 
 
-LONG = [f"figure_{name}" for name in ("3_8", "5_10", "6_1", "6_2", "6_3", "6_4", "6_5", "6_6", "6_7", "6_9", "6_10", "6_11", "6_12")]
+LONG = [f"figure_{name}" for name in ("3_8", "5_10", "6_1", "6_2", "6_3", "6_4", "6_5", "6_6", "6_7", "6_9", "6_10", "6_11")]
 LONG += ["figure_6_14", "table_6_4", "table_6_5"]
 """Scripts whose whole table is in the appendix."""
 

@@ -1,15 +1,13 @@
-"""Learned starts against classical ones: Figures 6.4, 6.8 to 6.10 and 6.12.
+"""Learned starts against classical ones: Figures 6.4 and 6.8 to 6.10.
 
 A setting is a start and the solver that follows it: "builtin, NNCG", or "builtin", which PGS follows. A learned start
 with its best solver is compared with the best classical setting, chosen after the fact. Errors are velocity errors
-(`metrics`): {setting: (states, numbers of sweeps)} on states that are given, or the mean along runs that each setting
-drives itself. Times are measured apart, with nothing else running. Seeds of scenes are none that a network was trained
-on.
+(`metrics`) on the same states: {setting: (states, numbers of sweeps)}. Times are measured apart, with nothing else
+running. Seeds of scenes are none that a network was trained on.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -25,7 +23,7 @@ from deep_contact.physics.engine import solve, step_problem
 from deep_contact.physics.scenes import circles_in_box, lattice_in_box
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.reporting.figures import parallel_map, seeds
-from deep_contact.simulation import simulate, solve_contacts
+from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
 from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import REFERENCE, solved_states, start_of
@@ -330,91 +328,3 @@ def median_with_interval(ratios: np.ndarray) -> list[float] | None:
     if ratios.size < FEWEST:
         return None
     return interval(lambda drawn: np.median(ratios[drawn], axis=1), ratios.size).tolist()
-
-
-# ---- runs of their own: Figure 6.12 ----
-
-DRIVING = [
-    *settings_of([LEARNED, "builtin", "scaled", "none"], [BASE]),
-    *settings_of(["builtin"], ["PSOR 1.7", "NesterovPGS", "NNCG"]),
-]
-"""The settings that drive runs."""
-
-
-def error_along_run(task: Mapping) -> float:
-    """Mean velocity error of the steps of a run that a setting drives.
-
-    task: "circles", "seed", "setting", "start": its description, "sweeps", "steps", "every": steps between two that
-    are judged, "past_need": sweeps of NNCG from where a step ends to its reference.
-    """
-    solver, far = fixed(parts_of(task["setting"])[1], task["sweeps"]), NNCG(sweeps=task["past_need"], tolerance=1e-9)
-    start, scene, errors = start_of(task["start"]), _falling(task["circles"], task["seed"]), []
-    run = simulate(scene, steps=task["steps"], solver=solver, warm_start=start, record=task["every"])
-    for state in list(run.trajectory)[1:]:
-        if state.contacts.count:
-            end = solve_contacts(state, solver=solver, start=start)
-            reference = solve(state, far, end.normal_impulses, end.tangent_impulses)
-            errors.append(metrics.velocity_error(state, end, reference))
-    return float(np.mean(errors))
-
-
-def _falling(circles: int, seed: int) -> State:
-    """A square lattice, loose or very loose, that falls on the floor and settles."""
-    return lattice_in_box(circles, gap=0.1 if seed % 2 else 0.2, seed=seed)
-
-
-def measure_runs(starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable) -> dict[str, dict]:
-    """{circles as text: {setting of `DRIVING`: {"sweeps", "seconds": of a step, (c,), "errors": (c, scenes)}}}.
-
-    starts: name -> description. options: "runs": {circles as text: {"scenes", "sweeps": rising numbers}}, "steps",
-    "every", "past_need", "repeats". No time is longer than that of more sweeps: a run of very few sweeps can take
-    longer, because it has more positions to correct.
-    """
-    found = {}
-    for text, plan in options["runs"].items():
-        common = {"circles": int(text)} | {key: options[key] for key in ("steps", "every", "past_need")}
-        chosen = [int(s % 100_000) + 300_000 for s in seeds(seed + int(text), plan["scenes"])]
-        run, tasks, calls = partial(simulate, _falling(int(text), 1), steps=options["steps"]), [], {}
-        for name, sweeps in product(DRIVING, plan["sweeps"]):
-            start, solver = parts_of(name)
-            setting = common | {"setting": name, "start": starts[start], "sweeps": sweeps}
-            tasks += [setting | {"seed": s} for s in chosen]
-            calls[name, sweeps] = partial(run, solver=fixed(solver, sweeps), warm_start=start_of(starts[start]))
-        errors = parallel_map(error_along_run, tasks, jobs=jobs, progress=progress, text=f"runs of {text}")
-        took = timing.interleaved(calls, repeats=options["repeats"], clock=time.thread_time)
-        shape = len(DRIVING), len(plan["sweeps"])
-        seconds = np.reshape(list(took.values()), shape) / options["steps"]
-        seconds = np.minimum.accumulate(seconds[:, ::-1], axis=1)[:, ::-1]
-        curves = zip(DRIVING, seconds, np.reshape(errors, (*shape, len(chosen))))
-        found[text] = {name: {"sweeps": plan["sweeps"], "seconds": s, "errors": e} for name, s, e in curves}
-    return found
-
-
-def error_at(seconds: float, curve: Mapping) -> np.ndarray | None:
-    """Errors (scenes,) of a curve of `measure_runs` at a time, interpolated in logarithms; the last ones beyond it.
-
-    None if the fewest sweeps take longer.
-    """
-    if seconds < curve["seconds"][0]:
-        return None
-    times, errors = np.log(curve["seconds"]), np.log(curve["errors"])
-    return np.exp([np.interp(np.log(seconds), times, scene) for scene in errors.T])
-
-
-def at_equal_times(runs: Mapping, columns: Sequence[int], start: str = "builtin") -> list[dict]:
-    """Errors of all settings at the time of so many sweeps of `BASE` from a start, for every size.
-
-    Returns [{"circles": as text, "sweeps", "seconds", "errors": {setting: (scenes,), or None: see `error_at`}, "best":
-    the classical setting of the least mean error, "ratios": {setting: `ratios_of` it to that one, or None}}].
-    """
-    found = []
-    for circles, curves in runs.items():
-        base = curves[f"{start}, {BASE}"]
-        for sweeps, seconds in ((k, s) for k, s in zip(base["sweeps"], base["seconds"]) if k in columns):
-            errors = {name: error_at(seconds, curve) for name, curve in curves.items()}
-            means = {name: e.mean() for name, e in errors.items() if e is not None and parts_of(name)[0] in CLASSICAL}
-            best = min(means, key=means.get)
-            ratios = {n: None if e is None else ratios_of(e, errors[best]).tolist() for n, e in errors.items()}
-            cell = {"circles": circles, "sweeps": sweeps, "seconds": seconds, "errors": errors}
-            found.append(cell | {"best": best, "ratios": ratios})
-    return found

@@ -1,15 +1,12 @@
-"""Learned starts: what is interpolated, what is compared, and that a setting is judged as the engine steps it."""
+"""Learned starts: what is interpolated, and what is compared."""
 
 import numpy as np
 import pytest
-from conftest import load_script
 
 import deep_contact as dc
 from deep_contact.studies import learned_starts
 from deep_contact.studies.learned_starts import BASE, CLASSICAL, LEARNED, SOLVERS, TIMED, parts_of
 from deep_contact.warm_start import NoStart
-
-TASK = {"circles": 30, "seed": 4, "steps": 60, "every": 10, "past_need": 200, "sweeps": 8, "start": "builtin"}
 
 
 def test_sweeps_to_an_error_lie_between_the_counts_by_the_logarithm():
@@ -84,42 +81,3 @@ def test_a_learned_start_is_timed_against_the_best_classical_setting():
     assert learned_starts.median_with_interval(ratios) is None
     np.testing.assert_allclose(learned_starts.median_with_interval(np.tile(ratios, 5)), 0.9)
     assert learned_starts.price_of([pile]) == {"ms": 1000.0, "in sweeps": 1.0}
-
-
-def test_an_error_between_two_times_lies_on_the_line_of_logarithms():
-    # e = 1 / t²: 0.25 at t = 2, 0.0625 at t = 4.
-    curve = {"seconds": [1.0, 4.0], "errors": [[1.0, 2.0], [0.0625, 0.125]]}
-    np.testing.assert_allclose(learned_starts.error_at(2.0, curve), [0.25, 0.5])
-    np.testing.assert_allclose(learned_starts.error_at(9.0, curve), curve["errors"][1])
-    assert learned_starts.error_at(0.1, curve) is None  # less time than the fewest sweeps take
-
-
-def test_settings_are_compared_at_the_time_of_the_base():
-    def curve(*rows):
-        sweeps, seconds, errors = zip(*rows)
-        return {"sweeps": list(sweeps), "seconds": list(seconds), "errors": [[e, e] for e in errors]}
-
-    base, single, learned = f"builtin, {BASE}", "builtin, PSOR 1.7", f"{LEARNED}, {BASE}"
-    curves = {base: curve((10, 2.0, 0.4), (20, 3.0, 0.2)), single: curve((10, 2.0, 0.5), (20, 3.0, 0.1))}
-    # Half a unit dearer: the time of 10 sweeps is too short for it.
-    curves[learned] = curve((10, 2.5, 0.3), (20, 3.5, 0.15))
-    first, second = learned_starts.at_equal_times({"30": curves}, [10, 20])
-    assert (first["best"], second["best"]) == (base, single)
-    assert first["errors"][learned] is None
-    right = np.exp(np.interp(np.log(3.0), np.log([2.5, 3.5]), np.log([0.3, 0.15])))
-    assert second["errors"][learned][0] == pytest.approx(right)
-    won, own, swept = load_script("figure_6_12").claims({"columns": [10, 20], "runs": {"30": curves}})
-    assert (won.holds, won.measured["wins"], won.measured["cells"], won.measured["too slow"]) == (False, 0, 2, 1)
-    # In the time of 10 sweeps of its own, against the better of two lines of logarithms.
-    found = own.measured["30 circles, time of 10 sweeps"]
-    share = np.log(2.5 / 2.0) / np.log(3.0 / 2.0)
-    assert found["ratio"] == pytest.approx(0.3 / min(0.4 ** (1 - share) * 0.2**share, 0.5 ** (1 - share) * 0.1**share))
-    np.testing.assert_allclose(swept.measured["30 circles, 20 sweeps"], 0.75)
-
-
-@pytest.mark.parametrize("start", ["none", "builtin", "scaled"])
-def test_more_sweeps_leave_less_error_along_a_run(start):
-    task = TASK | {"setting": f"{start}, {BASE}", "start": start}
-    few, many = (learned_starts.error_along_run(task | {"sweeps": sweeps}) for sweeps in (8, 400))
-    assert 0.0 < few < 1.5
-    assert many < 0.1 * few
