@@ -2,6 +2,8 @@
 
 from itertools import product
 
+import numpy as np
+
 from deep_contact import peers, trade
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import figures, plotting
@@ -31,6 +33,15 @@ def claims(data):
         if ratios := {preset: ratio for preset, ratio in here.items() if ratio[0]}:
             text = f"no preset is dearer than with the fastest rival, {n} circles"
             yield Claim(text, None, min(ratio[0] for ratio in ratios.values()) >= 1, ratios)
+    powers = {}
+    for preset in PRESETS:
+        rows = [row for row in data["presets"] if row["preset"] == preset and row["n_bodies"] >= 1000]
+        large = [(row["n_bodies"], row["kinds"]["plain"]["us"]) for row in rows if row["kinds"]["plain"]]
+        if len(large) > 1:
+            powers[preset] = float(np.polyfit(*np.log(large).T, 1)[0])
+    if powers:
+        text = "a preset's cost grows with circles to the power of at most 1.15, from 1,000 circles on"
+        yield Claim(text, None, max(powers.values()) <= 1.15, powers)
 
 
 def table(data):
