@@ -231,8 +231,7 @@ def _view(args) -> int:
         print("no display: writing a film instead", file=sys.stderr)
     fps = min(50, max(1, round(1 / (args.every * scene.dt))))
     total = -(-args.steps // args.every)
-    for path in viewer.record(progress_bar(pictures, total=total, text="frames"), args.out or "view.gif", fps=fps):
-        print(path)
+    print(viewer.record(progress_bar(pictures, total=total, text="frames"), args.out or "view.gif", fps=fps))
     return 0
 
 
@@ -251,7 +250,7 @@ def _scene(args):
     return dc.load_trajectory(args.state)[-1] if args.state.endswith(".h5") else dc.read_state(args.state)
 
 
-def _warm_up(given) -> int:
+def _warm_up(args) -> int:
     """Run a step of each kind of scene and solver that is compiled by itself."""
     import time
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.reporting import plotting
-from deep_contact.reporting.film import check_name
+from deep_contact.reporting.film import check_name, write_film
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.validation import integer
@@ -19,6 +19,8 @@ from deep_contact.warm_start import Start
 
 PANELS = (1.0, 0.8)
 """Widths of the scene and of θ, in heights of a frame."""
+LAYOUT: dict = {"figsize": (5.0 * sum(PANELS), 5.0), "layout": "constrained"}
+FILM_DPI = 80
 FLOOR = 1e-9
 """Smallest θ that is drawn, N·s; an isolated contact is solved exactly."""
 
@@ -86,24 +88,29 @@ def has_display() -> bool:
         figure = pyplot.figure()
     except ImportError:  # MPLBACKEND names a backend for windows that cannot be loaded
         return False
-    found = figure.canvas.required_interactive_framework is not None
+    framework = figure.canvas.required_interactive_framework
     pyplot.close(figure)  # which takes the canvas of a window away
-    return found
+    return framework is not None
 
 
-def play(found: Iterator[Frame]) -> int:
+def _painted(frames: Iterable[Frame], figure) -> Iterator[None]:
+    """Draw one frame after the other into a figure."""
+    painter, axes = Painter(), figure.subplots(1, 2, width_ratios=PANELS)
+    for frame in frames:
+        for ax in axes:
+            ax.clear()
+        painter(axes, frame)
+        yield
+
+
+def play(frames: Iterable[Frame]) -> int:
     """Show frames in a window until they end or the window is closed. Returns how many were shown."""
     from matplotlib import pyplot
 
-    painter, shown = Painter(), 0
+    shown = 0
     with plotting.style():
-        figure = pyplot.figure(figsize=(6.0 * sum(PANELS), 6.0), layout="constrained")
-        axes = figure.subplots(1, 2, width_ratios=PANELS)
-        for frame in found:
-            for ax in axes:
-                ax.clear()
-            painter(axes, frame)
-            shown += 1
+        figure = pyplot.figure(**LAYOUT)
+        for shown, _ in enumerate(_painted(frames, figure), start=1):
             pyplot.pause(0.001)
             if not pyplot.fignum_exists(figure.number):
                 return shown
@@ -111,10 +118,21 @@ def play(found: Iterator[Frame]) -> int:
     return shown
 
 
-def record(found: Iterator[Frame], path, *, fps: int = 25) -> list[Path]:
-    """Write frames as a GIF and, where matplotlib finds ffmpeg, an MP4 beside it. Returns the paths.
+def record(frames: Iterable[Frame], path, *, fps: float = 25) -> Path:
+    """Write frames as a film, a .gif, or an .mp4 where ffmpeg is installed. Returns the path.
 
     Raises ValueError for another kind of file, and for an MP4 without ffmpeg, before the first frame is made.
     """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     check_name("out", path)
-    return plotting.animate(found, path, draw=Painter(), panels=PANELS, fps=fps)
+    with plotting.style():
+        canvas = FigureCanvasAgg(Figure(**LAYOUT, dpi=FILM_DPI))
+
+        def pictures():
+            for _ in _painted(frames, canvas.figure):
+                canvas.draw()
+                yield np.asarray(canvas.buffer_rgba())[..., :3].copy()
+
+        return write_film(path, pictures(), fps)

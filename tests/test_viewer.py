@@ -51,7 +51,7 @@ def test_a_film_has_two_panels_and_a_frame_for_each_state(scene, tmp_path):
     from PIL import Image
 
     written = viewer.record(viewer.frames(scene, steps=6, every=3), tmp_path / "view.gif", fps=10)
-    with Image.open(written[0]) as gif:
+    with Image.open(written) as gif:
         assert gif.n_frames == 2
         assert gif.width == pytest.approx(sum(viewer.PANELS) * gif.height, abs=1)
 

@@ -1,4 +1,4 @@
-"""One style for every figure: colours, lines, axes with units, states, convergence curves, files, animation.
+"""One style for every figure: colours, lines, axes with units, states, convergence curves, files.
 
 The colours are those of Okabe and Ito, which people with any kind of colour vision can tell apart. Every start has its
 own colour *and* line. Matplotlib is imported inside the functions and used without pyplot: nothing here opens a window
@@ -10,21 +10,17 @@ from __future__ import annotations
 import io
 import os
 import textwrap
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import cycle
 from pathlib import Path
 
 import numpy as np
 
 from deep_contact.io.files import replacing
-from deep_contact.validation import expect, number, one_of
+from deep_contact.validation import expect, one_of
 
 DPI = 150
 """Dots per inch of every picture."""
-
-FILM_DPI = 80
-"""Dots per inch of a film."""
 
 PAGE = 8.3
 """Width of a page, inches."""
@@ -287,9 +283,8 @@ def draw_state(
     if state.world.segments:
         segments = np.reshape(state.world.segments, (-1, 2, 2))
         ax.add_collection(LineCollection(segments, colors=BLACK, linewidths=1.5, capstyle="round"))
-        along = (
-            np.sign(state.world.surface_speeds or np.zeros(len(segments)))[:, None] * np.diff(segments, axis=1)[:, 0]
-        )
+        signs = np.sign(state.world.surface_speeds or np.zeros(len(segments)))
+        along = signs[:, None] * np.diff(segments, axis=1)[:, 0]
         for middle, way in zip(segments.mean(axis=1), along):
             if way.any():  # a belt, with the direction in which it drags
                 look = {"arrowstyle": "-|>", "color": BLACK, "shrinkA": 0, "shrinkB": 0}
@@ -330,11 +325,11 @@ def draw_forces(ax, state, *, largest: float | None = None) -> None:
     """
     from deep_contact.physics.forces import forces
 
-    found, (x_min, y_min, x_max, y_max) = forces(state), state.world.box
+    acting, (x_min, y_min, x_max, y_max) = forces(state), state.world.box
     x, y = 0.5 * (x_min + x_max), 0.5 * (y_min + y_max)
     middles = [(x, y_min), (x_max, y), (x, y_max), (x_min, y)]
     start = np.concatenate([state.bodies.position, middles, np.reshape(state.world.segments, (-1, 2, 2)).mean(axis=1)])
-    force = np.concatenate([found.net, *([value] for value in found.walls.values()), found.segments])
+    force = np.concatenate([acting.net, *([value] for value in acting.walls.values()), acting.segments])
     longest = np.hypot(*force.T).max() if largest is None else largest
     arrows = force * (0.1 * max(x_max - x_min, y_max - y_min) / (longest or 1.0))
     look = {"angles": "xy", "scale_units": "xy", "scale": 1.0, "width": 0.004, "zorder": 4}
@@ -447,49 +442,10 @@ def draw_network(
 def save(figure, path: str | os.PathLike) -> Path:
     """Write a figure as PNG; its path, "….png". The same figure gives the same bytes."""
     path = Path(path)
-    if path.suffix.lower() != ".png":
-        raise ValueError(
-            f"path: expected a name that ends in .png, got {str(path)!r}; figure.savefig writes other formats"
-        )
+    hint = "figure.savefig writes other formats"
+    expect(path.suffix.lower() == ".png", f"path: expected a name that ends in .png, got {str(path)!r}; {hint}")
     path.parent.mkdir(parents=True, exist_ok=True)
     with style(), replacing(path) as temporary:
         # No date and no version in the file, so that equal pictures are equal files.
         figure.savefig(temporary, format="png", dpi=DPI, metadata={"Software": None})
     return path
-
-
-def animate(
-    states: Iterable,
-    path: str | os.PathLike,
-    *,
-    draw: Callable,
-    panels: Sequence[float],
-    fps: int = 25,
-    size: float = 5.0,
-) -> list[Path]:
-    """Write states, one frame each, as a GIF, and as an MP4 beside it if matplotlib finds ffmpeg. Returns the paths.
-
-    path: of the GIF. draw: `draw(axes, state)`, with an axes for each panel, empty. panels: their widths, side by side,
-    in heights. fps: frames a second. size: height of a frame, inches. Raises ValueError for no states or a bad fps.
-    """
-    from matplotlib import animation
-    from matplotlib.figure import Figure
-
-    states, path, fps = list(states), Path(path).with_suffix(".gif"), number("fps", fps, above=0)
-    expect(states, "states: expected at least one, got none")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    writers = {path: animation.PillowWriter(fps=fps)}
-    if animation.writers.is_available("ffmpeg"):
-        writers[path.with_suffix(".mp4")] = animation.FFMpegWriter(fps=fps)
-    with style(), ExitStack() as stack:
-        figure = Figure(figsize=(size * sum(panels), size), layout="constrained")
-        axes = figure.subplots(1, len(panels), width_ratios=panels, squeeze=False)[0]
-        for target, writer in writers.items():
-            stack.enter_context(writer.saving(figure, stack.enter_context(replacing(target)), FILM_DPI))
-        for state in states:
-            for ax in axes:
-                ax.clear()
-            draw(axes, state)
-            for writer in writers.values():
-                writer.grab_frame()
-    return list(writers)

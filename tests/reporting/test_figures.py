@@ -478,19 +478,3 @@ def test_arrows_are_forces_stress_is_in_its_cells_and_a_belt_has_its_way():
     assert shown.shape == (3, 4)
     assert (np.flatnonzero(shown[1]) == [1, 2]).all()
     assert shown.sum() == shown[1].sum() > 0
-
-
-@pytest.mark.skipif(os.name != "posix", reason="a program by a shell script")
-def test_an_mp4_is_written_where_ffmpeg_is_found(tmp_path, monkeypatch):
-    fake = tmp_path / "bin" / "ffmpeg"
-    fake.parent.mkdir()
-    fake.write_text('#!/bin/sh\nfor last; do :; done\ncat > "$last"\n')  # keeps the raw frames
-    fake.chmod(0o755)
-    monkeypatch.setenv("PATH", str(fake.parent), prepend=os.pathsep)
-    film = {"draw": lambda axes, state: plotting.draw_state(axes[0], state), "panels": [1.0], "size": 2.0}
-    written = plotting.animate([three_circles()] * 2, tmp_path / "pile.gif", **film)
-    for states, fps, field in (([], 5, "states"), ([three_circles()], 0, "fps")):
-        with pytest.raises(ValueError, match=f"{field}: expected"):
-            plotting.animate(states, tmp_path / "none.gif", fps=fps, **film)
-    assert [path.name for path in written] == ["pile.gif", "pile.mp4"]
-    assert (tmp_path / "pile.mp4").stat().st_size == 2 * 160 * 160 * 4
