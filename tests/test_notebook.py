@@ -125,9 +125,3 @@ def test_nothing_writes_into_a_state(locked):
             dc.simulate(state, steps=3, solver=solver, warm_start=start)
             dc.solve_contacts(state, solver=solver, start=start)
     assert state == before
-
-
-def test_a_later_step_leaves_the_states_before_as_they_were():
-    states = []
-    dc.simulate(dc.column(3), steps=50, on_step=lambda state, record: states.append((state, copied(state))))
-    assert all(state == before for state, before in states)

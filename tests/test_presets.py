@@ -199,7 +199,7 @@ def test_a_scene_outside_of_the_study_is_called_so(study, scene, said):
 
 def test_what_is_next_is_told(study):
     text = str(dc.recommend(dc.circles_in_box(100)))
-    for part in ("fast: PGS(sweeps=9", "20 μs a step of 0.01 s, 100 circles; a processor", "energy 9.6 (12)",
+    for part in ("fast: PGS(sweeps=9", "20 μs a step of 0.01 s, 100 circles; a processor", "energy 9.6 % (12)",
                  "cheaper: preview, PGS(sweeps=2, tolerance=None), 0.5 times", "better: balanced, "):  # fmt: skip
         assert part in text, part
 

@@ -115,6 +115,7 @@ def test_it_goes_on_where_it_was_interrupted(pile, monkeypatch):
         dc.measure_trade(scene, **options | {"steps": 50}, before=part)
 
 
+@pytest.mark.filterwarnings("ignore:minutes. the least")  # of a busy machine
 def test_a_budget_leaves_seeds_and_settings_out(pile):
     scene, whole = pile
     seconds = 0.5 * whole.predicted_s

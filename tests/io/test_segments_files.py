@@ -60,6 +60,7 @@ def test_a_trajectory_survives_hdf5(run, tmp_path):
     assert list(again) == list(run.trajectory)
     many = [((x, 0.0), (x, 1.0)) for x in range(2001)]
     state = run.state.replace(world=replace(run.state.world, segments=many), contacts=None)
+    state = dc.find_contacts(state)
     with pytest.raises(ValueError, match="segments: expected"):
         write_simulation(tmp_path / "many.h5", [state])
     write_simulation(tmp_path / "some.h5", [state.replace(world=replace(state.world, segments=many[:2000]))])

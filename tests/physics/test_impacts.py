@@ -11,6 +11,7 @@ from deep_contact.presets import PRESETS
 from deep_contact.state import State, World
 from deep_contact.studies.extremes import mechanical_energy
 
+pytestmark = pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
 BOX = (0.0, 0.0, 30.0, 30.0)
 
 

@@ -84,6 +84,7 @@ def test_theta_is_the_largest_of_the_islands_still_swept(fall):
     np.testing.assert_array_equal(found.theta <= together.theta, True)
 
 
+@pytest.mark.filterwarnings("ignore:.*nearly coincide")
 def test_islands_of_more_contacts_than_the_room_are_solved():
     # Forty circles in one place: 780 pairs, where there is room for 224.
     state = dc.single_body().replace(bodies=make_bodies(np.full((40, 2), 15.0) + 1e-3 * np.arange(80).reshape(40, 2)))

@@ -92,6 +92,7 @@ def test_levels_hold_every_contact_once_after_those_before_it():
         assert of_circle == sorted(of_circle)
 
 
+@pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
 def test_a_column_is_corrected_contact_by_contact():
     state = dc.simulate(dc.column(40), steps=5).state
     room = make_correction_room(40, state.contacts.count)

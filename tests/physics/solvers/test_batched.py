@@ -90,6 +90,7 @@ def test_blocks_of_a_phase_share_no_circle(pile):
     assert plan.count[batches.PHASES] < plan.count[batches.BLOCKS]  # or every block would be a phase of its own
 
 
+@pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
 def test_more_contacts_than_a_mask_has_colours():
     # A circle of 10 m with 90 small ones on it: 90 batches at the least, each with one of its contacts.
     angle = 2 * np.pi * np.arange(90) / 90
