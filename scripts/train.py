@@ -53,7 +53,6 @@ def arguments() -> argparse.ArgumentParser:
     special = {
         "options": {"nargs": "*", "type": option, "metavar": "NAME=NUMBER", "help": "of the network"},
         "sweeps": {"nargs": "+", "type": int, "help": "numbers of sweeps whose errors the far-field network learns"},
-        "targets": {"nargs": "+", "help": "impulses that a network on images predicts"},
         "fractions": {"nargs": 3, "type": float, "help": "train, validation, test"},
     }
     for field in fields(TrainingConfig):
@@ -82,6 +81,25 @@ def configuration(changes: dict, from_model, quick: bool = False) -> TrainingCon
     return CONFIGS.get(changes.get("architecture"), TrainingConfig)(**(small | changes))
 
 
+def make_states(folder: Path, *, simulations: int, steps: int, bodies: tuple[int, int], seed: int) -> None:
+    """A small data set of the thesis's scene, like that of `generate_data.py`. Existing files are kept."""
+    import numpy as np
+
+    from deep_contact.cnn.dataset import simulation_path
+    from deep_contact.io.simulation_h5 import write_simulation
+    from deep_contact.physics.solvers import PGS
+    from deep_contact.reporting.figures import progress_bar
+    from deep_contact.studies.starts import scene_of, solved_states
+
+    for number in progress_bar(range(simulations), total=simulations, text="simulations"):
+        path = simulation_path(folder, number)
+        if not path.exists():
+            child = np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0]
+            states = solved_states(scene_of(bodies, size=30.0, seed=int(child)), steps=steps, solver=PGS(sweeps=5000))
+            options = {"steps": steps, "bodies": list(bodies)}
+            write_simulation(path, states, options=options, seed={"entropy": [seed, number]})
+
+
 def run(data, out, model, quick, **changes) -> None:
     """Train, and print the errors on the test states."""
     options = {name: changes.pop(name) for name in ("threads", "held_out", "from_model")}
@@ -90,12 +108,9 @@ def run(data, out, model, quick, **changes) -> None:
     from deep_contact.cnn.dataset import Store
 
     if quick and data is None:
-        from deep_contact.reporting.figures import progress_bar
-        from deep_contact.studies.chapter_5 import make_states
-
         data = out / "data"
         print(f"{data}: {QUICK_DATA['simulations']} short simulations, about 8 MB")
-        make_states(data, **QUICK_DATA, progress=progress_bar)
+        make_states(data, **QUICK_DATA)
     data = Store(data or "data/generated").folder  # before TensorFlow, which takes seconds to load
     from deep_contact.cnn.backend import keras
     from deep_contact.cnn.training import train

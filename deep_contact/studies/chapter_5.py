@@ -1,8 +1,8 @@
-"""Experiments with trained networks: what chapters 5 and 6 of the thesis say about them.
+"""Experiments with trained networks: what chapter 5 of the thesis says about them.
 
 The layers of a network (Figure 5.8, Tables 5.1 and 5.2), the CNN start beside the others (Figure 5.9), time to a
-threshold by stage (Figure 5.10), one network for both impulses or one for each (Table 6.1). Keras and TensorFlow are
-imported by the functions that need them; networks run on one thread.
+threshold by stage (Figure 5.10). Keras and TensorFlow are imported by the functions that need them; networks run on one
+thread.
 """
 
 from __future__ import annotations
@@ -15,23 +15,19 @@ from pathlib import Path
 from time import process_time
 
 import numpy as np
-from scipy import stats
 
 from deep_contact.cnn.backend import one_thread
-from deep_contact.cnn.dataset import Store, evenly, simulation_path
-from deep_contact.cnn.evaluation import velocity_errors
-from deep_contact.cnn.images import ImageSpec, input_image, read_back
+from deep_contact.cnn.images import ImageSpec
 from deep_contact.cnn.model_file import read_metadata
 from deep_contact.cnn.registry import network_file
-from deep_contact.io.simulation_h5 import write_simulation
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve
 from deep_contact.physics.solvers import PGS
-from deep_contact.reporting.figures import Claim, parallel_map
+from deep_contact.reporting.figures import Claim
 from deep_contact.state import State
 from deep_contact.studies import timing, verdicts
 from deep_contact.studies.learned_starts import stages_of
-from deep_contact.studies.starts import READ, THRESHOLD, scene_of, solved_states, start_of, sweeps_to
+from deep_contact.studies.starts import READ, THRESHOLD, start_of, sweeps_to
 from deep_contact.warm_start import Sph, WarmStart
 
 # ---- networks ----
@@ -256,123 +252,3 @@ def time_by_tree(state: State, *, repeats: int) -> float:
         splat_by_tree, spec.grid(state.world), bodies.position, values, h=spec.support, normalization="particle"
     )
     return timing.interleaved({"": splat}, repeats=repeats, **CLOCK)[""]
-
-
-# ---- one network for both impulses, or one each: Table 6.1 ----
-
-NORMAL, TANGENT = "normal_impulse", "tangent_impulse"
-
-VARIANTS = {
-    "one for both": [(NORMAL, TANGENT)],
-    "one for both, as large as two": [(NORMAL, TANGENT)],
-    "one each": [(NORMAL,), (TANGENT,)],
-}
-"""Name of a variant of Table 6.1 -> targets of each of its networks."""
-
-
-def make_states(folder, *, simulations: int, steps: int, bodies: Sequence[int], seed: int, progress: Callable) -> Path:
-    """A small data set of the thesis's scene, like that of `scripts/generate_data.py`. Existing files are kept."""
-    folder = Path(folder)
-    for number in progress(range(simulations), total=simulations, text="simulations"):
-        path = simulation_path(folder, number)
-        if not path.exists():
-            child = np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0]
-            scene = scene_of(tuple(bodies), size=30.0, seed=int(child))
-            states = solved_states(scene, steps=steps, solver=PGS(sweeps=5000))
-            options = {"steps": steps, "bodies": list(bodies)}
-            write_simulation(path, states, options=options, seed={"entropy": [seed, number]})
-    return folder
-
-
-def errors_of_networks(paths: Sequence[str], states: Sequence[State], sweeps: Sequence[int]) -> dict:
-    """Held-out errors of one network for both impulses, or of two networks for one each.
-
-    Returns their "parameters" in all, the number of "states", and means over them: "normal" and "tangent", ‖λ'_n − λ_n‖
-    and ‖λ'_t − λ_t‖ relative to ‖λ‖ of the whole solution, before any sweep; "velocity", the relative velocity error
-    after each number of `sweeps`, from both impulses projected on the cone. States with nothing to solve are omitted.
-    Raises ValueError if no other is left.
-    """
-    models = [start_of({"model": path}).model for path in paths]
-    errors = []
-    for state in states:
-        found = {}
-        for model in models:  # not projected on the cone
-            found |= zip(model.spec.targets, read_back(model.run(input_image(state, model.spec)), state, model.spec))
-        right = np.array([state.contacts.normal_impulse, state.contacts.tangent_impulse])
-        given = np.array([found[NORMAL], found[TANGENT]])
-        with np.errstate(divide="ignore", invalid="ignore"):
-            own = np.linalg.norm(given - right, axis=1) / np.linalg.norm(right)
-        errors.append([*own, *velocity_errors(state, projected(*given, state.world.friction), sweeps)])
-    errors = np.array(errors)
-    errors = errors[np.isfinite(errors).all(axis=1)]
-    if not len(errors):
-        raise ValueError("states: expected some with impulses to be found, got none")
-    normal, tangent, *velocity = errors.mean(axis=0).tolist()
-    parameters = int(sum(model.network.count_params() for model in models))
-    means = {"normal": normal, "tangent": tangent, "velocity": velocity}
-    return {"parameters": parameters, "states": len(errors)} | means
-
-
-def train_and_measure(task: tuple) -> dict:
-    """Train the networks of a variant, or continue their training; their `errors_of_networks`.
-
-    task: (variant, seed, folder of simulations, folder of the runs, options of `one_or_two_networks`).
-    """
-    one_thread()
-    from deep_contact.cnn import training
-
-    variant, seed, data, out, options = task
-    store, held_out = Store(data), options["held_out"]
-    shared = options["settings"] | {"fractions": (0.8, 0.2, 0.0), "simulations": len(store.simulations) - held_out}
-    shared |= {"seed": seed, "options": {"stacks": options["deeper" if "as large" in variant else "stacks"]}}
-    paths = []
-    for number, targets in enumerate(VARIANTS[variant]):
-        folder = out / f"{variant.replace(',', '').replace(' ', '_')}_{number}_{seed}"
-        config = training.thesis_config(**shared, targets=targets)
-        paths.append(training.train(config, data, folder, verbose=0).path)
-    tested = evenly(store.states(store.simulations[-held_out:]), options["states"]).tolist()
-    return errors_of_networks(paths, [store.state(*state) for state in tested], options["sweeps"])
-
-
-def one_or_two_networks(
-    data: Path, out: Path, options: Mapping, *, seeds: Sequence[int], jobs: int, progress: Callable
-) -> dict:
-    """Train and compare the `VARIANTS`, once for each seed.
-
-    data: folder of simulations. out: of the networks. options: about "states" states of the last "held_out" simulations
-    are for the errors after "sweeps", the other simulations for training; "stacks" of `architectures.thesis`, "deeper":
-    of the network with more convolutions; "settings" of the training, in which every network sees the same states in
-    the same order. Returns {"variants": {name: {"parameters", "errors": one a seed, see `errors_of_networks`}},
-    "sweeps", "seeds"}.
-    """
-    tasks = [(variant, seed, data, out, dict(options)) for variant in VARIANTS for seed in seeds]
-    found: dict = {variant: {"errors": []} for variant in VARIANTS}
-    errors = parallel_map(train_and_measure, tasks, jobs=jobs, progress=progress, text="trainings")
-    for (variant, *_), one in zip(tasks, errors):
-        found[variant]["parameters"] = one.pop("parameters")
-        found[variant]["errors"].append(one)
-    return {"variants": found, "sweeps": options["sweeps"], "seeds": seeds}
-
-
-MEASURES = ("normal", "tangent", "velocity")
-"""Errors that Table 6.1 compares: of λ_n, of λ_t, and of the velocities before any sweep."""
-
-
-def of_seeds(data: Mapping, variant: str, measure: str) -> np.ndarray:
-    """One of the `MEASURES` of a variant, one a seed."""
-    errors = [one[measure] for one in data["variants"][variant]["errors"]]
-    return np.array([e[0] if measure == "velocity" else e for e in errors])
-
-
-def within_spread(data: Mapping, first: str, second: str) -> tuple[bool, dict]:
-    """Whether Welch's t test finds no difference between two variants in any measure (p ≥ 0.05), and the numbers.
-
-    The numbers are both means and p, by measure. Three seeds reveal only differences of several standard deviations.
-    """
-    measured, equal = {}, True
-    for measure in MEASURES:
-        a, b = (of_seeds(data, variant, measure) for variant in (first, second))
-        p = float(stats.ttest_ind(a, b, equal_var=False).pvalue)
-        measured[f"{measure}: {first}, {second}, p"] = [float(a.mean()), float(b.mean()), p]
-        equal &= not p < 0.05
-    return equal, measured

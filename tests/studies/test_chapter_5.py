@@ -1,4 +1,4 @@
-"""Figures 5.8 to 5.10 and Tables 5.1, 5.2 and 6.1: layers, stages, held-out scenes, and claims that follow the data."""
+"""Figures 5.8 to 5.10 and Tables 5.1 and 5.2: layers, stages, held-out scenes, and claims that follow the data."""
 
 import copy
 import pickle
@@ -18,24 +18,18 @@ from deep_contact.warm_start import Builtin, NoStart, Sph
 
 
 @pytest.fixture(scope="module")
-def networks(tmp_path_factory):
-    """Model files of networks on images, by what they learn: λ_n is 2 m at each node, λ_t m, in kg to N·s."""
+def network(tmp_path_factory):
+    """The file of a network on images: λ_n is 2 m at each node, λ_t m, in kg to N·s."""
     keras = pytest.importorskip("keras")
     chapter_5.one_thread()
     from deep_contact.cnn import model_file
 
-    files = {}
-    both = ("normal_impulse", "tangent_impulse")
-    for name, targets in {"both": both, "normal": both[:1], "tangent": both[1:]}.items():
-        layer = keras.layers.Conv2D(len(targets), 1)
-        model = keras.Sequential([keras.Input((None, None, 5)), layer])
-        kernel = np.zeros((1, 1, 5, len(targets)), np.float32)
-        kernel[0, 0, 0] = [2.0 if target == "normal_impulse" else 1.0 for target in targets]
-        layer.set_weights([kernel, np.zeros(len(targets), np.float32)])
-        card = {"architecture": "thesis", "history": [{}], "config": {"states_per_epoch": 3}}
-        files[name] = tmp_path_factory.mktemp("models") / f"{name}.h5"
-        model_file.save_model(files[name], model, ImageSpec(targets=targets), card)
-    return files
+    model = keras.Sequential([keras.Input((None, None, 5)), keras.layers.Conv2D(2, 1)])
+    kernel = np.zeros((1, 1, 5, 2), np.float32)
+    kernel[0, 0, 0] = 2.0, 1.0
+    model.set_weights([kernel, np.zeros(2, np.float32)])
+    card = {"architecture": "thesis", "history": [{}], "config": {"states_per_epoch": 3}}
+    return model_file.save_model(tmp_path_factory.mktemp("models") / "both.h5", model, ImageSpec(), card)
 
 
 # ---- layers and settings ----
@@ -86,8 +80,8 @@ def test_velocity_errors_beside_theta_are_those_of_each_start_alone(falling_stat
     assert found["none"]["velocity"].shape == (3, 2)
 
 
-def test_a_network_can_be_compared_like_any_other_start(networks):
-    chosen = {"builtin": "builtin", "cnn": {"model": str(networks["both"])}, "copy": "copy"}
+def test_a_network_can_be_compared_like_any_other_start(network):
+    chosen = {"builtin": "builtin", "cnn": {"model": str(network)}, "copy": "copy"}
     data = starts.compare_starts(chosen, n_bodies=[12, 16], size=14.0, steps=60, sweeps=30, seed=1)
     for mode in ("paired", "independent"):
         assert data[mode]["copy"]["theta"][0] < data[mode]["cnn"]["theta"][0]
@@ -95,8 +89,8 @@ def test_a_network_can_be_compared_like_any_other_start(networks):
         np.testing.assert_allclose(scene, data[mode]["cnn"]["theta"], rtol=5e-4)  # one scene, four digits
 
 
-def test_a_network_read_as_its_authors_did_gives_each_node_to_its_contacts(falling_states, networks):
-    state, path = falling_states[5], str(networks["both"])
+def test_a_network_read_as_its_authors_did_gives_each_node_to_its_contacts(falling_states, network):
+    state, path = falling_states[5], str(network)
     start = pickle.loads(pickle.dumps(chapter_5.ReadBySharing(path)))  # as it goes to another process
     image, shared = dc.load_model(path).predict_image(state), Sph(spacing=0.5, transfer="shared")
     normal, _ = shared.gather(state, image.astype(float))
@@ -118,9 +112,9 @@ def test_what_the_thesis_says_of_its_network_is_open_and_the_rebuilt_ones_verdic
 
 
 @pytest.mark.parametrize("kind", ["thesis", "spline", "both", "model.h5"])
-def test_the_last_stage_of_a_start_gives_its_impulses(falling_states, networks, kind):
+def test_the_last_stage_of_a_start_gives_its_impulses(falling_states, network, kind):
     of_sph = kind in ("thesis", "spline")
-    path = str(networks.get(kind, "models/model.h5"))
+    path = str(network if kind == "both" else "models/model.h5")
     start = Sph(transfer=kind) if of_sph else starts.start_of({"model": path})
     stages = learned_starts.stages_of(start, falling_states[5])
     assert list(stages) == ["splat", "gather"] if of_sph else ["splat", "network", "gather"]
@@ -135,41 +129,6 @@ def test_a_start_that_is_given_up_counts_with_all_its_sweeps(falling_states):
     assert len(found["none"]["seconds"]["solve"]) == 2
     few = chapter_5.time_to_threshold(falling_states[4:5], {"none": NoStart()}, most=2, **timed)["none"]
     assert (few["sweeps"], few["missed"]) == ([2], 1)
-
-
-# ---- one network or two ----
-
-
-def test_two_networks_for_one_impulse_each_do_what_one_for_both_does(falling_states, networks):
-    states = falling_states[3:8]
-    both = chapter_5.errors_of_networks([networks["both"]], states, [0, 3])
-    each = chapter_5.errors_of_networks([networks["normal"], networks["tangent"]], states, [0, 3])
-    for name in ("normal", "tangent", "velocity"):
-        np.testing.assert_allclose(each[name], both[name], rtol=1e-5)  # float32 networks of other weights
-
-
-def variants(**errors):
-    """Data of Table 6.1 with one number for every measure, a seed each."""
-    names = dict(zip(("one", "deeper", "each"), chapter_5.VARIANTS))
-    found = {
-        names[key]: {"parameters": 1, "errors": [{"normal": e, "tangent": e, "velocity": [e, e]} for e in values]}
-        for key, values in errors.items()
-    }
-    return {"variants": found, "seeds": list(range(len(errors["one"]))), "sweeps": [0, 3]}
-
-
-def test_table_6_1_calls_equal_what_the_seeds_cannot_tell_apart():
-    script = load_script("table_6_1")
-    few = {"one": [0.50, 0.51, 0.52], "deeper": [0.40, 0.42, 0.44], "each": [0.41, 0.42, 0.45]}
-    data = variants(**{name: values * 4 for name, values in few.items()})
-    deeper, one = script.claims(data)
-    assert deeper.holds
-    assert not one.holds
-    deeper, one = script.claims(variants(**few))
-    assert (deeper.holds, deeper.verdict) == (None, "open: 3 trainings of each show no difference")
-    assert (one.holds, one.verdict) == (None, "open: 3 trainings of each show a difference")
-    assert not list(script.claims(variants(one=[0.5], deeper=[0.4], each=[0.4])))
-    assert {len(row) for row in script.table(data)} == {7}
 
 
 def test_the_spacing_of_the_grid_is_a_setting_and_what_is_compared_can_be_drawn():

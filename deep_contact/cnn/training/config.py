@@ -25,7 +25,6 @@ class TrainingConfig:
     options: dict = field(default_factory=dict)  # of `architectures.build`; channels and outputs follow from the images
     spacing: float = 1.0  # of the images, m, or mean radii for the far-field network
     support: float = 1.0  # the same
-    targets: tuple[str, ...] = ("normal_impulse", "tangent_impulse")  # of `ImageSpec`: one impulse or both
     sweeps: tuple[int, ...] = (3, 10, 30)  # increasing
     optimizer: str = "adam"  # or "sgd"; Adam's gradients have norm 1 at most
     schedule: str = "cosine"  # of `schedules.SCHEDULES`
@@ -50,7 +49,6 @@ class TrainingConfig:
         if not sweeps or list(sweeps) != sorted(set(sweeps)) or sweeps[0] < 0:
             raise ValueError(f"sweeps: expected increasing integers >= 0, got {self.sweeps!r}")
         object.__setattr__(self, "sweeps", sweeps)
-        object.__setattr__(self, "targets", tuple(self.targets))
         object.__setattr__(self, "fractions", tuple(map(float, self.fractions)))
 
     def spec(self) -> ImageSpec | FarFieldSpec:
@@ -59,7 +57,7 @@ class TrainingConfig:
         from deep_contact.cnn.images import ImageSpec
 
         sizes = {"spacing": self.spacing, "support": self.support}
-        return FarFieldSpec(**sizes) if self.architecture == "far field" else ImageSpec(**sizes, targets=self.targets)
+        return FarFieldSpec(**sizes) if self.architecture == "far field" else ImageSpec(**sizes)
 
 
 def thesis_config(**changes) -> TrainingConfig:
