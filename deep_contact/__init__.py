@@ -13,6 +13,7 @@ from deep_contact.io.lazy import attach
 # ruff: noqa: F401
 if TYPE_CHECKING:
     from deep_contact import cnn, peers, physics, sph, warm_start
+    from deep_contact.bounds import force_bounds
     from deep_contact.cnn.inference import load_model
     from deep_contact.io.shipped import sample_file
     from deep_contact.io.state_xml import read_state, write_state

@@ -1,0 +1,142 @@
+"""What a motion says of the impulses behind it: with friction, bounds.
+
+A pile has more contacts than it needs to rest. All impulses in Coulomb's cone with the same sums on every circle give
+the same motion, and no observer of positions and velocities can tell them apart. This set is convex (McNamara and
+Herrmann, Phys. Rev. E 70, 061303, 2004): each end of a contact's interval is a linear program. Sources: Radjai, Jean,
+Moreau and Roux, Phys. Rev. Lett. 77, 274 (1996); Unger, Kertész and Wolf, Phys. Rev. Lett. 94, 178001 (2005).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+from scipy.optimize import linprog
+
+from deep_contact import parallel
+from deep_contact.physics import metrics
+from deep_contact.physics.exact import solve_exactly
+from deep_contact.physics.forces import name_of
+from deep_contact.physics.lcp import contact_problem
+from deep_contact.physics.ready import ready
+from deep_contact.state import State, StateWithContacts
+from deep_contact.validation import expect, integer, number
+
+EXACT, MOVING = 1e-8, 1e-6
+"""Largest residual of the impulses, and least velocity of a contact that separates or slides, m/s."""
+
+DETERMINED = 1e-6
+"""Width below which an interval counts as a point, over the mean λ_n; the programs are solved to 1e-10."""
+
+
+class ForceBounds(NamedTuple):
+    """Bounds on the impulses of k contacts; a force is an impulse over Δt. Without a bound it is ±infinity.
+
+    | field      | meaning                                                                       | shape  | unit |
+    |------------|-------------------------------------------------------------------------------|--------|------|
+    | normal     | least and largest λ_n                                                         | (k, 2) | N·s  |
+    | tangent    | least and largest λ_t                                                         | (k, 2) | N·s  |
+    | determined | share of the contacts whose intervals are narrower than 1e-6 of the mean λ_n  |        |      |
+    """
+
+    normal: np.ndarray
+    tangent: np.ndarray
+    determined: float
+
+
+def force_bounds(
+    state: State, contacts: Sequence[int] | None = None, loads: Mapping | None = None, *, jobs: int = 1
+) -> ForceBounds:
+    """Least and largest λ_n and λ_t of each contact over all impulses that give the state's exact motion.
+
+    The motion is that of the impulses that a solved state carries (`dc.solve_contacts` with many sweeps), if their
+    `metrics.residual` is at most 1e-8 m/s; `dc.solve_exactly` goes on from others, and solves a state that is not.
+    A contact that separates at more than 1e-6 m/s, a hundred times that residual, carries nothing; one that slides
+    faster is on its edge of Coulomb's cone. Slower ones may carry all that the cone lets them: their intervals are
+    too wide rather than too narrow. Fewer digits in the impulses would need a larger threshold, and see less motion.
+
+    contacts: numbers of those that are wanted; None are all. loads: what was measured, and narrows the set: number of
+    a contact → (normal force, error), N; "floor", "right", "ceiling", "left", or "segment 3" → ((f_x, f_y), error), the
+    force on it as `dc.forces` has it, each component within the error. jobs: processes.
+    Raises ValueError naming the argument, also where no exact motion was found and where loads contradict it.
+    """
+    state, jobs = ready(state), integer("jobs", jobs, 1)
+    m, mu, c = state.contacts.count, state.world.friction, state.contacts
+    wanted = [integer("contacts", i, most=m - 1) for i in (range(m) if contacts is None else contacts)]
+    exact = solve_exactly(state, *((c.normal_impulse, c.tangent_impulse) if state.solved else ()), residual=EXACT)
+    expect(exact.converged, f"state: expected contacts solved to {EXACT:g} m/s, got a residual of {exact.residual:.3g}")
+    impulse = np.column_stack([exact.solution.normal_impulses, exact.solution.tangent_impulses])
+    u_n, u_t = metrics.row_velocities(state, exact.solution.velocities, exact.solution.angular_velocities)
+    # λ of a contact is a sum of the edges of its cone, (1, ±μ), of unit length: sums >= 0 are all that the cone says.
+    sides = [(i, side) for side in ((1.0, -1.0) if mu > 0 else (0.0,)) for i in np.flatnonzero(u_n <= MOVING)
+             if side * u_t[i] <= MOVING]  # fmt: skip
+    of, side = (np.array(column) for column in zip(*sides)) if sides else (np.empty(0, int), np.empty(0))
+    places = np.concatenate([2 * of, 2 * of + 1]), np.tile(np.arange(of.size), 2)
+    length = np.hypot(1.0, mu)
+    edges = sparse.csc_array(
+        (np.concatenate([np.full(of.size, 1 / length), side * mu / length]), places), shape=(2 * m, of.size)
+    )
+    impulse[u_n > MOVING] = 0.0  # what the residual leaves there
+    slides = np.abs(u_t) > MOVING
+    impulse[slides, 1] = -np.sign(u_t[slides]) * mu * impulse[slides, 0]
+    scale = float(impulse[:, 0].mean()) if impulse[:, 0].any() else 1.0
+    lengths = np.column_stack([np.ones((state.bodies.count, 2)), 1 / state.bodies.radius]).ravel()
+    sums = sparse.diags_array(lengths) @ sparse.csc_array(contact_problem(state).jacobian).T
+    rows, values, errors = _measured(state, loads or {})
+    unit = state.dt / scale
+    program = {"A_eq": sums @ edges, "b_eq": sums @ impulse.ravel() / scale}
+    if len(values):
+        rows = sparse.csr_array(rows) @ edges
+        program |= {"A_ub": sparse.vstack([rows, -rows]), "b_ub": unit * np.append(values + errors, errors - values)}
+    if of.size and len(values):
+        possible = _solved(np.zeros(of.size), program).status == 0
+        expect(possible, "loads: expected those of some solution with the state's motion, got others")
+    parts = [(wanted[k::jobs], edges, program) for k in range(jobs)]
+    found = np.zeros((len(wanted), 2, 2))
+    for k, ends in parallel.finished(_ends, parts, jobs=jobs):
+        found[k::jobs] = np.asarray(ends)
+    narrow = (np.ptp(found, axis=2) < DETERMINED).all(axis=1)
+    return ForceBounds(scale * found[:, 0], scale * found[:, 1], float(narrow.mean()) if narrow.size else 1.0)
+
+
+def _measured(state: StateWithContacts, loads: Mapping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows that make forces of impulses, (k, 2 m), the forces that were measured and their errors, N, (k,) each."""
+    c, rows, values, errors = state.contacts, [], [], []
+    names = [name_of(state, body) for body in c.body_b]
+    tangent = np.column_stack([c.normal[:, 1], -c.normal[:, 0]])
+    for key, (value, error) in loads.items():
+        error = number(f"loads[{key!r}]", error, 0)
+        if not isinstance(key, str):
+            rows.append(np.eye(1, 2 * c.count, 2 * integer("loads", key, most=c.count - 1))[0])
+            values.append(number(f"loads[{key!r}]", value))
+            errors.append(error)
+            continue
+        expect(key in names, f"loads: expected contacts, walls and segments that are touched, got {key!r}")
+        on = np.array([name == key for name in names])
+        for axis in (0, 1):
+            rows.append((np.column_stack([c.normal[:, axis], tangent[:, axis]]) * on[:, None]).ravel())
+            values.append(number(f"loads[{key!r}]", value[axis]))
+            errors.append(error)
+    return np.array(rows), np.array(values), np.array(errors)
+
+
+def _solved(cost, program: Mapping):
+    options = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    return linprog(cost, bounds=(0, None), method="highs-ds", options=options, **program)
+
+
+def _ends(part: tuple) -> np.ndarray:
+    """Least and largest λ_n and λ_t over the scale, (k, 2, 2), of some contacts. part: (contacts, edges, program)."""
+    contacts, edges, program = part
+    edges, found = edges.tocsr(), np.zeros((len(contacts), 2, 2))
+    for place in np.ndindex(found.shape):
+        row, sign = 2 * contacts[place[0]] + place[1], (1.0, -1.0)[place[2]]
+        cost = sign * edges[[row]].toarray()[0]
+        if cost.any():
+            end = _solved(cost, program)
+            # The set is not empty. It may be unbounded, and presolve does not always say which of both.
+            expect(end.status in (0, 2, 3, 4), f"state: expected linear programs that HiGHS solves, got: {end.message}")
+            found[place] = sign * end.fun if end.status == 0 else -sign * np.inf
+    return found

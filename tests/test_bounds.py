@@ -1,0 +1,94 @@
+"""Bounds on impulses against cases by hand, and against linear programs written as Coulomb's law is."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.optimize import linprog
+
+import deep_contact as dc
+from deep_contact.physics.lcp import contact_problem, natural_residual
+from deep_contact.state import World
+from deep_contact.state.checks import make_bodies
+from deep_contact.studies.piles import packing
+
+
+def row_of_circles(count, friction, width=None):
+    """Circles side by side on the floor, the first at the left wall, the last at the right one, and m g Δt."""
+    world = World(box=(0, 0, width or 2.0 * count, 9), friction=friction)
+    bodies = make_bodies([(1.0 + 2.0 * i, 1.0) for i in range(count)], radius=np.full(count, 1.0))
+    state = dc.find_contacts(dc.State(name="row", world=world, bodies=bodies))
+    return state, state.bodies.mass[0] * -world.gravity[1] * state.dt
+
+
+def on(state, a, b):
+    """The number of a contact."""
+    return int(np.flatnonzero((state.contacts.body_a == a) & (state.contacts.body_b == b))[0])
+
+
+def test_the_wall_of_a_corner_carries_nothing_unless_friction_is_1():
+    # Friction f on the floor, which the wall has to balance, in force and in torque: f <= μ f. From μ = 1 on f <= ∞.
+    for friction, least, largest, share in ((0.5, 1.0, 1.0, 1.0), (1.5, 1.0, np.inf, 0.0)):
+        state, weight = row_of_circles(1, friction, width=5.0)
+        bounds = dc.force_bounds(state)
+        np.testing.assert_allclose(bounds.normal / weight, [[least, largest], [0, largest - 1]], atol=1e-9)
+        assert bounds.determined == share
+
+
+def test_two_circles_between_walls_lean_on_each_other():
+    # μ = 1/2. The friction of the wall on the first is u upwards, that between them s: N = W - u - s on the floor,
+    # whose friction is u - s, by the torque. N = 0 where u = s = W/2; 2 W / (1 - μ) where
+    # u = -5/2 W and s = -W/2.
+    state, weight = row_of_circles(2, 0.5)
+    floor, left = on(state, 0, 2), on(state, 0, 5)
+    bounds = dc.force_bounds(state, [floor, left])
+    np.testing.assert_allclose(bounds.normal / weight, [[0, 4], [0, np.inf]], atol=1e-9)
+    np.testing.assert_allclose(bounds.tangent[1] / weight, [-0.5, 2.5], atol=0.01)  # arms are 0.995 m at the walls
+    # A wall that carries nothing leaves nothing between the circles either, as in a corner.
+    for loads in ({"left": ((0.0, 0.0), 0.0)}, {left: (0.0, 0.0)}):
+        measured = dc.force_bounds(state, loads=loads)
+        assert measured.determined == 1.0
+        np.testing.assert_allclose(measured.normal[floor] / weight, 1.0, atol=1e-9)
+    assert np.isfinite(dc.force_bounds(state, loads={"left": ((-10.0, 0.0), 5.0)}).normal).all()
+    with pytest.raises(ValueError, match="loads: expected those of some solution"):
+        dc.force_bounds(state, loads={floor: (5 * weight / state.dt, 0.1 * weight / state.dt)})
+
+
+@cache
+def pile(friction):
+    scene = packing(16, np.random.default_rng(3), smallest=0.5, friction=friction)
+    return dc.simulate(scene, steps=300, solver=dc.NNCG(sweeps=100)).state
+
+
+def test_without_friction_everything_is_determined():
+    bounds = dc.force_bounds(pile(0.0))
+    assert bounds.determined == 1.0
+    exact = dc.solve_exactly(pile(0.0)).solution
+    np.testing.assert_allclose(bounds.normal[:, 0], exact.normal_impulses, atol=1e-6 * exact.normal_impulses.mean())
+
+
+def test_random_solutions_lie_within_and_each_bound_is_one_of_them():
+    state = pile(0.5)
+    exact, bounds, problem = dc.solve_exactly(state).solution, dc.force_bounds(state), contact_problem(state)
+    own = np.column_stack([exact.normal_impulses, exact.tangent_impulses]).ravel()
+    scale, m = own[::2].mean(), state.contacts.count
+    # Without edges: |λ_t| <= μ λ_n as rows; all contacts of this pile rest.
+    cone = np.vstack([np.kron(np.eye(m), [-0.5, 1.0]), np.kron(np.eye(m), [-0.5, -1.0])])
+    G = problem.jacobian.T.toarray()
+    tight = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+
+    def vertex(cost):
+        end = linprog(cost, cone, np.zeros(2 * m), G, G @ own / scale, (None, None), "highs", options=tight)
+        return scale * end.x
+
+    rng, ends = np.random.default_rng(0), np.stack([bounds.normal, bounds.tangent], axis=1).reshape(2 * m, 2) / scale
+    for cost in rng.normal(size=(100, 2 * m)):
+        cost[::2] = np.abs(cost[::2]) + np.abs(cost[1::2])  # bounded below: λ_n counts for more than friction
+        found = vertex(cost) / scale
+        assert np.clip(found, *ends.T) == pytest.approx(found, abs=1e-7)
+    for row, (least, largest) in enumerate(ends):
+        for sign, end in ((1, least), (-1, largest)):
+            solution = vertex(sign * np.eye(2 * m)[row])
+            assert solution[row] / scale == pytest.approx(end, rel=1e-7, abs=1e-7)
+            assert natural_residual(problem, solution) < 1e-8
+    assert np.ptp(bounds.normal, axis=1).max() > 0.5 * scale
