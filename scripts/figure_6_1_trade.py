@@ -17,14 +17,14 @@ LOOKS = {name: {"color": plotting.GREY, "marker": marker} for name, marker in pl
 
 def compute(options, seed, jobs, progress):
     """The study's rows on plain piles, and its presets."""
-    found = runs.read_study(options["results"])
+    study = runs.read_study(options["results"])
     rows = [
         {key: row[key] for key in ("n_bodies", "name", "us", "errors")}
         | {"group": row["setting"].get("engine") or row["setting"]["method"]}
-        for row in found["plain"]
+        for row in study["plain"]
         if row["us"] is not None
     ]
-    return {"rows": rows, "presets": found["presets"]}
+    return {"rows": rows, "presets": study["presets"]}
 
 
 def claims(data):

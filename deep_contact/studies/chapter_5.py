@@ -79,15 +79,15 @@ def thesis_layers(channels: int = 5) -> list[dict]:
     from deep_contact.cnn import architectures
 
     model = architectures.thesis(channels=channels)
-    given = {"kind": "Input", "shape": list(model.input_shape[1:])}
-    found = [given | {"parameters": 0, "trainable": 0, "kernel": None}]
+    images = {"kind": "Input", "shape": list(model.input_shape[1:])}
+    rows = [images | {"parameters": 0, "trainable": 0, "kernel": None}]
     for layer in model.layers:
         kind, kernel = type(layer).__name__, getattr(layer, "kernel_size", None)
         kind = LAYER_TITLES.get(kind, kind) + (f"({layer.filters})" if kernel else "")
         trainable = int(sum(np.prod(v.shape) for v in layer.trainable_variables))
         about = {"kind": kind, "shape": list(layer.output.shape[1:]), "parameters": int(layer.count_params())}
-        found.append(about | {"trainable": trainable, "kernel": list(kernel) if kernel else None})
-    return found
+        rows.append(about | {"trainable": trainable, "kernel": list(kernel) if kernel else None})
+    return rows
 
 
 def thesis_hyperparameters() -> dict[str, str]:

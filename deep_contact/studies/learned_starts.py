@@ -75,12 +75,12 @@ def fixed(solver: str, sweeps: int):
 
 def errors_of(state: State, impulses: Mapping, settings: Iterable[str], sweeps: Sequence, references: Sequence) -> dict:
     """Setting -> distances to the nearest reference after so many sweeps. impulses: start -> its impulses."""
-    found = {}
+    errors = {}
     for name in settings:
         start, solver = parts_of(name)
         ends = (solve(state, fixed(solver, k), *impulses[start]) for k in sweeps)
-        found[name] = [metrics.nearest_velocity_error(state, end, references) for end in ends]
-    return found
+        errors[name] = [metrics.nearest_velocity_error(state, end, references) for end in ends]
+    return errors
 
 
 # ---- states of held-out scenes: Figures 6.4, 6.8, 6.9 ----
@@ -109,8 +109,8 @@ def errors_on_scenes(
     common["settings"] = [*starts, *settings_of(several, FOLLOWING[1:])]
     scenes = [({**TRAINED, **kind}, s) for i, kind in enumerate(kinds) for s in seeds(seed + i, count)]
     tasks = [common | {"kind": kind, "seed": s} for kind, s in scenes]
-    found = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    return [found[i : i + count] for i in range(0, len(found), count)]
+    by_scene = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
+    return [by_scene[i : i + count] for i in range(0, len(by_scene), count)]
 
 
 def _errors_on_scene(task: Mapping) -> dict:
@@ -118,16 +118,16 @@ def _errors_on_scene(task: Mapping) -> dict:
     steps = round(task["steps"] * TRAINED["dt"] / task["kind"]["dt"])  # as much time in every kind
     count = task.get("states") or task["steps"] // task["every"]
     scene = scene_of_kind(task["kind"], task["seed"])
-    found: dict = {"step": [], "errors": {name: [] for name in task["settings"]}}
+    solved: dict = {"step": [], "errors": {name: [] for name in task["settings"]}}
     for state in solved_states(scene, steps=steps, every=max(1, steps // count), solver=PGS(sweeps=5000)):
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
         impulses = {name: start(state, PGS()) for name, start in starts.items()}
         errors = errors_of(state, impulses, task["settings"], task["after"], [solution])
         if np.isfinite(list(errors.values())).all():  # not where contacts have nothing to solve
-            found["step"].append(state.step)
+            solved["step"].append(state.step)
             for name, values in errors.items():
-                found["errors"][name].append(values)
-    return found
+                solved["errors"][name].append(values)
+    return solved
 
 
 def scene_of_kind(kind: Mapping, seed: int) -> State:
@@ -211,7 +211,7 @@ def sweep_time(state: State, solver: str, repeats: int) -> float:
 def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]:
     """The stages of a start as calls that need none of each other: "splat", "network" and "gather", whose result it is.
 
-    The solution that SPH transfers is given, and rows have been built. A start without an image has no stages.
+    The solution that SPH transfers is known, and rows have been built. A start without an image has no stages.
     """
     if isinstance(start, Sph):
         impulses = np.column_stack(solved_impulses(state, PGS()))
@@ -232,7 +232,7 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
     return {"splat": splat, "network": partial(model.run, image), "gather": gather}
 
 
-# ---- time to an error from given states: Figure 6.10 ----
+# ---- time to an error on the same states: Figure 6.10 ----
 
 TIMED = [
     *settings_of(["none"], [BASE]),
@@ -255,13 +255,13 @@ def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
     far = [method(sweeps=task["past_need"], tolerance=1e-9) for method in (PGS, NNCG)]
     start = piles.pile(task["kind"], task["circles"], task["seed"])
     for state in piles.states_of(start, count=task["states"], every=task["every"]):
-        given = {name: start(state, PGS()) for name, start in starts.items()}
-        ends = [solve(state, solver, *impulses) for impulses in given.values() for solver in far]
+        impulses = {name: start(state, PGS()) for name, start in starts.items()}
+        ends = [solve(state, solver, *start) for start in impulses.values() for solver in far]
         if references := piles.references_from(state, ends, exact=task["circles"] in task["exact"]):
             used.append(state)
-            errors.append(errors_of(state, given, TIMED, task["sweeps"], references))
-    found = {"circles": task["circles"], "kind": task["kind"], "contacts": [s.contacts.count for s in used]}
-    return found | {"errors": {name: [one[name] for one in errors] for name in TIMED}}, used
+            errors.append(errors_of(state, impulses, TIMED, task["sweeps"], references))
+    about = {"circles": task["circles"], "kind": task["kind"], "contacts": [s.contacts.count for s in used]}
+    return about | {"errors": {name: [one[name] for one in errors] for name in TIMED}}, used
 
 
 def times_on(states: Sequence[State], starts: Mapping[str, WarmStart], repeats: int) -> dict:

@@ -82,5 +82,5 @@ def config_of(metadata: dict, **changes) -> TrainingConfig:
     stored = metadata["card"].get("config")
     if not isinstance(stored, dict):
         raise ValueError(f"card: expected the settings of the run that made the model, got {stored!r}")
-    names, given = {f.name for f in fields(TrainingConfig)}, {**stored, **metadata["spec"]}
-    return TrainingConfig(**{name: value for name, value in given.items() if name in names} | changes)
+    names, settings = {f.name for f in fields(TrainingConfig)}, {**stored, **metadata["spec"]}
+    return TrainingConfig(**{name: value for name, value in settings.items() if name in names} | changes)
