@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,13 +15,11 @@ from deep_contact.state import notebook
 from deep_contact.validation import integer, number
 
 if TYPE_CHECKING:
-    from matplotlib.animation import FuncAnimation
-
     from deep_contact.io.simulation_h5 import StoredSimulation
     from deep_contact.state import State, StateWithContacts, World
 
 MOST_FRAMES = 40
-"""Of a player in a notebook, which keeps its pictures."""
+"""Of the film in a notebook, which keeps it."""
 
 
 def _array(*names: str) -> property:
@@ -83,10 +83,11 @@ class Trajectory:
         return f"Trajectory({self.positions.shape[1]} circles, {len(self)} states, {t[0]:g} to {t[-1]:g} s, {contacts})"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: matplotlib's player of at most `MOST_FRAMES` states, at the run's own speed."""
-        seconds = max(float(self.times[-1] - self.times[0]), 1e-3)
-        every = -(-len(self) // MOST_FRAMES)
-        return self.animate(fps=max(len(self) / every / seconds, 1.0), height=3.5, every=every).to_jshtml()
+        """What a notebook shows: a film of at most `MOST_FRAMES` states, at the run's own speed."""
+        seconds, every = max(float(self.times[-1] - self.times[0]), 1e-3), -(-len(self) // MOST_FRAMES)
+        with TemporaryDirectory() as folder:
+            film = self.film(Path(folder, "run.gif"), fps=max(len(self) / every / seconds, 1.0), size=400, every=every)
+            return f'<img src="data:image/gif;base64,{base64.b64encode(film.read_bytes()).decode()}">'
 
     times, positions, velocities = _array("time"), _array("position"), _array("velocity")
     angles, spins, offsets = _array("angle"), _array("spin"), _array("contact_offset")
@@ -115,30 +116,6 @@ class Trajectory:
         late = half * (self.velocities @ np.array(self.world.gravity)) @ arrays["mass"]
         return -np.diff(self.energies.sum(axis=1) + late)
 
-    def animate(self, *, fps: float = 25, height: float = 5.0, every: int = 1) -> FuncAnimation:
-        """A matplotlib animation of the circles, coloured by speed, and their contacts, as wide as their impulses.
-
-        fps: states shown in a second. height: of the picture, inches. every: one in so many states is shown. Its
-        `to_jshtml()` is for notebooks, its `save` writes a film.
-        """
-        from matplotlib.animation import FuncAnimation
-
-        from deep_contact.reporting import plotting
-
-        fastest, strongest = self._scales()
-        x_min, y_min, x_max, y_max = self.world.box
-        width = height * min(2.0, max(0.5, (x_max - x_min) / (y_max - y_min)))
-        with plotting.style():
-            figure, ax = plotting.subplots(size=(width, height))
-
-        def draw(i: int) -> None:
-            ax.clear()
-            plotting.draw_state(ax, self[i], limits=(0.0, fastest or 1e-9), largest_impulse=strongest or None)
-            ax.set_title(f"t = {self.times[i]:.2f} s", loc="left")
-
-        shown = range(0, len(self), integer("every", every, 1))
-        return FuncAnimation(figure, draw, frames=shown, interval=1000 / number("fps", fps, above=0), repeat=False)
-
     def film(self, path, *, fps: float = 25, size: int = 640, every: int = 1) -> Path:
         """Write a film of the circles, coloured by speed, and of their impulses. Returns its path.
 
@@ -149,15 +126,11 @@ class Trajectory:
         from deep_contact.reporting.film import Canvas, check_name, write_film
 
         check_name("path", path)
-        fastest, strongest = self._scales()
+        fastest = float(np.hypot(*self.velocities.reshape(-1, 2).T).max(initial=0.0))
+        strongest = float(self.impulses[:, 0].max(initial=0.0))
         canvas = Canvas(self.world, size=integer("size", size, least=32), fastest=fastest, strongest=strongest)
         shown = range(0, len(self), integer("every", every, 1))
         return write_film(path, (canvas(self[i]) for i in shown), number("fps", fps, above=0))
-
-    def _scales(self) -> tuple[float, float]:
-        """(Fastest speed, largest normal impulse) of the run, m/s and N·s; 0 where nothing moves or touches."""
-        fastest = float(np.hypot(*self.velocities.reshape(-1, 2).T).max(initial=0.0))
-        return fastest, float(self.impulses[:, 0].max(initial=0.0))
 
 
 def load_trajectory(path) -> Trajectory:

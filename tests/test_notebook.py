@@ -1,11 +1,14 @@
 """What notebooks and editors show: short reprs, inline pictures; and states that compare."""
 
+import base64
 import dataclasses
+import io
 import re
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from PIL import Image
 
 import deep_contact as dc
 from deep_contact import trajectory
@@ -52,10 +55,11 @@ def test_what_cannot_be_drawn_is_left_out():
 def test_a_run_shows_how_its_solves_ended_and_a_trajectory_plays(run, monkeypatch):
     assert "converged" in run._repr_html_()
     assert dc.simulate(dc.column(1), steps=0)._repr_html_()
-    frames = re.findall(r"frames\[\d+\] = .data:image/png", run.trajectory._repr_html_())
-    assert len(frames) == len(run.trajectory) == 4
-    monkeypatch.setattr(trajectory, "MOST_FRAMES", 3)  # every second state
-    assert run.trajectory._repr_html_().count("data:image/png") == 2
+    for most, count in ((40, 4), (3, 2)):  # of four states every one, and every second
+        monkeypatch.setattr(trajectory, "MOST_FRAMES", most)
+        film = re.search(r'src="data:image/gif;base64,(.*)"', run.trajectory._repr_html_())[1]
+        with Image.open(io.BytesIO(base64.b64decode(film))) as gif:
+            assert gif.n_frames == count
 
 
 def test_arrays_plans_and_recommendations_are_tables(run):

@@ -1,4 +1,4 @@
-"""`deep_contact.trajectory`: a run as arrays, as a file, as a table and as an animation."""
+"""`deep_contact.trajectory`: a run as arrays, as a file, and as a film."""
 
 import os
 
@@ -58,16 +58,6 @@ def test_a_recorded_run_has_no_digest_before_somebody_asks_for_it(monkeypatch):
     assert len(recorded) == 5
     with pytest.raises(ZeroDivisionError):
         _ = recorded.stored.digest
-
-
-def test_an_animation_has_a_frame_for_each_state(run):
-    from matplotlib import pyplot
-
-    animation = run.animate(fps=10, height=2)
-    assert animation.to_jshtml(default_mode="once").count("data:image/png") == len(run)
-    pyplot.close("all")
-    with pytest.raises(ValueError, match="fps: expected"):
-        run.animate(fps=0)
 
 
 def test_a_film_shows_circles_where_they_are_in_the_colour_of_their_speed(tmp_path):
