@@ -32,39 +32,44 @@ HERE = Path(__file__).resolve().parent
 
 def main(arguments=None, folder=HERE):
     """Run the scripts of a folder; the exit status."""
-    given, passed_on = parse(arguments)
+    args, passed_on = parse(arguments)
     try:
         scripts = find(folder)
-        chosen = scripts if given.only is None else choose(scripts, given.only.split(","))
+        chosen = scripts if args.only is None else choose(scripts, args.only.split(","))
     except ValueError as error:
         print(f"all_figures.py: {error}", file=sys.stderr)
         return 2
-    stale = references.stale() if given.stale or given.references else []
-    if given.stale:
+    stale = references.stale() if args.stale or args.references else []
+    if args.stale:
         for name in stale:
-            print(f"{name}, {cost(name)}: {references.why_old(name)}")
+            by_hand = " by hand" * (name in references.BY_HAND)
+            print(f"{name}, {in_words(references.made(name)['wall_s'])}{by_hand}: {references.why_old(name)}")
         return 0
-    work = [(name, [path, *passed_on], Path(given.out) / f"{stem(path)}.json") for name, path in chosen.items()]
-    if given.references:
-        wanted = [stem(path) for path in chosen.values()] if given.only else references.STUDIES.keys() | set(stale)
+    work = [(name, [path, *passed_on], Path(args.out) / f"{stem(path)}.json") for name, path in chosen.items()]
+    if args.references:
+        wanted = [stem(path) for path in chosen.values()] if args.only else references.STUDIES.keys() | set(stale)
         names = [name for name in stale if name in wanted and name not in references.BY_HAND]
-        work = [(name, made_by(name, passed_on), REFERENCE / f"{name}.json") for name in names]
+        work = []
+        for name in names:  # studies take no option of figures but the file's name
+            (script, *options), path = references.commands()[name], REFERENCE / f"{name}.json"
+            taken = ["--out", path] if name in references.STUDIES else passed_on
+            work.append((name, [script, *taken, *options], path))
         work.append(("tables", [HERE.parent / "docs" / "tables.py"], None))
-    if given.list:
+    if args.list:
         print(*(" ".join(map(str, command)) for _, command, _ in work), sep="\n")
         return 0
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):
-        left = sum(references.made(one)["wall_s"] for one, *_ in work[number - 1 : -1]) if given.references else 0
+        left = sum(references.made(one)["wall_s"] for one, *_ in work[number - 1 : -1]) if args.references else 0
         print(f"\n[{number}/{len(work)}] {command[0].name}{f', {in_words(left)} left' * bool(left)}", flush=True)
         status, seconds = timed(command)
         done.append((name, status, seconds, stored))
         if status in INTERRUPTS:
             break
-    if Path(given.out).is_dir() and not given.references:
+    if Path(args.out).is_dir() and not args.references:
         captions = {name.replace("T", "T "): caption(path) for name, path in scripts.items()}
         expected = [name.replace("T", "T ") for name in chosen]
-        index = page.write_report(given.out, expected=expected, captions=captions)
+        index = page.write_report(args.out, expected=expected, captions=captions)
         print(f"\nall results as one page: {index}")
     summarise(done)
     return INTERRUPTED if status in INTERRUPTS else int(any(status for _, status, *_ in done))
@@ -85,23 +90,12 @@ def parse(arguments):
     add("--jobs", type=int, help="processes (default: one for each core)")
     add("--seed", type=int, help="of everything random (default: each script's own)")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
-    given = parser.parse_args(arguments)
-    if given.references:
-        given.out = str(REFERENCE)
-    flags = [f"--{name}" for name in ("quick", "resume", "replot") if getattr(given, name)]
-    values = [(f"--{name}", getattr(given, name)) for name in ("out", "jobs", "seed", "scheduler")]
-    return given, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
-
-
-def made_by(name, passed_on):
-    """The command that makes a file of data/reference. Studies take no option of figures but the file's name."""
-    script, *options = references.commands()[name]
-    return [script, *(["--out", REFERENCE / f"{name}.json"] if name in references.STUDIES else passed_on), *options]
-
-
-def cost(name):
-    """What a file of data/reference took when it was made, in words."""
-    return in_words(references.made(name)["wall_s"]) + " by hand" * (name in references.BY_HAND)
+    args = parser.parse_args(arguments)
+    if args.references:
+        args.out = str(REFERENCE)
+    flags = [f"--{name}" for name in ("quick", "resume", "replot") if getattr(args, name)]
+    values = [(f"--{name}", getattr(args, name)) for name in ("out", "jobs", "seed", "scheduler")]
+    return args, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
 
 
 def in_words(seconds):

@@ -140,9 +140,9 @@ def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, fl
     ends = ((sweeps * contacts[of].sum(), seconds[of].sum()) for sweeps, of in ((FEW, few), (MANY, ~few)))
     slope, overhead = timing.slope_and_overhead(*ends)
     steps_few = steps * few.sum()
-    found = {"contacts": contacts.sum() / (steps * len(BLOCKS)), "sweep_ns": 1e9 * slope}
-    found |= {"overhead_us": 1e6 * overhead / steps_few, "step_us": 1e6 * seconds[few].sum() / steps_few}
-    return {name: float(value) for name, value in found.items()}
+    cost = {"contacts": contacts.sum() / (steps * len(BLOCKS)), "sweep_ns": 1e9 * slope}
+    cost |= {"overhead_us": 1e6 * overhead / steps_few, "step_us": 1e6 * seconds[few].sum() / steps_few}
+    return {name: float(value) for name, value in cost.items()}
 
 
 def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:

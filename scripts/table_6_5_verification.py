@@ -59,7 +59,7 @@ def cases():
 
 def compute(options, seed, jobs, progress):
     """The relative error of each case in each engine that is installed."""
-    found, dt = {}, options["dt"]
+    done, dt = {}, options["dt"]
     for name, (source, state, seconds, measured, exact) in cases().items():
         steps, errors = round(seconds / dt), {}
         solver = dc.PGS(sweeps=options["sweeps"], tolerance=None)
@@ -71,8 +71,8 @@ def compute(options, seed, jobs, progress):
                 continue
             world.run(steps, dt, options["sweeps"], 10)
             errors[engine] = measured(world.bodies())
-        found[name] = {"source": source, "errors": {who: abs(float(got) / exact - 1) for who, got in errors.items()}}
-    return {"cases": found}
+        done[name] = {"source": source, "errors": {who: abs(float(got) / exact - 1) for who, got in errors.items()}}
+    return {"cases": done}
 
 
 def claims(data):

@@ -35,8 +35,8 @@ def code(script: Path, root: Path = shipped.ROOT) -> dict[str, str]:
     digests, waiting = {}, {script}
     while waiting:
         file = waiting.pop()
-        found, imported = _read(file, root, file == script)
-        digests |= found
+        read, imported = _read(file, root, file == script)
+        digests |= read
         waiting |= imported - digests.keys()
     below = {path: path.relative_to(root).as_posix() if root in path.parents else path.name for path in digests}
     return {below[path]: digests[path] for path in sorted(digests)}
@@ -154,9 +154,9 @@ def _files(root: Path, module: str, name: str) -> set[Path]:
         return {place / f"{name}.py", *_packages(place / name, root)}
     if (place / name / "__init__.py").is_file():
         return _packages(place / name / "_", root)
-    found, init = _packages(place / "_", root), place / "__init__.py"
+    packages, init = _packages(place / "_", root), place / "__init__.py"
     home = lazy.homes(str(init)).get(name) if init.is_file() else None
-    return found | (_files(root, *home) if home and home[0] != module else set())
+    return packages | (_files(root, *home) if home and home[0] != module else set())
 
 
 def _packages(place: Path, root: Path) -> set[Path]:

@@ -92,14 +92,15 @@ def stress(state: State) -> np.ndarray:
     l: from the centre to a contact. f: of the contact on the circle. Half of the trace is the pressure. At rest σ is
     symmetric. Source: Christoffersen, Mehrabadi and Nemat-Nasser, J. Appl. Mech. 48, 339 (1981).
     """
-    state, found = ready(state), forces(state)
+    state = ready(state)
+    on_contact = forces(state).contact[:, None]
     bodies, c = state.bodies, state.contacts
     total = np.zeros((bodies.count, 2, 2))
     of_circles = c.body_b < bodies.count
     b = c.body_b[of_circles]
-    np.add.at(total, c.body_a, (c.position - bodies.position[c.body_a])[:, :, None] * found.contact[:, None])
+    np.add.at(total, c.body_a, (c.position - bodies.position[c.body_a])[:, :, None] * on_contact)
     arms = (c.position[of_circles] - bodies.position[b])[:, :, None]
-    np.subtract.at(total, b, arms * found.contact[of_circles][:, None])
+    np.subtract.at(total, b, arms * on_contact[of_circles])
     return total / (math.pi * bodies.radius**2)[:, None, None]
 
 

@@ -414,9 +414,6 @@ def parallel_map(
     (`seeds`). The first error ends the map and is raised; an interrupt ends the processes too.
     """
     items = list(items)
-    progress = progress or (lambda iterable, **_: iterable)
-    returned = [None] * len(items)
     with closing(parallel.finished(function, items, jobs=jobs)) as done:
-        for i, result in progress(done, total=len(items), text=text):
-            returned[i] = result
-    return returned
+        by_index = dict(progress(done, total=len(items), text=text) if progress else done)
+    return [by_index[i] for i in range(len(items))]

@@ -56,7 +56,7 @@ def write_report(
     environment.filters["cell"] = cell
     page = environment.get_template("page.html.j2").render(
         policy=POLICY,
-        found=[entry | {"caption": captions.get(entry["id"], "")} for entry in entries],
+        entries=[entry | {"caption": captions.get(entry["id"], "")} for entry in entries],
         claims=[claim for entry in entries for claim in entry["claims"] if claim["thesis"]],
         faults=faults,
         not_drawn=not_drawn,

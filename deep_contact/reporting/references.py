@@ -71,29 +71,24 @@ def why_old(name: str) -> str:
     return reason(made(name), commands()[name][0], is_time=name in TIMES)
 
 
-def reason(found: dict, script: Path, *, is_time: bool, root: Path = shipped.ROOT) -> str:
+def reason(stored: dict, script: Path, *, is_time: bool, root: Path = shipped.ROOT) -> str:
     """Why results with this provenance are not what a script would give today; "" if they are."""
-    if "code" not in found:
-        return f"it does not say what code made it (commit {found['commit'][:8]})"
-    for name, digest in found.get("inputs", {}).items():
+    if "code" not in stored:
+        return f"it does not say what code made it (commit {stored['commit'][:8]})"
+    for name, digest in stored.get("inputs", {}).items():
         if provenance.digests([name]).get(name) != digest:
             return f"{name} has changed"
         if (path := Path(name)).parent.as_posix() == "data/reference" and why_old(path.stem):
             return f"{name} is old"
-    inside, now = "deep_contact/", sources.code(script, root)
-    then = {
-        file: of for file, of in found["code"].items() if not file.removeprefix(inside).startswith(sources.NO_NUMBERS)
-    }
+    now, no_numbers = sources.code(script, root), tuple(f"deep_contact/{name}" for name in sources.NO_NUMBERS)
+    then = {file: digest for file, digest in stored["code"].items() if not file.startswith(no_numbers)}
     runs = sources.code(root / "tests" / "tools" / "golden.py", root)
-    changed = sorted(
-        (file for file in now | then if now.get(file) != then.get(file)), key=lambda file: (file in runs, file)
-    )
-    if not is_time and found.get("golden") in sources.golden(root):
-        changed = [file for file in changed if file not in runs]
-    if changed:
+    survives = not is_time and stored.get("golden") in sources.golden(root)
+    changed = [file for file in now | then if now.get(file) != then.get(file) and not (survives and file in runs)]
+    if changed := sorted(changed, key=lambda file: (file in runs, file)):
         return f"{', '.join(changed[:3])}{f' and {len(changed) - 3} more' if len(changed) > 3 else ''} changed"
-    if is_time and found["cpu"] != processor():
-        return f"measured on {found['cpu']}, the others on {processor()}"
+    if is_time and stored["cpu"] != processor():
+        return f"measured on {stored['cpu']}, the others on {processor()}"
     return ""
 
 

@@ -1,15 +1,6 @@
 """Results files: every number of a figure or table, where it came from, and what it says about the thesis.
 
-A results file is strict JSON with six fields, as `results_schema.json` defines them:
-
-| field      | meaning                                                                                    |
-|------------|--------------------------------------------------------------------------------------------|
-| id         | "3.7" for a figure, "T 5.1" for a table                                                    |
-| title      | one line                                                                                   |
-| options    | the settings of the run, name -> value                                                     |
-| provenance | version, commit, python, packages, cpu, seed, wall_s, inputs, code: see `io.provenance`    |
-| claims     | list of {text, thesis, holds, measured, verdict}: see `Claim`                              |
-| data       | every plotted number                                                                       |
+A results file is strict JSON; `results_schema.json` has its fields.
 
 A float is stored by its shortest exact representation: reading gives the same bits. NaN and infinity are refused; a
 missing number is None (`null`).
@@ -123,7 +114,7 @@ def read_results(path: str | os.PathLike) -> dict:
     """The checked contents of a results file. Raises ResultsError naming file, field and value."""
     path = Path(path)
     try:
-        return check_results(json.loads(path.read_text(encoding="utf-8"), parse_constant=_refuse_constant))
+        return check_results(json.loads(path.read_text(encoding="utf-8")))
     except ResultsError as error:
         raise ResultsError(f"{path.name}: {error}") from None
     except (ValueError, RecursionError) as error:
@@ -137,12 +128,11 @@ def is_current(path: str | os.PathLike, made: Mapping | None = None, **fields) -
     """
     now = provenance()
     try:
-        found = json.loads(Path(path).read_text(encoding="utf-8"))
+        record = json.loads(Path(path).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
-    wanted = {"code": now.get("code", "unknown"), "packages": now["packages"]} | dict(made or {})
-    by = found.get("provenance", {})
-    return all(by.get(k) == v for k, v in wanted.items()) and all(found.get(k) == v for k, v in fields.items())
+    made = {"code": now.get("code", "unknown"), "packages": now["packages"], **(made or {})}
+    return record.get("provenance", {}).items() >= made.items() and record.items() >= fields.items()
 
 
 def reference(stem: str) -> dict | None:
@@ -162,20 +152,16 @@ def verdict(claim: Mapping, beside: Mapping | None = None) -> str:
     beside: results of the reference run, for a claim of a smaller run. Where both agree, that is said; where they do
     not, it is "too few states to tell", and what the reference run says. A number of circles may differ.
     """
-    found = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
+    own = claim.get("verdict") or {True: "holds", False: "does not hold", None: "open"}[claim["holds"]]
     if beside is None:
-        return found
+        return own
     others = {_of_any_size(other["text"]): other for other in beside["claims"]}
     other = others.get(_of_any_size(claim["text"]))
     if other and claim["holds"] is not None and claim["holds"] == other["holds"]:
-        return f"as in the reference run, {found}"
+        return f"as in the reference run, {own}"
     return OPEN + (f" (reference run: {verdict(other)})" if other else "")
 
 
 def _of_any_size(text: str) -> str:
     """A claim without its number of circles."""
     return re.sub(r"\d+ circles", "circles", text)
-
-
-def _refuse_constant(name: str):
-    raise ResultsError(f"expected a finite number, got {name}")
