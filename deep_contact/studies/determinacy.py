@@ -1,0 +1,57 @@
+"""How much of the impulses of a resting pile its motion determines, and how far apart labels of one state lie."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from deep_contact.bounds import force_bounds
+from deep_contact.physics.exact import solve_exactly
+from deep_contact.physics.solvers import NNCG, PGS
+from deep_contact.simulation import simulate, solve_contacts
+from deep_contact.state import State
+from deep_contact.studies import piles
+from deep_contact.studies.no_past import without_past
+from deep_contact.warm_start import Cnn, LearnedSupport, Support
+
+SWEEPS, MOST_PIVOTS = 20_000, 5_000
+"""Of a solver that makes a label, and of the exact solution."""
+
+
+def packed(n_bodies: int, seed: int, *, friction: float) -> State:
+    """A packing that settles for 50 steps."""
+    scene = piles.packing(n_bodies, np.random.default_rng(seed), friction=friction)
+    return simulate(scene, steps=50, solver=piles.SETTLE).state
+
+
+def measure(n_bodies: int, friction: float, contacts: int, seed: int, models: list[str]) -> dict:
+    """Intervals of λ_n, and distances of other answers, of a resting pile; all over the mean λ_n.
+
+    contacts: how many are drawn, for the intervals. models: files of networks that correct a past and a support.
+    Returns "exact": whether an exact motion was found, "rms": speed, m/s, "widths", and with models "apart": answer →
+    median distance of λ_n from the exact solution that the pile's past leads to.
+    """
+    past = piles.pile("resting", n_bodies, seed, solver=piles.SETTLE, make=partial(packed, friction=friction))
+    exact = solve_exactly(past, most_pivots=MOST_PIVOTS)
+    found = {"n_bodies": n_bodies, "friction": friction, "exact": exact.converged, "rms": piles.rms_speed(past)}
+    if not exact.converged:
+        return found
+    normal, tangent = exact.solution.normal_impulses, exact.solution.tangent_impulses
+    solved = past.contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
+    drawn = np.random.default_rng(seed).choice(normal.size, min(contacts, normal.size), replace=False)
+    bounds = force_bounds(past.replace(contacts=solved, solved=True), np.sort(drawn))
+    found |= {"widths": np.ptp(bounds.normal, axis=1) / normal.mean(), "apart": {}}
+    if not models:
+        return found
+    state, pgs, nncg = without_past(past), PGS(sweeps=SWEEPS, tolerance=None), NNCG(sweeps=SWEEPS, tolerance=None)
+    answers = {
+        "Builtin": solve_contacts(past, solver=pgs)[0],
+        "PGS from zero": solve_contacts(state, solver=pgs, start="none")[0],
+        "NNCG from zero": solve_contacts(state, solver=nncg, start="none")[0],
+        "PGS from support": solve_contacts(state, solver=pgs, start=Support())[0],
+        models[0]: Cnn(models[0])(past, pgs)[0],
+        models[1]: LearnedSupport(models[1])(state, pgs)[0],
+    }
+    apart = {name: np.median(np.abs(answer - normal)) / normal.mean() for name, answer in answers.items()}
+    return found | {"apart": apart}

@@ -1,0 +1,110 @@
+"""python scripts/figure_6_15_determinacy.py: the interval of λ_n that a motion leaves, and what labels make of it."""
+
+import numpy as np
+
+from deep_contact.reporting import figures, plotting
+from deep_contact.reporting.figures import Claim, Figure, seeds
+from deep_contact.studies import determinacy
+
+SHARES = {"median contact": 50, "90th percentile": 90}
+"""Name -> percentile of the contacts of a pile."""
+
+
+def compute(options, seed, jobs, progress):
+    """Piles of the first size with every friction, and of every size with the one that is drawn by size."""
+    first, mu = options["sizes"][0], options["friction"]
+    wanted = [(first, other) for other in options["frictions"]] + [(n, mu) for n in options["sizes"][1:]]
+    tasks = [
+        (n, friction, options["contacts"], s, options["models"] if [n, friction] == [first, mu] else [])
+        for n, friction in wanted
+        for s in seeds(seed, options["scenes"])
+    ]
+    return {"piles": figures.parallel_map(_measured, tasks, jobs=jobs, progress=progress, text="piles")}
+
+
+def _measured(task):
+    return determinacy.measure(*task)
+
+
+def widths(data, n_bodies, friction):
+    """Percentiles of the widths in each pile, (piles, shares)."""
+    chosen = [pile["widths"] for pile in data["piles"] if (pile["n_bodies"], pile["friction"]) == (n_bodies, friction)
+              and pile["exact"]]  # fmt: skip
+    return np.array([np.percentile([np.inf if w is None else w for w in one], [*SHARES.values()], method="nearest")
+                     for one in chosen])  # fmt: skip
+
+
+def apart(data):
+    """Answer -> its distances in each pile."""
+    found = [pile["apart"] for pile in data["piles"] if pile.get("apart")]
+    return {name: [one[name] for one in found] for name in found[0]} if found else {}
+
+
+def cells(data):
+    return list(dict.fromkeys((pile["n_bodies"], pile["friction"]) for pile in data["piles"]))
+
+
+def claims(data):
+    """Nothing is open without friction, and much with it."""
+    medians = {cell: np.median(widths(data, *cell), axis=0) for cell in cells(data) if len(widths(data, *cell))}
+    smooth = [row.max() for (_, friction), row in medians.items() if friction == 0]
+    rough = {f"{n} circles, μ = {mu:g}": row[0] for (n, mu), row in medians.items() if mu > 0}
+    if smooth:
+        yield Claim("without friction the motion determines λ", None, max(smooth) < 1e-6, {"width": max(smooth)})
+    text = "with friction the interval of the median contact is at least half of the mean λ_n wide"
+    yield Claim(text, None, min(rough.values()) >= 0.5, rough)
+    middle = {name: float(np.median(values)) for name, values in apart(data).items()}
+    text = "solvers and starts that know no past lie at least a tenth of the mean λ_n from the label of the run"
+    yield Claim(text, None, min(v for name, v in middle.items() if "from" in name) >= 0.1, middle)
+
+
+def table(data):
+    rows = [["circles", "μ", "piles", "exact", *(f"width / mean λ_n, {name}" for name in SHARES)]]
+    for n, mu in cells(data):
+        found = widths(data, n, mu)
+        piles = sum((pile["n_bodies"], pile["friction"]) == (n, mu) for pile in data["piles"])
+        rows.append([n, mu, piles, len(found), *(np.median(found, axis=0) if len(found) else ["–"] * len(SHARES))])
+    return rows
+
+
+def draw(data, options):
+    """Widths over friction and over circles, median and range of the piles; distances of answers beside them."""
+    figure, panels = plotting.subplots(1, 3, size=(plotting.PAGE, 3.4), width_ratios=(1, 0.8, 1))
+    first, mu = options["sizes"][0], options["friction"]
+    sweeps = {"friction μ": [(first, x) for x in options["frictions"]], "circles": [(n, mu) for n in options["sizes"]]}
+    for ax, (name, chosen) in zip(panels, sweeps.items()):
+        chosen = sorted(cell for cell in chosen if len(widths(data, *cell)))
+        found = [widths(data, *cell) for cell in chosen]
+        x = [cell[1 if name.startswith("friction") else 0] for cell in chosen]
+        for k, (label, colour) in enumerate(zip(SHARES, (plotting.BLUE, plotting.VERMILION))):
+            middle, low, high = (np.array([f(one[:, k]) for one in found]) for f in (np.median, np.min, np.max))
+            plotting.band(ax, x, middle, low, high, color=colour, marker="o", markersize=4, label=label)
+        plotting.label_axes(ax, name, "interval of λ_n / mean λ_n")
+        ax.set_ylim(bottom=0)
+    panels[0].set_title(f"{first} circles")
+    panels[1].set_title(f"μ = {mu:g}")
+    panels[1].set(xscale="log", xticks=options["sizes"], xticklabels=options["sizes"])
+    panels[1].minorticks_off()
+    found = apart(data)
+    for y, (name, values) in enumerate(found.items()):
+        colour = plotting.PURPLE if name in options["models"] else plotting.GREY
+        panels[2].barh(y, np.median(values), color=colour)
+        panels[2].plot([min(values), max(values)], [y, y], color=plotting.BLACK, linewidth=1)
+    half = np.median(widths(data, first, mu)[:, 0]) / 2
+    panels[2].axvline(half, color=plotting.BLUE, linestyle="--", linewidth=1)
+    panels[2].set(
+        yticks=range(len(found)),
+        yticklabels=[f"{name}.h5" if name in options["models"] else name for name in found],
+        title=f"{first} circles, μ = {mu:g}",
+    )
+    panels[2].invert_yaxis()
+    panels[2].set_xlabel("median distance / mean λ_n\n(dashed: half of the interval)")
+    return plotting.legend_below(figure, panels[0], "How much of λ do the positions determine?")
+
+
+OPTIONS = {"sizes": [100, 30, 300], "frictions": [0, 0.1, 0.3, 0.5, 1], "friction": 0.5, "contacts": 16,
+           "scenes": 5, "models": ["model", "no_past"]}  # fmt: skip
+QUICK = {"sizes": [30, 60], "frictions": [0, 0.5, 1], "contacts": 8, "scenes": 2}
+FIGURE = Figure("6.15", "How much of λ the positions determine", compute, table, draw, claims, options=OPTIONS,
+                quick=QUICK, digits=5)  # fmt: skip
+figures.run_as_script(FIGURE, __name__)
