@@ -45,14 +45,14 @@ runs = {
 run = runs[sys.argv[1]]
 if run is exactly:
     settled = dc.simulate(dc.circles_in_box(100, seed=1), steps=300, solver=dc.PGS()).state
-run(5 if sys.argv[1] in ("on_step", "step", "solve_exactly") else 40_000)  # compiles all that a run needs
+run({"on_step": 5, "step": 5, "solve_exactly": 1}.get(sys.argv[1], 4_000))  # compiles all that a run needs
 for _ in range(int(sys.argv[2])):
     try:
         print("running", flush=True)
         run(1_000_000_000 if run in (stepped, exactly) else 3_000_000)
     except KeyboardInterrupt:
         print(time.monotonic(), flush=True)
-    run(5)
+    run(1)
 """
 RUNS = [*METHODS, "two threads", "asleep", "on_step", "simulate_many", "step", "solve_exactly"]
 

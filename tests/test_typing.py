@@ -50,7 +50,8 @@ def test_the_examples_pass_a_type_checker_and_mistakes_do_not(tmp_path):
     # The package is read as an installed one is: its own lines are not reported.
     silent = "[mypy]\nallow_redefinition = true\n[mypy-deep_contact.*]\nfollow_imports = silent\n"
     (tmp_path / "mypy.ini").write_text(silent, encoding="utf-8")
-    command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--no-error-summary", "."]
+    command = [sys.executable, "-m", "mypy", "--config-file", "mypy.ini", "--no-error-summary"]
+    command += ["--cache-dir", str(ROOT / "build" / "mypy"), "."]
     done = subprocess.run(
         command, cwd=tmp_path, capture_output=True, text=True, env=os.environ | {"MYPYPATH": str(ROOT)}
     )
