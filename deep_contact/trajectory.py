@@ -123,9 +123,8 @@ class Trajectory:
         many states is shown. Raises ValueError for another ending and where ffmpeg is missing, OSError where the file
         cannot be written.
         """
-        from deep_contact.reporting.film import Canvas, check_name, write_film
+        from deep_contact.reporting.film import Canvas, write_film
 
-        check_name("path", path)
         fastest = float(np.hypot(*self.velocities.reshape(-1, 2).T).max(initial=0.0))
         strongest = float(self.impulses[:, 0].max(initial=0.0))
         canvas = Canvas(self.world, size=integer("size", size, least=32), fastest=fastest, strongest=strongest)

@@ -11,7 +11,7 @@ import numpy as np
 
 from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.reporting import plotting
-from deep_contact.reporting.film import check_name, write_film
+from deep_contact.reporting.film import write_film
 from deep_contact.simulation import simulate
 from deep_contact.state import State
 from deep_contact.validation import integer
@@ -126,7 +126,6 @@ def record(frames: Iterable[Frame], path, *, fps: float = 25) -> Path:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    check_name("out", path)
     with plotting.style():
         canvas = FigureCanvasAgg(Figure(**LAYOUT, dpi=FILM_DPI))
 

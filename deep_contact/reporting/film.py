@@ -22,17 +22,6 @@ FINE = 3
 DARK = "#333333"
 
 
-def check_name(name: str, path) -> str:
-    """The ending of a film's name, ".gif" or ".mp4". Raises ValueError for another, and for an MP4 without ffmpeg."""
-    from matplotlib import animation
-
-    suffix = Path(path).suffix
-    expect(suffix in (".gif", ".mp4"), f"{name}: expected a name that ends in .gif or .mp4, got {str(path)!r}")
-    can_write = suffix == ".gif" or animation.writers.is_available("ffmpeg")
-    expect(can_write, f"{name}: expected ffmpeg to be installed for {str(path)!r}, found none; a .gif needs none")
-    return suffix
-
-
 class Canvas:
     """Draws states of one world in a picture whose longer side has `size` pixels.
 
@@ -58,20 +47,15 @@ class Canvas:
         from matplotlib import colormaps
         from PIL import ImageDraw
 
-        image, (centre, *_, radius), contacts = self._empty.copy(), state.bodies, state.contacts
+        image, (centre, *_, radius) = self._empty.copy(), state.bodies
         colours = colormaps[plotting.COLOUR_MAP](np.hypot(*state.bodies.velocity.T) / self._fastest)
         disc, reach = ImageDraw.Draw(image).ellipse, FINE * self._scale * radius[:, None]
         boxes, fills = np.hstack([self._pixels(centre) - reach, self._pixels(centre) + reach]), 255 * colours[:, :3]
         for box, fill in zip(boxes.tolist(), fills.astype(int).tolist()):
             disc(box, tuple(fill), DARK, FINE)
-        angle = state.bodies.angle
-        heading = radius[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
-        ticks = np.stack([centre + 0.5 * heading, centre + 0.9 * heading], axis=1)
+        ticks, chains = plotting.ticks(state.bodies), plotting.contact_lines(state)
         self._draw_lines(image, ticks, np.full(len(ticks), 1.2), plotting.readable_on(colours).tolist())
-        ends, between = contacts.position.copy(), contacts.body_b < len(radius)
-        ends[between] = centre[contacts.body_b[between]]
-        chains = np.stack([centre[contacts.body_a], ends], axis=1)
-        width = 0.5 + 7.5 * np.minimum(contacts.normal_impulse / self._strongest, 1.0)
+        width = 0.5 + 7.5 * np.minimum(state.contacts.normal_impulse / self._strongest, 1.0)
         self._draw_lines(image, chains, width + 1.5, ["white"] * len(chains))
         self._draw_lines(image, chains, width, [plotting.VERMILION] * len(chains))
         return np.asarray(image.reduce(FINE))
@@ -91,11 +75,20 @@ class Canvas:
 
 
 def write_film(path, pictures: Iterable[np.ndarray], fps: float) -> Path:
-    """Write pictures, (height, width, 3), uint8, as a GIF or an MP4, by the ending of its name. Returns the path."""
-    suffix, path = check_name("path", path), Path(path)
+    """Write pictures, (height, width, 3), uint8, as a GIF or an MP4, by the ending of its name. Returns the path.
+
+    Raises ValueError for another ending, and for an MP4 without ffmpeg, before the first picture is made.
+    """
+    from matplotlib import animation
+
+    path = Path(path)
+    writers = {".gif": _write_gif, ".mp4": _write_mp4}
+    expect(path.suffix in writers, f"path: expected a name that ends in .gif or .mp4, got {str(path)!r}")
+    can_write = path.suffix == ".gif" or animation.writers.is_available("ffmpeg")
+    expect(can_write, f"path: expected ffmpeg to be installed for {str(path)!r}, got none; a .gif needs none")
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as temporary:
-        (_write_gif if suffix == ".gif" else _write_mp4)(temporary, iter(pictures), fps)
+        writers[path.suffix](temporary, iter(pictures), fps)
     return path
 
 

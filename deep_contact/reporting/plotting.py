@@ -291,12 +291,9 @@ def draw_state(
                 ax.annotate("", xy=middle + 0.25 * way, xytext=middle - 0.25 * way, arrowprops=look)
     ax.add_collection(circles)
 
-    heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
-    # From half the radius outwards: a whole radius looks like a contact.
-    ticks = np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
     circles.update_scalarmappable()
     colours = readable_on(np.atleast_2d(circles.get_facecolor()))
-    ax.add_collection(LineCollection(ticks, colors=colours, linewidths=1.0))
+    ax.add_collection(LineCollection(ticks(bodies), colors=colours, linewidths=1.0))
     if contacts and state.contacts is not None and state.contacts.count:
         _draw_contacts(ax, state, largest_impulse)
     return circles
@@ -305,16 +302,26 @@ def draw_state(
 def _draw_contacts(ax, state, largest_impulse: float | None) -> None:
     from matplotlib.collections import LineCollection
 
-    bodies, contacts = state.bodies, state.contacts
-    ends = contacts.position.copy()
-    others = contacts.body_b < bodies.count
-    ends[others] = bodies.position[contacts.body_b[others]]
-    lines = np.stack([bodies.position[contacts.body_a], ends], axis=1)
+    contacts, lines = state.contacts, contact_lines(state)
     largest = float(contacts.normal_impulse.max()) if largest_impulse is None else largest_impulse
     width = 0.3 + 4.0 * np.minimum(contacts.normal_impulse / (largest or 1.0), 1.0)
     # A white line below sets each line off from circles of any colour.
     for colour, more in (("white", 0.8), (VERMILION, 0.0)):
         ax.add_collection(LineCollection(lines, colors=colour, linewidths=width + more, capstyle="round"))
+
+
+def ticks(bodies) -> np.ndarray:
+    """Lines that show the orientations, (n, 2, 2), m, from half the radius on: a whole one looks like a contact."""
+    heading = np.stack([np.cos(bodies.angle), np.sin(bodies.angle)], axis=1) * bodies.radius[:, None]
+    return np.stack([bodies.position + 0.5 * heading, bodies.position + 0.95 * heading], axis=1)
+
+
+def contact_lines(state) -> np.ndarray:
+    """A line for each contact, (m, 2, 2), m: from the centre of one circle to that of the other, or to the wall."""
+    bodies, contacts = state.bodies, state.contacts
+    ends, between = contacts.position.copy(), contacts.body_b < bodies.count
+    ends[between] = bodies.position[contacts.body_b[between]]
+    return np.stack([bodies.position[contacts.body_a], ends], axis=1)
 
 
 def draw_forces(ax, state, *, largest: float | None = None) -> None:
