@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import numpy as np
 
 from deep_contact.bounds import force_bounds
@@ -19,24 +17,31 @@ SWEEPS, MOST_PIVOTS = 20_000, 5_000
 """Of a solver that makes a label, and of the exact solution."""
 
 
-def packed(n_bodies: int, seed: int, *, friction: float) -> State:
-    """A packing that settles for 50 steps."""
-    scene = piles.packing(n_bodies, np.random.default_rng(seed), friction=friction)
-    return simulate(scene, steps=50, solver=piles.SETTLE).state
+def at_rest(n_bodies: int, seed: int, friction: float) -> State:
+    """A packing that settles to a rms speed below 1e-3 m/s, or for 1,050 steps."""
+    state = piles.packing(n_bodies, np.random.default_rng(seed), friction=friction)
+    state = simulate(state, steps=50, solver=piles.SETTLE).state
+    for _ in range(20):
+        state = simulate(state, steps=50, solver=NNCG(sweeps=200)).state
+        if piles.rms_speed(state) < 1e-3:
+            break
+    return state
 
 
 def measure(n_bodies: int, friction: float, contacts: int, seed: int, models: list[str]) -> dict:
     """Intervals of λ_n, and distances of other answers, of a resting pile; all over the mean λ_n.
 
     contacts: how many are drawn, for the intervals. models: files of networks that correct a past and a support.
-    Returns "exact": whether an exact motion was found, "rms": speed, m/s, "widths", and with models "apart": answer →
+    Returns "exact": whether an exact motion was found, "fastest":
+    speed of its circles, m/s, "widths", and with models "apart": answer →
     median distance of λ_n from the exact solution that the pile's past leads to.
     """
-    past = piles.pile("resting", n_bodies, seed, solver=piles.SETTLE, make=partial(packed, friction=friction))
+    past = at_rest(n_bodies, seed, friction)
     exact = solve_exactly(past, most_pivots=MOST_PIVOTS)
-    found = {"n_bodies": n_bodies, "friction": friction, "exact": exact.converged, "rms": piles.rms_speed(past)}
+    found = {"n_bodies": n_bodies, "friction": friction, "exact": exact.converged}
     if not exact.converged:
         return found
+    found["fastest"] = np.abs(exact.solution.velocities).max()
     normal, tangent = exact.solution.normal_impulses, exact.solution.tangent_impulses
     solved = past.contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
     drawn = np.random.default_rng(seed).choice(normal.size, min(contacts, normal.size), replace=False)
