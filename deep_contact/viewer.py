@@ -52,9 +52,8 @@ def frames(scene: State, *, steps: int, every: int = 1, solver=None, warm_start:
 class Painter:
     """Draws frames into two axes. The scales only grow, so that frames can be compared."""
 
-    def __init__(self):
-        self._speed, self._impulse, self._sweeps = 12.0, 0.0, 10  # m/s, N·s, sweeps
-        self._theta = (np.inf, 0.0)  # smallest and largest so far
+    _speed, _impulse, _sweeps = 12.0, 0.0, 10  # m/s, N·s, sweeps
+    _theta = (np.inf, 0.0)  # smallest and largest so far
 
     def __call__(self, axes, frame: Frame) -> None:
         """Draw a frame; axes: of the scene and of θ, empty."""

@@ -100,7 +100,6 @@ def main(argv=None) -> int:
     add("states", nargs="+", type=Path, metavar="STATE.xml", help="state files")
     add("--model", default=None, help="model file, or a name in models/registry.json; default: by state")
     add("--out", type=Path, default=Path("predictions"), help="folder for the results")
-    add("--threads", type=int, default=1, help="of TensorFlow")
     add("--raw", action="store_true", help="impulses as the network has them, not projected on the friction cone")
     add("--no-pictures", action="store_true", help="numbers only")
     args = parser.parse_args(argv)
@@ -108,7 +107,7 @@ def main(argv=None) -> int:
     from deep_contact.cnn.inference import load_model
 
     try:
-        limit_threads(args.threads)
+        limit_threads(1)
         model = load_model(args.model) if args.model else None
     except (ModuleNotFoundError, OSError, ValueError) as error:
         parser.exit(4 if isinstance(error, ModuleNotFoundError) else 2, f"{parser.prog}: {error}\n")
