@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
@@ -14,9 +15,10 @@ import numpy as np
 from deep_contact.compiled.team import cores
 from deep_contact.physics import engine
 from deep_contact.physics.convergence import ConvergenceRecord
-from deep_contact.physics.engine import ContactSolution, contacts_of
+from deep_contact.physics.engine import ContactSolution, contacts_of, step_problem
 from deep_contact.physics.forces import SIDES
 from deep_contact.physics.ready import ready
+from deep_contact.physics.relaxation import at_rest
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.solvers.registry import entry_of, for_state, tolerance_argument
 from deep_contact.presets import Accuracy, Decision, MeasuredAccuracy, PresetWarning, decide
@@ -25,11 +27,15 @@ from deep_contact.state import State, StateWithContacts, notebook
 from deep_contact.state.checks import check_types, checked_indices
 from deep_contact.trajectory import Trajectory
 from deep_contact.validation import expect, flag, integer, number, one_of
-from deep_contact.warm_start import Builtin, NoStart, Start, WarmStart, starting_impulses, warm_start_of
+from deep_contact.warm_start import Builtin, NoStart, Start, Support, WarmStart, starting_impulses, warm_start_of
 
 FIRST_SWEEPS = 500, 2000
-"""Least and most sweeps of the first step of a preset's run whose contacts carry no impulses: with few sweeps a pile at
-rest would fall into itself. Between them it is one for each circle."""
+"""Least and most sweeps of the first step of a preset's run whose contacts carry no impulses and where something moves:
+with few sweeps a pile would fall into itself. Between them it is one for each circle."""
+
+RELAXED, RESTS = 2000, (1e-4, 0.02)
+"""Most iterations of the convex relaxation of such a step where nothing moves yet; and the speeds over what gravity
+gives in a step at which these end, and up to which what they find is a pile at rest."""
 
 
 class Simulation(NamedTuple):
@@ -181,8 +187,8 @@ def simulate(
     accuracy: "preview", "fast", "balanced", "accurate" or "reference", in place of solver and start: the cheapest that
     were measured to keep the tolerances of that preset (`presets.PRESETS`) on the errors of a run; or what
     `measure_trade` measured on your scene. Where the scene's circles are too small or too fast for its Δt, the step is
-    divided into substeps. At step 0 contacts that carry no impulses, as of positions from elsewhere, are first solved
-    well (`FIRST_SWEEPS`).
+    divided into substeps. At step 0 contacts that carry no impulses, as of positions from elsewhere, get those at which
+    they rest, where there are any (`physics.relaxation`), or are solved well.
     sleep: leave islands that have been still for half a second as they are until something touches them, as Box2D 2.3
     does (`physics.sleeping`). Who sleeps is known within the run only: one that goes on from its state starts awake.
     record: keep the first state, one in so many steps, and the last, as `trajectory` of the result.
@@ -269,13 +275,23 @@ def simulate_many(
 
 
 def _with_a_past(state: StateWithContacts) -> StateWithContacts:
-    """The state with the impulses of `FIRST_SWEEPS` sweeps from what its positions say (`warm_start.Support`)."""
+    """The state with impulses at which it rests (`physics.relaxation`), or those of `FIRST_SWEEPS` sweeps.
+
+    Both start from what the positions say (`warm_start.Support`).
+    """
     if state.contacts.count == 0:
         return state
-    least, most = FIRST_SWEEPS
-    solver = NesterovPGS(sweeps=min(max(least, state.bodies.count), most), tolerance=None)
-    solution = solve_contacts(state, solver=solver, start="support")
-    normal, tangent = solution.normal_impulses, solution.tangent_impulses
+    problem, gained = step_problem(state), state.dt * math.hypot(*state.world.gravity)
+    normal, tangent = Support().from_problem(state, None, problem)
+    ends, rests = (share * gained for share in RESTS)
+    speed = math.inf
+    if np.mean(state.bodies.velocity**2) < gained**2:
+        normal, tangent, speed = at_rest(problem, normal, tangent, iterations=RELAXED, speed=ends)
+    if speed > rests:
+        least, most = FIRST_SWEEPS
+        solver = NesterovPGS(sweeps=min(max(least, state.bodies.count), most), tolerance=None)
+        solution = engine.solve(state, for_state(solver, state), normal, tangent, problem)
+        normal, tangent = solution.normal_impulses, solution.tangent_impulses
     contacts = state.contacts._replace(normal_start=normal, tangent_start=tangent)
     if not state.solved:
         contacts = contacts._replace(normal_impulse=normal, tangent_impulse=tangent)

@@ -1,0 +1,148 @@
+"""Impulses at which a pile rests, from its positions alone: the convex relaxation of the contact problem.
+
+Coulomb's law has several solutions for one state: the same circles may rest or slide. Sweeps find one that slides.
+The relaxation min ½ ‖M^½ (v + M⁻¹ Jᵀ λ)‖² over the cones |λ_t| ≤ μ λ_n (Anitescu 2006) has those that rest as its
+minima, where there are any, since their energy is 0. What it finds where nothing rests is no solution of Coulomb's law:
+circles that slide part.
+
+Accelerated projected gradients (Nesterov 1983), started anew where the gradient says so (O'Donoghue and Candès 2015).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from deep_contact.physics.contact_solver import (
+    ARM_A,
+    ARM_B,
+    BODY_A,
+    BODY_B,
+    CONTRACT,
+    N_X,
+    N_Y,
+    NORMAL,
+    NORMAL_MASS,
+    TANGENT,
+    V_S,
+    V_X,
+    V_Y,
+    Rows,
+    apply_impulses,
+)
+
+LOOKS = 25
+"""Iterations between two looks at whether the circles rest; and those of the power method."""
+
+
+def at_rest(problem, normal, tangent, *, iterations: int, speed: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """(λ_n, λ_t), (m,) each, N·s, and the rms speed of the circles that they leave, m/s.
+
+    problem: `StepProblem` with tangents. normal, tangent: impulses to start from. iterations: at most so many; they end
+    once the rms speed is no more than `speed`.
+    """
+    rows, v = problem.rows, problem.solver_bodies.copy()
+    rows = rows._replace(impulse=np.column_stack([normal, tangent]))
+    apply_impulses(rows, v, problem.friction)
+    rms = relax_cones(rows, problem.friction, v, iterations, speed)
+    return rows.impulse[:, NORMAL].copy(), rows.impulse[:, TANGENT].copy(), rms
+
+
+@njit(cache=True, error_model="numpy", fastmath=CONTRACT)
+def relax_cones(rows, friction, v, iterations, speed):
+    """`at_rest`, in place on the impulses of the rows and on the velocities v, (n + 4, 4), that have them."""
+    impulse, old = rows.impulse, rows.impulse.copy()
+    ahead, before, t = v.copy(), v.copy(), 1.0
+    trial, step = impulse.copy(), 1.0 / largest_eigenvalue(rows, friction, ahead)
+    ahead[:, :], rms = v, rms_speed(v)
+    for k in range(iterations):
+        along = approach(rows, friction, ahead, step, trial, old)
+        before[:, :] = v
+        for i in range(impulse.shape[0]):
+            for c in range(2):
+                impulse[i, c], old[i, c] = trial[i, c] - old[i, c], trial[i, c]
+        apply_impulses(rows, v, friction)
+        # From here on `impulse` is the change, `old` the impulse itself.
+        following = 0.5 + math.sqrt(0.25 + t * t)
+        share, t = (t - 1.0) / following, following
+        if along > 0.0:
+            share, t = 0.0, 1.0
+        for i in range(impulse.shape[0]):
+            for c in range(2):
+                trial[i, c] = old[i, c] + share * impulse[i, c]
+        for a in range(v.shape[0]):
+            for c in range(3):
+                ahead[a, c] = v[a, c] + share * (v[a, c] - before[a, c])
+        if k % LOOKS == LOOKS - 1:
+            rms = rms_speed(v)
+            if not rms > speed:
+                break
+    impulse[:, :] = old
+    return rms
+
+
+@njit(cache=True, error_model="numpy", fastmath=CONTRACT)
+def approach(rows, friction, v, step, trial, old):
+    """A step down the gradient J v from the trial impulses, in place, cut to the cones; the gradient times the change.
+
+    Steps are scaled by the effective masses, the same for both rows of a contact, which leaves its cone as it is.
+    """
+    body, data, along = rows.body, rows.data, 0.0
+    for i in range(body.shape[0]):
+        g_n, g_t = relative_velocity(body, data, v, i)
+        scaled = step * data[i, NORMAL_MASS]
+        p_n, p_t = nearest_in_cone(trial[i, NORMAL] - scaled * g_n, trial[i, TANGENT] - scaled * g_t, friction)
+        trial[i, NORMAL], trial[i, TANGENT] = p_n, p_t
+        along += g_n * (p_n - old[i, NORMAL]) + g_t * (p_t - old[i, TANGENT])
+    return along
+
+
+@njit(cache=True, error_model="numpy")
+def nearest_in_cone(p_n, p_t, friction):
+    """The point of the cone |λ_t| ≤ μ λ_n nearest to (p_n, p_t)."""
+    size = abs(p_t)
+    if size <= friction * p_n:
+        return p_n, p_t
+    p_n = max(0.0, (p_n + friction * size) / (1.0 + friction * friction))
+    return p_n, math.copysign(friction * p_n, p_t)
+
+
+@njit(cache=True, error_model="numpy")
+def largest_eigenvalue(rows, friction, v):
+    """That of J M⁻¹ Jᵀ scaled by the effective masses, by the power method, with a tenth to spare."""
+    m, largest = rows.body.shape[0], 1.0
+    x, impulse = np.ones((m, 2)), np.empty((m, 2))
+    change = Rows(rows.body, rows.data, impulse)
+    for _ in range(LOOKS):
+        v[:, : V_S + 1] = 0.0
+        for i in range(m):
+            for c in range(2):
+                impulse[i, c] = rows.data[i, NORMAL_MASS] * x[i, c]
+        apply_impulses(change, v, friction)
+        square = np.sum(x * impulse)
+        for i in range(m):
+            g_n, g_t = relative_velocity(rows.body, rows.data, v, i)
+            x[i, NORMAL], x[i, TANGENT] = g_n, g_t
+        largest = math.sqrt(np.sum(x * x * rows.data[:, NORMAL_MASS : NORMAL_MASS + 1]) / square)
+        x /= largest
+    return 1.1 * largest
+
+
+@njit(cache=True)
+def relative_velocity(body, data, v, i):
+    """(Along the normal, along the tangent) of the i-th contact, m/s."""
+    a, b, n_x, n_y = body[i, BODY_A], body[i, BODY_B], data[i, N_X], data[i, N_Y]
+    d_x, d_y = v[b, V_X] - v[a, V_X], v[b, V_Y] - v[a, V_Y]
+    turn = data[i, ARM_A] * v[a, V_S] + data[i, ARM_B] * v[b, V_S]
+    return d_x * n_x + d_y * n_y, d_x * n_y - d_y * n_x + turn
+
+
+@njit(cache=True, fastmath=CONTRACT)
+def rms_speed(v):
+    """Of the circles, m/s, in place."""
+    total, n = 0.0, v.shape[0] - 4
+    for a in range(n):
+        total += v[a, V_X] * v[a, V_X] + v[a, V_Y] * v[a, V_Y]
+    return math.sqrt(total / max(n, 1))
