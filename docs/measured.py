@@ -235,6 +235,11 @@ def without_past() -> tuple:
     return *largest, measured["cells"], measured["wins"], *by_size, np.mean(prices)
 
 
+def width(friction: float = 0.5) -> float:
+    """Figure 6.15: of the interval of the median contact of 100 circles, over the mean λ_n."""
+    return claim("figure_6_15", "interval of the median")[f"100 circles, μ = {friction:g}"]
+
+
 # ---- the thesis ----
 
 
@@ -381,6 +386,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ("for the SPH image: {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
     ],
     "starts.md": [
+        ("μ = 0.5, an interval of {:.1f} times the mean λ_n (without friction {:.2f};", lambda: [width(), width(0)]),
         (
             "3 sweeps from the network are worth {:.1f} of the best classical setting, 10 are worth {:.1f} and 30 are "
             "worth {:.1f}",
@@ -402,6 +408,7 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
     ],
     "thesis.md": [
+        ("with μ = 0.5 a network that sees them can promise no error below {:.2f} of", lambda: [width() / 2]),
         (
             "is faster than Builtin at sweeps {} to {} (Figure 5.9)",
             lambda: sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin"),
