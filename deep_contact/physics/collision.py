@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from deep_contact.physics.segments import hold_beside, insert_pairs, segment_gap
+from deep_contact.physics.segments import hold_beside, insert_pairs, may_cross, segment_gap
 from deep_contact.state import BOTTOM, RIGHT, TOP, WALL_NORMALS, Contacts
 
 SMALLEST_DISTANCE = 5e-13
@@ -564,7 +564,7 @@ def hold(bodies, before, box, segments, skin, solved):
     if any_outside(bodies.position, box):
         hold_inside(bodies, box, skin, solved)
     if segments is not None:
-        if segments.line.shape[0] > 0:
+        if segments.line.shape[0] > 0 and may_cross(bodies, before, solved):
             hold_beside(bodies, before, segments)
 
 

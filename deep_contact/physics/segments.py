@@ -313,6 +313,24 @@ def positions_before(bodies, segments):
 
 
 @njit(cache=True)
+def may_cross(bodies, before, solved):
+    """Whether a centre may have crossed a segment on its way: none has that went less than half of its radius.
+
+    Unless it was nearer than that to one, as its contact tells. before: positions, (n, 2), m. solved: contacts there.
+    """
+    position, radius, n = bodies.position, bodies.radius, bodies.radius.shape[0]
+    body_a, body_b, separation = solved.body_a, solved.body_b, solved.separation
+    crosses = False
+    for i in range(n):
+        m_x, m_y = position[i, 0] - before[i, 0], position[i, 1] - before[i, 1]
+        crosses |= not m_x * m_x + m_y * m_y < 0.25 * radius[i] * radius[i]
+    for k in range(body_a.shape[0]):
+        if body_b[k] >= n + 4:
+            crosses |= not separation[k] > -0.4 * radius[body_a[k]]
+    return crosses
+
+
+@njit(cache=True)
 def hold_beside(bodies, before, segments):
     """Take back half of the way, in place, of the centres that have crossed a segment, to where they did.
 
