@@ -123,7 +123,8 @@ def _measured(state: StateWithContacts, loads: Mapping) -> tuple[np.ndarray, np.
 
 
 def _solved(cost, program: Mapping):
-    options = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    options: dict = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
+    options |= {"simplex_dual_edge_weight_strategy": "devex"}  # takes three quarters of the time of the default
     return linprog(cost, bounds=(0, None), method="highs-ds", options=options, **program)
 
 
@@ -131,12 +132,15 @@ def _ends(part: tuple) -> np.ndarray:
     """Least and largest λ_n and λ_t over the scale, (k, 2, 2), of some contacts. part: (contacts, edges, program)."""
     contacts, edges, program = part
     edges, found = edges.tocsr(), np.zeros((len(contacts), 2, 2))
+    is_zero = np.zeros(edges.shape[0], bool)
     for place in np.ndindex(found.shape):
         row, sign = 2 * contacts[place[0]] + place[1], (1.0, -1.0)[place[2]]
         cost = sign * edges[[row]].toarray()[0]
-        if cost.any():
+        if cost.any() and not (place[2] == 0 and is_zero[row]):
             end = _solved(cost, program)
-            # The set is not empty. It may be unbounded, and presolve does not always say which of both.
-            expect(end.status in (0, 2, 3, 4), f"state: expected linear programs that HiGHS solves, got: {end.message}")
+            # The set is not empty, so 4, of which presolve says neither, is unbounded as 3 is.
+            expect(end.status in (0, 3, 4), f"state: expected linear programs that HiGHS solves, got: {end.message}")
+            if end.status == 0:
+                is_zero[::2] |= (edges @ end.x)[::2] == 0.0  # no λ_n is below that: a program less
             found[place] = sign * end.fun if end.status == 0 else -sign * np.inf
     return found
