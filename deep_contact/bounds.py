@@ -47,7 +47,7 @@ class ForceBounds(NamedTuple):
 
 
 def force_bounds(
-    state: State, contacts: Sequence[int] | None = None, loads: Mapping | None = None, *, jobs: int = 1
+    state: State, contacts: Sequence[int] | np.ndarray | None = None, loads: Mapping | None = None, *, jobs: int = 1
 ) -> ForceBounds:
     """Least and largest λ_n and λ_t of each contact over all impulses that give the state's exact motion.
 

@@ -8,7 +8,7 @@ from deep_contact.bounds import force_bounds
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.solvers import NNCG, PGS
 from deep_contact.simulation import simulate, solve_contacts
-from deep_contact.state import State
+from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles
 from deep_contact.studies.no_past import without_past
 from deep_contact.warm_start import Cnn, LearnedSupport, Support
@@ -17,10 +17,10 @@ SWEEPS, MOST_PIVOTS = 20_000, 5_000
 """Of a solver that makes a label, and of the exact solution."""
 
 
-def at_rest(n_bodies: int, seed: int, friction: float) -> State:
+def at_rest(n_bodies: int, seed: int, friction: float) -> StateWithContacts:
     """A packing that settles to a rms speed below 1e-3 m/s, or for 1,050 steps."""
-    state = piles.packing(n_bodies, np.random.default_rng(seed), friction=friction)
-    state = simulate(state, steps=50, solver=piles.SETTLE).state
+    scene = piles.packing(n_bodies, np.random.default_rng(seed), friction=friction)
+    state = simulate(scene, steps=50, solver=piles.SETTLE).state
     for _ in range(20):
         state = simulate(state, steps=50, solver=NNCG(sweeps=200)).state
         if piles.rms_speed(state) < 1e-3:
@@ -38,7 +38,7 @@ def measure(n_bodies: int, friction: float, contacts: int, seed: int, models: li
     """
     past = at_rest(n_bodies, seed, friction)
     exact = solve_exactly(past, most_pivots=MOST_PIVOTS)
-    found = {"n_bodies": n_bodies, "friction": friction, "exact": exact.converged}
+    found: dict = {"n_bodies": n_bodies, "friction": friction, "exact": exact.converged}
     if not exact.converged:
         return found
     found["fastest"] = np.abs(exact.solution.velocities).max()
