@@ -31,7 +31,7 @@ from numba import njit
 from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.convergence import ConvergenceRecord
-from deep_contact.physics.engine import ContactSolution, solve
+from deep_contact.physics.engine import ContactSolution, solve, step_problem
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite, natural_residual
 from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
 from deep_contact.physics.proximal_path import (
@@ -44,6 +44,7 @@ from deep_contact.physics.proximal_path import (
     path_by_matrices,
 )
 from deep_contact.physics.solvers import PGS, NesterovPGS
+from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_START, State
 from deep_contact.state.checks import check_limits, check_state
 from deep_contact.validation import expect, integer, number
@@ -55,8 +56,9 @@ divides by numbers of order ε where others hold the contact, and rounding leave
 LEAST_OF_MATRICES = 1e-9
 """The least ε where the bodies are not known: the equations of the impulses divide by nothing small."""
 
-FIRST_SWEEPS = NesterovPGS(sweeps=3000, tolerance=None)
-"""What is done to the impulses that a state holds, before the first step."""
+FIRST_SWEEPS = NesterovPGS(sweeps=300, tolerance=None)
+"""What is done to the impulses that a state holds, or that its positions tell, before the first step. More take longer
+than the pivots that they spare."""
 
 EASY, FAIR = 5, 12
 """Pivots up to which a step lets the next one have a fifth, or a half, of its ε."""
@@ -202,8 +204,10 @@ def _start_of_problem(problem: ContactProblem) -> np.ndarray:
 
 
 def _start_of_state(state: State) -> np.ndarray:
-    """The better of what the state holds and what sweeps make of it, (2 m,)."""
+    """The better of what the state holds, or `support` where it has no past, and what sweeps make of that, (2 m,)."""
     held = state.contacts.normal_start, state.contacts.tangent_start
+    if not state.contacts.have_past:
+        held = supported(state, step_problem(state))
     starts = [solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS)]
     found = min(starts, key=lambda start: np.nan_to_num(metrics.residual(state, start), nan=np.inf))
     return np.column_stack(projected(found.normal_impulses, found.tangent_impulses, state.world.friction)).ravel()
