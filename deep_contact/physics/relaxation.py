@@ -60,11 +60,11 @@ def relax_cones(rows, friction, v, iterations, speed):
     for k in range(iterations):
         along = approach(rows, friction, ahead, step, trial, old)
         before[:, :] = v
+        # From here to the next iteration `impulse` is the change, `old` the impulse itself.
         for i in range(impulse.shape[0]):
             for c in range(2):
                 impulse[i, c], old[i, c] = trial[i, c] - old[i, c], trial[i, c]
         apply_impulses(rows, v, friction)
-        # From here on `impulse` is the change, `old` the impulse itself.
         following = 0.5 + math.sqrt(0.25 + t * t)
         share, t = (t - 1.0) / following, following
         if along > 0.0:
