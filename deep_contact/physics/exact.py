@@ -12,8 +12,7 @@ problem whose velocities are shifted by q; the shift is then withdrawn, t q from
 state λ is linear in t, and each change (a pivot) tells which way t goes on: with friction it may have to grow again for
 a while. ε falls while steps are easy.
 
-Where the bodies are known a pivot is a solve with factors of a sparse matrix (`proximal_path`); a problem of matrices
-alone is factorised at every pivot. Either is for references, not for the steps of a run.
+A pivot is a solve with SuperLU's factors (`proximal_path`): this is for references, not for the steps of a run.
 
 A path is sure to lead to a solution without friction, where the problem is monotone. With friction ε may be too small
 against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε. Settling piles
@@ -22,7 +21,6 @@ of 1,000 have been solved, of 10,000 some. Of many solutions, the start and thes
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -34,15 +32,7 @@ from deep_contact.physics.convergence import ConvergenceRecord
 from deep_contact.physics.engine import ContactSolution, solve, step_problem
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, finite, natural_residual
 from deep_contact.physics.matrix_solvers import Blocks, blocks_of, solve_problem, sweep, velocities
-from deep_contact.physics.proximal_path import (
-    OPEN,
-    SLIP_DOWN,
-    SLIP_UP,
-    STICK,
-    bodies_of,
-    path_by_bodies,
-    path_by_matrices,
-)
+from deep_contact.physics.proximal_path import OPEN, SLIP_DOWN, SLIP_UP, STICK, follow
 from deep_contact.physics.solvers import PGS, NesterovPGS
 from deep_contact.physics.support import supported
 from deep_contact.state import LARGEST_START, State
@@ -52,9 +42,6 @@ from deep_contact.validation import expect, integer, number
 FIRST_EPSILON, LEAST_EPSILON, LARGEST_EPSILON = 1e-4, 1e-6, 0.1
 """ε to start with, and its bounds. A drift of λ costs a residual of ε times it, so ε has to be small; but a pivot
 divides by numbers of order ε where others hold the contact, and rounding leaves 16 digits less those of 1 / ε."""
-
-LEAST_OF_MATRICES = 1e-9
-"""The least ε where the bodies are not known: the equations of the impulses divide by nothing small."""
 
 FIRST_SWEEPS = NesterovPGS(sweeps=300, tolerance=None)
 """What is done to the impulses that a state holds, or that its positions tell, before the first step. More take longer
@@ -104,13 +91,14 @@ def solve_exactly(
     tangent_start: np.ndarray | None = None,
     *,
     residual: float = 1e-8,
-    most_pivots: int = 20_000,
+    most_pivots: int = 5_000,
 ) -> ExactSolution:
     """A solution of the state's contact problem to `metrics.residual` <= residual, m/s, where one is found.
 
     state: or a `ContactProblem` with friction, whose residual is `lcp.natural_residual`, which is the same.
     normal_start, tangent_start: impulses to start from, (m,) each, N·s; by default those that the state holds as its
-    start, or what 3,000 sweeps of NesterovPGS make of them where that has the smaller residual. most_pivots: it ends
+    start (`support` where it has no past), or what 300 sweeps of NesterovPGS make of them where that has the smaller
+    residual. most_pivots: it ends
     after so many pivots and factorisations together; the solution of least residual so far is returned, in the friction
     cone, and `converged` says how it went.
     The same arguments give the same solution. See the module on the method, its costs and where it fails.
@@ -129,7 +117,7 @@ def solve_exactly(
     else:
         raise ValueError(f"state: expected a State or a ContactProblem, got {state!r}")
     if normal_start is not None or tangent_start is not None:
-        impulse = _given(problem, normal_start, tangent_start)
+        impulse = _start_of(problem, normal_start, tangent_start)
     else:
         impulse = _start_of_state(state) if isinstance(state, State) else _start_of_problem(problem)
     impulse, factorizations, pivots = _solved(problem, impulse, residual, most_pivots)
@@ -153,42 +141,33 @@ def _solved(problem: ContactProblem, impulse: np.ndarray, residual: float, most_
     best, least = impulse, natural_residual(problem, impulse.ravel())
     wrong = least
     epsilon, factorizations, pivots, idle, restarts = FIRST_EPSILON, 0, 0, 0, 0
-    bodies = None if least <= residual else bodies_of(problem)
-    path, least_epsilon = path_by_matrices(problem), LEAST_OF_MATRICES
-    if bodies is not None:
-        path, least_epsilon = path_by_bodies(problem, bodies), LEAST_EPSILON
-    while least > residual and pivots + factorizations < most_pivots:
-        if restarts > MOST_RESTARTS and bodies is None:
-            break
-        if restarts > MOST_RESTARTS:
-            # Rounding does not let it: with μ of 1e6 the matrix of the velocities has no digits left.
-            path, least_epsilon, restarts, bodies = path_by_matrices(problem), LEAST_OF_MATRICES, 0, None
+    while least > residual and pivots + factorizations < most_pivots and restarts <= MOST_RESTARTS:
         limit = min(MOST_PIVOTS, most_pivots - pivots - factorizations)
         start = impulse
-        found, done, factorized = _step(path, blocks, start, epsilon, limit)
+        reached, done, factorized = _step(problem, blocks, start, epsilon, limit)
         factorizations, pivots = factorizations + factorized, pivots + done
-        if found is None:
+        if reached is None:
             # From where it stands the path leads nowhere: a larger ε makes the next one shorter. Sweeps move on as
             # well, but undo what the steps before have reached, so they come last.
             sweeps = SWEEPS_ELSEWHERE if epsilon == LARGEST_EPSILON else 0
-            epsilon = min(LARGEST_EPSILON, max(least_epsilon, 4 * epsilon))
+            epsilon = min(LARGEST_EPSILON, max(LEAST_EPSILON, 4 * epsilon))
         else:
-            impulse, sweeps = found, 1
-            epsilon = max(least_epsilon, epsilon / (5 if done <= EASY else 2 if done <= FAIR else 1))
+            impulse, sweeps = reached, 1
+            epsilon = max(LEAST_EPSILON, epsilon / (5 if done <= EASY else 2 if done <= FAIR else 1))
         impulse = _swept(blocks, impulse, sweeps)
         wrong, last = natural_residual(problem, impulse.ravel()), wrong
-        if done == 0 and found is not None and 0.9 * last < wrong < 1.1 * last:
+        if done == 0 and reached is not None and 0.9 * last < wrong < 1.1 * last:
             # Nothing changes but λ, along a line: it goes there until a contact stands on a bound.
-            impulse = _drifted(blocks, start, found)
+            impulse = _drifted(blocks, start, reached)
             wrong = natural_residual(problem, impulse.ravel())
         idle = 0 if done > EASY or wrong < least else idle + 1
         if wrong < least:
             best, least = impulse, wrong
         elif not np.isfinite(wrong):
             impulse = best
-        if found is not None:
+        if reached is not None:
             # Near the end a sweep adds more than it takes away.
-            exact = _swept(blocks, found, 0)
+            exact = _swept(blocks, reached, 0)
             at_end = natural_residual(problem, exact.ravel())
             if at_end < least:
                 best, least = exact, at_end
@@ -213,7 +192,7 @@ def _start_of_state(state: State) -> np.ndarray:
     return np.column_stack(projected(found.normal_impulses, found.tangent_impulses, state.world.friction)).ravel()
 
 
-def _given(problem: ContactProblem, normal, tangent) -> np.ndarray:
+def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:
     """The impulses in the cone, (2 m,)."""
     start = []
     for name, value in (("normal_start", normal), ("tangent_start", tangent)):
@@ -288,11 +267,11 @@ def _shown(blocks: Blocks, impulse):
     return states, x, u, q
 
 
-def _step(path: Callable, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
+def _step(problem: ContactProblem, blocks: Blocks, impulse: np.ndarray, epsilon: float, limit: int):
     """The contact problem with ε diag(A) (λ − c) added to its velocities, c being impulses in the cone, (m, 2).
 
     From c on the bounds of the states that it shows: (λ, or None where it is given up, pivots, factorisations).
     """
     states, x, u, q = _shown(blocks, impulse)
-    reached, pivots, factorizations = path(epsilon, states, x, u, q, limit)
+    reached, pivots, factorizations = follow(problem, epsilon, states, x, u, q, limit)
     return x if reached else None, pivots, factorizations

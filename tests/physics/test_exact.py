@@ -103,58 +103,27 @@ def bare(problem):
     return ContactProblem(problem.A, problem.b, friction=problem.friction)
 
 
-def proximal_step(problem, kind):
-    """A proximal step of the problem by its bodies or by its matrices alone: a function of c, ε and most pivots."""
-    problem = check_problem(problem if kind == "bodies" else bare(problem))
-    bodies = proximal_path.bodies_of(problem)
-    assert (bodies is None) == (kind == "matrices")
-    by_matrices, by_bodies = proximal_path.path_by_matrices, proximal_path.path_by_bodies
-    path = by_matrices(problem) if bodies is None else by_bodies(problem, bodies)
-    return partial(exact._step, path, blocks_of(problem))
-
-
 @pytest.mark.parametrize("friction", [0.5, 0.0])
 @pytest.mark.parametrize("k", [3, 7, 9, 11])
-def test_a_proximal_step_solves_its_problem_on_one_path_in_both_spaces(falling_states, k, friction):
-    # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices.
+def test_a_proximal_step_solves_its_problem(falling_states, k, friction, monkeypatch):
+    # The natural map of the contact problem with ε diag(A) (λ − c) added to the velocities, in dense matrices. Factors
+    # that are taken anew after 3 rows lead along the same path.
     state = falling_states[k]
-    state = state.replace(world=replace(state.world, friction=friction))
-    problem, start, epsilon, taken = contact_problem(state), np.zeros((state.contacts.count, 2)), 1e-2, []
-    A = problem.A.toarray()
-    for kind in ("bodies", "matrices"):
-        step = proximal_step(problem, kind)
-        found, pivots, _ = step(start, epsilon, 1000)
-        impulse = found.ravel()
+    problem = check_problem(contact_problem(state.replace(world=replace(state.world, friction=friction))))
+    step, epsilon, A = partial(exact._step, problem, blocks_of(problem)), 1e-2, problem.A.toarray()
+    start, taken = np.zeros((state.contacts.count, 2)), []
+    assert step(start, epsilon, 5)[:2] == (None, 5)
+    for refresh in (proximal_path.REFRESH, 3):
+        monkeypatch.setattr(proximal_path, "REFRESH", refresh)
+        end, pivots, _ = step(start, epsilon, 1000)
+        impulse = end.ravel()
         u = A @ impulse + problem.b + epsilon * np.diag(A) * impulse
         free = impulse - u / np.diag(A)
         normal, bound = np.maximum(free[::2], 0.0), friction * impulse[::2]
         np.testing.assert_allclose(impulse[::2], normal, atol=1e-10)
         np.testing.assert_allclose(impulse[1::2], np.clip(free[1::2], -bound, bound), atol=1e-10)
         taken.append(pivots)
-        assert step(start, epsilon, 5)[:2] == (None, 5)
     assert taken[0] == taken[1] > 5
-
-
-def test_an_inverse_taken_over_is_that_of_new_factors(falling_states):
-    problem = check_problem(contact_problem(falling_states[9]))
-    bodies, rng, m = proximal_path.bodies_of(problem), np.random.default_rng(2), falling_states[9].contacts.count
-    weight = 1 / (0.1 * problem.A.diagonal().reshape(-1, 2))
-    states, q = rng.integers(0, 4, m), rng.normal(size=(m, 2))
-    kept, fresh = proximal_path.make_inverse(bodies), proximal_path.make_inverse(bodies)
-    arguments = bodies, weight, 0.1, problem.friction
-    assert not proximal_path._take_over(*arguments, states, kept)
-    assert proximal_path._factorise(*arguments, states, kept)
-    changed = states.copy()
-    changed[:6] = (changed[:6] + np.array([1, 2, 3, 1, 2, 3])) % 4
-    assert proximal_path._take_over(*arguments, changed, kept)
-    assert proximal_path._factorise(*arguments, changed, fresh)
-    assert kept.used[0] >= 6 > fresh.used[0]
-    n = bodies.pattern.place.size
-    dv = np.zeros((2, n + 1, 3))
-    for inverse, v in zip((kept, fresh), dv):
-        proximal_path._solve(bodies, weight, problem.friction, q, inverse, v)
-    np.testing.assert_allclose(*dv, atol=1e-9 * np.abs(dv).max())
-    assert not proximal_path._take_over(bodies, weight, 0.2, problem.friction, changed, kept)
 
 
 @pytest.mark.parametrize("with_bodies", [True, False])
@@ -250,7 +219,7 @@ def test_too_few_pivots_give_the_best_so_far(falling_states):
 def test_a_singular_step_is_given_up():
     # Two rows that say the same, and nothing to hold them apart.
     problem = ContactProblem(sparse.csr_array(np.ones((2, 2))), -2 * np.ones(2), friction=np.array([2.0]))
-    assert proximal_step(problem, "matrices")(np.ones((1, 2)), 0.0, 9)[:2] == (None, 0)
+    assert exact._step(problem, blocks_of(problem), np.ones((1, 2)), 0.0, 9)[:2] == (None, 0)
 
 
 def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
