@@ -53,6 +53,7 @@ REFUSED = [
         for field in ({"mass": 1j}, {"position": [[1], [1, 2]]}, {"spin": np.zeros(3)})
     ),
     (COLUMN.replace, {"bodies": [[1.0, 1.0]]}, "bodies: expected"),
+    (dc.find_contacts(COLUMN).replace, {"bodies": COLUMN.bodies._replace(mass=1j)}, "bodies: expected"),
     (dc.make_bodies, {"position": [[1.0, 1.0]], "radius": 0.0}, r"bodies.radius\[0\]: expected"),
     (dc.plotting.save, {"figure": None, "path": "x.foo"}, "path: expected"),
     (dc.step, {"state": COLUMN.replace(solved=1j)}, "solved: expected"),
