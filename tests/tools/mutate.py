@@ -41,7 +41,6 @@ ROOT = Path(__file__).resolve().parents[2]
 LATE = """
 physics/exact.py=tests/physics/test_exact.py
 physics/proximal_path.py=tests/physics/test_exact.py
-physics/block_lu.py=tests/physics/test_exact.py
 physics/matrix_solvers.py=tests/physics/test_matrix_solvers.py,tests/physics/test_exact.py
 physics/islands.py=tests/physics/test_islands.py
 physics/sleeping.py=tests/physics/test_sleeping.py
