@@ -12,8 +12,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from highspy import Highs, HighsLp, HighsModelStatus, MatrixFormat
 from scipy import sparse
-from scipy.optimize import linprog
 
 from deep_contact import parallel
 from deep_contact.physics import metrics
@@ -29,6 +29,12 @@ EXACT, MOVING = 1e-8, 1e-6
 
 DETERMINED = 1e-6
 """Width below which an interval counts as a point, over the mean λ_n; the programs are solved to 1e-10."""
+
+OPTIONS: dict[str, bool | int | float | str] = {
+    "output_flag": False, "threads": 1, "presolve": "off", "solver": "simplex", "simplex_strategy": 4,
+    "primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10,
+}  # fmt: skip
+"""Of HiGHS: primal simplex, in silence."""
 
 
 class ForceBounds(NamedTuple):
@@ -85,20 +91,21 @@ def force_bounds(
     lengths = np.column_stack([np.ones((state.bodies.count, 2)), 1 / state.bodies.radius]).ravel()
     sums = sparse.diags_array(lengths) @ sparse.csc_array(contact_problem(state).jacobian).T
     rows, values, errors = _measured(state, loads or {})
-    unit = state.dt / scale
-    program = {"A_eq": sums @ edges, "b_eq": sums @ impulse.ravel() / scale}
-    if len(values):
-        rows = sparse.csr_array(rows) @ edges
-        program |= {"A_ub": sparse.vstack([rows, -rows]), "b_ub": unit * np.append(values + errors, errors - values)}
+    unit, total = state.dt / scale, sums @ impulse.ravel() / scale
+    program = Program(
+        sparse.csc_array(sparse.vstack([sums, sparse.csr_array(rows.reshape(len(rows), 2 * m))]) @ edges),
+        np.append(total, unit * (values - errors)),
+        np.append(total, unit * (values + errors)),
+    )
     if of.size and len(values):
-        possible = _solved(np.zeros(of.size), program).status == 0
+        possible = _highs(program).getModelStatus() == HighsModelStatus.kOptimal
         expect(possible, "loads: expected those of some solution with the state's motion, got others")
     parts = [(wanted[k::jobs], edges, program) for k in range(jobs)]
-    found = np.zeros((len(wanted), 2, 2))
-    for k, ends in parallel.finished(_ends, parts, jobs=jobs):
-        found[k::jobs] = np.asarray(ends)
-    narrow = (np.ptp(found, axis=2) < DETERMINED).all(axis=1)
-    return ForceBounds(scale * found[:, 0], scale * found[:, 1], float(narrow.mean()) if narrow.size else 1.0)
+    ends = np.zeros((len(wanted), 2, 2))
+    for k, some in parallel.finished(_ends, parts, jobs=jobs):
+        ends[k::jobs] = np.asarray(some)
+    narrow = (np.ptp(ends, axis=2) < DETERMINED).all(axis=1)
+    return ForceBounds(scale * ends[:, 0], scale * ends[:, 1], float(narrow.mean()) if narrow.size else 1.0)
 
 
 def _measured(state: StateWithContacts, loads: Mapping) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -122,25 +129,47 @@ def _measured(state: StateWithContacts, loads: Mapping) -> tuple[np.ndarray, np.
     return np.array(rows), np.array(values), np.array(errors)
 
 
-def _solved(cost, program: Mapping):
-    options: dict = {"primal_feasibility_tolerance": 1e-10, "dual_feasibility_tolerance": 1e-10}
-    options |= {"simplex_dual_edge_weight_strategy": "devex"}  # takes three quarters of the time of the default
-    return linprog(cost, bounds=(0, None), method="highs-ds", options=options, **program)
+class Program(NamedTuple):
+    """Linear programs x >= 0, lower <= A x <= upper that differ in their costs."""
+
+    matrix: sparse.csc_array
+    lower: np.ndarray
+    upper: np.ndarray
+
+
+def _highs(program: Program) -> Highs:
+    """The program without a cost, solved. From its solution, or that for another cost, primal simplex goes on."""
+    highs, lp, A = Highs(), HighsLp(), program.matrix
+    for option, value in OPTIONS.items():
+        highs.setOptionValue(option, value)
+    lp.num_row_, lp.num_col_ = A.shape
+    lp.col_cost_, lp.col_lower_, lp.col_upper_ = np.zeros(A.shape[1]), np.zeros(A.shape[1]), np.full(A.shape[1], np.inf)
+    lp.row_lower_, lp.row_upper_ = program.lower, program.upper
+    lp.a_matrix_.format_ = MatrixFormat.kColwise
+    lp.a_matrix_.start_, lp.a_matrix_.index_, lp.a_matrix_.value_ = A.indptr, A.indices, A.data
+    highs.passModel(lp)
+    highs.run()
+    return highs
 
 
 def _ends(part: tuple) -> np.ndarray:
     """Least and largest λ_n and λ_t over the scale, (k, 2, 2), of some contacts. part: (contacts, edges, program)."""
     contacts, edges, program = part
-    edges, found = edges.tocsr(), np.zeros((len(contacts), 2, 2))
-    is_zero = np.zeros(edges.shape[0], bool)
-    for place in np.ndindex(found.shape):
+    edges, ends = edges.tocsr(), np.zeros((len(contacts), 2, 2))
+    is_zero, columns = np.zeros(edges.shape[0], bool), np.arange(edges.shape[1], dtype=np.int32)
+    highs = _highs(program)
+    for place in np.ndindex(ends.shape):
         row, sign = 2 * contacts[place[0]] + place[1], (1.0, -1.0)[place[2]]
         cost = sign * edges[[row]].toarray()[0]
-        if cost.any() and not (place[2] == 0 and is_zero[row]):
-            end = _solved(cost, program)
-            # The set is not empty, so 4, of which presolve says neither, is unbounded as 3 is.
-            expect(end.status in (0, 3, 4), f"state: expected linear programs that HiGHS solves, got: {end.message}")
-            if end.status == 0:
-                is_zero[::2] |= (edges @ end.x)[::2] == 0.0  # no λ_n is below that: a program less
-            found[place] = sign * end.fun if end.status == 0 else -sign * np.inf
-    return found
+        if not cost.any() or (place[2] == 0 and is_zero[row]):
+            continue
+        highs.changeColsCost(columns.size, columns, cost)
+        highs.run()
+        status = highs.getModelStatus()
+        if status == HighsModelStatus.kOptimal:
+            ends[place] = sign * highs.getInfo().objective_function_value
+            is_zero[::2] |= (edges @ highs.getSolution().col_value)[::2] == 0.0  # no λ_n is below that: a program less
+        else:
+            expect(status == HighsModelStatus.kUnbounded, f"state: expected programs that HiGHS solves, got {status}")
+            ends[place] = -sign * np.inf
+    return ends
