@@ -3,7 +3,6 @@
     python scripts/run_tradeoff.py [--quick] [--jobs J] [--scheduler ADDRESS] [--seed S] [--out FILE] [--work FOLDER]
     python scripts/run_tradeoff.py --errors     only the parts that need no quiet machine
     python scripts/run_tradeoff.py --add        errors of settings that the results file lacks, and times of all
-    python scripts/run_tradeoff.py --verify     errors and times of the presets on scenes outside the study
 
 Every finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes,
 or a Dask cluster (--scheduler), compute errors; then one process of this machine measures times. `--install` makes
@@ -25,7 +24,7 @@ from types import MappingProxyType
 
 from deep_contact import parallel, presets, run_errors, trade
 from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS, TABLE, recommend
+from deep_contact.presets import PRESETS, TABLE
 from deep_contact.reporting import figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
@@ -372,108 +371,6 @@ def claims(data: dict) -> Iterator[results.Claim]:
             yield results.Claim(text, None, ahead, ratios)
 
 
-# ---- scenes outside the study ----
-
-VERIFY = {
-    "sizes": [100, 300, 1000, 3000, 10_000],
-    "kinds": dict.fromkeys(runs.HELD_OUT_KINDS, TIME_STEP) | {"slippery": 2.5 * TIME_STEP, "loose": TIME_STEP / 2},
-    "only": {
-        "3000": ["plain", "narrow radii", "hopper", "terrain", "low dam", "densities 1 : 5", "heavy on light 1 : 5"],
-        "10000": ["plain", "hopper", "low dam", "densities 1 : 5"],
-    },
-    "seeds": {"100": 20, "300": 10, "1000": 6, "3000": 4, "10000": 3},
-    "more_seeds": {"1000": 20},
-    "seconds": 6.0,
-    "timed": {n: ["plain"] for n in ("100", "300", "3000", "10000")}
-    | {"1000": [*dict.fromkeys((*runs.HELD_OUT_KINDS, *runs.KINDS))]},
-    "steps": {"100": 200, "300": 100, "1000": 50, "3000": 20, "10000": 10},
-    "repeats": 3,
-}
-"""Scenes outside the study: other seeds, sizes, radii, friction, walls, densities, heights to fall from, time steps."""
-
-VERIFY_QUICK = VERIFY | {
-    "sizes": [100], "kinds": {"plain": TIME_STEP}, "seeds": {"100": 3}, "more_seeds": {}, "seconds": 4.0,
-    "timed": {"100": ["plain"]}, "repeats": 2,
-}  # fmt: skip
-
-
-def recommended(kind: str, n_bodies: int, seed: int, dt: float, preset: str) -> tuple[dict, float]:
-    """(The setting that a preset takes for a scene, its predicted cost of TIME_STEP, μs)."""
-    found = recommend(runs.scene(kind, n_bodies, seed).replace(dt=dt), accuracy=preset)
-    return trade.setting_of(found.solver, dt, found.warm_start), found.us * TIME_STEP / dt
-
-
-def verify(options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool) -> dict | None:
-    """Errors of the presets on scenes outside the study, and their times beside the predicted ones."""
-    cases = []
-    for n, (kind, dt) in product(options["sizes"], options["kinds"].items()):
-        if kind not in options["only"].get(str(n), options["kinds"]):
-            continue
-        count = options["more_seeds"].get(str(n), 0) if kind == "plain" else 0
-        seeds = figures.seeds(seed + 5000, max(count, options["seeds"][str(n)]))  # that no study starts from
-        for preset in [None, *PRESETS]:
-            setting = runs.REFERENCE if preset is None else recommended(kind, n, seeds[0], dt, preset)[0]
-            common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-            case = {"n_bodies": n, "kind": kind, "preset": preset, "setting": setting}
-            cases.append((case, [("observed", common | {"seed": s}) for s in seeds]))
-    found = done([part for _, parts in cases for part in parts], FUNCTIONS, work=work, jobs=jobs, text="scenes")
-    if errors_only:
-        return None
-    rows, reference, seen = [], None, map(run_errors.observation, found)
-    for case, parts in cases:
-        ensemble = [next(seen) for _ in parts]
-        if case["preset"] is None:
-            reference = ensemble
-            continue
-        errors = run_errors.intervals(ensemble, reference)
-        # Kept: the value. Within: not exceeded beyond what the seeds can tell, the lower end of the interval.
-        known = {name: (errors[name], most) for name, most in PRESETS[case["preset"]].items() if errors[name]}
-        kept, within = ({name: of[at] <= most for name, (of, most) in known.items()} for at in (0, 1))
-        rows.append(case | {"errors": errors, "kept": kept, "within": within})
-    timed = []
-    for n, kind in ((int(n), kind) for n, kinds in options["timed"].items() for kind in kinds):
-        wanted = {preset: recommended(kind, n, seed + 5000, TIME_STEP, preset) for preset in PRESETS}
-        settings = list({trade.name_of(setting): setting for setting, _ in wanted.values()}.values())
-        arguments = {"kind": kind, "n_bodies": n, "seed": seed + 5000, "settings": settings}
-        arguments |= {"steps": options["steps"][str(n)], "repeats": options["repeats"]}
-        parts = [("times", arguments | {"phase": moment}) for moment in runs.MOMENTS]
-        moments = done(parts, FUNCTIONS, work=work, jobs=1, text="times")
-        took = {name: sum(us[name] for us in moments) / len(moments) for name in moments[0]}
-        for preset, (setting, predicted) in wanted.items():
-            us = took[trade.name_of(setting)]
-            timed.append({"n_bodies": n, "kind": kind, "preset": preset, "predicted_us": predicted, "us": us})
-    return {"rows": rows, "times": timed}
-
-
-def verify_claims(data: dict) -> Iterator[results.Claim]:
-    """Whether presets keep their promise, whether their costs are as predicted, and what kinds cost beside a pile."""
-    for preset, (count, text) in product(PRESETS, (("kept", ""), ("within", ", within the interval,"))):
-        mine = [row[count] for row in data["rows"] if row["preset"] == preset]
-        judged = {name: [cell[name] for cell in mine if name in cell] for name in PRESETS[preset]}
-        shares = {name: sum(of) / len(of) for name, of in judged.items()}
-        text = f"{preset} meets each of its tolerances{text} in 95 % of kinds and sizes of other scenes"
-        yield results.Claim(text, None, min(shares.values()) >= 0.95, shares)
-    ratios = {
-        f"{row['kind']}, {row['n_bodies']}, {row['preset']}": row["us"] / row["predicted_us"] for row in data["times"]
-    }
-    near = all(0.75 <= ratio <= 1.25 for ratio in ratios.values())
-    yield results.Claim("the cost is within 25 % of the predicted one", None, near, ratios)
-    plain = {(row["n_bodies"], row["preset"]): row["us"] for row in data["times"] if row["kind"] == "plain"}
-    times_plain = {
-        f"{row['kind']}, {row['n_bodies']}, {row['preset']}": row["us"] / plain[row["n_bodies"], row["preset"]]
-        for row in data["times"]
-    }
-    text = "no kind costs more than 20 times a plain pile of its size"
-    yield results.Claim(text, None, max(times_plain.values()) <= 20, times_plain)
-
-
-STUDIES = {
-    "run_tradeoff": ("6.1", "Speed for accuracy in runs: errors and times of settings and engines", study, claims),
-    "run_tradeoff_verify": ("V.2", "The presets on scenes outside the study", verify, verify_claims),
-}
-"""Name of the results file -> its id and title, what makes its data, and its claims."""
-
-
 def main(arguments=None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     add = parser.add_argument
@@ -486,18 +383,16 @@ def main(arguments=None) -> int:
     add("--install", action="store_true", help="make these the numbers of the presets")
     add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
     add("--add", action="store_true", help="take the errors over that the results file has, and measure times anew")
-    add("--verify", action="store_true", help="errors and times of the presets on scenes outside the study")
     given = parser.parse_args(arguments)
     start = time.perf_counter()
-    name = "run_tradeoff_verify" if given.verify else "run_tradeoff"
-    id, title, make, claims_of = STUDIES[name]
-    options = (VERIFY_QUICK if given.quick else VERIFY) if given.verify else QUICK if given.quick else FULL
-    out = given.out or Path(f"runs/{name}_quick.json" if given.quick else f"data/reference/{name}.json")
-    before = results.read_results(out) if given.add and not given.verify else None
-    more = {"before": before} if before else {}
+    options = QUICK if given.quick else FULL
+    out = given.out or Path("runs/run_tradeoff_quick.json" if given.quick else "data/reference/run_tradeoff.json")
+    before = results.read_results(out) if given.add else None
     try:
         with parallel.opened(given.jobs, given.scheduler) as jobs:
-            data = make(options, seed=given.seed, jobs=jobs, work=given.work, errors_only=given.errors, **more)
+            data = study(
+                options, seed=given.seed, jobs=jobs, work=given.work, errors_only=given.errors, before=before
+            )
     except parallel.ClusterError as error:
         print(error, file=sys.stderr)
         return 1
@@ -509,11 +404,13 @@ def main(arguments=None) -> int:
     if before:
         kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
     made = results.provenance(seed=given.seed, wall_s=wall_s)
-    about, judged = {"id": id, "title": title, "options": kept, "provenance": made}, list(claims_of(data))
+    about = {"id": "6.1", "title": "Speed for accuracy in runs: errors and times of settings and engines"}
+    about |= {"options": kept, "provenance": made}
+    judged = list(claims(data))
     results.write_results(out, about | {"claims": judged, "data": data}, digits=4)
     for claim in judged:
         print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
-    if given.install and not given.verify:
+    if given.install:
         results.write_json(TABLE, table(data, made["cpu"]))
     print(f"{len(data['rows'])} rows in {out.name}, {wall_s:.0f} s")
     return 0

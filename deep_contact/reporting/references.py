@@ -19,7 +19,6 @@ _SCRIPTS, _TOOLS = shipped.ROOT / "scripts", shipped.ROOT / "tests" / "tools"
 
 STUDIES = {
     "run_tradeoff": [_SCRIPTS / "run_tradeoff.py"],
-    "run_tradeoff_verify": [_SCRIPTS / "run_tradeoff.py", "--verify"],
     "benchmark_engine": [_SCRIPTS / "benchmark.py", "engine"],
     "benchmark_step": [_SCRIPTS / "benchmark.py", "step"],
     "benchmark_transfer": [_SCRIPTS / "benchmark.py", "transfer"],
@@ -30,7 +29,7 @@ STUDIES = {
 BY_HAND = {f"benchmark_{name}": [_SCRIPTS / "benchmark.py", name] for name in ("disks", "outside")}
 """The same for those that need problems and solvers of others (docs/benchmarks.md says which)."""
 
-RECORDS = ("box2d_native", "fuzz", "golden", "mutants", "mutants_late", "ratios_before", "soak")
+RECORDS = ("box2d_native", "fuzz", "golden", "mutants", "mutants_late", "ratios_before", "run_tradeoff_verify", "soak")
 """Files that say what was done once, at their commit: they grow true of no later code, nor old."""
 
 TIMES = frozenset({

@@ -20,7 +20,7 @@ import numpy as np
 from deep_contact import peers
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.io import shipped
-from deep_contact.physics.scenes import drum, hopper, lattice_in_box, terrain
+from deep_contact.physics.scenes import drum, lattice_in_box
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.presets import FASTEST, PRESETS, keeping
@@ -97,27 +97,6 @@ KINDS = {
 DENSE_KINDS = [kind for kind in KINDS if "1 : " in kind or kind == "dam break"]
 """Kinds that need more sweeps: two densities, and a dam that breaks."""
 
-HELD_OUT_KINDS = {
-    "plain": {},
-    "narrow radii": {"radius": (0.7, 1.3)},
-    "slippery": {"friction": 0.2},
-    "loose": {"gap": 0.3},
-    "bouncing": {"restitution": 0.3, "radius": (0.7, 1.3)},
-    "elastic": {"restitution": 0.6},
-    "thin gas": {"make": gas, "gap": 2.0, "restitution": 0.9},
-    "slow drum": {"make": drum, "froude": 0.05, "sides": 40},
-    "rough": {"friction": 1.0},
-    "wide radii": {"radius": (0.15, 1.5)},
-    "hopper": {"make": hopper},
-    "terrain": {"make": terrain},
-    "low dam": {"make": dam_break, "aspect": 1.0, "room": 3.0, "radius": (0.8, 1.0)},
-    "densities 1 : 5": {"make": two_densities, "ratio": 5.0},
-    "densities 1 : 30": {"make": two_densities, "ratio": 30.0},
-    "heavy on light 1 : 5": {"make": two_densities, "ratio": 5.0, "heavy": "above"},
-    "light on heavy 1 : 30": {"make": two_densities, "ratio": 30.0, "heavy": "below"},
-}
-"""Kinds of the scenes outside the study."""
-
 MOMENTS = (0.75, 2.25, 3.75, 5.25)
 """When piles are timed, s after the start. The cost of a setting is the mean over these: that of a run of 6 s."""
 
@@ -136,10 +115,8 @@ REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 
 def scene(kind: str, n_bodies: int, seed: int) -> State:
     """A scene of a kind. Piles: the thesis's scene for 100 circles and fewer, otherwise a loose lattice that falls."""
-    options = dict((KINDS | HELD_OUT_KINDS)[kind])
-    if make := options.pop("make", None):
-        return make(n_bodies, seed=seed, **options)
-    return piles.scene(n_bodies, seed, **{key: options[key] for key in options if key != "gap" or n_bodies > 100})
+    options = dict(KINDS[kind])
+    return options.pop("make", piles.scene)(n_bodies, seed=seed, **options)
 
 
 # ---- observations ----
