@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -63,6 +64,7 @@ class Observation(NamedTuple):
     | force       | mean vertical force on the box since the time before; None without gravity | (T − 1,) | M g     |
     | loads       | share of the λ_n > 0 at rest that are at most LOADS · mean; None if unknown | (121,)   | –       |
     | interval    | between two times                                                          | ()       | r / u   |
+    | quantities  | name -> values of a quantity of the user, or a sentence on why there are none | (T, …) | its own |
 
     u = √(g r); without gravity a tenth of the fastest circle's speed at the first time.
     """
@@ -75,21 +77,28 @@ class Observation(NamedTuple):
     force: np.ndarray | None
     loads: np.ndarray | None
     interval: float
+    quantities: dict[str, np.ndarray | str]
 
 
 def observation(stored: Mapping) -> Observation:
     """The observation whose fields JSON has stored as lists."""
-    return Observation(**{name: np.array(of) if isinstance(of, list) else of for name, of in stored.items()})
+    arrays = {name: np.array(of) if isinstance(of, list) else of for name, of in stored.items()}
+    own = {name: of if isinstance(of, str) else np.array(of) for name, of in stored["quantities"].items()}
+    return Observation(**arrays | {"quantities": own})
 
 
-def observe(states: Iterable[State]) -> Observation:
+def observe(
+    states: Iterable[State], quantities: Mapping[str, Callable[[State], object]] = MappingProxyType({})
+) -> Observation:
     """What is looked at of a run: of its states, with contacts, at equally spaced times (a `Trajectory` has them).
 
-    Impulses are those that unsolved states carry. Raises ValueError with fewer than `REST` states, or where there is
-    neither gravity nor motion.
+    quantities: name -> function of a state, a number or an array. Impulses are those that unsolved states carry.
+    Raises ValueError with fewer than `REST` states, or where there is neither gravity nor motion.
     """
     rows, momentum, loads, times, unit = [], [], [], [], None
+    own: dict[str, list | str] = {name: [] for name in quantities}
     for state in states:
+        own = {name: _with_next(name, quantity, state, own[name]) for name, quantity in quantities.items()}
         bodies = state.bodies
         g, r, mass = float(np.hypot(*state.world.gravity)), float(bodies.radius.mean()), float(bodies.mass.sum())
         squares = (bodies.velocity**2).sum(axis=1)
@@ -114,11 +123,32 @@ def observe(states: Iterable[State]) -> Observation:
     force = 1.0 + np.diff(momentum) / interval if g else None
     at_rest = np.concatenate([found / found.mean() for found in loads[-REST:] if found.size] or [np.empty(0)])
     known = np.searchsorted(np.sort(at_rest), LOADS, side="right") / at_rest.size if at_rest.size else None
-    return Observation(table[:, 0], table[:, 1], table[:, 2], table[:, 3:6], table[:, 6], force, known, interval)
+    values = {name: seen if isinstance(seen, str) else np.array(seen) for name, seen in own.items()}
+    return Observation(*table[:, :3].T, table[:, 3:6], table[:, 6], force, known, interval, values)
+
+
+def _with_next(name: str, quantity: Callable, state: State, before: list | str) -> list | str:
+    """The values of a quantity and its next one, or what is wrong with it."""
+    if isinstance(before, str):
+        return before
+    where = f"quantities[{name!r}] at t = {state.time:.3g} s: expected"
+    try:
+        value = np.asarray(quantity(state), float)
+    except Exception as error:
+        return f"{where} a number or an array, got {type(error).__name__}: {error}"
+    if not np.isfinite(value).all():
+        return f"{where} finite numbers, got {value.tolist()}"
+    if before and before[0].shape != value.shape:
+        return f"{where} the shape that it had before, {before[0].shape}, got {value.shape}"
+    return [*before, value]
 
 
 def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
     """The `ERRORS` of an ensemble against the reference's ensemble of the same scenes; None for an unknown one.
+
+    And of each quantity of the user two, as shares of the reference's size. Its name: mean curve,
+    Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "… spread": distance of the distributions over seeds of the mean over a run
+    (Wasserstein). Both are absolute where the reference is 0.
 
     Without gravity nothing comes to rest: the energy and the deepest penetration are left. A share of nothing, such as
     of the energy of circles that never move, is unknown too.
@@ -148,28 +178,42 @@ def errors(found: Sequence[Observation], reference: Sequence[Observation]) -> di
     }
     if true["peak"] is None:
         values |= dict.fromkeys(values.keys() - {"energy", "penetration_max"})
-    return {
+    in_units = {
         name: None if value is None else float(value) * (1.0 if name == "contacts" else 100.0)
         for name, value in values.items()
     }
+    return in_units | _of_quantities(found, reference)
+
+
+def _of_quantities(found: Sequence[Observation], reference: Sequence[Observation]) -> dict[str, float | None]:
+    values: dict = {}
+    for name in reference[0].quantities:
+        curves, true = ([run.quantities[name] for run in runs] for runs in (found, reference))
+        values |= {name: None, f"{name} spread": None}
+        if any(isinstance(one, str) for one in (*curves, *true)) or curves[0].shape != true[0].shape:
+            continue
+        size = float(np.abs(np.mean(true, axis=0)).sum()) or float(true[0].size)
+        values[name] = float(np.abs(np.mean(curves, axis=0) - np.mean(true, axis=0)).sum()) / size
+        means, true_means = (np.sort([one.mean() for one in runs]) for runs in (curves, true))
+        values[f"{name} spread"] = float(np.abs(means - true_means).mean()) * true[0].size / size
+    return values
 
 
 def intervals(
-    found: Sequence, reference: Sequence, *, resamples: int = 400, of: Callable = errors
+    found: Sequence[Observation], reference: Sequence[Observation], *, resamples: int = 400
 ) -> dict[str, tuple[float, float, float] | None]:
-    """Each of the errors with its `interval`: name -> (value, low, high), or None.
+    """Each of the `errors` with its `interval`: name -> (value, low, high), or None.
 
-    of: function of two ensembles, such as `errors`. The same seeds are drawn for both. Raises ValueError where these
-    differ in length.
+    The same seeds are drawn for both ensembles. Raises ValueError where these differ in length.
     """
     if len(found) != len(reference):
         raise ValueError(f"found: expected {len(reference)} runs, as the reference has, got {len(found)}")
-    values = of(found, reference)
+    values = errors(found, reference)
     known = [name for name, value in values.items() if value is not None]
 
     def of_seeds(drawn):
         pairs = (([found[i] for i in row], [reference[i] for i in row]) for row in drawn)
-        resampled = [of(*pair) for pair in pairs]
+        resampled = [errors(*pair) for pair in pairs]
         # What the whole ensemble has, such as settled heights, a resampling may lack.
         return np.array([[values[n] if one[n] is None else one[n] for n in known] for one in resampled], float)
 

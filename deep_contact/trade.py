@@ -2,7 +2,8 @@
 
 Settings run an ensemble of the scene beside a reference, 20 sweeps of PGS in steps 16 times as small as a preset's
 largest. Errors are those of the study (`run_errors.ERRORS`) and of quantities of the user, with intervals over seeds.
-A setting is a mapping that JSON can hold: a method, or another engine, with its options, sweeps and Δt.
+A setting is a mapping that JSON can hold: a method, or another engine, with its options, sweeps and Δt. The study of
+scripts/run_tradeoff.py runs, times and judges its settings by the same functions.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +32,7 @@ from deep_contact.io.provenance import provenance
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS, solver_from
-from deep_contact.physics.solvers.batched import threads_of
+from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD, threads_of
 from deep_contact.physics.solvers.registry import entry_of
 from deep_contact.presets import PRESETS, Decision
 from deep_contact.reporting import plotting, results
@@ -45,8 +47,8 @@ from deep_contact.validation import expect, integer, number, one_of
 FRAMES = 120
 """Observations of a run."""
 
-FEWEST_SEEDS, CHECKED_SEEDS = 3, 3
-"""Seeds below which a budget drops settings first, and seeds with which the reference is checked at the least."""
+FEWEST_SEEDS = 3
+"""Seeds below which a budget drops settings first."""
 
 SHIFT = 1e-3
 """Largest shift of a coordinate of a copy of a state, in slops."""
@@ -60,6 +62,9 @@ TIMED = 2
 LONG_ENOUGH = 0.02
 """Runs are timed once if they take so long, s."""
 
+WARM = 5
+"""Steps of a run before its time counts: the first ones load code, fill an engine's memory and find all contacts."""
+
 POSITION_SWEEPS = 10
 """Of Box2D 2.3, at most."""
 
@@ -69,16 +74,20 @@ SHOWN = ("energy", "height", "penetration", "penetration_max")
 ABSOLUTE = ("penetration", "penetration_95", "penetration_max")
 """Errors that compare with zero, not with the reference."""
 
+REFERENCE, HALF = "reference", "half step"
+"""Names of the reference's runs, and of those of half its step, among the observed."""
+
+STARTING = 5.0
+"""Time until processes compute, s."""
+
 
 # ---- settings ----
 
 
 def setting_of(solver, dt: float, start: str = "builtin") -> dict:
-    """The setting of a solver's options: those that differ from the defaults."""
-    changed = {f.name: value for f in fields(solver) if (value := getattr(solver, f.name)) != f.default}
-    changed = {name: value for name, value in changed.items() if (name, value) != ("tolerance", None)}
-    if solver.tolerance is not None:
-        changed["tolerance"] = solver.tolerance
+    """The setting of a solver's options: those that differ from the defaults, and a tolerance if there is one."""
+    plain = {f.name: None if f.name == "tolerance" else f.default for f in fields(solver)}
+    changed = {name: value for name, default in plain.items() if (value := getattr(solver, name)) != default}
     begin = {} if start == "builtin" else {"start": start}
     return {"method": type(solver).__name__, **changed, "sweeps": solver.sweeps, "dt": dt, **begin}
 
@@ -91,42 +100,15 @@ def solver_of(setting: Mapping):
 
 def name_of(setting: Mapping, step: float = TIME_STEP) -> str:
     """Such as "PGS, 10 sweeps, Δt / 2", or of an engine "Box2D v3, 4 iterations, Δt / 2"; `step` is Δt, s."""
-    budget = "iteration" if "engine" in setting else "sweep"
-    words = [
-        setting.get("engine") or setting["method"],
-        f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}",
-    ]
+    budget, ratio = "iteration" if "engine" in setting else "sweep", step / setting["dt"]
+    words = [group_of(setting), f"{setting['sweeps']} {budget}{'s' * (setting['sweeps'] != 1)}"]
     words += [f"{key}={setting[key]}" for key in setting if key not in ("engine", "method", "sweeps", "dt")]
-    ratio = step / setting["dt"]
-    words.append("Δt" if ratio == 1 else f"Δt / {ratio:g}" if ratio > 1 else f"{1 / ratio:g} Δt")
-    return ", ".join(words)
+    return ", ".join([*words, "Δt" if ratio == 1 else f"Δt / {ratio:g}" if ratio > 1 else f"{1 / ratio:g} Δt"])
 
 
-def world_of(start: State, setting: Mapping, **threads):
-    """The scene in the engine that a setting names, with the setting's knobs."""
-    knobs = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
-    return peers.ENGINES[setting["engine"]](start.replace(dt=setting["dt"], contacts=None), **knobs, **threads)
-
-
-def run_world(world, setting: Mapping, steps: int) -> None:
-    """So many steps of the setting's Δt."""
-    world.run(steps, setting["dt"], setting["sweeps"], setting.get("position_sweeps", POSITION_SWEEPS))
-
-
-def states_of(start: State, setting: Mapping, frames: int, interval: float) -> Iterator[State]:
-    """The states of a run with a setting, of our engine or of another, every `interval`, s."""
-    each = round(interval / setting["dt"])
-    if "engine" in setting:
-        world = world_of(start, setting)
-        for k in range(frames):
-            run_world(world, setting, each)
-            state = start.replace(bodies=world.bodies(), time=(k + 1) * interval)
-            yield state.replace(contacts=contacts_of(state))
-        return
-    state, solver, begin = start.replace(dt=setting["dt"]), solver_of(setting), setting.get("start", "builtin")
-    for _ in range(frames):
-        state = simulate(state, steps=each, solver=solver, warm_start=begin).state
-        yield state
+def group_of(setting: Mapping) -> str:
+    """Its method, or its engine."""
+    return setting.get("engine") or setting["method"]
 
 
 def reference_of(scene: State, finer: int = 1) -> dict:
@@ -159,7 +141,7 @@ def ladder(scene: State) -> tuple[dict, list]:
 
 def rivals(scene: State) -> tuple[list, list[str]]:
     """(Settings of the engines that have the scene, why the others do not)."""
-    found, why = [], []
+    settings, why = [], []
     for engine in peers.ENGINES:
         mine = [
             {"engine": engine, "sweeps": count, "dt": scene.dt / k}
@@ -167,104 +149,97 @@ def rivals(scene: State) -> tuple[list, list[str]]:
             for count in counts
         ]
         try:
-            world_of(scene, mine[0])
-            found += mine
+            Run(scene, mine[0])
+            settings += mine
         except (ImportError, ValueError) as error:
             why.append(f"{engine} is left out: {error}")
-    return found, why
+    return settings, why
 
 
-# ---- one run ----
+# ---- runs, and what is made of them ----
 
 
-def observed(
-    start: State, setting: Mapping, frames: int, interval: float, quantities: Mapping[str, Callable] | None = None
-) -> tuple[Observation, dict]:
-    """The `Observation` of a run, and of each quantity its values, (T, …), or a sentence on why there are none."""
-    own: dict = {name: [] for name in quantities or ()}
+class Run:
+    """A run of a scene with a setting, of our engine or of another. threads: of another engine."""
 
-    def watched():
-        for state in states_of(start, setting, frames, interval):
-            for name, seen in own.items():
-                if isinstance(seen, list):
-                    value = _value(name, quantities[name], state, seen)
-                    own[name] = value if isinstance(value, str) else [*seen, value]
-            yield state
+    def __init__(self, start: State, setting: Mapping, threads: int = 1):
+        self._state, self._setting, self._world = start.replace(dt=setting["dt"]), setting, None
+        if "engine" in setting:
+            options = {name: value for name, value in setting.items() if name in ("slop", "bias", "hertz")}
+            options |= {"threads": threads} if threads > 1 else {}
+            self._world = peers.ENGINES[setting["engine"]](self._state.replace(contacts=None), **options)
 
-    seen = observe(watched())
-    return seen, {name: values if isinstance(values, str) else np.array(values) for name, values in own.items()}
+    def advance(self, steps: int) -> None:
+        """So many steps of the setting's Δt."""
+        state, setting = self._state, self._setting
+        if self._world is None:
+            begin = setting.get("start", "builtin")
+            self._state = simulate(state, steps=steps, solver=solver_of(setting), warm_start=begin).state
+        else:
+            most = setting.get("position_sweeps", POSITION_SWEEPS)
+            self._world.run(steps, setting["dt"], setting["sweeps"], most)
+            self._state = state.replace(time=state.time + steps * setting["dt"])
+
+    def state(self) -> State:
+        """The state now, with contacts."""
+        if self._world is None:
+            return self._state
+        state = self._state.replace(bodies=self._world.bodies())
+        return state.replace(contacts=contacts_of(state))
 
 
-def _value(name: str, quantity: Callable, state: State, before: list) -> np.ndarray | str:
-    """A quantity of a state, or what is wrong with it."""
-    where = f"quantities[{name!r}] at t = {state.time:.3g} s: expected"
-    try:
-        value = np.asarray(quantity(state), float)
-    except Exception as error:
-        return f"{where} a number or an array, got {type(error).__name__}: {error}"
-    if not np.isfinite(value).all():
-        return f"{where} finite numbers, got {value.tolist()}"
-    if before and before[0].shape != value.shape:
-        return f"{where} the shape that it had before, {before[0].shape}, got {value.shape}"
-    return value
+def states_of(start: State, setting: Mapping, frames: int, interval: float) -> Iterator[State]:
+    """The states of a run with a setting every `interval`, s. Raises ValueError where no step of it ends there."""
+    run, each = Run(start, setting), round(interval / setting["dt"])
+    text = f"dt: expected a step that divides {interval:g} s, got {setting['dt']}"
+    expect(math.isclose(each * setting["dt"], interval, rel_tol=1e-5), text)
+    for _ in range(frames):
+        run.advance(each)
+        yield run.state()
 
 
 def timed(start: State, setting: Mapping, seconds: float) -> float:
-    """Time of a run of so many seconds in one go, s.
+    """Time of a run of so many seconds in one go, s: the least of several where it is short.
 
-    Of one thread its own time counts, which other programs disturb least.
+    Of one thread its own time counts, which other programs disturb least. Of a scene for which ours takes two threads,
+    other engines run on one and on two, where they can, and the lesser time counts. What their Python wrapper costs a
+    step is part of what their users pay; the destruction of their world is not.
     """
-    steps, clock, state = round(seconds / setting["dt"]), time.thread_time, start.replace(dt=setting["dt"])
-    solver = None if "engine" in setting else solver_of(setting)
-    if solver and threads_of(solver, state.bodies.count) > 1:
-        clock = time.perf_counter
+    engine, n, steps = peers.ENGINES.get(setting.get("engine")), start.bodies.count, round(seconds / setting["dt"])
+    if engine is None:
+        numbers: tuple[int, ...] = (threads_of(solver_of(setting), n),)
+    else:
+        numbers = (1, 2) if engine.takes_threads and n >= 2 * CIRCLES_A_THREAD else (1,)
 
-    def once():
-        world = None if solver else world_of(start, setting)
-        begun = clock()
-        if solver:
-            simulate(state, steps=steps, solver=solver, warm_start=setting.get("start", "builtin"))
-        else:
-            run_world(world, setting, steps)
-        return clock() - begun
+    def least(threads):
+        took: list[float] = []
+        while len(took) < 5 and sum(took) < LONG_ENOUGH:
+            run = Run(start, setting, threads)
+            run.advance(WARM)
+            took.append(_seconds(partial(run.advance, steps), time.perf_counter if threads > 1 else time.thread_time))
+        return min(took)
 
-    took: list[float] = []
-    while len(took) < 5 and sum(took) < LONG_ENOUGH:  # the least of several short ones
-        took.append(once())
-    return min(took)
+    return min(map(least, numbers))
 
 
-def _task(task: tuple) -> tuple | str:
-    """(Seconds or None, Observation, quantities) of a run; a sentence where it comes to no end."""
-    start, setting, frames, interval, quantities, is_timed = task
-    try:
-        seconds = timed(start, setting, frames * interval) if is_timed else None
-        return seconds, *observed(start, setting, frames, interval, quantities)
-    except (FloatingPointError, ValueError) as error:
-        return str(error)
+def _seconds(call: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
+    """Time of a call, s."""
+    begun = clock()
+    call()
+    return clock() - begun
 
 
-def all_errors(found: Sequence[tuple], reference: Sequence[tuple]) -> dict[str, float | None]:
-    """`errors` of ensembles of (Observation, quantities), and of each quantity two, as shares of the reference's size.
+def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], reference: Sequence[Observation]) -> dict:
+    """A row of results: what was run, and its errors with intervals, against the reference's runs of the same scenes.
 
-    Its name: mean curve, Σ |⟨q⟩ − ⟨q⟩*| / Σ |⟨q⟩*|. "… spread": distance of the distributions over seeds of the mean
-    over a run (Wasserstein). Both are absolute where the reference is 0.
+    step: Δt of the scene, s.
     """
-    values = errors([seen for seen, _ in found], [seen for seen, _ in reference])
-    for name in reference[0][1]:
-        curves, true = ([own[name] for _, own in runs] for runs in (found, reference))
-        values |= {name: None, f"{name} spread": None}
-        if any(isinstance(one, str) for one in (*curves, *true)) or curves[0].shape != true[0].shape:
-            continue
-        size = float(np.abs(np.mean(true, axis=0)).sum()) or float(true[0].size)
-        ends = [np.sort([one.mean() for one in runs]) for runs in (curves, true)]
-        values[name] = float(np.abs(np.mean(curves, axis=0) - np.mean(true, axis=0)).sum()) / size
-        values[f"{name} spread"] = float(np.abs(ends[0] - ends[1]).mean()) * true[0].size / size
-    return values
+    row = {"name": name_of(setting, step), "setting": dict(setting), "group": group_of(setting)}
+    return row | {"seeds": len(ensemble), "errors": intervals(ensemble, reference)}
 
 
 def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[str, float]:
-    """What `all_errors` are by chance: between runs of the same scenes by the reference and by half its step.
+    """What `errors` are by chance: between runs of the same scenes by the reference and by half its step.
 
     Where halving changes nothing but chance, the two runs of a scene may be swapped, and the errors of ensembles with
     swapped pairs are those that seeds alone make.
@@ -274,7 +249,7 @@ def noise_of(half: Sequence, reference: Sequence, *, swaps: int = 20) -> dict[st
     seen, rng = [], np.random.default_rng(0)
     for _ in range(swaps):
         pairs = [pair[::-1] if swap else pair for pair, swap in zip(zip(half, reference), rng.random(len(half)) < 0.5)]
-        seen.append(all_errors(*zip(*pairs)))
+        seen.append(errors(*zip(*pairs)))
     known = [name for name in seen[0] if name not in ABSOLUTE and all(one[name] is not None for one in seen)]
     return {name: float(np.mean([one[name] for one in seen])) for name in known}
 
@@ -303,7 +278,7 @@ class Trade:
     quantities: list
     digests: list  # of the scene of each seed
     seeds: int = 0
-    observed: dict = field(default_factory=dict)  # (name, number of the seed) -> (seconds, Observation, quantities)
+    observed: dict = field(default_factory=dict)  # (name, number of the seed) -> (seconds or None, Observation)
     rows: list = field(default_factory=list)
     noise: dict = field(default_factory=dict)
     converged: dict = field(default_factory=dict)
@@ -323,23 +298,21 @@ class Trade:
 
     def chosen(self, accuracy: str | None = None, **tolerances: float) -> dict:
         """The row of `choose`."""
-        mine = [row for row in self.rows if row["errors"] and row["us"] and row["group"] not in peers.ENGINES]
+        mine = [row for row in self.rows if row["us"] and row["group"] not in peers.ENGINES]
         expect(mine, "trade: expected a setting that was measured, got none; see its notes")
         known = {name for row in mine for name, error in row["errors"].items() if error}
         for name, most in tolerances.items():
             number(one_of("tolerances", name, sorted(known)), most, above=0)
+            if (seeds := self.enough(name, most)) > self.seeds:
+                text = f"{name}: seeds alone make an error of {self.noise[name]:.2g}, asked for was {most:g}"
+                warnings.warn(f"{text}; {seeds} seeds would do", presets.PresetWarning, stacklevel=3)
         limits = tolerances or PRESETS[one_of("accuracy", accuracy or "fast", PRESETS)]
         limits = {name: most for name, most in limits.items() if name in known}
 
         def excess(row, at):
-            return max(
-                (row["errors"][n][at] / most if row["errors"][n] else math.inf for n, most in limits.items()), default=0
-            )
+            of = ((row["errors"][name], most) for name, most in limits.items())
+            return max((error[at] / most if error else math.inf for error, most in of), default=0.0)
 
-        for name, most in tolerances.items():
-            if (seeds := self.enough(name, most)) > self.seeds:
-                text = f"{name}: seeds alone make an error of {self.noise[name]:.2g}, asked for was {most:g}"
-                warnings.warn(f"{text}; {seeds} seeds would do", presets.PresetWarning, stacklevel=3)
         for at, share in ((2, 1.0), (0, presets.MARGIN), (0, 1.0)):
             if kept := [row for row in mine if excess(row, at) <= share]:
                 return min(kept, key=lambda row: row["us"])
@@ -353,8 +326,9 @@ class Trade:
     def values(self, quantity: str) -> dict[str, np.ndarray]:
         """A quantity of the user, (seeds, T, …), by the name of the setting, the reference's as "reference"."""
         one_of("quantity", quantity, self.quantities)
-        seen = {name: [own[quantity] for (of, _), (*_, own) in self.observed.items() if of == name] for name in
-                (*self.settings, REFERENCE)}  # fmt: skip
+        seen: dict = {name: [] for name in (*self.settings, REFERENCE)}
+        for (name, _), (_, run) in self.observed.items():
+            seen.get(name, []).append(run.quantities[quantity])
         return {name: np.array(runs) for name, runs in seen.items() if runs and not isinstance(runs[0], str)}
 
     def decide(self, scene: State) -> Decision:
@@ -368,19 +342,15 @@ class Trade:
 
     def table(self) -> list[list[str]]:
         """A header and a line a setting, the cheapest first; errors in %, with what presets they keep."""
-        names = [
-            name for name in (*SHOWN, *self.quantities) if any((row["errors"] or {}).get(name) for row in self.rows)
-        ]
+        names = [name for name in (*SHOWN, *self.quantities) if any(row["errors"].get(name) for row in self.rows)]
         lines = [["setting", "ms a step", *(f"{name}, %" for name in names), "keeps"]]
         for row in sorted(self.rows, key=lambda row: row["us"] or math.inf):
-            by = [preset for preset, name in self.by_preset.items() if name == row["name"]]
-            kept = [p for p in PRESETS if row["errors"] and presets.keeps(row["errors"], p)]
-            cells = []
-            for name in names:
-                error = (row["errors"] or {}).get(name)
-                cells.append(f"{error[0] * (100 if name in self.quantities else 1):.3g}" if error else "–")
-            name = row["name"] + (f" ({', '.join(by)})" if by else "")
-            lines.append([name, f"{1e-3 * row['us']:.3g}" if row["us"] else "–", *cells, kept[-1] if kept else "–"])
+            by = ", ".join(preset for preset, name in self.by_preset.items() if name == row["name"])
+            kept = [preset for preset in PRESETS if presets.keeps(row["errors"], preset)]
+            scaled = {name: error and error[0] * _percent(name) for name, error in row["errors"].items()}
+            cells = ["–" if scaled.get(name) is None else f"{scaled[name]:.3g}" for name in names]
+            cost = f"{1e-3 * row['us']:.3g}" if row["us"] else "–"
+            lines.append([row["name"] + (f" ({by})" if by else ""), cost, *cells, kept[-1] if kept else "–"])
         return lines
 
     def _title(self) -> str:
@@ -404,33 +374,21 @@ class Trade:
 
         names: of errors; by default the energy and the deepest penetration, and the user's quantities.
         """
-        known = [name for row in self.rows for name, error in (row["errors"] or {}).items() if error]
+        known = dict.fromkeys(name for row in self.rows for name, error in row["errors"].items() if error)
         wanted = names or [n for n in ("energy", "penetration_max", *self.quantities) if n in known]
         figure, axes = plotting.subplots(1, len(wanted), size=(4.2 * len(wanted) + 0.6, 3.9), squeeze=False)
         for ax, name in zip(axes[0], wanted):
-            one_of("names", name, dict.fromkeys(known))
-            draw_plane(ax, [row for row in self.rows if row["us"] and (row["errors"] or {}).get(name)], name)
-            for preset, tolerances in PRESETS.items():
-                if name in tolerances:
-                    ax.axhline(tolerances[name], color=plotting.BLACK, linewidth=0.7, linestyle=":")
-                    ax.annotate(
-                        preset,
-                        (0.99, tolerances[name]),
-                        xycoords=("axes fraction", "data"),
-                        fontsize=7,
-                        ha="right",
-                        va="bottom",
-                    )
-            plotting.label_axes(
-                ax, f"time of {self.dt:g} s", name, x_unit="µs", y_unit="%" if name in ERRORS else "share"
-            )
+            one_of("names", name, known)
+            draw_plane(ax, [row for row in self.rows if row["us"] and row["errors"].get(name)], name)
+            unit = "%" if name in ERRORS else "share"
+            plotting.label_axes(ax, f"time of {self.dt:g} s", name, x_unit="µs", y_unit=unit)
         figure.suptitle(self._title(), fontsize=9)
         return figure
 
     def save(self, path) -> Path:
         """Write all of it, observations too, as JSON."""
         stored = {f.name: getattr(self, f.name) for f in fields(self)}
-        runs = [[*of, us, seen._asdict(), own] for of, (us, seen, own) in self.observed.items()]
+        runs = [[*of, us, seen._asdict()] for of, (us, seen) in self.observed.items()]
         return write_json(path, results.plain(stored | {"observed": runs}, digits=6))
 
 
@@ -439,16 +397,19 @@ def load_trade(path) -> Trade:
     try:
         stored = json.loads(Path(path).read_text(encoding="utf-8"))
         stored["observed"] = {
-            (name, i): (us, observation(seen), {q: v if isinstance(v, str) else np.array(v) for q, v in own.items()})
-            for name, i, us, seen, own in stored["observed"]
+            (name, i): (us, observation(seen | {"quantities": own[0]} if own else seen))
+            for name, i, us, seen, *own in stored["observed"]  # quantities were stored beside the observation once
         }
         return Trade(**stored)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {error!r}") from None
 
 
-def draw_plane(ax, rows: Sequence[Mapping], error: str) -> None:
-    """Cost and error of settings with intervals, ours in blue with their front, other engines in grey."""
+def draw_plane(ax, rows: Sequence[Mapping], error: str, *, names: bool = True) -> None:
+    """Cost and error of settings with intervals, ours in blue with their front, other engines in grey.
+
+    Dotted lines are what presets tolerate, with `names` at their right ends.
+    """
     ours = []
     for row in rows:
         value, reach = with_reach(row["errors"][error])
@@ -461,6 +422,11 @@ def draw_plane(ax, rows: Sequence[Mapping], error: str) -> None:
     ax.plot(*zip(*front), color=plotting.BLACK, drawstyle="steps-post", linewidth=1.2, zorder=3)
     ax.margins(y=0.1)
     plotting.log_axes(ax)
+    for preset, tolerances in PRESETS.items() if error in ERRORS else ():
+        ax.axhline(tolerances[error], color=plotting.BLACK, linewidth=0.7, linestyle=":")
+        if names:
+            ax.annotate(preset, (1.02, tolerances[error]), xycoords=("axes fraction", "data"), va="center",
+                        fontsize=8, color=plotting.BLACK, annotation_clip=False)  # fmt: skip
 
 
 # ---- the measurement ----
@@ -489,58 +455,49 @@ def measure_trade(
     The time that it takes is told first, on standard error; Ctrl-C returns what is known. Raises ValueError on bad
     arguments, and where the reference comes to no end.
     """
-    integer("steps", steps, least=REST)
-    numbers = (
-        list(range(integer("seeds", seeds, least=1)))
-        if isinstance(seeds, int)
-        else [integer("seeds", s) for s in seeds]
-    )
-    quantities = dict(quantities or {})
-    for name, quantity in quantities.items():
-        expect(callable(quantity), f"quantities[{name!r}]: expected a function of a state, got {quantity!r}")
-        expect(name not in ERRORS, f"quantities: expected other names than those of the study's errors, got {name!r}")
-    if minutes is not None:
-        number("minutes", minutes, above=0)
-    if not isinstance(jobs, Executor) and integer("jobs", jobs, least=1) > 1:
-        try:
-            pickle.dumps(quantities)
-        except (AttributeError, pickle.PicklingError, TypeError) as error:
-            raise ValueError(f"quantities: expected functions of a module for jobs={jobs}, got {error}") from None
+    numbers, quantities = _checked(steps, minutes, seeds, quantities, jobs)
     states = copies(scene, numbers)
     trade = _begun(states, steps, settings, engines, list(quantities))
-    known = {} if before is None else _known(trade, before)
+    trade.observed = {} if before is None else _known(trade, before)
     begun, every = time.perf_counter(), max(1, steps // FRAMES)
-    frames, interval = steps // every, every * trade.dt
+    frames, interval, most = steps // every, every * trade.dt, math.inf if minutes is None else 60.0 * minutes
     workers = jobs if isinstance(jobs, int) else getattr(jobs, "_max_workers", 1)
-    costs = _costs(trade, states[0], frames, interval)
-    names, count, checked = _planned(trade, costs, len(states), workers, None if minutes is None else 60.0 * minutes)
-    if (left := trade.settings.keys() - names) or count < len(states):
-        trade.notes.append(f"within {minutes:g} min: {count} of {len(states)} seeds, {len(left)} settings left out")
-    parts = [(name, i) for i in range(count) for name in (REFERENCE, *names)] + [(HALF, i) for i in range(checked)]
-    parts = [part for part in parts if part not in known]
-    setting_by_name = trade.settings | {REFERENCE: trade.reference, HALF: reference_of(states[0], 2)}
-    tasks = [
-        (states[i], setting_by_name[name], frames, interval, quantities, i < TIMED and name in trade.settings)
-        for name, i in parts
-    ]
-    trade.predicted_s = time.perf_counter() - begun + sum(_cost(part, costs, trade) for part in parts) / workers
-    trade.predicted_s += costs["judging"] * (len(names) + 1) + (STARTING if workers > 1 else 0.0)
+    costs, judging = _costs(trade, states[0], frames, interval)
+
+    def cost(name, i):  # a run that is timed is run twice
+        return costs[name] * (2 if _is_timed(trade, name, i) else 1)
+
+    for names, count, checked in _plans(trade, costs, len(states)):
+        parts = [(name, i) for i in range(count) for name in (REFERENCE, *names)] + [(HALF, i) for i in range(checked)]
+        parts = [part for part in parts if part not in trade.observed]
+        needed = sum(cost(*part) for part in parts) / workers + judging * (len(names) + 1)
+        if needed <= 0.9 * most:
+            break
+    else:
+        text = f"minutes: the least, a seed of the presets and the reference, takes about {needed:.0f} s"
+        warnings.warn(f"{text}, more than the {most:g} s that were given", presets.PresetWarning, stacklevel=2)
+    if (left := len(trade.settings) - len(names)) or count < len(states):
+        trade.notes.append(f"within {minutes:g} min: {count} of {len(states)} seeds, {left} settings left out")
+    trade.predicted_s = time.perf_counter() - begun + needed + (STARTING if workers > 1 else 0.0)
     what = f"{notebook.counted(len(names), 'setting')} and a reference, {notebook.counted(count, 'seed')}"
     print(f"measure_trade: {what}: about {trade.predicted_s:.0f} s", file=sys.stderr, flush=True)
-    trade.observed = known
-    bar = progress_bar(total=max(1, round(sum(_cost(part, costs, trade) for part in parts))), text="trade")
+    setting_by_name = trade.settings | {REFERENCE: trade.reference, HALF: reference_of(states[0], 2)}
+    tasks = [
+        (states[i], setting_by_name[name], frames, interval, quantities, _is_timed(trade, name, i)) for name, i in parts
+    ]
+    bar = progress_bar(total=max(1, round(sum(cost(*part) for part in parts))), text="trade")
     bar.bar_format = "{desc}: {percentage:.0f}% {bar} {elapsed}<{remaining}"
     try:
         with bar, closing(parallel.finished(_task, tasks, jobs=jobs)) as done:
             for i, result in done:
-                bar.update(_cost(parts[i], costs, trade))
+                bar.update(cost(*parts[i]))
                 if isinstance(result, str):
                     expect(parts[i][0] != REFERENCE, f"scene: expected one that the reference can run, got {result}")
                     trade.notes.append(f"{parts[i][0]} comes to no end: {result}")
                 else:
                     trade.observed[parts[i]] = result
-                following = _cost(parts[min(i + workers, len(parts) - 1)], costs, trade) + costs["judging"] * len(names)
-                if minutes is not None and time.perf_counter() - begun + following > 60.0 * minutes:
+                following = cost(*parts[min(i + workers, len(parts) - 1)]) + judging * len(names)
+                if time.perf_counter() - begun + following > most:
                     trade.notes += [f"the budget of {minutes:g} min ended first"] * (i + 1 < len(parts))
                     break
     except KeyboardInterrupt:
@@ -554,11 +511,37 @@ def measure_trade(
     return trade
 
 
-REFERENCE, HALF = "reference", "half step"
-"""Names of its runs, and of those of half its step, among the observed."""
+def _checked(steps, minutes, seeds, quantities, jobs) -> tuple[list[int], dict[str, Callable]]:
+    """The seeds and the quantities of `measure_trade`. Raises ValueError on bad arguments."""
+    integer("steps", steps, least=REST)
+    if minutes is not None:
+        number("minutes", minutes, above=0)
+    quantities = dict(quantities or {})
+    for name, quantity in quantities.items():
+        expect(callable(quantity), f"quantities[{name!r}]: expected a function of a state, got {quantity!r}")
+        expect(name not in ERRORS, f"quantities: expected other names than those of the study's errors, got {name!r}")
+    if not isinstance(jobs, Executor) and integer("jobs", jobs, least=1) > 1:
+        try:
+            pickle.dumps(quantities)
+        except (AttributeError, pickle.PicklingError, TypeError) as error:
+            raise ValueError(f"quantities: expected functions of a module for jobs={jobs}, got {error}") from None
+    several = range(integer("seeds", seeds, least=1)) if isinstance(seeds, int) else seeds
+    return [integer("seeds", seed) for seed in several], quantities
 
-JUDGING, STARTING = 0.15, 5.0
-"""Time that the intervals of a setting take, and processes until they compute, s."""
+
+def _is_timed(trade: Trade, name: str, i: int) -> bool:
+    """Whether a run of the seed with this number is timed: of a setting, not of the reference."""
+    return i < TIMED and name in trade.settings
+
+
+def _task(task: tuple) -> tuple[float | None, Observation] | str:
+    """(Seconds or None, Observation) of a run; a sentence where it comes to no end."""
+    start, setting, frames, interval, quantities, is_timed = task
+    try:
+        seconds = timed(start, setting, frames * interval) if is_timed else None
+        return seconds, observe(states_of(start, setting, frames, interval), quantities)
+    except (FloatingPointError, ValueError) as error:
+        return str(error)
 
 
 def copies(scene: State | Callable[[int], State], seeds: Sequence[int]) -> list[State]:
@@ -595,7 +578,7 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
         notes.append("outside of the study of the presets: " + "; ".join(outside))
     for setting in (*by_preset.values(), *more):
         with contextlib.suppress(FloatingPointError):  # its runs will say it
-            simulate(first, steps=1, solver=solver_of(setting), warm_start=setting.get("start", "builtin"))
+            Run(first, setting).advance(1)
     return Trade(
         scene=first.name, n_bodies=first.bodies.count, dt=first.dt, steps=steps, quantities=quantities, notes=notes,
         settings={name_of(one, first.dt): one for one in (*by_preset.values(), *more, *found)},
@@ -620,123 +603,95 @@ def _known(trade: Trade, before: Trade) -> dict:
     return {(name, i): seen for (name, i), seen in before.observed.items() if name in same and i in common}
 
 
-def _costs(trade: Trade, scene: State, frames: int, interval: float) -> dict[str, float]:
-    """What a run with each setting will take, s: of one interval at four moments of a run that "fast" drives."""
-    fast = solver_of(trade.settings[trade.by_preset["fast"]])
-    steps = round(interval / scene.dt)
-    moments = [scene]
-    for _ in range(4):
-        with contextlib.suppress(FloatingPointError):  # as the runs will say
-            moments.append(simulate(moments[-1], steps=max(1, frames // 5) * steps, solver=fast).state)
-    begun = time.perf_counter()
-    judging, looking = JUDGING, 0.0
+def _costs(trade: Trade, scene: State, frames: int, interval: float) -> tuple[dict[str, float], float]:
+    """What a run with each setting will take, s: of one interval at four moments of a run that "fast" drives; and what
+    the intervals of a setting will."""
+    run = Run(scene, trade.settings[trade.by_preset["fast"]])
+    moments: list[State] = []
+    with contextlib.suppress(FloatingPointError):  # as the runs will say
+        for _ in range(4):
+            run.advance(max(1, frames // 5) * round(interval / scene.dt))
+            moments.append(run.state())
+    looking = judging = 0.0
     with contextlib.suppress(ValueError):  # of neither gravity nor motion
-        seen = observe((moments[1:] or moments) * REST)
-        looking = (time.perf_counter() - begun) / (len(moments) * REST)
-        ensemble, begun = [(seen, {})] * len(trade.digests), time.perf_counter()
-        for _ in range(10):
-            all_errors(ensemble, ensemble)
-        judging = 40 * (time.perf_counter() - begun)  # of 400 resamplings
-    moments = moments[1:] or moments
+        states = (moments or [ready(scene)]) * REST
+        looking = _seconds(lambda: observe(states)) / len(states)
+        ensemble = [observe(states)] * len(trade.digests)
+        judging = 400 * min(_seconds(lambda: errors(ensemble, ensemble)) for _ in range(10))  # of 400 resamplings
 
     def cost(setting):
         took = []
-        for moment in moments:
-            states = states_of(moment, setting, 3, interval)
+        for moment in moments or [scene]:
             with contextlib.suppress(FloatingPointError):
-                next(states)
-                took.append(min(_next_seconds(states) for _ in range(2)))
-        return frames * (sum(took) / len(moments) + looking)
+                run, each = Run(moment, setting), round(interval / setting["dt"])
+                run.advance(each)
+                took.append(min(_seconds(partial(run.advance, each)) for _ in range(2)))
+        return frames * (sum(took) / max(1, len(moments)) + looking)
 
-    costs = {name: cost(setting) for name, setting in trade.settings.items()}
-    return costs | {"judging": judging, REFERENCE: cost(trade.reference), HALF: cost(reference_of(scene, 2))}
-
-
-def _next_seconds(states: Iterator) -> float:
-    begun = time.perf_counter()
-    next(states)
-    return time.perf_counter() - begun
+    settings = trade.settings | {REFERENCE: trade.reference, HALF: reference_of(scene, 2)}
+    return {name: cost(setting) for name, setting in settings.items()}, judging
 
 
-def _cost(part: tuple[str, int], costs: Mapping, trade: Trade) -> float:
-    """Of a run, s; those of the first seeds are done twice."""
-    name, i = part
-    return costs[name] * (2 if i < TIMED and name in trade.settings else 1)
-
-
-def _planned(trade: Trade, costs: Mapping, count: int, workers: int, seconds: float | None) -> tuple[list, int, int]:
-    """(Settings, number of seeds, of those that check the reference) that a budget leaves."""
-    names, checked = list(trade.settings), count
-    presets_own = set(trade.by_preset.values())
-
-    def total():
-        runs = sum(_cost((name, i), costs, trade) for name in (REFERENCE, *names) for i in range(count))
-        return (runs + checked * costs[HALF]) / workers + costs["judging"] * len(names)
-
-    while seconds is not None and total() > 0.9 * seconds:
-        others = [name for name in names if name not in presets_own]
-        if checked > min(count, FEWEST_SEEDS):
-            checked -= 1
-        elif count > FEWEST_SEEDS:
-            count, checked = count - 1, min(checked, count - 1)
-        elif others:
-            names.remove(max(others, key=costs.__getitem__))
-        elif checked > 1:
-            checked -= 1
-        elif count > 1:
-            count -= 1
-        else:
-            text = f"minutes: the least, a seed of the presets and the reference, takes about {total():.0f} s"
-            warnings.warn(f"{text}, more than the {seconds:g} s that were given", presets.PresetWarning, stacklevel=3)
-            break
-    return names, count, checked
+def _plans(trade: Trade, costs: Mapping, count: int) -> Iterator[tuple[list[str], int, int]]:
+    """(Settings, number of seeds, of those that check the reference): all, and what a smaller budget leaves of it."""
+    few, own = min(count, FEWEST_SEEDS), set(trade.by_preset.values())
+    names = list(trade.settings)
+    yield from ((names, count, checked) for checked in range(count, few, -1))
+    yield from ((names, seeds, few) for seeds in range(count, few - 1, -1))
+    for dearest in sorted(trade.settings.keys() - own, key=lambda name: costs[name], reverse=True):
+        names = [name for name in names if name != dearest]
+        yield names, few, few
+    yield from ((names, few, checked) for checked in range(few - 1, 0, -1))
+    yield from ((names, seeds, 1) for seeds in range(few - 1, 0, -1))
 
 
 def _judge(trade: Trade) -> None:
     """Rows, noise and sentences from what was observed."""
-    runs = {name: {i: seen[1:] for (of, i), seen in trade.observed.items() if of == name} for name in
-            dict.fromkeys(name for name, _ in trade.observed)}  # fmt: skip
-    true = runs.get(REFERENCE, {})
+    runs: dict = {name: {} for name in (*trade.settings, REFERENCE, HALF)}
+    for (name, i), (seconds, seen) in trade.observed.items():
+        runs[name][i] = seen, seconds
+    true = {i: seen for i, (seen, _) in sorted(runs[REFERENCE].items())}
     trade.seeds = len(true)
 
     def paired(name):
-        common = sorted(true.keys() & runs.get(name, {}).keys())
-        return [runs[name][i] for i in common], [true[i] for i in common]
+        return [(runs[name][i][0], seen) for i, seen in true.items() if i in runs[name]]
 
     for name, setting in trade.settings.items():
-        ensemble, reference = paired(name)
-        if ensemble:
-            took = [us for (of, _), (us, *_) in trade.observed.items() if of == name and us is not None]
-            row = {"name": name, "setting": setting, "seeds": len(ensemble)}
-            row["group"] = setting.get("engine") or setting["method"]
+        if pairs := paired(name):
+            took = [seconds for _, seconds in runs[name].values() if seconds is not None]
             us = 1e6 * float(np.mean(took)) / trade.steps if took else None
-            trade.rows.append(row | {"us": us, "errors": intervals(ensemble, reference, of=all_errors)})
-    half, reference = paired(HALF)
-    if half:
+            trade.rows.append(row_of(setting, trade.dt, *zip(*pairs)) | {"us": us})
+    if pairs := paired(HALF):
+        half, reference = zip(*pairs)
         chance = math.sqrt(len(half) / trade.seeds)
         trade.noise = {name: chance * value for name, value in noise_of(half, reference).items()}
-        trade.converged = {name: value for name, value in all_errors(half, reference).items() if value is not None}
-    trade.notes += _sentences(trade, [seen for seen, _ in true.values()], len(half))
+        trade.converged = {name: value for name, value in errors(half, reference).items() if value is not None}
+    trade.notes += _sentences(trade, list(true.values()), len(pairs))
+
+
+def _percent(name: str) -> float:
+    """What makes % of an error: 100 of a share, which those of quantities are."""
+    return 1.0 if name in ERRORS else 100.0
 
 
 def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> Iterator[str]:
     """What to know of a trade: where seeds or the reference do not decide, and what the scene has not."""
     for name, noise in trade.noise.items():
-        unit = "" if name not in ERRORS or name == "contacts" else " %"
-        scale = 1.0 if name in ERRORS else 100.0
-        unit = unit if name in ERRORS else " %"
+
+        def text(error, name=name):
+            return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"
+
         of = [row["errors"][name][0] for row in trade.rows if row["errors"][name]]
         differ = max(of, default=0.0) - min(of, default=0.0)
         if name in (*SHOWN, *trade.quantities) and noise > differ > 1e-3 * noise:
-            seeds = trade.enough(name, differ)
-            text = f"seeds alone make {scale * noise:.2g}{unit}, settings differ by {scale * differ:.2g}{unit}"
-            yield f"{name} is undecided: {text}; {seeds} seeds would do"
+            alone = f"seeds alone make {text(noise)}, settings differ by {text(differ)}"
+            yield f"{name} is undecided: {alone}; {trade.enough(name, differ)} seeds would do"
         change, chance = trade.converged.get(name, 0.0), noise * math.sqrt(trade.seeds / max(1, checked))
-        if change > max(2.0 * chance, 0.01 if name not in ERRORS else 1.0):
-            text = f"half its step changes it by {scale * change:.2g}{unit}, seeds by {scale * chance:.2g}{unit}"
-            yield f"the reference is not converged in {name}: {text}"
-    faults = {own for runs in trade.observed.values() for own in runs[2].values() if isinstance(own, str)}
-    yield from sorted(faults)[:3]
+        if change > max(2.0 * chance, 1.0 / _percent(name)):
+            why = f"half its step changes it by {text(change)}, seeds by {text(chance)}"
+            yield f"the reference is not converged in {name}: {why}"
+    own = (value for _, seen in trade.observed.values() for value in seen.quantities.values())
+    yield from sorted({value for value in own if isinstance(value, str)})[:3]
     if reference and not any(seen.contacts.any() or seen.penetration.any() for seen in reference):
         yield "nothing touches anything: the errors are those of free flight"
 

@@ -62,13 +62,8 @@ def draw(data, options):
     figure, panels = plotting.subplots(len(SHOWN), len(sizes), size=size, squeeze=False, sharey="row")
     for (ax_row, name), (j, n) in product(zip(panels, SHOWN), enumerate(sizes)):
         ax, rows = ax_row[j], [row for row in data["rows"] if row["n_bodies"] == n]
-        trade.draw_plane(ax, rows, name)
+        trade.draw_plane(ax, rows, name, names=n == sizes[-1])
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
-        for preset, tolerances in PRESETS.items():
-            ax.axhline(tolerances[name], color=plotting.BLACK, linewidth=0.7, linestyle=":")
-            if n == sizes[-1]:
-                ax.annotate(preset, (1.02, tolerances[name]), xycoords=("axes fraction", "data"), va="center",
-                            fontsize=8, color=plotting.BLACK, annotation_clip=False)  # fmt: skip
     texts = (f"{text} (%)" for text in SHOWN.values())
     plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of 10 ms (µs)", texts)
     key = panels[0, 0]

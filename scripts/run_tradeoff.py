@@ -4,27 +4,27 @@
     python scripts/run_tradeoff.py --errors     only the parts that need no quiet machine
     python scripts/run_tradeoff.py --add        errors of settings that the results file lacks, and times of all
 
-Every finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes,
-or a Dask cluster (--scheduler), compute errors; then one process of this machine measures times. `--install` makes
-these the numbers that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw the results file.
+A list of scenes and settings, which `deep_contact.trade` runs, times and judges as those of a user's own scene. Every
+finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes, or a
+Dask cluster (--scheduler), compute errors; then one process of this machine measures times. `--install` makes these the
+numbers that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw the results file.
 """
 
 from __future__ import annotations
 
 import argparse
-import math
 import sys
 import time
 from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor, ProcessPoolExecutor
-from itertools import product
 from multiprocessing import get_context
 from pathlib import Path
-from types import MappingProxyType
 
-from deep_contact import parallel, presets, run_errors, trade
+import numpy as np
+
+from deep_contact import parallel, run_errors, trade
 from deep_contact.constants import TIME_STEP
-from deep_contact.presets import PRESETS, TABLE
+from deep_contact.presets import TABLE
 from deep_contact.reporting import figures, results
 from deep_contact.studies import runs
 from deep_contact.studies.parts import done
@@ -50,16 +50,14 @@ NEAR = {"approach": 0.015}
 HALF, QUARTER = (2, 16, 0.25), (4, 32, 0.25)
 
 SMALL = [
-    *settings({1: (4,), 2: (3,), 4: (2,)}, **PGS),
-    *settings({1: (4,), 2: (3,)}, **PGS, **FEW),
-    *settings({(1, 4, 1.0): (4,), (1, 8, 0.5): (4,), (1, 8, 0.25): (6,)}, **PGS),
+    *settings({1: (4,), 2: (3,), 4: (2,), (1, 4, 1.0): (4,), (1, 8, 0.5): (4,), (1, 8, 0.25): (6,)}, **PGS),
     *settings({HALF: (3, 4), (4, 16, 0.25): (2, 4), QUARTER: (4,)}, **PGS),
+    *settings({1: (4,), 2: (3,)}, **PGS, **FEW),
     *settings({1: (3,), (1, 8, 0.5): (3, 4), HALF: (3,), QUARTER: (2,)}, **PSOR),
     *settings({1: (4, 6), HALF: (3,)}, **PSOR, **FEW),
     *settings({(1, 16, 0.25): (6,)}, method="PSOR", omega=1.5, approach=0.02),
-    *settings({(1, 8, 1.0): (6,), (1, 8, 0.5): (6,), (1, 8, 0.25): (6, 10)}, **COLOURS),
+    *settings({(1, 8, 1.0): (6,), (1, 8, 0.5): (6,), (1, 8, 0.25): (6, 10), HALF: (10,), QUARTER: (3, 5)}, **COLOURS),
     *settings({(1, 16, 0.25): (10,)}, **COLOURS, **NEAR),
-    *settings({HALF: (10,), QUARTER: (3, 5)}, **COLOURS),
     *settings({1: (6,), HALF: (3, 5), QUARTER: (5,)}, **COLOURS, **FEW),
 ]
 """Settings on every kind of scene that a preset takes: fixed steps for the loose ones, by motion for the tight ones."""
@@ -69,8 +67,8 @@ MEDIUM = [
     *settings({HALF: (3,)}, **PSOR),
     *settings({(1, 8, 1.0): (6,), (1, 8, 0.25): (10,), QUARTER: (3, 5)}, **COLOURS),
     *settings({(1, 16, 0.25): (10, 20)}, **COLOURS, **NEAR),
-    *settings({1: (6, 10), 2: (5, 10), 4: (3, 5)}, **COLOURS, **FEW),
-    *settings({(1, 8, 0.5): (6, 10), HALF: (5, 10), QUARTER: (5,)}, **COLOURS, **FEW),
+    *settings({1: (6, 10), 2: (5, 10), 4: (3, 5), (1, 8, 0.5): (6, 10)}, **COLOURS, **FEW),
+    *settings({HALF: (5, 10), QUARTER: (5,)}, **COLOURS, **FEW),
 ]
 LARGE = [
     *settings({2: (10,), 4: (5,), (1, 8, 0.5): (20,), QUARTER: (5, 10, 20)}, **COLOURS),
@@ -79,15 +77,15 @@ LARGE = [
 ]
 
 DENSE = [
-    *settings({1: (10, 20), 2: (10, 20), 4: (10, 20)}, **COLOURS, **FEW),
-    *settings({(1, 8, 0.5): (10, 20), HALF: (10, 20, 40), QUARTER: (5, 10, 20, 40)}, **COLOURS, **FEW),
+    *settings({1: (10, 20), 2: (10, 20), 4: (10, 20), (1, 8, 0.5): (10, 20)}, **COLOURS, **FEW),
+    *settings({HALF: (10, 20, 40), QUARTER: (5, 10, 20, 40)}, **COLOURS, **FEW),
     *settings({HALF: (20, 40), QUARTER: (20, 40), (8, 32, 0.25): (10,)}, **COLOURS, **NEAR),
 ]
 """For circles of two densities, and a dam that breaks, at every size: more sweeps in more substeps."""
 
 DENSE_LARGE = [
-    *settings({1: (20,), 2: (10, 20), 4: (10, 20)}, **COLOURS, **FEW),
-    *settings({(1, 8, 0.5): (20,), HALF: (20,), QUARTER: (10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
+    *settings({1: (20,), 2: (10, 20), 4: (10, 20), (1, 8, 0.5): (20,)}, **COLOURS, **FEW),
+    *settings({HALF: (20,), QUARTER: (10, 20, 40), (8, 32, 0.25): (20,)}, **COLOURS, **FEW),
     *settings({QUARTER: (20, 40)}, **COLOURS, **NEAR),
 ]
 """Those of them that keep a preset of 3,000 circles at the least cost."""
@@ -108,8 +106,7 @@ LADDER = [
     *settings({8: (1, 2, 4, 10, 20), 16: (1, 2, 5, 20)}, **PGS),
     *settings({2: (10,), 4: (5,), 8: (10,)}, **COLOURS),
     *settings({1: (10, 20)}, method="PSOR", omega=1.75, friction_omega=1.45),
-    *settings({1: (10, 20)}, method="NNCG"),
-    *settings({1: (10, 20)}, method="NesterovPGS"),
+    *(one for method in ("NNCG", "NesterovPGS") for one in settings({1: (10, 20)}, method=method)),
 ]
 """Settings on plain piles alone: what sweeps, steps and methods do to an error (Figures 6.1, 6.2, 6.11)."""
 
@@ -133,34 +130,25 @@ PEERS = [
 """Settings of other engines by iterations, Δt and their own knobs: slop and bias, position iterations, stiffness."""
 
 LARGE_PEERS = [
-    *settings({1: (10, 20), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK, slop=0.25),
-    *settings({1: (6, 10), 2: (4, 10), 4: (2, 4)}, **PYMUNK),
-    *settings({2: (4, 10), 4: (4,)}, **BOX2D, position_sweeps=3),
-    *settings({1: (6,), 2: (4,)}, **BOX2D_V3, hertz=60.0),
-    *settings({1: (6, 8), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
-    *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
-    *settings({1: (4, 6), 8: (2,)}, **PYMUNK, slop=0.25),
-    *settings({1: (4,), 2: (6,)}, **PYMUNK),
+    *settings({1: (4, 6, 10, 20), 2: (4, 6, 10), 4: (2, 4), 8: (2,)}, **PYMUNK, slop=0.25),
+    *settings({1: (4, 6, 10), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK),
     *settings({1: (10,), 2: (4,)}, **PYMUNK, bias=0.4),
     *settings({2: (4,)}, **PYMUNK, bias=0.1),
     *settings({1: (10,), 2: (4,)}, **BOX2D, position_sweeps=1),
+    *settings({2: (4, 10), 4: (4,)}, **BOX2D, position_sweeps=3),
     *settings({2: (6,)}, **BOX2D),
-    *settings({1: (4,)}, **BOX2D_V3, hertz=60.0),
-    *settings({2: (2,)}, **BOX2D_V3, hertz=120.0),
+    *settings({1: (4, 6), 2: (4,)}, **BOX2D_V3, hertz=60.0),
+    *settings({1: (6, 8), 2: (2, 4), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
+    *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
 """For 3,000 circles: those of `PEERS` that were the cheapest to keep a preset at 1,000, or nearly, and neighbours."""
 
 LARGEST_PEERS = [
-    *settings({1: (10,), 2: (4, 6), 4: (2,)}, **PYMUNK, slop=0.25),
-    *settings({1: (10,), 2: (4, 10), 4: (2, 4)}, **PYMUNK),
-    *settings({2: (4,)}, **BOX2D, position_sweeps=3),
-    *settings({1: (6,)}, **BOX2D_V3, hertz=60.0),
-    *settings({1: (8,), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
-    *settings({1: (6, 20), 2: (10,), 4: (4,)}, **PYMUNK, slop=0.25),
-    *settings({1: (6,)}, **PYMUNK),
-    *settings({4: (4,)}, **BOX2D, position_sweeps=3),
-    *settings({2: (4,)}, **BOX2D_V3, hertz=60.0),
-    *settings({1: (6,)}, **BOX2D_V3, hertz=120.0),
+    *settings({1: (6, 10, 20), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK, slop=0.25),
+    *settings({1: (6, 10), 2: (4, 10), 4: (2, 4)}, **PYMUNK),
+    *settings({2: (4,), 4: (4,)}, **BOX2D, position_sweeps=3),
+    *settings({1: (6,), 2: (4,)}, **BOX2D_V3, hertz=60.0),
+    *settings({1: (6, 8), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
     *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
 """For 10,000: the same again."""
@@ -196,109 +184,58 @@ FULL = {
     "more": MORE,
     "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
     "peers": {"100": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
-    "steps": {"100": 200, "1000": 50, "3000": 20, "10000": 10},
-    "repeats": {"100": 4, "1000": 3, "3000": 2, "10000": 2},
     "processes": 3,
 }
-QUICK = {
+QUICK = FULL | {
     "sizes": [100, 300],
     "seeds": {"100": {"plain": 4}, "300": {"plain": 3}},
-    "dense": {},
-    "more": {},
     "peer_seeds": {"100": 4, "300": 3},
     "ladder_seeds": {"100": 4, "300": 3},
     "seconds": 4.0,
     "settings": {"100": SMALL, "300": MEDIUM},
     "ladders": {"100": LADDER, "300": LARGE_LADDER},
     "peers": {"100": PEERS[::3], "300": []},
-    "steps": {"100": 50, "300": 20},
-    "repeats": {"100": 3, "300": 3},
     "processes": 1,
 }
-FUNCTIONS = {"observed": runs.observed, "times": runs.times}
+LISTS = ("settings", "dense", "more", "ladders", "peers")
+"""Options that the results file leaves out: its rows have them."""
+
+FUNCTIONS = {"observed": runs.observed, "timed": runs.timed}
+LIMIT = trade.name_of(runs.REFERENCE)
 
 
-def plan(options: dict, seed: int, known: Mapping = MappingProxyType({})) -> tuple[list, dict]:
-    """The observations as (name, arguments), the quick ones first, and the known rows that stay.
-
-    known: rows by (kind, n_bodies, name), whose errors need no observation; those of fewer seeds are left out of it.
-    """
-    seen, kept = [], {}
-
-    def is_known(kind, n, name, wanted):
-        row = known.get((kind, n, name))
-        return row is not None and row["errors"] is not None and row["seeds"] >= wanted
-
-    for n in options["sizes"]:
-        rivals, on_plain = (options[name].get(str(n), []) for name in ("peers", "ladders"))
-        for kind, count in options["seeds"][str(n)].items():
-            ours = options["dense" if kind in runs.DENSE_KINDS else "settings"][str(n)]
-            ours = [*ours, *options["more"].get(kind, {}).get(str(n), []), runs.REFERENCE]
+def wanted(options: dict) -> dict[tuple[str, int, str], tuple[dict, int]]:
+    """(Kind, n_bodies, name) -> (setting, number of seeds); of a name that is there twice, the first has the most."""
+    found = {}
+    for n, kinds in options["seeds"].items():
+        for kind, count in kinds.items():
+            ours = options["dense" if kind in runs.DENSE_KINDS else "settings"][n]
+            ours = [*ours, *options["more"].get(kind, {}).get(n, []), runs.REFERENCE]
             cases = [(setting, count) for setting in ours]
             if kind == "plain":
-                cases += [(setting, options["ladder_seeds"].get(str(n), count)) for setting in on_plain]
-                cases += [(setting, options["peer_seeds"][str(n)]) for setting in rivals]
-            # Of a name that is there twice, the first has the most seeds.
-            by_name = {trade.name_of(setting): (setting, wanted) for setting, wanted in reversed(cases)}
-            stays = {name for name, (_, wanted) in by_name.items() if is_known(kind, n, name, wanted)}
-            if stays == by_name.keys() - {trade.name_of(runs.REFERENCE)}:
-                stays = by_name.keys()  # the reference is needed for what is new
-            for name, (setting, wanted) in by_name.items():
-                if name in stays:
-                    kept[kind, n, name] = known[kind, n, name]
-                    continue
-                common = {"kind": kind, "n_bodies": n, "setting": setting, "seconds": options["seconds"]}
-                seen += [("observed", common | {"seed": s}) for s in figures.seeds(seed, wanted)]
-    seen.sort(key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"])
-    # In the order of the file, so that parts of an earlier run that measured the same times are those of this one.
-    return seen, {key: row for key, row in known.items() if key in kept}
+                cases += [(setting, options["ladder_seeds"][n]) for setting in options["ladders"][n]]
+                cases += [(setting, options["peer_seeds"][n]) for setting in options["peers"][n]]
+            found |= {(kind, int(n), trade.name_of(case[0])): case for case in reversed(cases)}
+    return found
 
 
-def timed(options: dict, seed: int, process: int, rows: list) -> list:
-    """The times of rows as parts (name, arguments), as one of several processes measures them, on scenes of its own.
+def plan(options: dict, seed: int, known: Mapping) -> tuple[list, dict]:
+    """The observations as (name, arguments), the quick ones first, and the known rows that need none.
 
-    Rivals that keep no preset even at the lower ends of their intervals are not timed. The first process times all
-    kinds, and phases of plain piles; the others the contenders there: what a preset takes, and what cost at most
-    `CONTENDS` times as much at first.
+    known: rows by (kind, n_bodies, name). Those of fewer seeds are observed again, and the reference beside them.
     """
-    parts = []
-    for n, kinds in options["seeds"].items():
-        for kind in kinds if process == 0 else ("plain",):
-            of_scene = [row for row in rows if (row["kind"], row["n_bodies"]) == (kind, int(n)) and row["errors"]]
-            chosen = [row for row in of_scene if any(keeps(row, preset) for preset in PRESETS) or is_ours(row)]
-            chosen = [row for row in chosen if kind != "plain" or row["setting"]["dt"] >= TIME_STEP / 8]
-            if process > 0:
-                chosen = contenders(chosen)
-            given = {"kind": kind, "n_bodies": int(n), "seed": seed + process}
-            given |= {"settings": [row["setting"] for row in chosen]}
-            given |= {name: options[name][n] for name in ("steps", "repeats")}
-            phases = (*runs.MOMENTS, *(runs.PHASES if kind == "plain" and process == 0 else ()))
-            parts += [("times", given | {"phase": phase}) for phase in phases]
-    return parts
-
-
-CONTENDS = 1.5
-"""Cost, in that of the cheapest that keeps a preset, up to which a setting is timed more than once."""
-
-
-def is_ours(row: Mapping) -> bool:
-    """Whether a row is of our engine."""
-    return "engine" not in row["setting"]
-
-
-def keeps(row: Mapping, preset: str, at: int = 1) -> bool:
-    """Whether a row keeps a preset: by its values (at = 0), or by the lower ends of their intervals."""
-    return presets.keeps(row["errors"], preset, at)
-
-
-def contenders(rows: list) -> list:
-    """Of rows with times those that may be the cheapest to keep a preset, of ours and of the rivals."""
-    found = {}
-    for preset, ours in product(PRESETS, (True, False)):
-        able = [row for row in rows if is_ours(row) == ours and keeps(row, preset)]
-        least = min((row["us"] for row in able if keeps(row, preset, 0)), default=math.inf)
-        found |= {row["name"]: row for row in able if row["us"] <= CONTENDS * least}
-    return list(found.values())
+    cases = wanted(options)
+    kept = {key: known[key] for key, (_, count) in cases.items() if key in known and key[2] != LIMIT
+            and known[key]["errors"] and known[key]["seeds"] >= count}  # fmt: skip
+    renewed = {key[:2] for key in cases.keys() - kept.keys() if key[2] != LIMIT}
+    kept |= {key: row for key, row in known.items() if key[2] == LIMIT and key in cases and key[:2] not in renewed}
+    seen = [
+        ("observed", {"kind": kind, "n_bodies": n, "seed": one, "setting": setting, "seconds": options["seconds"]})
+        for (kind, n, name), (setting, count) in cases.items()
+        if (kind, n, name) not in kept
+        for one in figures.seeds(seed, count)
+    ]
+    return sorted(seen, key=lambda part: part[1]["n_bodies"] / part[1]["setting"]["dt"]), kept
 
 
 def known_rows(file: Mapping, options: dict, seed: int) -> dict:
@@ -308,37 +245,38 @@ def known_rows(file: Mapping, options: dict, seed: int) -> dict:
             raise ValueError(f"{key}: expected {options[key]} in the results, got {file['options'][key]}")
     if file["provenance"]["seed"] != seed:
         raise ValueError(f"seed: expected {seed} in the results, got {file['provenance']['seed']}")
-    return {key_of(row): row for row in file["data"]["rows"]}
+    return {(row["kind"], row["n_bodies"], row["name"]): row for row in file["data"]["rows"]}
 
 
 def study(
     options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool, before: Mapping | None = None
 ) -> dict | None:
     """The data of the results file. before: one whose errors are taken over; times are measured anew."""
-    seen, kept = plan(options, seed, known_rows(before, options, seed) if before else {})
+    seen, rows = plan(options, seed, known_rows(before, options, seed) if before else {})
     found = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
     if errors_only:
         return None
     ensembles: dict = {}  # runs in the order of their seeds, so that each meets the reference of its own scene
     for (_, part), stored in zip(seen, found):
-        ensemble = ensembles.setdefault((part["kind"], part["n_bodies"]), {})
-        _, runs_seen = ensemble.setdefault(trade.name_of(part["setting"]), (part["setting"], []))
-        runs_seen.append(run_errors.observation(stored))
-    rows = [*(kept | {key_of(row): row for row in runs.rows(ensembles)}).values()]
-    took: list[dict] = []
-    for process in range(options["processes"]):
-        parts = timed(options, seed, process, rows)
+        key = part["kind"], part["n_bodies"], trade.name_of(part["setting"])
+        ensembles.setdefault(key, (part["setting"], []))[1].append(run_errors.observation(stored))
+    for (kind, n, name), (setting, ensemble) in ensembles.items():
+        true = ensembles[kind, n, LIMIT][1]
+        row = {"kind": kind, "n_bodies": n, **trade.row_of(setting, TIME_STEP, ensemble, true[: len(ensemble)])}
+        rows[kind, n, name] = row | ({"errors": None} if name == LIMIT else {})
+    took: dict = {key: [] for key in rows}
+    for process in range(options["processes"]):  # of plain piles in several, each on a scene of its own
+        keys = [key for key in rows if rows[key]["errors"] and (process == 0 or key[0] == "plain")]
+        # Of plain piles the smallest steps are there for Figure 6.2 alone.
+        keys = [key for key in keys if key[0] != "plain" or rows[key]["setting"]["dt"] >= TIME_STEP / 8]
+        of = {"seed": seed + process, "seconds": options["seconds"]}
+        parts = [("timed", of | {"kind": key[0], "n_bodies": key[1], "setting": rows[key]["setting"]}) for key in keys]
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
-            jobs = alone if options["processes"] > 1 else 1
-            times = done(parts, FUNCTIONS, work=work, jobs=jobs, text="times")
-        took.append({(of["kind"], of["n_bodies"], of["phase"]): us for (_, of), us in zip(parts, times)})
-        rows = [runs.with_times(row, took) for row in rows]
-    return {"errors": run_errors.ERRORS, "rows": rows, "presets": runs.presets(rows)}
-
-
-def key_of(row: Mapping) -> tuple[str, int, str]:
-    """Kind, size and name of a row."""
-    return row["kind"], row["n_bodies"], row["name"]
+            one = alone if options["processes"] > 1 else 1
+            for key, us in zip(keys, done(parts, FUNCTIONS, work=work, jobs=one, text="times")):
+                took[key].append(us)
+    timed = [rows[key] | {"us": float(np.median(us)) if us else None, "times": us} for key, us in took.items()]
+    return {"errors": run_errors.ERRORS, "rows": timed, "presets": runs.presets(timed)}
 
 
 def table(data: dict, cpu: str) -> dict:
@@ -390,17 +328,15 @@ def main(arguments=None) -> int:
     before = results.read_results(out) if given.add else None
     try:
         with parallel.opened(given.jobs, given.scheduler) as jobs:
-            data = study(
-                options, seed=given.seed, jobs=jobs, work=given.work, errors_only=given.errors, before=before
-            )
+            about = {"seed": given.seed, "work": given.work, "errors_only": given.errors, "before": before}
+            data = study(options, jobs=jobs, **about)
     except parallel.ClusterError as error:
         print(error, file=sys.stderr)
         return 1
     if data is None:
         return 0
     wall_s = time.perf_counter() - start
-    kept = {key: value for key, value in options.items() if key not in ("settings", "more", "ladders", "peers")}
-    kept["quick"] = given.quick
+    kept = {key: value for key, value in options.items() if key not in LISTS} | {"quick": given.quick}
     if before:
         kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
     made = results.provenance(seed=given.seed, wall_s=wall_s)

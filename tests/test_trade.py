@@ -46,7 +46,7 @@ def test_the_error_that_it_reports_is_the_true_one(name):
     true = answer(0.01 * np.arange(1, 61))
 
     def off(runs):
-        return np.abs(trade.observed[runs, 0][2]["q"] - true).sum() / np.abs(true).sum()
+        return np.abs(trade.observed[runs, 0][1].quantities["q"] - true).sum() / np.abs(true).sum()
 
     assert off("reference") < 5e-3
     for row in trade.rows:

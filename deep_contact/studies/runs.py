@@ -1,8 +1,7 @@
-"""The trade of speed for accuracy in whole runs: errors and times of settings and of other engines.
+"""The scenes of the study of runs, and what it says of presets and rivals; the presets read it.
 
-Run by `scripts/run_tradeoff.py`, read by the presets: here are the scenes, times and what the study says;
-`deep_contact.trade` runs a setting and `deep_contact.run_errors` looks at it. Every setting runs the same scenes.
-Errors need no quiet machine; times are measured one after the other on one.
+`scripts/run_tradeoff.py` runs it by the functions of `deep_contact.trade`: every setting the same scenes. Errors need
+no quiet machine; times are measured one after the other on one.
 
 Time steps are those of circles of r = 1 m under g = 9.81 m/s²: what counts is Δt √(g / r).
 """
@@ -12,24 +11,20 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import product
 
 import numpy as np
 
-from deep_contact import peers
+from deep_contact import peers, trade
 from deep_contact.constants import GRAVITY, TIME_STEP
 from deep_contact.io import shipped
 from deep_contact.physics.scenes import drum, lattice_in_box
-from deep_contact.physics.solvers import METHODS
-from deep_contact.physics.solvers.batched import CIRCLES_A_THREAD
 from deep_contact.presets import FASTEST, PRESETS, keeping
 from deep_contact.reporting import results
-from deep_contact.run_errors import intervals, observe
-from deep_contact.simulation import simulate
+from deep_contact.run_errors import Observation, observe
 from deep_contact.state import State
-from deep_contact.studies import piles, timing
-from deep_contact.trade import name_of, run_world, solver_of, states_of, world_of
+from deep_contact.studies import piles
+from deep_contact.trade import states_of
 from deep_contact.validation import one_of
 
 RESULTS = {"results": "data/reference/run_tradeoff.json"}
@@ -97,18 +92,6 @@ KINDS = {
 DENSE_KINDS = [kind for kind in KINDS if "1 : " in kind or kind == "dam break"]
 """Kinds that need more sweeps: two densities, and a dam that breaks."""
 
-MOMENTS = (0.75, 2.25, 3.75, 5.25)
-"""When piles are timed, s after the start. The cost of a setting is the mean over these: that of a run of 6 s."""
-
-WARM = 5
-"""Steps of another engine before its time counts: the first ones fill its memory and find all contacts anew."""
-
-PHASES = ("impact", "rest")
-"""Phases in which piles are timed as well, to show how a cost changes in a run."""
-
-TWENTY = METHODS["PGS"](sweeps=20, tolerance=None)
-"""Drives the piles that are timed."""
-
 REFERENCE = {"method": "PGS", "sweeps": 20, "dt": TIME_STEP / 16}
 """Taken for the limit of small steps; Figure 6.2 shows that the steps before it come to the same within the noise."""
 
@@ -119,90 +102,17 @@ def scene(kind: str, n_bodies: int, seed: int) -> State:
     return options.pop("make", piles.scene)(n_bodies, seed=seed, **options)
 
 
-# ---- observations ----
+def observed(kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float) -> Observation:
+    """What is looked at of one run of a scene with a setting."""
+    return observe(states_of(scene(kind, n_bodies, seed), setting, round(seconds / INTERVAL), INTERVAL))
 
 
-def observed(kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float) -> dict:
-    """The `Observation` of one run as lists, five digits: of our engine, or of another where the setting names one."""
-    if not np.isclose(INTERVAL / setting["dt"], round(INTERVAL / setting["dt"])):
-        raise ValueError(f"dt: expected a step that divides {INTERVAL} s, got {setting['dt']}")
-    start, frames = scene(kind, n_bodies, seed), round(seconds / INTERVAL)
-    return results.plain(observe(states_of(start, setting, frames, INTERVAL))._asdict(), digits=5)
-
-
-# ---- times ----
-
-
-def times(
-    kind: str, n_bodies: int, seed: int, settings: Sequence[Mapping], *, steps: int, repeats: int, phase: str | float
-) -> dict[str, float]:
-    """Wall time of TIME_STEP of a scene with each setting, μs, by name; they take turns, the least counts.
-
-    phase: one of `PHASES` of a pile, or seconds after the start. steps: of TIME_STEP in each run. Other engines start
-    from the same bodies, in worlds that have done `WARM` steps before and are not destroyed until the times are known;
-    what their Python wrapper costs a step is part of what their users pay. Of scenes for which ours takes two threads,
-    they are run on one and on two, where they can, and the lesser time counts.
-    """
-    if phase in PHASES:
-        start = piles.pile(phase, n_bodies, seed, solver=TWENTY, most=6000, make=partial(scene, kind))
-    else:
-        start = simulate(scene(kind, n_bodies, seed), steps=round(phase / TIME_STEP), solver=TWENTY).state
-    runs, setup, worlds = {}, {}, {}
-
-    def warmed(key, setting, threads):
-        worlds[key] = world_of(start, setting, **threads)  # here the world of the run before is destroyed
-        run_world(worlds[key], setting, WARM)
-
-    for setting in settings:
-        name, count = name_of(setting), round(steps * TIME_STEP / setting["dt"])
-        if "engine" not in setting:
-            options = {"solver": solver_of(setting), "warm_start": setting.get("start", "builtin")}
-            runs[name, 1] = partial(simulate, start.replace(dt=setting["dt"]), steps=count, **options)
-            continue
-        two = peers.ENGINES[setting["engine"]].takes_threads and n_bodies >= 2 * CIRCLES_A_THREAD
-        for threads in (1, 2) if two else (1,):
-            key = name, threads
-            setup[key] = partial(warmed, key, setting, {"threads": threads} if threads > 1 else {})
-            runs[key] = lambda key=key, setting=setting, count=count: run_world(worlds[key], setting, count)
-    found: dict[str, float] = {}
-    for (name, _), seconds in timing.interleaved(runs, repeats=repeats, setup=setup).items():
-        found[name] = min(found.get(name, math.inf), 1e6 * seconds / steps)
-    return found
+def timed(kind: str, n_bodies: int, seed: int, setting: Mapping, *, seconds: float) -> float:
+    """Mean time of TIME_STEP in a run of a scene with a setting, μs."""
+    return 1e6 * trade.timed(scene(kind, n_bodies, seed), setting, seconds) * TIME_STEP / seconds
 
 
 # ---- what the study says ----
-
-
-def rows(ensembles: Mapping) -> list[dict]:
-    """A row for each kind, size and setting: its errors with their intervals; the reference itself has none.
-
-    ensembles: (kind, n_bodies) -> {name: (setting, [Observation, …])}.
-    """
-    found = []
-    for (kind, n_bodies), ensemble in ensembles.items():
-        true = ensemble[name_of(REFERENCE)][1]
-        for name, (setting, seen) in ensemble.items():
-            row = {"kind": kind, "n_bodies": n_bodies, "name": name, "setting": dict(setting), "seeds": len(seen)}
-            found.append(row | {"errors": None if seen is true else intervals(seen, true[: len(seen)])})
-    return found
-
-
-def with_times(row: Mapping, took: Sequence[Mapping]) -> dict:
-    """The row with its times, μs: "times", the mean over `MOMENTS` in each process that measured them, "us", their
-    median, or None, and "phases", the medians of the phases.
-
-    took: for each process (kind, n_bodies, phase) -> {name: μs}.
-    """
-    scene, name = (row["kind"], row["n_bodies"]), row["name"]
-    by_phase: dict = {}
-    for of_process in took:
-        for (*of, phase), by_name in of_process.items():
-            if (*of,) == scene and name in by_name:
-                by_phase.setdefault(phase, []).append(by_name[name])
-    moments = [by_phase.pop(moment) for moment in MOMENTS if moment in by_phase]
-    times = np.mean(moments, axis=0).tolist() if moments else []
-    phases = {phase: float(np.median(us)) for phase, us in by_phase.items()}
-    return row | {"us": float(np.median(times)) if times else None, "times": times, "phases": phases}
 
 
 def read_study(path) -> dict:
@@ -214,25 +124,24 @@ def read_study(path) -> dict:
     return {"plain": [row for row in found if row["kind"] == "plain" and row["errors"]], "presets": presets(found)}
 
 
-def presets(found: Sequence[Mapping]) -> list[dict]:
+def presets(rows: Sequence[Mapping]) -> list[dict]:
     """For each size and preset the setting that it takes, and the cheapest of each rival that keeps it.
 
-    found: rows. Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}] of
-    {"name", "us", "times", "seeds", "impact", "rest"} or None each. Ours is what `simulate(accuracy=…)` takes, which
-    leaves a margin (`presets.keeping`); a rival's setting may use up all of its tolerances.
+    Returns [{"n_bodies", "preset", "kinds": kind -> ours, "peers": engine -> on plain piles, "ratio"}] of {"name",
+    "us", "times", "seeds"} or None each. Ours is what `simulate(accuracy=…)` takes, which leaves a margin
+    (`presets.keeping`); a rival's setting may use up all of its tolerances.
     ratio: time of the fastest rival over ours on plain piles, [value, low, high] or None each. The value is the median
     over the processes that measured times. Low is the least of them, and of those where all our errors are at the upper
     and all of theirs at the lower ends of their intervals; high the largest, and of those the other way round.
     """
+    known = [row for row in rows if row["us"] is not None and row["errors"]]
 
     def cheapest(n, engine, preset, kind="plain", at=0):
         candidates = [
-            {"name": row["name"], "us": row["us"], "times": row["times"], "seeds": row["seeds"], **row["phases"]}
+            {key: row[key] for key in ("name", "us", "times", "seeds")}
             | {"errors": {name: rounded(error[at]) for name, error in row["errors"].items() if error}}
-            for row in found
+            for row in known
             if (row["n_bodies"], row["kind"], row["setting"].get("engine")) == (n, kind, engine)
-            and row["us"] is not None
-            and row["errors"]
         ]
         kept = keeping(candidates, preset, margin=engine is None and at == 0)
         best = min(kept, key=lambda one: one["us"], default=None)
@@ -242,9 +151,7 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
         mine = cheapest(n, None, preset, at=ours)
         rivals = [rival for name in peers.ENGINES if (rival := cheapest(n, name, preset, at=theirs))]
         fastest = min(rivals, key=lambda one: one["us"], default=None)
-        return (
-            [a / b for a, b in zip(fastest["times"], mine["times"])] if mine and fastest else None
-        )  # the same processes
+        return mine and fastest and [a / b for a, b in zip(fastest["times"], mine["times"])]  # of the same processes
 
     def ratio(n, preset):
         value, low, high = (ratios(n, preset, *ends) for ends in ((0, 0), (2, 1), (1, 2)))
@@ -253,7 +160,7 @@ def presets(found: Sequence[Mapping]) -> list[dict]:
         # The value too: the margin that `accuracy=` leaves can make it dearer than what keeps at the ends.
         return [float(np.median(value)), low and min(*low, *value), high and max(*high, *value)]
 
-    kinds = {n: dict.fromkeys(row["kind"] for row in found if row["n_bodies"] == n) for n in sizes_of(found)}
+    kinds = {n: dict.fromkeys(row["kind"] for row in rows if row["n_bodies"] == n) for n in sizes_of(rows)}
     return [
         {
             "n_bodies": n,

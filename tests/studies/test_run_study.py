@@ -8,7 +8,7 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact import peers
+from deep_contact import peers, trade
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import PRESETS
 from deep_contact.reporting import results
@@ -22,7 +22,7 @@ COARSE = {"method": "PGS", "sweeps": 3, "dt": TIME_STEP}
 
 def observed(kind, n_bodies, seed, setting, seconds):
     """What is read of the stored observation of a run, which is the same every time."""
-    stored, again = (runs.observed(kind, n_bodies, seed, setting, seconds=seconds) for _ in range(2))
+    stored, again = (results.plain(runs.observed(kind, n_bodies, seed, setting, seconds=seconds)) for _ in range(2))
     assert stored == again
     return observation(json.loads(json.dumps(stored)))
 
@@ -37,21 +37,17 @@ def test_other_engines_fall_as_ours(engine):
     assert theirs.loads is None
 
 
-def test_rows_hold_every_setting_against_the_reference():
-    settings = [runs.REFERENCE, COARSE]
-    seen = {name_of(s): (s, [observed("plain", 30, k, s, 1.5) for k in (1, 2)]) for s in settings}
-    took = {runs.MOMENTS[0]: 6.0, runs.MOMENTS[1]: 8.0, "rest": 5.0}
-    took = [{("plain", 30, phase): {name_of(COARSE): k * us} for phase, us in took.items()} for k in (1, 2, 3)]
-    reference, coarse = (runs.with_times(row, took) for row in runs.rows({("plain", 30): seen}))
-    assert (reference["errors"], reference["us"]) == (None, None)
-    assert (coarse["us"], coarse["times"], coarse["phases"], coarse["seeds"]) == (14, [7, 14, 21], {"rest": 10}, 2)
-    value, low, high = coarse["errors"]["penetration_max"]
+def test_a_row_holds_a_setting_against_the_reference():
+    coarse, true = ([observed("plain", 30, k, one, 1.5) for k in (1, 2)] for one in (COARSE, runs.REFERENCE))
+    found = trade.row_of(COARSE, TIME_STEP, coarse, true)
+    assert (found["name"], found["seeds"]) == ("PGS, 3 sweeps, Δt", 2)
+    value, low, high = found["errors"]["penetration_max"]
     assert 0 < low <= value <= high
 
 
 def row(setting, us, error, kind="plain"):
     errors = {name: (error, error, error) for name in PRESETS["preview"]}
-    common = {"kind": kind, "n_bodies": 100, "phases": {"impact": us, "rest": us}, "errors": errors, "seeds": 6}
+    common = {"kind": kind, "n_bodies": 100, "errors": errors, "seeds": 6}
     return common | {"name": name_of(setting), "setting": setting, "us": us, "times": [us, 1.1 * us, 0.9 * us]}
 
 
@@ -108,8 +104,7 @@ class Slow:
 def test_neither_the_first_step_nor_the_destruction_of_a_world_is_timed(monkeypatch):
     monkeypatch.setitem(peers.ENGINES, "slow", Slow)
     slow = {"engine": "slow", "sweeps": 4, "dt": TIME_STEP}
-    took = runs.times("plain", 10, 1, [slow, COARSE], steps=10, repeats=2, phase=0.1)
-    assert took[name_of(slow)] < 1e3  # μs a step: with either of them it would be 10,000
+    assert trade.timed(runs.scene("plain", 10, 1), slow, 0.1) < 0.05
 
 
 @pytest.mark.parametrize("kind", ["mixed radii", "gas", "drum"])
@@ -141,27 +136,28 @@ def test_fewer_seeds_than_the_reference_meet_its_runs_of_the_same_scenes(tmp_pat
 
     def run(kind, n_bodies, seed, setting, seconds):
         seen = {name: np.full(30, 1.0 + seed % 1000) for name in ("kinetic", "height", "speed", "contacts")}
-        seen |= {"penetration": np.zeros((30, 3)), "force": np.ones(29), "loads": None, "interval": 0.1}
+        seen |= {
+            "penetration": np.zeros((30, 3)),
+            "force": np.ones(29),
+            "loads": None,
+            "interval": 0.1,
+            "quantities": {},
+        }
         return results.plain(seen)
 
-    monkeypatch.setattr(script, "FUNCTIONS", {"observed": run, "times": lambda settings, **_: {}})
-    more = {
-        "settings": {"20": []},
-        "seeds": {"20": {"plain": 9}},
-        "more": {},
-        "ladders": {"20": [COARSE]},
-        "ladder_seeds": {"20": 3},
-    }
+    monkeypatch.setattr(script, "FUNCTIONS", {"observed": run, "timed": lambda **_: 7.0})
+    more = {"settings": {"20": []}, "seeds": {"20": {"plain": 9}}}
+    more |= {"ladders": {"20": [COARSE]}, "ladder_seeds": {"20": 3}}
     options = {"seed": 0, "jobs": 1, "work": tmp_path, "errors_only": False}
     (row,) = (row for row in script.study(tiny(script, **more), **options)["rows"] if row["errors"])
-    assert row["seeds"] == 3
+    assert (row["seeds"], row["us"], row["times"]) == (3, 7.0, [7.0])
     assert row["errors"]["energy"] == (0.0, 0.0, 0.0)
 
 
 def tiny(script, **changes):
     """The settings of a quick run of the script, made smaller."""
-    small = {"sizes": [20], "seeds": {"20": {"plain": 2}}, "seconds": 1.0, "peers": {"20": []}}
-    return script.QUICK | small | {"steps": {"20": 5}, "repeats": {"20": 1}} | changes
+    small = {"sizes": [20], "seeds": {"20": {"plain": 2}}, "seconds": 1.0, "peers": {"20": []}, "ladders": {"20": []}}
+    return script.QUICK | small | {"ladder_seeds": {"20": 2}, "peer_seeds": {"20": 2}} | changes
 
 
 def test_the_script_installs_what_recommend_reads(tmp_path, monkeypatch, capsys):

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import presets, trade
+from deep_contact import presets, run_errors, trade
 from deep_contact.studies import runs
 
 
@@ -81,12 +81,13 @@ def judged(make, n, steps):
 
     def ensemble(setting):
         scenes = (make(n, seed) for seed in range(100, 120))
-        return [trade.observed(scene, setting, steps // every, every * measured.dt) for scene in scenes]
+        each = steps // every, every * measured.dt
+        return [run_errors.observe(trade.states_of(scene, setting, *each)) for scene in scenes]
 
     true, seen, cells = ensemble(measured.reference), {}, {}
     for preset, row in chosen.items():
         if row["name"] not in seen:
-            seen[row["name"]] = trade.all_errors(ensemble(row["setting"]), true)
+            seen[row["name"]] = run_errors.errors(ensemble(row["setting"]), true)
         limits = presets.PRESETS[preset]
         cells[preset] = {name: (seen[row["name"]][name], most, row["errors"][name]) for name, most in limits.items()
                          if seen[row["name"]][name] is not None and row["errors"][name]}  # fmt: skip
