@@ -16,11 +16,11 @@ import signal
 import subprocess
 import sys
 import time
+from datetime import timedelta
 from pathlib import Path
 
-from deep_contact import parallel
 from deep_contact.reporting import page, references
-from deep_contact.reporting.figures import INTERRUPTED
+from deep_contact.reporting.figures import INTERRUPTED, common_arguments
 from deep_contact.reporting.results import REFERENCE
 from deep_contact.reporting.scripts import choose, find, stem
 
@@ -42,8 +42,8 @@ def main(arguments=None, folder=HERE):
     stale = references.stale() if args.stale or args.references else []
     if args.stale:
         for name in stale:
-            by_hand = " by hand" * (name in references.BY_HAND)
-            print(f"{name}, {in_words(references.made(name)['wall_s'])}{by_hand}: {references.why_old(name)}")
+            took = duration(references.made(name)["wall_s"]) + " by hand" * (name in references.BY_HAND)
+            print(f"{name}, {took}: {references.why_old(name)}")
         return 0
     work = [(name, [path, *passed_on], Path(args.out) / f"{stem(path)}.json") for name, path in chosen.items()]
     if args.references:
@@ -61,7 +61,7 @@ def main(arguments=None, folder=HERE):
     done, status = [], 0
     for number, (name, command, stored) in enumerate(work, start=1):
         left = sum(references.made(one)["wall_s"] for one, *_ in work[number - 1 : -1]) if args.references else 0
-        print(f"\n[{number}/{len(work)}] {command[0].name}{f', {in_words(left)} left' * bool(left)}", flush=True)
+        print(f"\n[{number}/{len(work)}] {command[0].name}{f', {duration(left)} left' * bool(left)}", flush=True)
         status, seconds = timed(command)
         done.append((name, status, seconds, stored))
         if status in INTERRUPTS:
@@ -77,33 +77,27 @@ def main(arguments=None, folder=HERE):
 
 def parse(arguments):
     """The arguments, and the list of those that are passed on to every script."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    layout = {
+        "formatter_class": argparse.RawDescriptionHelpFormatter,
+        "parents": [common_arguments("each script's own")],
+    }
+    parser = argparse.ArgumentParser(description=__doc__, **layout)
     add = parser.add_argument
-    add("--quick", action="store_true", help="smaller runs, each within a minute")
-    add("--resume", action="store_true", help="keep what is stored with the same settings and commit")
-    add("--replot", action="store_true", help="draw all again from what is stored")
     add("--stale", action="store_true", help="list what of data/reference is old")
     add("--references", action="store_true", help="make what of data/reference is old")
     add("--list", action="store_true", help="only name what is to be made")
     add("--only", metavar="IDS", help="numbers parted by commas: 3.7,5.9,T5.1")
-    add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
-    add("--jobs", type=int, help="processes (default: one for each core)")
-    add("--seed", type=int, help="of everything random (default: each script's own)")
-    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     args = parser.parse_args(arguments)
     if args.references:
         args.out = str(REFERENCE)
-    flags = [f"--{name}" for name in ("quick", "resume", "replot") if getattr(args, name)]
+    flags = [f"--{name}" for name in ("quick", "replot") if getattr(args, name)]
     values = [(f"--{name}", getattr(args, name)) for name in ("out", "jobs", "seed", "scheduler")]
     return args, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
 
 
-def in_words(seconds):
-    """Such as "3 s", "51 min", "2 h 40 min"; "unknown time" where it was not measured."""
-    minutes = round(seconds / 60)
-    if seconds < 100:
-        return f"{max(1, round(seconds))} s" if seconds else "unknown time"
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60} min"
+def duration(seconds):
+    """Such as "2:40:00"."""
+    return str(timedelta(seconds=round(seconds)))
 
 
 def timed(command):

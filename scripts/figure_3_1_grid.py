@@ -4,8 +4,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import sph
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Figure
+from deep_contact.reporting import Figure, figures, plotting
 
 
 def compute(options, seed, jobs, progress):

@@ -3,8 +3,7 @@
 import numpy as np
 
 from deep_contact import sph
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 
 
 def compute(options, seed, jobs, progress):

@@ -4,8 +4,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact.cnn.inference import load_model
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
 from deep_contact.studies import starts
 from deep_contact.studies.chapter_5 import OPEN

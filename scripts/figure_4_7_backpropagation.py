@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_4 as worked
 
 ROUNDING = 1e-12
@@ -75,12 +74,10 @@ def draw(data, options):
     indices = [("o", *i) for i in np.ndindex(np.shape(data["output weights"]))]
     indices += [("h", *i) for i in np.ndindex(np.shape(data["hidden weights"]))]
     names = [f"$w^{part}_{{{''.join(str(i + 1) for i in index)}}}$" for part, *index in indices]
-    place = np.arange(len(names))
-    bars.barh(place, printed, height=0.6, color=plotting.SKY, label="Eq 4.13 and 4.17")
-    bars.plot(automatic, place, "x", color=plotting.BLACK, label="automatic differentiation")
+    bars.barh(range(len(names)), printed, height=0.6, color=plotting.SKY, label="Eq 4.13 and 4.17")
+    bars.plot(automatic, range(len(names)), "x", color=plotting.BLACK, label="automatic differentiation")
     bars.axvline(0, color=plotting.GREY, linewidth=0.8)
-    bars.set_yticks(place, names)
-    bars.invert_yaxis()
+    plotting.name_bars(bars, names)
     plotting.label_axes(bars, "gradient ∂L/∂w", "")
     bars.legend()
     return figure

@@ -6,8 +6,7 @@ The experiment that the thesis announces after Figure 5.9 (section 5.4) and does
 import numpy as np
 
 from deep_contact.cnn.model_file import ModelFileError
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_5, piles, starts, verdicts
 from deep_contact.studies.chapter_5 import STAGES
 
@@ -130,9 +129,7 @@ def draw(data, options):
             ax.plot(ends, [place] * 2, color=plotting.BLACK, linewidth=1.2)
             text = f"  {np.mean(pile['starts'][name]['sweeps']):,.0f}, {reached(pile, name)}"
             ax.text(max(ends), place, text, va="center", fontsize=8)
-        ax.set_yticks(range(len(names)), [plotting.style_of(name)["label"] for name in names])
-        ax.invert_yaxis()
-        ax.grid(axis="y", visible=False)
+        plotting.name_bars(ax, [plotting.style_of(name)["label"] for name in names])
         ax.set(xlim=(0, 1.25 * left.max()), xlabel="mean processor time of a step (ms)")
         ax.set_title(f"{int(size):,} circles, {min(pile['contacts']):,} to {max(pile['contacts']):,} contacts")
     plotting.legend_below(figure, panels[0, 0])

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.stats import linregress
 
 import deep_contact as dc
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Figure
+from deep_contact.reporting import Figure, figures, plotting
 from deep_contact.studies import starts, timing, verdicts
 
 

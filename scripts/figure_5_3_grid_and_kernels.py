@@ -4,8 +4,7 @@ import numpy as np
 
 import deep_contact as dc
 from deep_contact import sph
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 
 SMALLEST = 0.5**0.5
 """The thesis's lower bound for h / d, section 5.1.3."""

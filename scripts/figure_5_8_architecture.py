@@ -4,8 +4,7 @@ import math
 
 import numpy as np
 
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import chapter_5
 
 COLOURS = {

@@ -1,7 +1,6 @@
 """python scripts/figure_5_9_cnn.py: the CNN start beside all others, on scenes that no network was trained on."""
 
-from deep_contact.reporting import figures
-from deep_contact.reporting.figures import Figure
+from deep_contact.reporting import Figure, figures
 from deep_contact.studies import chapter_5, starts
 
 TITLE = "Does a network's start converge like SPH's?"

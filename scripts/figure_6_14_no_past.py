@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from deep_contact.io.provenance import commit
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure, seeds
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import no_past
 from deep_contact.studies.learned_starts import median_with_interval, text_of
-from deep_contact.studies.no_past import LEARNED, curves, time_to
+from deep_contact.studies.no_past import LEARNED
 from deep_contact.studies.parts import done
 
 COLOURS = {"zero": plotting.GREY, "support": plotting.VERMILION, LEARNED: plotting.PURPLE}
@@ -28,14 +27,16 @@ def compute(options, seed, jobs, progress):
     """
     states = {int(n): count for n, count in options["states"].items()}
     chosen = product(states, options["kinds"], options["radii"])
-    wanted = [dict(zip(("n_bodies", "kind", "radii"), cell)) for cell in chosen]
+    cells = [dict(zip(("n_bodies", "kind", "radii"), cell)) for cell in chosen]
     common = {"options": {name: options[name] for name in ("radii", "sweeps", "model", "first")}, "commit": commit()}
-    parts = [("pile", cell | common | {"seed": s}) for cell in wanted for s in seeds(seed, states[cell["n_bodies"]])]
+    parts = [
+        ("pile", cell | common | {"seed": s}) for cell in cells for s in figures.seeds(seed, states[cell["n_bodies"]])
+    ]
     piles = done(parts, {"pile": no_past.measure}, work=Path(options["work"]), jobs=jobs, text="piles")
     timed = []
-    for cell in progress(wanted, text="times"):
-        description = cell["n_bodies"], cell["kind"], options["radii"][cell["radii"]], seeds(seed, 1)[0]
-        state, *_ = no_past.pile(*description)
+    for cell in progress(cells, text="times"):
+        smallest, (first,) = options["radii"][cell["radii"]], figures.seeds(seed, 1)
+        state, *_ = no_past.pile(cell["n_bodies"], cell["kind"], smallest, first)
         timed.append(cell | no_past.times(state, no_past.starts_of(state, options["model"]), options["repeats"]))
     return {"piles": piles, "times": timed}
 
@@ -45,7 +46,7 @@ def cells(data):
 
     "ratios": by (start, error) that of `ratio`; by "jolt" that of the jolt from the support over that from zero.
     """
-    found = []
+    every = []
     for timed in data["times"]:
         cell = {key: timed[key] for key in ("n_bodies", "kind", "radii")}
         piles = [pile for pile in data["piles"] if pile | cell == pile]
@@ -53,13 +54,14 @@ def cells(data):
         speeds = [[pile["jolt"][start]["speed"] for pile in piles] for start in ("support", "zero")]
         ratios["jolt"] = median_with_interval(np.divide(*speeds))
         name = "{n_bodies:,} {kind} circles, {radii} radii".format(**cell)
-        found.append(cell | {"name": name, "piles": piles, "times": timed, "ratios": ratios})
-    return found
+        every.append(cell | {"name": name, "piles": piles, "times": timed, "ratios": ratios})
+    return every
 
 
 def times(piles, timed, start, error):
     """Times of the piles to an error by the fastest method, ms; infinite where none comes there."""
-    return np.array([1e3 * min(time_to(curve, error) for curve in curves(pile, timed, start)) for pile in piles])
+    curves = (no_past.curves(pile, timed, start) for pile in piles)
+    return np.array([1e3 * min(no_past.time_to(curve, error) for curve in of_pile) for of_pile in curves])
 
 
 def ratio(piles, timed, start, error, others):
@@ -68,24 +70,24 @@ def ratio(piles, timed, start, error, others):
     A start that never comes to the error counts with the time of the most sweeps, a bound.
     """
     one, other = times(piles, timed, start, error), np.min([times(piles, timed, o, error) for o in others], axis=0)
-    most = [1e3 * max(curve[-1][0] for curve in curves(pile, timed, start)) for pile in piles]
-    found = (np.minimum(one, most) / np.minimum(other, most))[np.isfinite(one) | np.isfinite(other)]
-    return median_with_interval(found) if 2 * found.size > one.size else None
+    most = [1e3 * max(curve[-1][0] for curve in no_past.curves(pile, timed, start)) for pile in piles]
+    ratios = (np.minimum(one, most) / np.minimum(other, most))[np.isfinite(one) | np.isfinite(other)]
+    return median_with_interval(ratios) if 2 * ratios.size > one.size else None
 
 
 def claims(data):
     """Of the support against zero, of the network against the best of both, and of the jolt."""
-    found = cells(data)
+    every = cells(data)
 
     def at_rest(text, most, key):
-        kept = {cell["name"]: cell["ratios"][key] for cell in found if cell["kind"] == "resting"}
-        kept = {name: value for name, value in kept.items() if value}
-        return [Claim(f"at rest, {text}", None, all(value[0] <= most for value in kept.values()), kept)] if kept else []
+        resting = (cell for cell in every if cell["kind"] == "resting" and cell["ratios"][key])
+        if ratios := {cell["name"]: cell["ratios"][key] for cell in resting}:
+            yield Claim(f"at rest, {text}", None, all(value[0] <= most for value in ratios.values()), ratios)
 
     for error in (0.3, 0.1):
         text = f"from the support at most half of the time from zero, to a velocity error of {error:g}"
         yield from at_rest(text, 0.5, ("support", error))
-    learned = {f"{cell['name']}, to {key[1]:g}": cell["ratios"][key] for cell in found for key in COMPARED
+    learned = {f"{cell['name']}, to {key[1]:g}": cell["ratios"][key] for cell in every for key in COMPARED
                if cell["n_bodies"] >= 1000 and key[0] == LEARNED and cell["ratios"][key]}  # fmt: skip
     if learned:
         wins = sum(middle <= 0.7 and high < 0.85 for middle, _, high in learned.values())
@@ -113,13 +115,13 @@ def table(data):
 
 def draw(data, options):
     """Error by time of the fastest method from each start, for resting piles: a panel a size, medians and quartiles."""
-    drawn = [cell for cell in cells(data) if [cell["kind"], cell["radii"]] == options["drawn"]]
-    drawn = [cell for cell in drawn if cell["n_bodies"] >= options["least"]]
+    drawn = [cell for cell in cells(data) if [cell["kind"], cell["radii"]] == options["drawn"]
+             and cell["n_bodies"] >= options["least"]]  # fmt: skip
     figure, panels = plotting.subplots(1, len(drawn), size=(plotting.PAGE, 3.2), squeeze=False)
     for ax, cell in zip(panels[0], drawn):
         for start, colour in COLOURS.items():
-            found = np.array([times(cell["piles"], cell["times"], start, level) for level in LEVELS])
-            low, middle, high = np.percentile(found, (25, 50, 75), axis=1, method="nearest")
+            by_level = np.array([times(cell["piles"], cell["times"], start, level) for level in LEVELS])
+            low, middle, high = np.percentile(by_level, (25, 50, 75), axis=1, method="nearest")
             reached = np.isfinite(middle)
             ax.plot(middle[reached], LEVELS[reached], color=colour, label=f"from {start}")
             ends = low[reached], np.where(np.isfinite(high[reached]), high[reached], 10 * middle[reached].max())

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure, seeds
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import determinacy
 
 SHARES = {"median contact": 50, "90th percentile": 90}
@@ -17,7 +16,7 @@ def compute(options, seed, jobs, progress):
     tasks = [
         (n, friction, options["contacts"], s, options["models"] if [n, friction] == [first, mu] else [])
         for n, friction in wanted
-        for s in seeds(seed, options["scenes"])
+        for s in figures.seeds(seed, options["scenes"])
     ]
     return {"piles": figures.parallel_map(_measured, tasks, jobs=jobs, progress=progress, text="piles")}
 
@@ -28,25 +27,22 @@ def _measured(task):
 
 def widths(data, n_bodies, friction):
     """Percentiles of the widths in each pile, (piles, shares)."""
-    chosen = [pile["widths"] for pile in data["piles"] if (pile["n_bodies"], pile["friction"]) == (n_bodies, friction)
-              and pile["exact"]]  # fmt: skip
-    return np.array([np.percentile([np.inf if w is None else w for w in one], [*SHARES.values()], method="nearest")
-                     for one in chosen])  # fmt: skip
+    cell = {"n_bodies": n_bodies, "friction": friction}
+    exact = (pile["widths"] for pile in data["piles"] if pile["exact"] and pile | cell == pile)
+    open_ended = ([np.inf if width is None else width for width in one] for one in exact)
+    return np.array([np.percentile(one, [*SHARES.values()], method="nearest") for one in open_ended])
 
 
 def apart(data):
     """Answer -> its distances in each pile."""
-    found = [pile["apart"] for pile in data["piles"] if pile.get("apart")]
-    return {name: [one[name] for one in found] for name in found[0]} if found else {}
-
-
-def cells(data):
-    return list(dict.fromkeys((pile["n_bodies"], pile["friction"]) for pile in data["piles"]))
+    distances = [pile["apart"] for pile in data["piles"] if pile.get("apart")]
+    return {name: [one[name] for one in distances] for name in distances[0]} if distances else {}
 
 
 def claims(data):
     """With friction much is open; without it, what contacts within the slop carry beyond two a circle."""
-    medians = {cell: np.median(widths(data, *cell), axis=0) for cell in cells(data) if len(widths(data, *cell))}
+    cells = dict.fromkeys((pile["n_bodies"], pile["friction"]) for pile in data["piles"] if pile["exact"])
+    medians = {cell: np.median(widths(data, *cell), axis=0) for cell in cells}
     smooth = [row.max() for (_, friction), row in medians.items() if friction == 0]
     middles = {f"{n} circles, μ = {mu:g}": row[0] for (n, mu), row in medians.items()}
     if smooth:
@@ -58,15 +54,6 @@ def claims(data):
     yield Claim(text, None, min(v for name, v in middle.items() if "from" in name) >= 0.1, middle)
 
 
-def table(data):
-    rows = [["circles", "μ", "piles", "exact", *(f"width / mean λ_n, {name}" for name in SHARES)]]
-    for n, mu in cells(data):
-        found = widths(data, n, mu)
-        piles = sum((pile["n_bodies"], pile["friction"]) == (n, mu) for pile in data["piles"])
-        rows.append([n, mu, piles, len(found), *(np.median(found, axis=0) if len(found) else ["–"] * len(SHARES))])
-    return rows
-
-
 def draw(data, options):
     """Widths over friction and over circles, median and range of the piles; distances of answers beside them."""
     figure, panels = plotting.subplots(1, 3, size=(plotting.PAGE, 3.4), width_ratios=(1, 0.8, 1))
@@ -74,10 +61,10 @@ def draw(data, options):
     sweeps = {"friction μ": [(first, x) for x in options["frictions"]], "circles": [(n, mu) for n in options["sizes"]]}
     for ax, (name, chosen) in zip(panels, sweeps.items()):
         chosen = sorted(cell for cell in chosen if len(widths(data, *cell)))
-        found = [widths(data, *cell) for cell in chosen]
+        by_cell = [widths(data, *cell) for cell in chosen]
         x = [cell[1 if name.startswith("friction") else 0] for cell in chosen]
         for k, (label, colour) in enumerate(zip(SHARES, (plotting.BLUE, plotting.VERMILION))):
-            middle, low, high = (np.array([f(one[:, k]) for one in found]) for f in (np.median, np.min, np.max))
+            middle, low, high = (np.array([f(one[:, k]) for one in by_cell]) for f in (np.median, np.min, np.max))
             plotting.band(ax, x, middle, low, high, color=colour, marker="o", markersize=4, label=label)
         plotting.label_axes(ax, name, "interval of λ_n / mean λ_n")
         ax.set_ylim(bottom=0)
@@ -85,19 +72,14 @@ def draw(data, options):
     panels[1].set_title(f"μ = {mu:g}")
     panels[1].set(xscale="log", xticks=options["sizes"], xticklabels=options["sizes"])
     panels[1].minorticks_off()
-    found = apart(data)
-    for y, (name, values) in enumerate(found.items()):
-        colour = plotting.PURPLE if name in options["models"] else plotting.GREY
-        panels[2].barh(y, np.median(values), color=colour)
+    distances, models = apart(data), options["models"]
+    for y, (name, values) in enumerate(distances.items()):
+        panels[2].barh(y, np.median(values), color=plotting.PURPLE if name in models else plotting.GREY)
         panels[2].plot([min(values), max(values)], [y, y], color=plotting.BLACK, linewidth=1)
     half = np.median(widths(data, first, mu)[:, 0]) / 2
     panels[2].axvline(half, color=plotting.BLUE, linestyle="--", linewidth=1)
-    panels[2].set(
-        yticks=range(len(found)),
-        yticklabels=[f"{name}.h5" if name in options["models"] else name for name in found],
-        title=f"{first} circles, μ = {mu:g}",
-    )
-    panels[2].invert_yaxis()
+    plotting.name_bars(panels[2], [f"{name}.h5" if name in models else name for name in distances])
+    panels[2].set_title(f"{first} circles, μ = {mu:g}")
     panels[2].set_xlabel("median distance / mean λ_n\n(dashed: half of the interval)")
     return plotting.legend_below(figure, panels[0], "How much of λ do the positions determine?")
 
@@ -105,6 +87,6 @@ def draw(data, options):
 OPTIONS = {"sizes": [100, 30, 300], "frictions": [0, 0.1, 0.3, 0.5, 1], "friction": 0.5, "contacts": 16,
            "scenes": 5, "models": ["model", "no_past"]}  # fmt: skip
 QUICK = {"sizes": [30, 60], "frictions": [0, 0.5, 1], "contacts": 8, "scenes": 2}
-FIGURE = Figure("6.15", "How much of λ the positions determine", compute, table, draw, claims, options=OPTIONS,
+FIGURE = Figure("6.15", "How much of λ the positions determine", compute, None, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=5)  # fmt: skip
 figures.run_as_script(FIGURE, __name__)

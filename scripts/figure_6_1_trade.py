@@ -6,13 +6,10 @@ import numpy as np
 
 from deep_contact import peers, trade
 from deep_contact.presets import PRESETS
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import runs
 
 SHOWN = {"energy": "kinetic energy", "penetration_max": "deepest penetration"}
-OURS = {"color": plotting.BLUE, "marker": "o"}
-LOOKS = {name: {"color": plotting.GREY, "marker": marker} for name, marker in plotting.ENGINE_MARKER.items()}
 
 
 def compute(options, seed, jobs, progress):
@@ -60,17 +57,16 @@ def draw(data, options):
     sizes = runs.sizes_of(data["rows"])
     size = (plotting.PAGE, 2.9 * len(SHOWN) + 0.6)
     figure, panels = plotting.subplots(len(SHOWN), len(sizes), size=size, squeeze=False, sharey="row")
-    for (ax_row, name), (j, n) in product(zip(panels, SHOWN), enumerate(sizes)):
-        ax, rows = ax_row[j], [row for row in data["rows"] if row["n_bodies"] == n]
-        trade.draw_plane(ax, rows, name, names=n == sizes[-1])
+    for ax, (name, n) in zip(panels.flat, product(SHOWN, sizes)):
+        trade.draw_plane(ax, [row for row in data["rows"] if row["n_bodies"] == n], name, names=n == sizes[-1])
         ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 3.0) if n < 10_000 else (1.0,)))
     texts = (f"{text} (%)" for text in SHOWN.values())
     plotting.label_grid(panels, map("{:,} circles".format, sizes), "time of 10 ms (µs)", texts)
     key = panels[0, 0]
-    key.plot([], [], linestyle="", markersize=4, label="ours, every setting", **OURS)
+    key.plot([], [], "o", color=plotting.BLUE, markersize=4, label="ours, every setting")
     key.plot([], [], color=plotting.BLACK, linewidth=1.2, label="best of ours")
-    for name, look in LOOKS.items():
-        key.plot([], [], linestyle="", markersize=4, label=name, **look)
+    for name, marker in plotting.ENGINE_MARKER.items():
+        key.plot([], [], marker, color=plotting.GREY, markersize=4, label=name)
     key.plot([], [], color=plotting.BLACK, linewidth=0.7, linestyle=":", label="what a preset tolerates")
     return plotting.legend_below(figure, key, "What does an error of a run cost, with ours and with other engines?")
 

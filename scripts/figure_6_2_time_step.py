@@ -4,8 +4,7 @@ import numpy as np
 
 from deep_contact import run_errors
 from deep_contact.constants import TIME_STEP
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import runs
 
 SHOWN = {
@@ -69,8 +68,9 @@ def table(data):
 def draw(data, options):
     """An error in each panel against Δt, a line for each size, with its interval, down to the reference's Δt."""
     figure, panels = plotting.subplots(2, 2, size=(plotting.PAGE, 5.6), sharex=True)
-    for ax, (name, text) in zip(panels.ravel(), SHOWN.items()):
-        for (n, rows), colour in zip((found := by_size(data)).items(), plotting.shades(len(found))):
+    sizes = by_size(data)
+    for ax, (name, text) in zip(panels.flat, SHOWN.items()):
+        for (n, rows), colour in zip(sizes.items(), plotting.shades(len(sizes))):
             steps, values = zip(*((row["dt"], row["errors"][name]) for row in rows if row["errors"][name]))
             values, reach = zip(*map(run_errors.with_reach, values))
             look = {"color": colour, "marker": "o", "markersize": 4, "label": f"{n:,} circles"}

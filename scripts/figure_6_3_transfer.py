@@ -5,8 +5,7 @@ from itertools import product
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import starts, verdicts
 from deep_contact.warm_start import Sph
 
@@ -43,7 +42,7 @@ def compute(options, seed, jobs, progress):
         return starts.transfer_loss(states, Sph(**start, transfer=transfer), method=method)
 
     scenes = {"equal": piles(n, (1.0, 1.0)), "mixed": piles(n // 2, (0.5, 2.0))}
-    states = {name: [state for pile in found for state in pile] for name, found in scenes.items()}
+    states = {name: [state for pile in of_scenes for state in pile] for name, of_scenes in scenes.items()}
     kinds = {"isolated": starts.isolated_contacts(options["isolated"], seed=seed), "pile": states["equal"]}
     rows = []
     for kernel in progress(options["kernels"], text="kernels"):
@@ -60,8 +59,8 @@ def compute(options, seed, jobs, progress):
         radii: {way: [loss(of, way, spacing=d) for d in options["charted"]] for way in WAYS}
         for radii, of in states.items()
     }
-    found = {"rows": rows, "by scene": by_scene, "charted": options["charted"]}
-    return found | {"by spacing": by_spacing, "sibling": SIBLING}
+    by = {"by scene": by_scene, "by spacing": by_spacing}
+    return {"rows": rows, "charted": options["charted"], "sibling": SIBLING} | by
 
 
 CLAIMS = [
@@ -94,11 +93,9 @@ CLAIMS = [
 
 
 def claims(data):
-    losses = {
-        name.removesuffix(", d = h = 0.5").removeprefix("d = 0.25, "): of for name, of in data["by scene"].items()
-    }
+    losses = {name.replace(", d = h = 0.5", "").replace("d = 0.25, ", ""): of for name, of in data["by scene"].items()}
     losses[None] = [1.0] * len(losses["thesis"])
-    for text, one, other, thesis, within in (claim for claim in CLAIMS if claim[1] in losses):  # some came later
+    for text, one, other, thesis, within in CLAIMS:
         yield verdicts.judged_values(losses[one], losses[other], text, thesis, within=within)
     isolated = max(row["isolated, consistent"] for row in data["rows"])
     text = "the consistent transfer returns an isolated contact exactly"

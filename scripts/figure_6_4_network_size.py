@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import learned_starts as study
 from deep_contact.studies import timing
 from deep_contact.studies.chapter_5 import networks_info
@@ -25,26 +24,26 @@ def compute(options, seed, jobs, progress):
     (scenes,) = study.errors_on_scenes(starts, options, seed + 10_000, jobs, progress)
     info, repeats = networks_info(networks), options["repeats"]
     state = dc.simulate(dc.circles_in_box(100, seed=1), steps=200, solver=dc.NNCG()).state
-    found = []
+    priced = []
     for name in networks:
         us = 1e6 * timing.fastest(partial(start_of(starts[name]), state, dc.PGS()), repeats)
-        found.append({"name": name, "weights": info[name]["parameters"], "us": us})
+        priced.append({"name": name, "weights": info[name]["parameters"], "us": us})
     sweep_us = 1e6 * study.sweep_time(state, "PGS", repeats)
-    return {"after": options["after"], "networks": found, "scenes": scenes, "sweep_us": sweep_us}
+    return {"after": options["after"], "networks": priced, "scenes": scenes, "sweep_us": sweep_us}
 
 
 def files(folder):
     """Name -> model file of every network of the folder, or of the shipped one if it has none."""
     root = Path(__file__).resolve().parents[1]
-    found = {path.stem.replace("_", " "): str(Path(folder) / path.name) for path in (root / folder).glob("width_*.h5")}
-    return found or {"shipped": "models/model.h5"}
+    paths = (root / folder).glob("width_*.h5")
+    return {path.stem.replace("_", " "): f"{folder}/{path.name}" for path in paths} or {"shipped": "models/model.h5"}
 
 
 def networks_of(data):
     """The networks by weights, each with its error over Builtin's, (sweeps, 3)."""
     kept = (one for one in data["networks"] if re.fullmatch(r"width \d+|shipped", one["name"]))
-    found = (one | {"ratios": study.ratios_to_builtin(data["scenes"], one["name"])} for one in kept)
-    return sorted(found, key=lambda network: network["weights"])
+    networks = (one | {"ratios": study.ratios_to_builtin(data["scenes"], one["name"])} for one in kept)
+    return sorted(networks, key=lambda network: network["weights"])
 
 
 def claims(data):
@@ -95,10 +94,7 @@ def draw(data, options):
     plotting.label_axes(right, "weights", "time of a start", y_unit="μs", title=title)
     for ax in (left, right):
         ax.set_xscale("log")
-    least, last = ratios[0, -1, 0], ratios[-1, -1, 0]
-    text = f"{weights[-1] / weights[0]:.0f} times the weights leave {last / least:.2f} of the error after"
-    text += f" {data['after'][-1]} sweeps and take {us[-1] / us[0]:.1f} times as long"
-    figure.suptitle(text, fontsize=11)
+    figure.suptitle("What does a larger network gain, and what does it cost?", fontsize=10)
     return figure
 
 

@@ -4,8 +4,7 @@ from itertools import groupby, product
 
 import numpy as np
 
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ABSENT, DEGRADED, ENGINES, FAILED, REFUSED, SAFE
 

@@ -6,8 +6,7 @@ in `deep_contact/reference/figure_6_7.json`, a copy of this figure's results fil
 
 import deep_contact as dc
 from deep_contact import constants
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import savings
 
 NAMES = {
@@ -38,15 +37,15 @@ def compute(options, seed, jobs, progress):
     n, timed, sweeps, islands = options["n_bodies"], {"steps": options["timed"], "repeats": options["repeats"]}, {}, {}
     for size in progress(options["sizes"], text="sweeps"):
         sweeps[str(size)] = {"frictionless": savings.sweep_saving(size, seed, **timed)}
-    found = next(iter(sweeps.values())) | savings.step_savings(n, seed, **timed)
+    measured = next(iter(sweeps.values())) | savings.step_savings(n, seed, **timed)
     for name, (_, scene) in CONTEXTS.items():
         seeds = progress(figures.seeds(seed, options["scenes"]), text=name)
         scenes = (dc.circles_in_box(n, seed=s, **scene) for s in seeds)
         islands[name] = [savings.island_savings(s, steps=options["steps"], every=options["every"]) for s in scenes]
-        found[name] = savings.saving_by_run(islands[name])
-        found[f"{name}, time"] = savings.saving_by_run(islands[name], "seconds_")
-    measured = {name: savings.job(name) for name in progress(options["jobs"], text="jobs")}
-    return {"savings": found, "sweeps": sweeps, "islands": islands, "jobs": measured}
+        measured[name] = savings.saving_by_run(islands[name])
+        measured[f"{name}, time"] = savings.saving_by_run(islands[name], "seconds_")
+    jobs = {name: savings.job(name) for name in progress(options["jobs"], text="jobs")}
+    return {"savings": measured, "sweeps": sweeps, "islands": islands, "jobs": jobs}
 
 
 def claims(data):
@@ -99,8 +98,7 @@ def draw(data, options):
         left.plot([one["low"], one["high"]], [k, k], color=plotting.BLACK)
         left.annotate(f"{one['ratio']:.3g}×", (max(one["high"], 1), k), (4, 0), textcoords="offset points", va="center")
         right.plot(max(one["apart"], SMALLEST), k, "o", color=plotting.VERMILION, markersize=4)
-    left.set_yticks(range(len(rows)), [name for name, _, _ in rows])
-    left.invert_yaxis()
+    plotting.name_bars(left, [name for name, _, _ in rows])
     ratios = [one[end] for _, _, one in rows for end in ("low", "high")]
     left.set(xscale="log", xlim=(0.8 * min(1, *ratios), 5 * max(ratios)))
     left.axvline(1, color=plotting.BLACK, linewidth=0.8)
@@ -108,8 +106,7 @@ def draw(data, options):
     right.set(xscale="log", xlim=(SMALLEST / 10, 1), xticks=[SMALLEST, 1e-9, constants.LINEAR_SLOP])
     right.set_xticklabels(["0", "1e-9", "slop"])
     right.minorticks_off()
-    for ax in (left, right):
-        ax.grid(False, axis="y")
+    right.grid(False, axis="y")
     plotting.label_axes(left, "times cheaper (line: quartiles)", "", title="What is saved?")
     plotting.label_axes(right, "circles apart, m", "", title="At what error?")
     return figure

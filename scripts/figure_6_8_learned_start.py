@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import learned_starts as study
 from deep_contact.studies.learned_starts import CLASSICAL, FEW, LEARNED, OFF
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from deep_contact.reporting import figures, plotting
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import learned_starts as study
 from deep_contact.studies.learned_starts import FEW, LEARNED
 
@@ -29,8 +28,8 @@ def label(kind):
 def ratios_of(data):
     """Kind of scene -> error of the network over the best classical setting's, (FEW, 3)."""
     few = [data["after"].index(k) for k in FEW]
-    found = zip(data["kinds"], data["scenes"])
-    return {label(kind): study.ratios_to_best(scenes, LEARNED)[few] for kind, scenes in found}
+    by_kind = zip(data["kinds"], data["scenes"])
+    return {label(kind): study.ratios_to_best(scenes, LEARNED)[few] for kind, scenes in by_kind}
 
 
 def claims(data):
@@ -48,14 +47,13 @@ def draw(data, options):
     """Error over the best classical setting's for each kind of scene, with intervals."""
     by_kind = ratios_of(data)
     figure, ax = plotting.subplots(size=(7.0, 0.28 * len(by_kind) + 1.6))
-    y = -np.arange(len(by_kind))
+    plotting.name_bars(ax, list(by_kind))
     for i, (k, colour) in enumerate(zip(FEW, plotting.shades(len(FEW)))):
         ratio, low, high = np.array([ratios[i] for ratios in by_kind.values()]).T
         off = np.maximum([ratio - low, high - ratio], 0)
         look = {"fmt": "o", "markersize": 3, "color": colour, "label": f"after {k} sweeps"}
-        ax.errorbar(ratio, y + 0.22 * (1 - i), xerr=off, **look)
+        ax.errorbar(ratio, np.arange(len(by_kind)) + 0.22 * (i - 1), xerr=off, **look)
     ax.axvline(1.0, color=plotting.GREY, linewidth=1.0)
-    ax.set_yticks(y, list(by_kind))
     text = "velocity error over the best classical setting's\nafter as many sweeps, its price left out (Figure 6.10)"
     plotting.label_axes(ax, text, "")
     return plotting.legend_below(figure, ax, "Does the network's start carry over to other scenes?")

@@ -13,8 +13,6 @@ stopped at any moment and started again: finished simulations stay, unfinished o
 from __future__ import annotations
 
 import argparse
-import os
-import shutil
 import sys
 import time
 from collections.abc import Iterator
@@ -30,7 +28,6 @@ from deep_contact.cnn.dataset import PHASES, phase, simulation_path
 from deep_contact.io import simulation_h5
 from deep_contact.io.files import write_bytes
 from deep_contact.io.simulation_h5 import DataFileError, simulation_info
-from deep_contact.io.state_xml import write_state
 from deep_contact.physics import metrics
 from deep_contact.reporting import figures
 from deep_contact.studies.no_past import without_past
@@ -73,11 +70,6 @@ class Job:
         return simulation_path(self.out, self.number)
 
     @property
-    def xml_folder(self) -> Path:
-        """The folder of the simulation's XML files."""
-        return Path(self.out) / "xml" / self.path.stem
-
-    @property
     def header(self) -> dict:
         """Fields of the file's header that determine the states; a packing's follow from its number."""
         if self.packing:
@@ -98,16 +90,16 @@ def simulate(job: Job) -> tuple[list, list, list]:
     rng = np.random.default_rng(np.random.SeedSequence(job.seed, spawn_key=(job.number,)))
     n = int(rng.integers(*job.bodies, endpoint=True))
     scene = dc.circles_in_box(n, seed=rng).replace(name=f"sim_{job.number:04d}")
-    found = []
+    solved = []
 
     def keep(state, record):
         if state.contacts.count:
-            found.append((state, record.sweeps, record.theta[-1]))
+            solved.append((state, record.sweeps, record.theta[-1]))
 
     dc.simulate(scene, steps=job.steps, solver=SOLVER, on_step=keep)
-    if not found:
+    if not solved:
         raise ValueError(f"steps: expected enough for {n} circles to touch something, got {job.steps}")
-    return tuple(map(list, zip(*found)))
+    return tuple(map(list, zip(*solved)))
 
 
 def packed_states(number: int) -> Iterator[dc.State]:
@@ -130,16 +122,12 @@ def packed_states(number: int) -> Iterator[dc.State]:
 
 
 def write_xml(job: Job) -> None:
-    """Write every state of the simulation's file as XML, in a folder with a temporary name until it is complete."""
-    simulation, final = simulation_h5.read_simulation(job.path), job.xml_folder
-    unfinished = final.with_name(f".{final.name}.{os.getpid()}")
-    shutil.rmtree(unfinished, ignore_errors=True)
-    try:
-        for state in map(simulation.state, range(simulation.count)):
-            write_state(unfinished / f"{final.name}_{state.step}.xml{'.gz' if job.gzip else ''}", state)
-        os.replace(unfinished, final)
-    finally:
-        shutil.rmtree(unfinished, ignore_errors=True)
+    """Write every state of the simulation's file as XML that is not there yet."""
+    simulation, name = simulation_h5.read_simulation(job.path), job.path.stem
+    for state in map(simulation.state, range(simulation.count)):
+        path = Path(job.out) / "xml" / name / f"{name}_{state.step}.xml{'.gz' if job.gzip else ''}"
+        if not path.exists():
+            dc.write_state(path, state)
 
 
 def make_sample(out: Path) -> None:
@@ -149,7 +137,7 @@ def make_sample(out: Path) -> None:
     for name in PHASES:
         of_phase = [state for state in states if phase(state) == name]
         for state in (of_phase[len(of_phase) // 3], of_phase[len(of_phase) * 2 // 3]):
-            write_state(out / f"{name}_{state.step}.xml.gz", state)
+            dc.write_state(out / f"{name}_{state.step}.xml.gz", state)
 
 
 def missing(jobs: list[Job]) -> list[Job]:
@@ -223,8 +211,7 @@ def main(arguments=None) -> int:
         with parallel.opened(args.jobs, args.scheduler) as workers:
             run(wanted, workers)
         if args.xml:
-            wanted = [job for job in jobs if not job.xml_folder.exists()]
-            figures.parallel_map(write_xml, wanted, jobs=args.jobs, progress=figures.progress_bar, text="XML")
+            figures.parallel_map(write_xml, jobs, jobs=args.jobs, progress=figures.progress_bar, text="XML")
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130

@@ -3,9 +3,8 @@
 For each state file: <out>/<name>.csv with the impulses at the contacts, predicted, from Builtin where the file has
 them, and solved where it has the solution; <out>/<name>.npy with the predicted image, of impulses or of the
 coefficients that correct a start; <out>/<name>.png with the impulses in the scene. The model is by default "model",
-which corrects Builtin's impulses, and "no_past" for a file without impulses. Predictions are projected on
-the friction cone, or with --raw as the network has them. The velocity errors of the solver from them and from Builtin
-are printed.
+which corrects Builtin's impulses, and "no_past" for a file without impulses. Predictions are projected on the friction
+cone. The velocity errors of the solver from them and from Builtin are printed.
 """
 
 from __future__ import annotations
@@ -16,13 +15,18 @@ from pathlib import Path
 
 import numpy as np
 
-PLACES = "body_a body_b x y n_x n_y".split()
+import deep_contact as dc
+from deep_contact.cnn.backend import limit_threads
+from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
+from deep_contact.cnn.inference import load_model, model_of
+from deep_contact.io.files import replacing
+from deep_contact.reporting import plotting
 
 
 def contact_table(state, predicted, file) -> None:
     """Write a CSV with a row for each contact: places, predicted impulses, Builtin's and solved ones if there are."""
     c = state.contacts
-    columns = dict(zip(PLACES, [c.body_a, c.body_b, *c.position.T, *c.normal.T]))
+    columns = dict(zip("body_a body_b x y n_x n_y".split(), [c.body_a, c.body_b, *c.position.T, *c.normal.T]))
     columns |= dict(zip(("predicted_n", "predicted_t"), predicted))
     if c.have_past:
         columns |= {"builtin_n": c.normal_start, "builtin_t": c.tangent_start}
@@ -34,8 +38,6 @@ def contact_table(state, predicted, file) -> None:
 
 def picture(state, predicted):
     """Draw the state with its predicted impulses and, if it has one, its solution."""
-    from deep_contact.reporting import plotting
-
     drawn = state.contacts._replace(normal_impulse=np.maximum(predicted[0], 0.0), tangent_impulse=predicted[1])
     shown = {"predicted": state.replace(contacts=drawn)} | ({"solved": state} if state.solved else {})
     largest = max(float(one.contacts.normal_impulse.max(initial=0.0)) for one in shown.values())
@@ -48,8 +50,6 @@ def picture(state, predicted):
 
 def report(state, predicted, builtin: str) -> list[str]:
     """Lines on a state: what was predicted, and the errors after some sweeps from there and from its start's name."""
-    from deep_contact.cnn.evaluation import SWEEPS, velocity_errors
-
     contacts = state.contacts
     lines = [f"{state.name}, step {state.step}: {state.bodies.count} circles, {contacts.count} contacts"]
     lines.append(f"  predicted λ_n from {predicted[0].min():.4g} to {predicted[0].max():.4g} N·s")
@@ -61,13 +61,8 @@ def report(state, predicted, builtin: str) -> list[str]:
     return lines
 
 
-def predict_file(path: Path, model, out: Path, *, raw: bool = False, pictures: bool = True) -> list[str]:
+def predict_file(path: Path, model, out: Path, *, pictures: bool = True) -> list[str]:
     """Predict one state file, write the results, and return the lines to print. model: None chooses by the state."""
-    import deep_contact as dc
-    from deep_contact.cnn.inference import model_of
-    from deep_contact.io.files import replacing
-    from deep_contact.reporting import plotting
-
     state = dc.read_state(path)
     if state.contacts is None:
         state = dc.find_contacts(state)
@@ -80,7 +75,7 @@ def predict_file(path: Path, model, out: Path, *, raw: bool = False, pictures: b
         seen, builtin = state.replace(contacts=state.contacts._replace(**impulses)), "from the support"
         model, lines = "no_past", ["  no impulses of a step before: predicted from the positions, by no_past"]
     model = model_of(model)
-    predicted = model.predict(seen, project=not raw)
+    predicted = model.predict(seen)
     name = path.name.removesuffix(".gz").removesuffix(".xml")
     with replacing(out / f"{name}.csv") as temporary, open(temporary, "w", encoding="utf-8", newline="") as file:
         contact_table(state, predicted, file)
@@ -100,12 +95,8 @@ def main(argv=None) -> int:
     add("states", nargs="+", type=Path, metavar="STATE.xml", help="state files")
     add("--model", default=None, help="model file, or a name in models/registry.json; default: by state")
     add("--out", type=Path, default=Path("predictions"), help="folder for the results")
-    add("--raw", action="store_true", help="impulses as the network has them, not projected on the friction cone")
     add("--no-pictures", action="store_true", help="numbers only")
     args = parser.parse_args(argv)
-    from deep_contact.cnn.backend import limit_threads
-    from deep_contact.cnn.inference import load_model
-
     try:
         limit_threads(1)
         model = load_model(args.model) if args.model else None
@@ -115,7 +106,7 @@ def main(argv=None) -> int:
     bad = 0
     for path in args.states:
         try:
-            print("\n".join(predict_file(path, model, args.out, raw=args.raw, pictures=not args.no_pictures)))
+            print("\n".join(predict_file(path, model, args.out, pictures=not args.no_pictures)))
         except (OSError, ValueError) as error:
             bad += 1
             print(f"{parser.prog}: {error}")

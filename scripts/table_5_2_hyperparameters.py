@@ -1,7 +1,6 @@
 """python scripts/table_5_2_hyperparameters.py: settings as printed, as built, and of the training that was run."""
 
-from deep_contact.reporting import figures
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures
 from deep_contact.studies import chapter_5
 
 KNOWN = {

@@ -7,8 +7,7 @@ import numpy as np
 
 from deep_contact.physics.scenes import circles_in_box
 from deep_contact.presets import PRESETS, PresetWarning
-from deep_contact.reporting import figures
-from deep_contact.reporting.figures import Claim, Figure, parallel_map
+from deep_contact.reporting import Claim, Figure, figures
 from deep_contact.simulation import simulate
 from deep_contact.studies.extremes import mechanical_energy, with_bodies
 
@@ -43,7 +42,7 @@ def compute(options, seed, jobs, progress):
     names = ("restitution", "friction", "mass_ratio", "preset")
     cases = product(options["restitutions"], options["frictions"], options["mass_ratios"], PRESETS)
     tasks = [(dict(zip(names, case)) | {"seed": seed}, options) for case in cases]
-    return {"runs": parallel_map(run_case, tasks, jobs=jobs, progress=progress, text="runs")}
+    return {"runs": figures.parallel_map(run_case, tasks, jobs=jobs, progress=progress, text="runs")}
 
 
 def claims(data):

@@ -6,8 +6,7 @@ from math import cos, radians, sin, sqrt
 import deep_contact as dc
 from deep_contact import peers
 from deep_contact.constants import GRAVITY
-from deep_contact.reporting import figures
-from deep_contact.reporting.figures import Claim, Figure
+from deep_contact.reporting import Claim, Figure, figures
 
 G, OURS = -GRAVITY[1], "ours"
 

@@ -7,8 +7,8 @@
     python scripts/train.py --from models/model.h5 --epochs 5 --out runs/further    # go on from a model, its settings
 
 <out>/history.png, the learning curve, is drawn after every epoch. Started again with the same flags, a run goes on
-where it was stopped, within an epoch too. At the end <out>/model.h5 is a model file with its card; --model copies it
-and the curve to another place. `deep-contact train` is the same.
+where it was stopped, within an epoch too. At the end <out>/model.h5 is a model file with its card. `deep-contact train`
+is the same.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from dataclasses import fields
 from pathlib import Path
 
 from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
-from deep_contact.io.files import write_bytes
 
 QUICK_DATA = {"simulations": 12, "steps": 250, "bodies": (40, 60), "seed": 1}
 QUICK = {
@@ -44,7 +43,6 @@ def arguments() -> argparse.ArgumentParser:
     add("--quick", action="store_true", default=False, help="a small network and its data, made in <out>/data")
     add("--data", default=None, help="folder of the simulations (data/generated)")
     add("--out", default=None, help="folder of the run; by default runs/<architecture> or runs/quick_<architecture>")
-    add("--model", default=None, metavar="PATH", help="copy the finished model file there too")
     add("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model file")
     add("--threads", type=int, default=1, help="of TensorFlow")
     add("--held-out", type=int, default=300, metavar="N", help="test states for the card")
@@ -83,24 +81,21 @@ def configuration(changes: dict, from_model, quick: bool = False) -> TrainingCon
 
 def make_states(folder: Path, *, simulations: int, steps: int, bodies: tuple[int, int], seed: int) -> None:
     """A small data set of the thesis's scene, like that of `generate_data.py`. Existing files are kept."""
-    import numpy as np
-
     from deep_contact.cnn.dataset import simulation_path
     from deep_contact.io.simulation_h5 import write_simulation
     from deep_contact.physics.solvers import PGS
-    from deep_contact.reporting.figures import progress_bar
+    from deep_contact.reporting.figures import progress_bar, seeds
     from deep_contact.studies.starts import scene_of, solved_states
 
-    for number in progress_bar(range(simulations), total=simulations, text="simulations"):
+    for number, child in enumerate(progress_bar(seeds(seed, simulations), text="simulations")):
         path = simulation_path(folder, number)
         if not path.exists():
-            child = np.random.SeedSequence((seed, number)).generate_state(1, np.uint64)[0]
-            states = solved_states(scene_of(bodies, size=30.0, seed=int(child)), steps=steps, solver=PGS(sweeps=5000))
+            states = solved_states(scene_of(bodies, size=30.0, seed=child), steps=steps, solver=PGS(sweeps=5000))
             options = {"steps": steps, "bodies": list(bodies)}
             write_simulation(path, states, options=options, seed={"entropy": [seed, number]})
 
 
-def run(data, out, model, quick, **changes) -> None:
+def run(data, out, quick, **changes) -> None:
     """Train, and print the errors on the test states."""
     options = {name: changes.pop(name) for name in ("threads", "held_out", "from_model")}
     config = configuration(changes, options["from_model"], quick)
@@ -128,10 +123,6 @@ def run(data, out, model, quick, **changes) -> None:
         count = starts.pop("states")
         for start, values in starts.items():
             print(f"  {phase:9s} ({count:4d})  {start:8s} {'  '.join(f'{value:8.4f}' for value in values['mean'])}")
-    if model:
-        write_bytes(model, done.path.read_bytes())
-        for name in ("history.png", "history.csv"):
-            write_bytes(Path(model).with_name(f"{Path(model).stem}_{name}"), (out / name).read_bytes())
 
 
 def main(argv=None) -> int:

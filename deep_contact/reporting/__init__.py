@@ -1,1 +1,14 @@
 """The contract of the figure scripts, results files, plots, the page of all results, and the errata of the thesis."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from deep_contact.io.lazy import attach
+
+# ruff: noqa: F401
+if TYPE_CHECKING:
+    from deep_contact.reporting.figures import Figure
+    from deep_contact.reporting.results import Claim
+
+__getattr__, __dir__, __all__ = attach(__name__, __file__)

@@ -120,7 +120,7 @@ def run_as_script(figure: Figure, module: str) -> None:
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     """Run a script's command line; its exit status.
 
-    0: files written, or up to date. 1: a file that has to exist first is missing, such as a trained network, or a
+    0: files written. 1: a file that has to exist first is missing, such as a trained network, or a
     cluster cannot be used; the message is printed. 2: bad arguments, or a ValueError of the figure's own functions
     under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, both without a traceback and without half-written files.
     Any other error of the figure's own functions is raised.
@@ -131,8 +131,8 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         sys.stdout.reconfigure(errors="replace")  # a terminal that cannot show θ must not stop a run
     if args.jobs < 1 or (args.seed or 0) < 0:
         parser.error(f"expected --jobs of at least 1 and no negative --seed, got {args.jobs} and {args.seed}")
-    if args.replot and (args.set or args.quick or args.resume or args.seed is not None):
-        parser.error("--replot draws what is stored: expected no --set, --quick, --seed, --resume beside it")
+    if args.replot and (args.set or args.quick or args.seed is not None):
+        parser.error("--replot draws what is stored: expected no --set, --quick, --seed beside it")
     try:
         Path(args.out).mkdir(parents=True, exist_ok=True)
         tempfile.TemporaryFile(dir=args.out).close()  # a folder without write permission is refused before the work
@@ -145,8 +145,6 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     try:
         if args.replot:
             _report(figure, _redrawn(figure, path), path)
-        elif args.resume and _is_current(figure, path, figure.settings(changes, args.quick), seed):
-            print(f"{figure.stem}: up to date")
         else:
             with parallel.opened(args.jobs, args.scheduler) as jobs:
                 produce(figure, options=changes, quick=args.quick, seed=seed, out=args.out, jobs=jobs)
@@ -265,13 +263,6 @@ def _redrawn(figure: Figure, path: Path) -> dict:
     return judged
 
 
-def _is_current(figure: Figure, path: Path, options: dict, seed: int) -> bool:
-    """Whether results and pictures are what this commit would make with these options."""
-    made = {"seed": seed, "inputs": provenance.digests(options)}
-    drawn = all(path.with_suffix(suffix).exists() for suffix in ([".png", ".md"] if figure.is_table else [".png"]))
-    return drawn and results.is_current(path, made, id=figure.id, options=options)
-
-
 def _report(figure: Figure, stored: dict, path: Path) -> None:
     """Print the numbers as a table, one line a claim, and the picture's path."""
     beside = figure.beside(stored["options"])
@@ -322,17 +313,23 @@ def _parser(figure: Figure) -> argparse.ArgumentParser:
         description=f"{figure.heading}.",
         epilog=f"settings and their values without --quick:\n{known}" if known else None,
         formatter_class=argparse.RawDescriptionHelpFormatter,
+        parents=[common_arguments(figure.seed)],
     )
+    look = {"metavar": "NAME=VALUE", "help": "change a setting; repeatable"}
+    parser.add_argument("--set", action="append", type=partial(assigned, figure.options), default=[], **look)
+    return parser
+
+
+def common_arguments(seed: int | str) -> argparse.ArgumentParser:
+    """The options of every script, for `parents` of its parser. seed: the default, for the help."""
+    parser = argparse.ArgumentParser(add_help=False)
     add = parser.add_argument
-    add("--quick", action="store_true", help="a smaller run that ends within a minute")
-    add("--seed", type=int, help=f"of everything random (default: {figure.seed})")
+    add("--quick", action="store_true", help="smaller runs, each within a minute")
+    add("--replot", action="store_true", help="judge and draw again from the stored results alone")
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
     add("--jobs", type=int, default=cores(), help="processes (default: one for each core)")
+    add("--seed", type=int, help=f"of everything random (default: {seed})")
     add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
-    add("--replot", action="store_true", help="judge and draw again from the stored results alone")
-    add("--resume", action="store_true", help="keep what is stored if it has these settings and commit")
-    setting = partial(assigned, figure.options)
-    add("--set", action="append", type=setting, default=[], metavar="NAME=VALUE", help="change a setting; repeatable")
     return parser
 
 

@@ -30,9 +30,8 @@ def write_report(
 ) -> Path:
     """Write `index.html` into a folder of results files; its path.
 
-    captions: id ("3.7", "T 5.1") -> text under the picture; the page names those without results. expected: ids that
-    should be there, whose absence is a fault, as is a results file that cannot be read. Raises FileNotFoundError if the
-    folder does not exist.
+    captions: id ("3.7", "T 5.1") -> text under the picture. expected: ids that should be there, whose absence is a
+    fault, as is a results file that cannot be read. Raises FileNotFoundError if the folder does not exist.
     """
     folder = Path(folder)
     if not folder.is_dir():
@@ -45,13 +44,8 @@ def write_report(
             except results.ResultsError as error:
                 faults.append(str(error))
     entries.sort(key=lambda entry: _order(entry["id"]))
-    there, expected = {entry["id"] for entry in entries}, set(expected)
-    missing, not_drawn = (
-        ", ".join(results.name_of(id) for id in sorted(ids, key=_order))
-        for ids in (expected - there, captions.keys() - expected - there)
-    )
-    if missing:
-        faults.append(f"No results of {missing}.")
+    if missing := set(expected) - {entry["id"] for entry in entries}:
+        faults.append(f"No results of {', '.join(map(results.name_of, sorted(missing, key=_order)))}.")
     environment = jinja2.Environment(loader=jinja2.PackageLoader("deep_contact.reporting", ""), autoescape=True)
     environment.filters["cell"] = cell
     page = environment.get_template("page.html.j2").render(
@@ -59,7 +53,6 @@ def write_report(
         entries=[entry | {"caption": captions.get(entry["id"], "")} for entry in entries],
         claims=[claim for entry in entries for claim in entry["claims"] if claim["thesis"]],
         faults=faults,
-        not_drawn=not_drawn,
         errata=ERRATA,
     )
     with replacing(folder / "index.html") as temporary:

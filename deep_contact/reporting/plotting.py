@@ -155,6 +155,13 @@ def label_grid(panels, titles: Iterable[str], x: str, rows: Iterable[str]) -> No
         ax.set_ylabel(text)
 
 
+def name_bars(ax, names: Sequence[str]) -> None:
+    """Name horizontal bars at 0, 1, …, the first one above; no line of the grid runs along them."""
+    ax.set_yticks(range(len(names)), names)
+    ax.invert_yaxis()
+    ax.grid(False, axis="y")
+
+
 def log_axes(ax) -> None:
     """Both axes logarithmic, with plain numbers at 1, 2 and 5 of every decade, or at decades beyond two of them."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter

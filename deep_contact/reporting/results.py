@@ -20,7 +20,7 @@ import jsonschema
 import numpy as np
 
 from deep_contact.io.files import write_json
-from deep_contact.io.provenance import provenance
+from deep_contact.io.provenance import provenance  # noqa: F401 (scripts take it from here)
 
 SCHEMA = json.loads((Path(__file__).parent / "results_schema.json").read_text(encoding="utf-8"))
 REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
@@ -119,20 +119,6 @@ def read_results(path: str | os.PathLike) -> dict:
         raise ResultsError(f"{path.name}: {error}") from None
     except (ValueError, RecursionError) as error:
         raise ResultsError(f"{path.name}: expected strict JSON: {error}") from None
-
-
-def is_current(path: str | os.PathLike, made: Mapping | None = None, **fields) -> bool:
-    """Whether a record was made by this code with these packages, and has these fields and this provenance (`made`).
-
-    Never where the code is not known (`sources.code`): outside of a script.
-    """
-    now = provenance()
-    try:
-        record = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return False
-    made = {"code": now.get("code", "unknown"), "packages": now["packages"], **(made or {})}
-    return record.get("provenance", {}).items() >= made.items() and record.items() >= fields.items()
 
 
 def reference(stem: str) -> dict | None:

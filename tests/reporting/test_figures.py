@@ -1,4 +1,4 @@
-"""The contract of the figure scripts: options, files, replot, resume, interrupts; and the pictures' style."""
+"""The contract of the figure scripts: options, files, replot, interrupts; and the pictures' style."""
 
 import argparse
 import dataclasses
@@ -18,7 +18,6 @@ import pytest
 from conftest import load_script
 
 import deep_contact as dc
-from deep_contact.io import sources
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
 from deep_contact.state import Contacts, State, World, no_contacts
@@ -137,22 +136,6 @@ def test_replot_draws_the_same_picture_from_the_file_alone_and_judges_anew(tmp_p
     found = stored(tmp_path)
     assert [claim["verdict"] for claim in found["claims"]] == ["within the noise"]
     assert {**found, "claims": None} == {**made, "claims": None}
-
-
-def test_resume_keeps_results_with_the_same_options_seed_and_code(tmp_path, capsys, monkeypatch):
-    """And trusts nothing where the code is not known."""
-    script = tmp_path / "walk.py"
-    monkeypatch.setattr(sys.modules["__main__"], "__file__", str(script), raising=False)
-
-    def is_kept(code, *change):
-        script.write_text(code) if code else script.unlink(missing_ok=True)
-        for cached in (sources.code, sources._read):
-            cached.cache_clear()
-        run(tmp_path, "--resume", *change)
-        return capsys.readouterr().out.endswith("figure_9_1: up to date\n")
-
-    assert [is_kept("n = 1"), is_kept("n = 1"), is_kept("n = 1", "--seed", "7"), is_kept("n = 1")] == [0, 1, 0, 0]
-    assert [is_kept("n = 1  # more"), is_kept("n = 2"), is_kept(None), is_kept(None)] == [1, 0, 0, 0]
 
 
 def test_results_survive_a_mistake_in_the_drawing(tmp_path):

@@ -33,16 +33,16 @@ def untrained(kind):
     return LearnedModel(source=network, spec=ImageSpec(), box=(30.0, 30.0))
 
 
-@pytest.mark.parametrize(("kind", "raw"), [("thesis", False), ("far field", False), ("far field", True)])
-def test_a_state_is_predicted_and_drawn_with_either_kind_of_network(kind, raw, script, tmp_path):
+@pytest.mark.parametrize("kind", ["thesis", "far field"])
+def test_a_state_is_predicted_and_drawn_with_either_kind_of_network(kind, script, tmp_path):
     path, model = ROOT / "data" / "sample" / "impact_154.xml.gz", untrained(kind)
-    printed = script.predict_file(path, model, tmp_path, raw=raw)
+    printed = script.predict_file(path, model, tmp_path)
     state = dc.read_state(path)
     assert "error of the velocities" in printed[2]
     with open(tmp_path / "impact_154.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
     predicted = [[float(row[f"predicted_{part}"]) for row in rows] for part in "nt"]
-    np.testing.assert_array_equal(predicted, model.predict(state, project=not raw))
+    np.testing.assert_array_equal(predicted, model.predict(state))
     np.testing.assert_array_equal(np.load(tmp_path / "impact_154.npy"), model.predict_image(state))
     assert (tmp_path / "impact_154.png").stat().st_size > 10_000
 
