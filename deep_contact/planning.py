@@ -62,9 +62,8 @@ class Plan:
         return by_name[part]
 
     def _title(self) -> str:
-        price = (
-            "" if self.us is None else f", {'at most' if self.solver.tolerance else 'about'} {self.us:,.0f} μs a step"
-        )
+        most = "at most" if self.solver.tolerance else "about"
+        price = "" if self.us is None else f", {most} {self.us:,.0f} μs a step"
         return f"{self.scene}: {self.n_bodies:,} circles, {describe(self.solver)} from {self.warm_start}{price}"
 
     def __str__(self) -> str:

@@ -150,21 +150,36 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     """
     if accuracy is not None and budget_ms is not None:
         raise ValueError("recommend: expected one of accuracy, budget_ms, got both")
-    study = installed()
-    substeps = _substeps(scene, study)
-    stiff = stiffness(scene, substeps[TIME_STEP])
-    candidates = _candidates(scene.bodies.count, kinds_of(scene), substeps, stiff and stiff.solver, study)
+    candidates = _candidates(*_case(scene)[0])
     if budget_ms is None:
         name = one_of("accuracy", accuracy or "fast", PRESETS)
-        return _recommendation(scene, name, _cheapest(candidates, name), candidates, study)
-    limit = 1e3 * number("budget_ms", budget_ms, above=0)
-    affordable = [one for one in candidates if one["us"] <= limit]
-    if not affordable:
-        least = min(one["us"] for one in candidates)
-        raise ValueError(f"budget_ms: expected at least {least / 1e3:.3g}, the cheapest setting, got {budget_ms}")
-    best = min(affordable, key=lambda one: (_excess(one, "reference"), one["us"]))
-    kept = [name for name in PRESETS if _excess(best, name) <= 1]
-    return _recommendation(scene, kept[-1] if kept else "preview", best, candidates, study)
+        best = _cheapest(candidates, name)
+    else:
+        limit = 1e3 * number("budget_ms", budget_ms, above=0)
+        affordable = [one for one in candidates if one["us"] <= limit]
+        if not affordable:
+            least = min(one["us"] for one in candidates)
+            raise ValueError(f"budget_ms: expected at least {least / 1e3:.3g}, the cheapest setting, got {budget_ms}")
+        best = min(affordable, key=lambda one: (excess(one["errors"], "reference"), one["us"]))
+        name = ["preview", *(preset for preset in PRESETS if excess(best["errors"], preset) <= 1)][-1]
+    names = ["", *PRESETS, ""]
+    at = names.index(name)
+    cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
+    return Recommendation(
+        accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=scene.dt,
+        n_bodies=scene.bodies.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=PRESETS[name],
+        reached=excess(best["errors"], name) <= 1, outside=tuple(outside(scene)), cheaper=cheaper, better=better,
+    )  # fmt: skip
+
+
+def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
+    """What a preset would be, and its cost over that of the best; "" without a preset."""
+    if not accuracy:
+        return ""
+    other = _cheapest(candidates, accuracy)
+    if other["solver"] == best["solver"]:
+        return f"{accuracy} is the same here"
+    return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
 
 
 class Decision(NamedTuple):
@@ -187,14 +202,13 @@ def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool
     if hasattr(accuracy, "decide"):
         return accuracy.decide(scene)
     name, n = one_of("accuracy", accuracy or "fast", PRESETS), scene.bodies.count
-    substeps = _substeps(scene, installed())
-    stiff = stiffness(scene, substeps[TIME_STEP])
-    best = _chosen(name, sleep, n, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver)
+    case, stiff = _case(scene)
+    best = _chosen(name, sleep, *case)
     sentences = _too_long(scene, best["dt"])
     if stiff and stiff.solver.tolerance is not None:
         price = f"up to {best['us'] / 1e3:.3g} ms a step of {scene.dt:g} s"
         sentences.append(f"{stiff.why}: solved to a tolerance, which takes {price}")
-    if accuracy is not None and _excess(best, name) > 1:
+    if accuracy is not None and excess(best["errors"], name) > 1:
         sentences.append(
             f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
             f"(print(dc.recommend(scene, accuracy={name!r})) says more); {_way_out(best['us'])}"
@@ -209,10 +223,9 @@ def _way_out(us: float) -> str:
 
 
 @functools.lru_cache(256)
-def _chosen(accuracy: str, sleep: bool, n: int, kinds: tuple, substeps: tuple, stiff) -> dict:
+def _chosen(accuracy: str, sleep: bool, *case) -> dict:
     """The setting of the installed study (`_candidates`) for a preset."""
-    candidates = _candidates(n, kinds, dict(substeps), stiff, installed())
-    return _cheapest([one for one in candidates if not sleep or entry_of(one["solver"]).can_sleep], accuracy)
+    return _cheapest([one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep], accuracy)
 
 
 @functools.cache
@@ -236,122 +249,89 @@ def _fastest(scene: State) -> float:
     return max(circle, *map(abs, surfaces), 0.0)
 
 
-def _substeps(scene: State, study: Mapping) -> dict[float, int]:
-    """Into how many the scene's Δt is divided, for each time step of the study and for `TIME_STEP`."""
-    time_steps = {setting["dt"] for setting in study["settings"]} | {TIME_STEP}
-    return {dt: parts_for(scene, dt) for dt in sorted(time_steps)}
-
-
 def parts_for(scene: State, dt: float) -> int:
-    """Into how many a scene's Δt is divided, so that they are to it what `dt` is to circles of r = 1 m."""
-    return _parts(scene.dt / longest_step(scene, dt))
+    """Into how many a scene's Δt is divided, so that they are to it at most what `dt` is to circles of r = 1 m.
 
-
-def _parts(ratio: float) -> int:
-    """The power of two, which scales impulses exactly, that makes steps `ratio` times too long short enough."""
+    A power of two, which scales impulses exactly.
+    """
+    ratio = scene.dt / longest_step(scene, dt)
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
 def keeping(candidates: list[dict], accuracy: str, *, margin: bool = True) -> list[dict]:
     """Those that keep a preset: where there are any, and with `margin`, those that keep it by `MARGIN`."""
     shares = (MARGIN, 1.0) if margin else (1.0,)
-    return next(filter(None, ([one for one in candidates if _excess(one, accuracy) <= most] for most in shares)), [])
+    kept = ([one for one in candidates if excess(one["errors"], accuracy) <= most] for most in shares)
+    return next(filter(None, kept), [])
 
 
-def keeps(errors: Mapping, accuracy: str, at: int = 0) -> bool:
-    """Whether errors (value, low, high) keep a preset: the values (0), the lower or the upper ends (1, 2)."""
-    return (
-        _excess({"errors": {name: of[at] for name, of in errors.items() if of and name in PRESETS[accuracy]}}, accuracy)
-        <= 1
-    )
+def excess(errors: Mapping[str, float | None], accuracy: str) -> float:
+    """The largest of the errors that a preset has a tolerance of, in units of that."""
+    known = ((errors.get(name), most) for name, most in PRESETS[accuracy].items())
+    return max((value / most for value, most in known if value is not None), default=0.0)
 
 
 def _cheapest(candidates: list[dict], accuracy: str) -> dict:
     """The cheapest that keeps the preset; otherwise the one that comes nearest."""
     if kept := keeping(candidates, accuracy):
         return min(kept, key=lambda one: one["us"])
-    return min(candidates, key=lambda one: (_excess(one, accuracy), one["us"]))
+    return min(candidates, key=lambda one: (excess(one["errors"], accuracy), one["us"]))
 
 
-def _excess(candidate: Mapping, accuracy: str) -> float:
-    """The largest error in units of its tolerance."""
-    tolerances = PRESETS[accuracy]
-    return max((value / tolerances[name] for name, value in candidate["errors"].items()), default=0.0)
+def _case(scene: State) -> tuple[tuple, Stiffness | None]:
+    """What `_candidates` needs to know of a scene, and what makes it stiff."""
+    time_steps = {setting["dt"] for setting in installed()["settings"]} | {TIME_STEP}
+    substeps = {dt: parts_for(scene, dt) for dt in sorted(time_steps)}
+    stiff = stiffness(scene, substeps[TIME_STEP])
+    return (scene.bodies.count, tuple(kinds_of(scene)), tuple(substeps.items()), stiff and stiff.solver), stiff
 
 
-def _recommendation(scene: State, accuracy: str, best: dict, candidates: list[dict], study: Mapping) -> Recommendation:
-    names = [None, *PRESETS, None]
-    at = names.index(accuracy)
-    cheaper, better = (name and _neighbour(name, best, candidates) for name in (names[at - 1], names[at + 1]))
-    return Recommendation(
-        accuracy=accuracy, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=scene.dt,
-        n_bodies=scene.bodies.count, cpu=study["cpu"], errors=best["errors"], tolerances=PRESETS[accuracy],
-        reached=_excess(best, accuracy) <= 1, outside=tuple(outside(scene, study)),
-        cheaper=cheaper or "", better=better or "",
-    )  # fmt: skip
-
-
-def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
-    other = _cheapest(candidates, accuracy)
-    if other["solver"] == best["solver"]:
-        return f"{accuracy} is the same here"
-    return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
-
-
-def _candidates(n: int, kinds: Sequence[str], substeps: Mapping, stiff, study: Mapping) -> list[dict]:
+def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list[dict]:
     """Every setting as solver, start, cost (μs a step of the scene's Δt) and errors, for n circles of these kinds.
 
+    substeps: pairs of a time step of the study and how many a step of the scene is divided into for it.
     Errors are the largest of the two sizes around the scene's and of the kinds that it is like; times are those of the
     slowest of these kinds, interpolated between the sizes by powers.
-    For a scene that is too stiff for the study there is one setting alone, `stiff`: see `stiffness`.
+    stiff: the solver for a scene that a few sweeps cannot solve (`stiffness`), or None. It is the one setting then: its
+    cost is at most that of all its sweeps, each at the price of one of the study's cheapest, its errors are the best's.
     """
-    candidates = []
-    low, high = _sizes_around(n, study)
-    known = _kinds_near(n, study)
+    candidates, parts = [], dict(substeps)
+    low, high = _sizes_around(n)
+    known = _kinds_near(n)
     kinds = known.intersection(kinds) or known
-    for setting in study["settings"]:
+    for setting in installed()["settings"]:
         measured = {size: kinds <= of_size.keys() for size, of_size in setting["errors"].items()}
         if not (measured.get(low) and measured.get(high)):
             continue  # Large piles, and kinds other than plain ones, were run with fewer settings.
         alike = [setting["errors"][size][kind] for size in (low, high) for kind in kinds]
         names = dict.fromkeys(name for one in alike for name in one)
         errors = {name: max(one[name] for one in alike if name in one) for name in names}
-        k = substeps[setting["dt"]]
         times = {int(size): max(setting["us"][size][kind] for kind in kinds) for size, kept in measured.items() if kept}
-        us = k * _us_at(n, times) * setting["dt"] / TIME_STEP
-        options = dict(setting["options"])
-        start = options.pop("start", "builtin")
+        k, options = parts[setting["dt"]], dict(setting["options"])
+        us, start = k * _us_at(n, times) * setting["dt"] / TIME_STEP, options.pop("start", "builtin")
         solver = solver_from(options.pop("method"), options)
         solver = replace(solver, substeps=k, most_substeps=solver.most_substeps and k * solver.most_substeps)
         candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
-    return candidates if stiff is None else [_stiff_candidate(stiff, candidates)]
+    if stiff is None:
+        return candidates
+    best = min(candidates, key=lambda one: excess(one["errors"], "reference"))
+    each = min(one["us"] / (one["solver"].sweeps * getattr(one["solver"], "substeps", 1)) for one in candidates)
+    us = each * stiff.sweeps * stiff.substeps
+    return [{"solver": stiff, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}]
 
 
-def _sizes_around(n: int, study: Mapping) -> tuple[str, str]:
+def _sizes_around(n: int) -> tuple[str, str]:
     """The sizes of the study on either side of n circles."""
-    sizes = study["sizes"]
+    sizes = installed()["sizes"]
     low = max((size for size in sizes if size <= n), default=sizes[0])
     return str(low), str(min((size for size in sizes if size >= n), default=sizes[-1]))
 
 
-def _kinds_near(n: int, study: Mapping) -> set[str]:
+def _kinds_near(n: int) -> set[str]:
     """The kinds of scenes that the study has at both sizes next to n circles."""
-    low, high = (
-        {kind for setting in study["settings"] for kind in setting["errors"].get(size, ())}
-        for size in _sizes_around(n, study)
-    )
+    settings = installed()["settings"]
+    low, high = ({kind for one in settings for kind in one["errors"].get(size, ())} for size in _sizes_around(n))
     return low & high
-
-
-def _stiff_candidate(solver, candidates: list[dict]) -> dict:
-    """The setting for a scene that a few sweeps cannot solve.
-
-    us: at most, with all its sweeps, each at the price of one of the study's cheapest. errors: of the study's best.
-    """
-    best = min(candidates, key=lambda one: _excess(one, "reference"))
-    each = min(one["us"] / (one["solver"].sweeps * getattr(one["solver"], "substeps", 1)) for one in candidates)
-    us = each * solver.sweeps * solver.substeps
-    return {"solver": solver, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}
 
 
 def kinds_of(scene: State) -> list[str]:
@@ -417,33 +397,30 @@ def _us_at(n: int, times: Mapping[int, float]) -> float:
     return times[low] * (max(n, sizes[0]) / low) ** power
 
 
-def outside(scene: State, study: Mapping) -> list[str]:
+def outside(scene: State) -> list[str]:
     """Sentences on what of a scene lies outside the study; none where nothing does."""
-    bodies, world, sizes = scene.bodies, scene.world, study["sizes"]
+    bodies, world, sizes, count = scene.bodies, scene.world, installed()["sizes"], scene.bodies.count
     radius, mass, speed = bodies.radius, bodies.mass / bodies.radius**2, _fastest(scene)
-    fastest, sentences = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean()), []
-    if not min(sizes) / 3 <= bodies.count <= 3 * max(sizes):
-        sentences.append(f"{bodies.count:,} circles; it has {min(sizes):,} to {max(sizes):,}")
-    if missing := set(kinds_of(scene)) - _kinds_near(bodies.count, study):
-        kinds = ", ".join(sorted(missing))
-        sentences.append(f"{bodies.count:,} circles of the kind {kinds}; it has none of about this size")
-    if radius.max() > 3.001 * radius.min():
-        sentences.append(f"radii that differ {radius.max() / radius.min():.3g} times; it has up to 3")
-    if mass.max() > 1.001 * DENSITIES["densities"][-1] * mass.min():
-        sentences.append(f"densities that differ {mass.max() / mass.min():.3g} times; it has up to 100")
-    if world.friction > 0.5:
-        sentences.append(f"friction {world.friction:g}; it has 0 and 0.5")
-    if world.restitution > 0.8:
-        sentences.append(f"restitution {world.restitution:g}; it has 0, 0.3 and 0.8")
-    if stiff := stiffness(scene):
-        sentences.append(
-            f"{stiff.why}: solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene "
-            "at rest needs few, and the errors are those of the study's best setting"
-        )
-    sentences += _too_long(scene, max(setting["dt"] for setting in study["settings"]))
-    if fastest > 0 and speed > fastest:
-        sentences.append(f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}")
-    return sentences
+    fastest = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean())
+    radii, densities = radius.max() / radius.min(), mass.max() / mass.min()
+    missing, stiff = ", ".join(sorted(set(kinds_of(scene)) - _kinds_near(count))), stiffness(scene)
+    dearest = (
+        "solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene at rest needs few, and "
+    )
+    dearest += "the errors are those of the study's best setting"
+    sentences = {
+        f"{count:,} circles; it has {min(sizes):,} to {max(sizes):,}": not min(sizes) / 3 <= count <= 3 * max(sizes),
+        f"{count:,} circles of the kind {missing}; it has none of about this size": missing,
+        f"radii that differ {radii:.3g} times; it has up to 3": radii > 3.001,
+        f"densities that differ {densities:.3g} times; it has up to 100": densities
+        > 1.001 * DENSITIES["densities"][-1],
+        f"friction {world.friction:g}; it has 0 and 0.5": world.friction > 0.5,
+        f"restitution {world.restitution:g}; it has 0, 0.3 and 0.8": world.restitution > 0.8,
+        f"{stiff and stiff.why}: {dearest}": stiff,
+        **dict.fromkeys(_too_long(scene, max(setting["dt"] for setting in installed()["settings"])), True),
+        f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}": 0 < fastest < speed,
+    }
+    return [sentence for sentence, is_so in sentences.items() if is_so]
 
 
 def _too_long(scene: State, dt: float) -> list[str]:

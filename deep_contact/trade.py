@@ -143,11 +143,8 @@ def rivals(scene: State) -> tuple[list, list[str]]:
     """(Settings of the engines that have the scene, why the others do not)."""
     settings, why = [], []
     for engine in peers.ENGINES:
-        mine = [
-            {"engine": engine, "sweeps": count, "dt": scene.dt / k}
-            for k, counts in ((1, (4, 10)), (2, (4, 10)), (4, (2, 4)))
-            for count in counts
-        ]
+        budgets = ((1, 4), (1, 10), (2, 4), (2, 10), (4, 2), (4, 4))
+        mine = [{"engine": engine, "sweeps": count, "dt": scene.dt / k} for k, count in budgets]
         try:
             Run(scene, mine[0])
             settings += mine
@@ -346,9 +343,9 @@ class Trade:
         lines = [["setting", "ms a step", *(f"{name}, %" for name in names), "keeps"]]
         for row in sorted(self.rows, key=lambda row: row["us"] or math.inf):
             by = ", ".join(preset for preset, name in self.by_preset.items() if name == row["name"])
-            kept = [preset for preset in PRESETS if presets.keeps(row["errors"], preset)]
-            scaled = {name: error and error[0] * _percent(name) for name, error in row["errors"].items()}
-            cells = ["–" if scaled.get(name) is None else f"{scaled[name]:.3g}" for name in names]
+            errors = {name: error and error[0] for name, error in row["errors"].items()}
+            kept = [preset for preset in PRESETS if presets.excess(errors, preset) <= 1]
+            cells = [f"{errors[name] * _percent(name):.3g}" if row["errors"].get(name) else "–" for name in names]
             cost = f"{1e-3 * row['us']:.3g}" if row["us"] else "–"
             lines.append([row["name"] + (f" ({by})" if by else ""), cost, *cells, kept[-1] if kept else "–"])
         return lines
@@ -574,7 +571,7 @@ def _begun(states: Sequence[State], steps: int, settings, engines: bool, quantit
     if settings is not None:
         more = [setting_of(solver, first.dt) for solver in settings if entry_of(solver)]
     found, notes = rivals(first) if engines else ([], [])
-    if outside := presets.outside(first, presets.installed()):
+    if outside := presets.outside(first):
         notes.append("outside of the study of the presets: " + "; ".join(outside))
     for setting in (*by_preset.values(), *more):
         with contextlib.suppress(FloatingPointError):  # its runs will say it
@@ -647,18 +644,15 @@ def _plans(trade: Trade, costs: Mapping, count: int) -> Iterator[tuple[list[str]
 
 def _judge(trade: Trade) -> None:
     """Rows, noise and sentences from what was observed."""
-    runs: dict = {name: {} for name in (*trade.settings, REFERENCE, HALF)}
-    for (name, i), (seconds, seen) in trade.observed.items():
-        runs[name][i] = seen, seconds
-    true = {i: seen for i, (seen, _) in sorted(runs[REFERENCE].items())}
+    true = {i: seen for (name, i), (_, seen) in sorted(trade.observed.items()) if name == REFERENCE}
     trade.seeds = len(true)
 
     def paired(name):
-        return [(runs[name][i][0], seen) for i, seen in true.items() if i in runs[name]]
+        return [(trade.observed[name, i][1], seen) for i, seen in true.items() if (name, i) in trade.observed]
 
     for name, setting in trade.settings.items():
         if pairs := paired(name):
-            took = [seconds for _, seconds in runs[name].values() if seconds is not None]
+            took = [seconds for (of, _), (seconds, _) in trade.observed.items() if of == name and seconds is not None]
             us = 1e6 * float(np.mean(took)) / trade.steps if took else None
             trade.rows.append(row_of(setting, trade.dt, *zip(*pairs)) | {"us": us})
     if pairs := paired(HALF):
@@ -674,21 +668,22 @@ def _percent(name: str) -> float:
     return 1.0 if name in ERRORS else 100.0
 
 
+def _text(name: str, error: float) -> str:
+    """Such as "1.2 %"; contacts are a number."""
+    return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"
+
+
 def _sentences(trade: Trade, reference: Sequence[Observation], checked: int) -> Iterator[str]:
     """What to know of a trade: where seeds or the reference do not decide, and what the scene has not."""
     for name, noise in trade.noise.items():
-
-        def text(error, name=name):
-            return f"{error * _percent(name):.2g}{'' if name == 'contacts' else ' %'}"
-
         of = [row["errors"][name][0] for row in trade.rows if row["errors"][name]]
         differ = max(of, default=0.0) - min(of, default=0.0)
         if name in (*SHOWN, *trade.quantities) and noise > differ > 1e-3 * noise:
-            alone = f"seeds alone make {text(noise)}, settings differ by {text(differ)}"
+            alone = f"seeds alone make {_text(name, noise)}, settings differ by {_text(name, differ)}"
             yield f"{name} is undecided: {alone}; {trade.enough(name, differ)} seeds would do"
         change, chance = trade.converged.get(name, 0.0), noise * math.sqrt(trade.seeds / max(1, checked))
         if change > max(2.0 * chance, 1.0 / _percent(name)):
-            why = f"half its step changes it by {text(change)}, seeds by {text(chance)}"
+            why = f"half its step changes it by {_text(name, change)}, seeds by {_text(name, chance)}"
             yield f"the reference is not converged in {name}: {why}"
     own = (value for _, seen in trade.observed.values() for value in seen.quantities.values())
     yield from sorted({value for value in own if isinstance(value, str)})[:3]
