@@ -31,8 +31,6 @@ COMMANDS = {
 SCENES = ("circles_in_box", "lattice_in_box", "drifting_circles", "hopper", "terrain", "drum")
 """What `trade --scene` makes of numbers of circles and seeds."""
 
-TRADE_FILES = (".png", ".json")
-
 DIVERGED, BAD_FILE, NO_PACKAGE, INTERRUPTED = 1, 3, 4, 130
 
 STATUS = """all values are in SI units, impulses in N·s; the settings of a figure are in `figure 3.7 --help`.
@@ -89,16 +87,8 @@ def _parsers() -> tuple[argparse.ArgumentParser, dict[str, argparse.ArgumentPars
         text = "3.7, say, or all; the options after it are in `… 3.7 --help`"
         commands[name].add_argument("number", nargs="?", help=text)
     _add_trade(commands["trade"])
-    runs = {
-        "simulate": _simulate,
-        "trade": _trade,
-        "view": _view,
-        "warm-up": _warm_up,
-        "sample": _sample,
-        "figure": _list,
-        "table": _list,
-    }
-    for name, run in runs.items():
+    runs = {"simulate": _simulate, "trade": _trade, "view": _view, "warm-up": _warm_up, "sample": _sample}
+    for name, run in (runs | {"figure": _list, "table": _list}).items():
         commands[name].set_defaults(run=run)
     return parser, commands
 
@@ -107,12 +97,8 @@ def _add_runs(simulate: argparse.ArgumentParser, view: argparse.ArgumentParser) 
     of_simulate = (simulate, 600, 10, "steps between two states of the run in an .h5")
     for parser, steps, every, what in (of_simulate, (view, 400, 4, "steps a frame")):
         add = parser.add_argument
-        add(
-            "state",
-            nargs="?",
-            metavar="STATE.xml",
-            help="go on from this state, or the last of a run.h5 (default: a scene of falling circles)",
-        )
+        text = "go on from this state, or the last of a run.h5 (default: a scene of falling circles)"
+        add("state", nargs="?", metavar="STATE.xml", help=text)
         add("--bodies", type=int, metavar="N", help="circles of the scene (default: 100)")
         add("--size", type=float, metavar="M", help="side of its box, m (default: 30)")
         add("--seed", type=int, metavar="N", help="of the scene, an integer >= 0 (default: 0)")
@@ -194,18 +180,18 @@ def _method(args, scene) -> dict:
 
 
 def _trade(args) -> int:
+    from functools import partial
+
     import deep_contact as dc
     from deep_contact.validation import expect, one_of
 
     suffix = Path(args.out or "x.json").suffix
-    expect(suffix in TRADE_FILES, f"--out: expected a file that ends in {', '.join(TRADE_FILES)}, got {args.out!r}")
+    expect(suffix in (".png", ".json"), f"--out: expected a file that ends in .png, .json, got {args.out!r}")
     scene = args.state and dc.read_state(args.state)
     if scene is None:
-        make, count = (
-            getattr(dc, one_of("--scene", args.scene, SCENES)),
-            () if args.bodies is None else (args.bodies,),
-        )
-        scene = lambda seed: make(*count, seed=seed)  # noqa: E731
+        make = getattr(dc, one_of("--scene", args.scene, SCENES))
+        make = make if args.bodies is None else partial(make, args.bodies)
+        scene = lambda seed: make(seed=seed)  # noqa: E731
     names = ("steps", "seeds", "minutes", "engines", "jobs")
     trade = dc.measure_trade(scene, **{name: getattr(args, name) for name in names})
     print(trade)
@@ -256,11 +242,11 @@ def _warm_up(args) -> int:
 
     import deep_contact as dc
 
-    plain = dc.lattice_in_box(20)
+    lattice = dc.lattice_in_box(20)
     kinds = {
-        "a pile": (plain, {"accuracy": "fast"}),
-        "a pile, accurately": (plain, {"accuracy": "reference"}),
-        "many circles": (plain, {"solver": dc.BatchedPGS()}),
+        "a pile": (lattice, {"accuracy": "fast"}),
+        "a pile, accurately": (lattice, {"accuracy": "reference"}),
+        "many circles": (lattice, {"solver": dc.BatchedPGS()}),
         "segments that move": (dc.drum(20), {"accuracy": "fast"}),
     }
     for kind, (scene, options) in kinds.items():

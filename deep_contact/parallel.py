@@ -140,9 +140,9 @@ def on_worker(task: bytes, expected: dict[str, str]):
     """Do a pickled task (function, args, kwargs) here. Raises ClusterError if `code` is not what is expected."""
     import cloudpickle
 
-    for name, found in code().items():
-        if found != expected[name]:
-            difference = f"{name}: expected {expected[name]} as the client has it, got {found}"
+    for name, ours in code().items():
+        if ours != expected[name]:
+            difference = f"{name}: expected {expected[name]} as the client has it, got {ours}"
             raise ClusterError(f"worker on {platform.node()}: {difference}; install the same and start it again")
     # Neither the compiled kernels, which hold the interpreter anyway, nor the peer engines are made for threads.
     with _one_task:

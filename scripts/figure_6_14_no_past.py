@@ -36,7 +36,7 @@ def compute(options, seed, jobs, progress):
     timed = []
     for cell in progress(cells, text="times"):
         smallest, (first,) = options["radii"][cell["radii"]], figures.seeds(seed, 1)
-        state, *_ = no_past.pile(cell["n_bodies"], cell["kind"], smallest, first)
+        state, *_ = no_past.case(cell["n_bodies"], cell["kind"], smallest, first)
         timed.append(cell | no_past.times(state, no_past.starts_of(state, options["model"]), options["repeats"]))
     return {"piles": piles, "times": timed}
 

@@ -31,7 +31,7 @@ def table(data):
     scenes = data["scenes"]
     rows = [["start", "states", *(f"error({k})" for k in data["after"])]]
     for where, text in (("off", "Builtin off"), ("all", "all")):
-        for name in study.settings_of([*CLASSICAL, LEARNED]):
+        for name in study.settings_with([*CLASSICAL, LEARNED]):
             rows.append([name, text, *study.mean_errors(scenes, name, where).mean(axis=0).tolist()])
         rows.append(["best classical", text, *study.best_settings(scenes, CLASSICAL, where)])
         ratios = study.ratios_to_best(scenes, LEARNED, where)

@@ -18,7 +18,7 @@ def about(path: Path, stored: dict) -> dict:
 
     curve = learning_curve(stored["card"]["history"], path.with_name(f"{path.stem}_history.png"))
     found = {"card": stored["card"], "size": path.stat().st_size, "curve": curve.name}
-    return found | ends(spec_of(stored, path), stored["box"])
+    return found | ends(spec_of(stored), stored["box"])
 
 
 def main(arguments=None) -> None:

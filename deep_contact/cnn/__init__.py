@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from deep_contact.cnn import architectures, dataset, evaluation, images, inference, model_file, schedules, training
     from deep_contact.cnn.architectures import build
     from deep_contact.cnn.dataset import Store, phase, split_by_simulation
-    from deep_contact.cnn.images import CHANNELS, THESIS_CHANNELS, ImageSpec, input_image, label_image, read_back
+    from deep_contact.cnn.images import CHANNELS, ImageSpec, input_image, label_image, read_back
     from deep_contact.cnn.inference import LearnedModel, load_model
     from deep_contact.cnn.training.run import train
     from deep_contact.io.simulation_h5 import DataFileError, read_simulation, write_simulation

@@ -15,9 +15,6 @@ from deep_contact.io.simulation_h5 import DataFileError, StoredSimulation, read_
 from deep_contact.state import StateWithContacts
 from deep_contact.validation import integer, one_of
 
-CACHE_BYTES = 8 * 2**30
-"""Memory that a store keeps of simulations it has read, unpacked."""
-
 PHASES = ("impact", "settling", "rest")
 SETTLING, REST = 0.5, 0.05
 """Relative errors of Builtin's start below which a state is settling, or at rest."""
@@ -32,10 +29,10 @@ class Store:
     """The simulations of a folder: `sim_0000.h5`, `sim_0001.h5`, …
 
     A simulation is read and checked as a whole on the first access to one of its states. The last ones are kept in
-    memory, up to `cache_bytes` (at least one). Raises DataFileError where there is none.
+    memory, unpacked, up to `cache_bytes` (at least one). Raises DataFileError where there is none.
     """
 
-    def __init__(self, folder, *, cache_bytes: int = CACHE_BYTES):
+    def __init__(self, folder, *, cache_bytes: int = 8 * 2**30):
         self.folder = Path(folder)
         self.cache_bytes = integer("cache_bytes", cache_bytes)
         matches = (re.fullmatch(r"sim_(\d{4}|[1-9]\d{4,8})\.h5", path.name) for path in self.folder.glob("sim_*.h5"))
@@ -79,13 +76,13 @@ class Store:
 
         phases: one of `PHASES`: those of this phase only.
         """
-        found = [np.empty((0, 2), np.int64)]
+        pairs = [np.empty((0, 2), np.int64)]
         for sim in self.simulations if sims is None else sims:
             index = np.arange(self.info(sim).count)
             if phases is not None:
                 index = index[phases_of(self.simulation(sim).arrays) == PHASES.index(one_of("phases", phases, PHASES))]
-            found.append(np.stack([np.full_like(index, sim), index], axis=1))
-        return np.concatenate(found)
+            pairs.append(np.stack([np.full_like(index, sim), index], axis=1))
+        return np.concatenate(pairs)
 
     def data_hash(self, sims=None) -> str:
         """SHA-256 over the numbers and digests of some simulations (all by default), whatever their compression.
@@ -147,15 +144,11 @@ def split_by_simulation(sims, *, fractions=(0.8, 0.1, 0.1), seed: int = 0) -> Sp
         raise ValueError(f"fractions: expected three numbers >= 0 that sum to 1, got {fractions}")
     if ids.size < np.count_nonzero(shares):
         raise ValueError(f"sims: expected a simulation for each side, got {ids.size} simulations")
-    counts = np.floor(shares * ids.size).astype(int)
-    counts[(shares > 0) & (counts == 0)] = 1
+    counts = np.maximum(np.floor(shares * ids.size), shares > 0).astype(int)
     # Rounding errors are settled on the side that is furthest from its share.
-    while counts.sum() != ids.size:
+    while left := ids.size - counts.sum():
         lack = shares * ids.size - counts
-        if counts.sum() < ids.size:
-            counts[np.argmax(lack)] += 1
-        else:
-            counts[np.argmin(np.where(counts > 1, lack, np.inf))] -= 1
+        counts[np.argmax(lack) if left > 0 else np.argmin(np.where(counts > 1, lack, np.inf))] += np.sign(left)
     dealt = np.random.default_rng(integer("seed", seed)).permutation(ids)
     return Split(*(tuple(sorted(side.tolist())) for side in np.split(dealt, np.cumsum(counts)[:2])))
 

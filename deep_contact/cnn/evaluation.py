@@ -46,14 +46,14 @@ def held_out_errors(
     name -> {"mean", "median"}: one number for each of `sweeps`}}. States without a finite error (nothing to solve) are
     left out.
     """
-    found: dict[str, list] = {name: [] for name in PHASES}
+    by_phase: dict[str, list] = {name: [] for name in PHASES}
     for state in states:
         errors = [velocity_errors(state, start(state, state.solver), sweeps) for start in starts.values()]
         if np.isfinite(errors).all():
-            found[phase(state)].append(errors)
-    found["all"] = [errors for name in PHASES for errors in found[name]]
+            by_phase[phase(state)].append(errors)
+    by_phase["all"] = [errors for name in PHASES for errors in by_phase[name]]
     summary = {}
-    for name, errors in found.items():
+    for name, errors in by_phase.items():
         summary[name] = {"states": len(errors)}
         for start, values in zip(starts, np.moveaxis(np.array(errors), 1, 0) if errors else ()):
             means = {"mean": values.mean(axis=0), "median": np.median(values, axis=0)}

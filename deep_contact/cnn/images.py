@@ -14,31 +14,17 @@ import numpy as np
 
 from deep_contact.sph import Grid, gather, splat
 from deep_contact.state import State, World, native
-from deep_contact.validation import number, one_of
+from deep_contact.validation import number
 
 # A particle that no node is within h of goes to the nearest node, and one outside the box to its edge. A contact with a
 # wall lies outside by a part of its penetration; on no node, its impulse would become a start of zero.
 _REACH = {"normalization": "particle", "unreached": "nearest", "outside": "clamp"}
 
+CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
+"""The five inputs of the thesis's network: of the bodies, kg, m/s before gravity, rad/s; of the contacts, n_x."""
 
-CHANNELS = {
-    "mass": ("bodies", lambda bodies: bodies.mass),
-    "velocity_x": ("bodies", lambda bodies: bodies.velocity[:, 0]),
-    "velocity_y": ("bodies", lambda bodies: bodies.velocity[:, 1]),
-    "spin": ("bodies", lambda bodies: bodies.spin),
-    "normal_x": ("contacts", lambda contacts: contacts.normal[:, 0]),
-    "normal_y": ("contacts", lambda contacts: contacts.normal[:, 1]),
-}
-"""Name of an input channel -> what is splatted, and its values (k,): kg, m/s before gravity, rad/s, and the normal."""
-
-TARGETS = {
-    "normal_impulse": ("contacts", lambda contacts: contacts.normal_impulse),
-    "tangent_impulse": ("contacts", lambda contacts: contacts.tangent_impulse),
-}
-"""The same of the output channels, N·s."""
-
-THESIS_CHANNELS = ("mass", "velocity_x", "velocity_y", "spin", "normal_x")
-"""The five inputs of the thesis's network, in its order."""
+TARGETS = ("normal_impulse", "tangent_impulse")
+"""Its outputs, N·s."""
 
 
 class Spec:
@@ -53,8 +39,7 @@ class Spec:
 
     def to_dict(self) -> dict:
         """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
-        values = {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
-        return self.constants | values
+        return self.constants | asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict):
@@ -62,13 +47,11 @@ class Spec:
         names, only = {field.name for field in fields(cls)}, cls.constants | cls.removed
         if not isinstance(values, dict) or set(values) - only.keys() != names:
             got = sorted(values) if isinstance(values, dict) else values
-            raise ValueError(f"{cls.__name__}: expected the fields {', '.join(sorted(names))}, got {got!r}")
+            raise ValueError(f"spec: {cls.__name__}: expected the fields {', '.join(sorted(names))}, got {got!r}")
         for name in only.keys() & values:
-            entries = values[name] if isinstance(values[name], list) else [values[name]]
-            if any(value != only[name] for value in entries):
-                raise ValueError(
-                    f"{cls.__name__}: {name}: expected {only[name]!r}, the only one left, got {values[name]!r}"
-                )
+            if values[name] != only[name]:
+                expected = f"expected {only[name]!r}, the only one left"
+                raise ValueError(f"spec: {cls.__name__}: {name}: {expected}, got {values[name]!r}")
         return cls(**{name: values[name] for name in names})
 
 
@@ -76,23 +59,21 @@ class Spec:
 class ImageSpec(Spec):
     """The definition of an image: a particle-normalised splat by poly6. The defaults are the thesis's.
 
-    spacing: d of the grid, m. support: radius h of the kernel, m. channels: names of `CHANNELS`. targets: names of
-    `TARGETS`. Raises ValueError naming the field and the value.
+    spacing: d of the grid, m. support: radius h of the kernel, m. Raises ValueError naming the field and the value.
     """
 
     spacing: float = 0.5
     support: float = 0.5
-    channels: tuple[str, ...] = THESIS_CHANNELS
-    targets: tuple[str, ...] = tuple(TARGETS)
 
+    channels = CHANNELS
+    targets = TARGETS
+    constants: ClassVar = {"channels": list(CHANNELS), "targets": list(TARGETS)}
     removed: ClassVar = {"kernel": "poly6", "transfer": "thesis", "normalization": "particle"}
-    removed |= {"scale_free": False, "scales": 1.0, "target_scales": 1.0}
+    removed |= {"scale_free": False, "scales": [1.0] * len(CHANNELS), "target_scales": [1.0] * len(TARGETS)}
 
     def __post_init__(self):
         for name in ("spacing", "support"):
             object.__setattr__(self, name, number(name, getattr(self, name), above=0))
-        for name, table in (("channels", CHANNELS), ("targets", TARGETS)):
-            object.__setattr__(self, name, _names(name, getattr(self, name), table))
 
     def grid(self, world: World) -> Grid:
         """The grid over a world's box."""
@@ -102,38 +83,39 @@ class ImageSpec(Spec):
         """(n_y, n_x) of the images of this world's states."""
         return self.grid(world).shape
 
-
-def _names(name: str, chosen, table) -> tuple[str, ...]:
-    names = (chosen,) if isinstance(chosen, str) or not np.iterable(chosen) else tuple(chosen)
-    for i, item in enumerate(names):
-        one_of(f"{name}[{i}]", item, table)
-    if not names or len(set(names)) != len(names):
-        raise ValueError(f"{name}: expected one or more different names, got {chosen!r}")
-    return names
+    def splat(self, world: World, places: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """The image of particles at places (k, 2) with values (k, channels), float32."""
+        return splat(self.grid(world), places, values, h=self.support, **_REACH).astype(np.float32)
 
 
 def input_image(state: State, spec: ImageSpec) -> np.ndarray:
-    """The network's input, float32, (n_y, n_x, channels).
+    """The network's input, float32, (n_y, n_x, 5): see `CHANNELS`.
 
     Raises ValueError where the state has no contacts yet, or holds what is not finite.
     """
-    return _image(state, spec, [CHANNELS[name] for name in spec.channels])
+    state = with_contacts(state)
+    bodies, contacts = state.bodies, state.contacts
+    motion = np.column_stack([bodies.mass, bodies.velocity, bodies.spin])
+    parts = (bodies.position, motion), (contacts.position, contacts.normal[:, :1])
+    return np.concatenate([spec.splat(state.world, *part) for part in parts], axis=2)
 
 
 def label_image(state: State, spec: ImageSpec) -> np.ndarray:
-    """The image of the impulses that a solved state holds, float32, (n_y, n_x, targets), N·s.
+    """The image of the impulses that a solved state holds, float32, (n_y, n_x, 2), N·s.
 
     Raises ValueError where the state has not been solved.
     """
     if not state.solved:
         raise ValueError("state.solved: expected a state that holds its solution, got False")
-    return _image(state, spec, [TARGETS[name] for name in spec.targets])
+    contacts = native(state).contacts
+    impulses = np.column_stack([contacts.normal_impulse, contacts.tangent_impulse])
+    return spec.splat(state.world, contacts.position, impulses)
 
 
-def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
-    """Impulses at the contacts from a network's image: one array (m,) a target, N·s; by default (normal, tangent).
+def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, np.ndarray]:
+    """Impulses (normal, tangent) at the contacts from a network's image, (m,) each, N·s.
 
-    image: (n_y, n_x, targets), N·s. Nothing is projected on the friction cone here.
+    image: (n_y, n_x, 2), N·s. Nothing is projected on the friction cone here.
     It reads bilinearly (Algorithm 4). Raises ValueError where the image does not fit the spec, or is not finite around
     a contact.
     """
@@ -142,18 +124,8 @@ def read_back(image, state: State, spec: ImageSpec) -> tuple[np.ndarray, ...]:
     if pixels.shape != expected:
         raise ValueError(f"image: expected shape {expected}, got {pixels.shape}")
     values = gather(spec.grid(state.world), pixels, state.contacts.position, **_REACH)
-    return tuple(np.ascontiguousarray(column) for column in values.T)
-
-
-def _image(state: State, spec: ImageSpec, channels: list) -> np.ndarray:
-    state, grid = with_contacts(state), spec.grid(state.world)
-    image = np.empty((*grid.shape, len(channels)), np.float32)
-    for name, particles in (("bodies", state.bodies), ("contacts", state.contacts)):
-        chosen = [i for i, (of, _) in enumerate(channels) if of == name]
-        if chosen:
-            values = np.column_stack([channels[i][1](particles) for i in chosen])
-            image[:, :, chosen] = splat(grid, particles.position, values, h=spec.support, **_REACH)
-    return image
+    normal, tangent = np.ascontiguousarray(values.T)
+    return normal, tangent
 
 
 def with_contacts(state: State) -> State:

@@ -143,8 +143,6 @@ class LearnedModel:
 
     def _check_scene(self, state):
         spec, size = self.spec, self.network.input_shape[1:3]
-        if len(spec.targets) != 2:
-            raise ModelFileError(f"targets: expected a network for normal and tangent impulses, got {spec.targets}")
         x_min, y_min, x_max, y_max = state.world.box
         extent, shape = (x_max - x_min, y_max - y_min), spec.shape(state.world)
         if None not in size and self.box and not np.allclose(extent, self.box, rtol=1e-6, atol=0.0):

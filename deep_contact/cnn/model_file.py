@@ -47,9 +47,7 @@ _ARGUMENTS = frozenset(
 _NETWORKS = {"Functional": ("name", "input_layers", "output_layers"), "Sequential": ("name",)}
 """Kind of network -> what is kept of its configuration beside the layers."""
 
-_PARTS = {"keras.initializers": None, "keras.regularizers": ("L1", "L2", "L1L2"), "keras": ("DTypePolicy",)}
-"""Module -> which of its classes a layer's configuration may hold; None is all."""
-
+_REGULARIZERS = ("L1", "L2", "L1L2")
 _ACTIVATIONS = (None, "linear", "relu", "leaky_relu", "elu", "gelu", "silu", "swish", "tanh", "sigmoid", "softplus")
 
 
@@ -106,7 +104,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
     size = None if box is None else [float(box[2]) - float(box[0]), float(box[3]) - float(box[1])]
     metadata = {"format": FORMAT, "spec": spec.to_dict(), "coarsening": spec.multiple, "box": size, "card": card}
     config = json.dumps(portable(json.loads(model.to_json())))
-    _check_fit(model, weights, spec, size, path)
+    _check_fit(model, weights, spec, size)
     # In memory first: on a full disk HDF5 can end the process, while a plain write raises OSError.
     content = io.BytesIO()
     with h5py.File(content, "w") as file:
@@ -128,7 +126,7 @@ def save_model(path, model, spec: ImageSpec | FarFieldSpec, card: dict, *, box=N
 
 def read_metadata(path) -> dict:
     """The metadata of a model file, checked against its contents, without Keras. Raises as `read_model`."""
-    return _read(Path(path))[1]
+    return _read(Path(path))[2]
 
 
 def read_model(path):
@@ -136,45 +134,42 @@ def read_model(path):
 
     Raises FileNotFoundError where there is no file, ModelFileError where it is not a complete model file of ours.
     """
-    network, metadata = _read(Path(path))
-    spec = spec_of(metadata, path)
+    network, spec, metadata = _read(Path(path))
     model = network if isinstance(spec, FarFieldSpec) else network.build()
-    _check_fit(model, network.weights, spec, metadata["box"], path)
+    try:
+        _check_fit(model, network.weights, spec, metadata["box"])
+    except ValueError as error:
+        raise ModelFileError(f"{path}: {error}") from None
     return model, spec, metadata
 
 
-def spec_of(metadata: dict, path) -> ImageSpec | FarFieldSpec:
-    """The spec in the metadata of a file. Raises ModelFileError naming the field where it is not one."""
+def spec_of(metadata: dict) -> ImageSpec | FarFieldSpec:
+    """The spec in the metadata of a file. Raises ValueError naming the field where it is not one."""
     kind = FarFieldSpec if metadata["spec"].get("kind") == "far field" else ImageSpec
-    try:
-        spec = kind.from_dict(metadata["spec"])
-    except ValueError as error:
-        raise ModelFileError(f"{path}: spec: {error}") from error
-    if metadata["coarsening"] != spec.multiple:
-        raise ModelFileError(f"{path}: coarsening: expected {spec.multiple}, got {metadata['coarsening']!r}")
+    spec, multiple = kind.from_dict(metadata["spec"]), metadata["coarsening"]
+    expect(multiple == spec.multiple, f"coarsening: expected {spec.multiple}, got {multiple!r}")
     return spec
 
 
-def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box, path) -> None:
-    """Raise ModelFileError unless the network takes the spec's images and gives its targets.
+def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box) -> None:
+    """Raise ValueError unless the network takes the spec's images and gives its targets.
 
     A far-field network by its weights, any other by the shapes of the `keras.Model`.
     """
     channels, targets = len(spec.channels), len(spec.targets)
     if isinstance(spec, FarFieldSpec):
-        if (dimensions(weights) or ())[:2] != (channels, targets):
-            expected = f"the layers of architectures.far_field with {channels} channels and {targets} outputs"
-            raise ModelFileError(f"{path}: model_weights: expected {expected}, got {', '.join(weights)}")
-        return
+        expected = f"the layers of architectures.far_field with {channels} channels and {targets} outputs"
+        fits = (dimensions(weights) or ())[:2] == (channels, targets)
+        return expect(fits, f"model_weights: expected {expected}, got {', '.join(weights)}")
     inputs, outputs = model.input_shape, model.output_shape
-    if not isinstance(inputs, tuple) or len(inputs) != 4 or inputs[-1] != channels:
-        raise ModelFileError(f"{path}: channels: expected {', '.join(spec.channels)}, got a network of shape {inputs}")
+    fits = isinstance(inputs, tuple) and len(inputs) == 4 and inputs[-1] == channels
+    expect(fits, f"channels: expected {', '.join(spec.channels)}, got a network of shape {inputs}")
     is_fixed = None not in inputs[1:3]
-    flat = is_fixed and len(outputs) == 2 and outputs[-1] == inputs[1] * inputs[2] * targets
-    if not flat and (len(outputs) != 4 or outputs[-1] != targets):
-        raise ModelFileError(f"{path}: targets: expected {', '.join(spec.targets)}, got outputs of shape {outputs}")
-    if is_fixed and box is None:
-        raise ModelFileError(f"{path}: box: expected [width, height] for a network of {inputs[1:3]} nodes, got none")
+    is_flat = is_fixed and outputs[1:] == (inputs[1] * inputs[2] * targets,)
+    fits = is_flat or (len(outputs) == 4 and outputs[-1] == targets)
+    expect(fits, f"targets: expected {', '.join(spec.targets)}, got outputs of shape {outputs}")
+    fits = box is not None or not is_fixed
+    expect(fits, f"box: expected [width, height] for a network of {inputs[1:3]} nodes, got none")
 
 
 # ---- Keras's configuration, reduced to what every version reads ----
@@ -183,46 +178,45 @@ def _check_fit(model, weights: dict, spec: ImageSpec | FarFieldSpec, box, path) 
 def portable(config) -> dict:
     """A network's configuration reduced to what every supported version of Keras reads.
 
-    Raises ModelFileError unless it consists of stock parts of the lists above.
+    Raises ValueError unless it consists of stock parts of the lists above.
     """
-    name, inner = _class_and_config(config, "model_config")
-    if name not in _NETWORKS:
-        raise ModelFileError(f"model_config: expected one of {', '.join(_NETWORKS)}, got {name!r}")
+    kind, inner = _class_and_config(config, "model_config")
+    expect(kind in _NETWORKS, f"model_config: expected one of {', '.join(_NETWORKS)}, got {kind!r}")
     layers = inner.get("layers")
-    if not isinstance(layers, list) or not layers:
-        raise ModelFileError(f"model_config: expected a list of layers, got {type(layers).__name__}")
-    kept = {key: inner[key] for key in _NETWORKS[name] if key in inner}
-    return {"class_name": name, "config": kept | {"layers": [_layer(layer, i) for i, layer in enumerate(layers)]}}
+    fits = isinstance(layers, list) and layers
+    expect(fits, f"model_config: expected a list of layers, got {type(layers).__name__}")
+    kept = {key: inner[key] for key in _NETWORKS[kind] if key in inner}
+    kept["layers"] = [_layer(layer, f"model_config.layers[{i}]") for i, layer in enumerate(layers)]
+    return {"class_name": kind, "config": kept}
 
 
 def _class_and_config(part, where: str) -> tuple:
     config = part.get("config") if isinstance(part, dict) else None
-    if not isinstance(config, dict):
-        raise ModelFileError(f"{where}: expected an object with a config, got {str(part)[:200]}")
+    expect(isinstance(config, dict), f"{where}: expected an object with a config, got {str(part)[:200]}")
     return part.get("class_name"), config
 
 
-def _layer(layer, i: int) -> dict:
+def _layer(layer, where: str) -> dict:
     """A layer with only the arguments that shape it."""
-    where = f"model_config.layers[{i}]"
-    (name, given), module = _class_and_config(layer, where), layer.get("module", "keras.layers")
-    if name not in _LAYERS or module != "keras.layers" or layer.get("registered_name") not in (None, name):
-        expected = "a stock Keras layer of the list, no custom or Lambda layer"
-        raise ModelFileError(f"{where}: expected {expected}, got {name!r} of {module!r}")
-    _check_parts([given, layer.get("inbound_nodes")], where)
-    kept = {"class_name": name, "config": {key: given[key] for key in given if key in _ARGUMENTS}}
-    return kept | {key: layer[key] for key in ("name", "inbound_nodes") if key in layer}
+    (kind, config), module = _class_and_config(layer, where), layer.get("module", "keras.layers")
+    stock = kind in _LAYERS and module == "keras.layers" and layer.get("registered_name") in (None, kind)
+    expected = "a stock Keras layer of the list, no custom or Lambda layer"
+    expect(stock, f"{where}: expected {expected}, got {kind!r} of {module!r}")
+    kept = {"class_name": kind, "config": {key: config[key] for key in config if key in _ARGUMENTS}}
+    kept |= {key: layer[key] for key in ("name", "inbound_nodes") if key in layer}
+    _check_parts([kept["config"], kept.get("inbound_nodes")], where)
+    return kept
 
 
-def _check_parts(value, where) -> None:
+def _check_parts(value, where: str) -> None:
+    """Raise ValueError where arguments hold classes other than Keras's regularizers, or other activations."""
     if isinstance(value, dict):
-        name, module = value.get("class_name"), value.get("module")
-        if name not in (None, "__keras_tensor__"):
-            allowed = _PARTS.get(module, ())
-            if not (allowed is None or name in allowed) or value.get("registered_name"):
-                raise ModelFileError(f"{where}: expected stock parts, got {name!r} of {module!r}")
-        if value.get("activation") not in _ACTIVATIONS:
-            raise ModelFileError(f"{where}.activation: expected a stock one, got {value['activation']!r}")
+        kind, module = value.get("class_name"), value.get("module")
+        stock = module == "keras.regularizers" and kind in _REGULARIZERS and not value.get("registered_name")
+        stock = stock or kind in (None, "__keras_tensor__")
+        expect(stock, f"{where}: expected stock parts, got {kind!r} of {module!r}")
+        activation = value.get("activation")
+        expect(activation in _ACTIVATIONS, f"{where}.activation: expected a stock one, got {activation!r}")
     for item in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_parts(item, where)
 
@@ -230,17 +224,17 @@ def _check_parts(value, where) -> None:
 # ---- the contents of a file ----
 
 
-def _read(path: Path) -> tuple[StoredNetwork, dict]:
-    """The network and the metadata of a file, checked against its digest."""
+def _read(path: Path) -> tuple[StoredNetwork, ImageSpec | FarFieldSpec, dict]:
+    """The network, the spec and the metadata of a file, checked against its digest."""
     if not path.exists():
         raise FileNotFoundError(f"model file: {path} does not exist")
     with hdf5.opened(path, ModelFileError) as file:
-        given = hdf5.attribute(file, "model_config")
-        config = portable(_parsed(given, "model_config"))
+        text = hdf5.attribute(file, "model_config")
+        config = portable(_parsed(text, "model_config"))
         group, metadata = hdf5.member(file, "model_weights"), _metadata(file)
         expect(isinstance(group, h5py.Group), f"model_weights: expected the network's weights, got {group}")
         datasets = _datasets(group)
-        whole = _digest(given, datasets, metadata) == metadata["digest"]
+        whole = _digest(text, datasets, metadata) == metadata["digest"]
         expect(whole, "digest: expected that of the file's contents, got another; it was changed or damaged")
         for name, array in datasets.items():
             bad = array[~np.isfinite(array)]
@@ -250,7 +244,7 @@ def _read(path: Path) -> tuple[StoredNetwork, dict]:
             names = [n.decode() if isinstance(n, bytes) else n for n in hdf5.attribute(group[layer], "weight_names")]
             if names:
                 weights[layer] = [np.asarray(datasets[f"{layer}/{n}"], np.float32) for n in names]
-    return StoredNetwork(path, config, weights), metadata
+        return StoredNetwork(path, config, weights), spec_of(metadata), metadata
 
 
 def _parsed(text, name):
@@ -263,22 +257,22 @@ def _parsed(text, name):
 def _metadata(file) -> dict:
     text = hdf5.dataset(file, METADATA)
     expect(text.shape == (), f"{METADATA}: expected one text, our metadata, got shape {text.shape}")
-    found = _parsed(text[()], METADATA)
-    got = sorted(found) if isinstance(found, dict) else type(found).__name__
+    metadata = _parsed(text[()], METADATA)
+    got = sorted(metadata) if isinstance(metadata, dict) else type(metadata).__name__
     expect(got == sorted(_FIELDS), f"{METADATA}: expected the fields {', '.join(_FIELDS)}, got {got}")
-    box = found["box"]
+    box = metadata["box"]
     is_size = isinstance(box, list) and len(box) == 2 and all(isinstance(x, (int, float)) and x > 0 for x in box)
-    expect(found["format"] == FORMAT, f"format: expected {FORMAT}, got {found['format']!r}")
+    expect(metadata["format"] == FORMAT, f"format: expected {FORMAT}, got {metadata['format']!r}")
     expect(box is None or is_size, f"box: expected null or [width, height] in m, got {box!r}")
     for name in ("spec", "card"):
-        expect(isinstance(found[name], dict), f"{name}: expected an object, got {found[name]!r}")
-    return found
+        expect(isinstance(metadata[name], dict), f"{name}: expected an object, got {metadata[name]!r}")
+    return metadata
 
 
 def _datasets(group) -> dict[str, np.ndarray]:
     """Name -> array of every dataset below a group, in the order of the names: no more numbers than the file holds."""
-    found = hdf5.read(hdf5.datasets(group), group.file.id.get_filesize())
-    return {name: np.ascontiguousarray(array) for name, array in found.items()}
+    arrays = hdf5.read(hdf5.datasets(group), group.file.id.get_filesize())
+    return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
 
 
 def _digest(config, datasets: dict[str, np.ndarray], metadata: dict) -> str:

@@ -32,23 +32,22 @@ def measure(n_bodies: int, friction: float, contacts: int, seed: int, models: li
     """Intervals of λ_n, and distances of other answers, of a resting pile; all over the mean λ_n.
 
     contacts: how many are drawn, for the intervals. models: files of networks that correct a past and a support.
-    Returns "exact": whether an exact motion was found, "fastest":
-    speed of its circles, m/s, "widths", and with models "apart": answer →
-    median distance of λ_n from the exact solution that the pile's past leads to.
+    Returns "exact": whether the exact solver converged, "fastest": speed of its circles, m/s, "widths", and with models
+    "apart": answer → median distance of λ_n from the exact solution that the pile's past leads to.
     """
     past = at_rest(n_bodies, seed, friction)
     exact = solve_exactly(past, most_pivots=MOST_PIVOTS)
-    found: dict = {"n_bodies": n_bodies, "friction": friction, "exact": exact.converged}
+    measured: dict = {"n_bodies": n_bodies, "friction": friction, "exact": exact.converged}
     if not exact.converged:
-        return found
-    found["fastest"] = np.abs(exact.solution.velocities).max()
+        return measured
+    measured["fastest"] = np.abs(exact.solution.velocities).max()
     normal, tangent = exact.solution.normal_impulses, exact.solution.tangent_impulses
     solved = past.contacts._replace(normal_impulse=normal, tangent_impulse=tangent)
     drawn = np.random.default_rng(seed).choice(normal.size, min(contacts, normal.size), replace=False)
     bounds = force_bounds(past.replace(contacts=solved, solved=True), np.sort(drawn))
-    found |= {"widths": np.ptp(bounds.normal, axis=1) / normal.mean(), "apart": {}}
+    measured |= {"widths": np.ptp(bounds.normal, axis=1) / normal.mean(), "apart": {}}
     if not models:
-        return found
+        return measured
     state, pgs, nncg = without_past(past), PGS(sweeps=SWEEPS, tolerance=None), NNCG(sweeps=SWEEPS, tolerance=None)
     answers = {
         "Builtin": solve_contacts(past, solver=pgs)[0],
@@ -59,4 +58,4 @@ def measure(n_bodies: int, friction: float, contacts: int, seed: int, models: li
         models[1]: LearnedSupport(models[1])(state, pgs)[0],
     }
     apart = {name: np.median(np.abs(answer - normal)) / normal.mean() for name, answer in answers.items()}
-    return found | {"apart": apart}
+    return measured | {"apart": apart}

@@ -27,7 +27,7 @@ from deep_contact.simulation import solve_contacts
 from deep_contact.state import State
 from deep_contact.studies import piles, timing
 from deep_contact.studies.starts import REFERENCE, solved_states, start_of
-from deep_contact.studies.verdicts import interval
+from deep_contact.studies.verdicts import FEWEST, interval
 from deep_contact.warm_start import Sph, WarmStart, solved_impulses
 
 BASE = "PSOR 1.75 | 1.45"
@@ -37,7 +37,6 @@ SOLVERS = {
     "PGS": PGS(),
     "PSOR 1.3": PSOR(omega=1.3),
     "PSOR 1.5": PSOR(omega=1.5),
-    "PSOR 1.7": PSOR(omega=1.7),
     BASE: PSOR(omega=1.75, friction_omega=1.45),
     "NesterovPGS": NesterovPGS(),
     "NNCG": NNCG(),
@@ -63,7 +62,7 @@ def parts_of(setting: str) -> tuple[str, str]:
     return start, solver or "PGS"
 
 
-def settings_of(starts: Iterable[str], solvers: Iterable[str] = FOLLOWING) -> list[str]:
+def settings_with(starts: Iterable[str], solvers: Iterable[str] = FOLLOWING) -> list[str]:
     """The names of every start with every solver."""
     return [start if solver == "PGS" else f"{start}, {solver}" for start, solver in product(starts, solvers)]
 
@@ -106,7 +105,7 @@ def errors_on_scenes(
     Returns for each kind, scene by scene, {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
     common, count = {**options, "starts": starts}, options["scenes"]
-    common["settings"] = [*starts, *settings_of(several, FOLLOWING[1:])]
+    common["settings"] = [*starts, *settings_with(several, FOLLOWING[1:])]
     scenes = [({**TRAINED, **kind}, s) for i, kind in enumerate(kinds) for s in seeds(seed + i, count)]
     tasks = [common | {"kind": kind, "seed": s} for kind, s in scenes]
     by_scene = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
@@ -157,11 +156,8 @@ def mean_errors(scenes: Sequence[Mapping], setting: str, where: str = "all") -> 
 
 
 def best_settings(scenes: Sequence[Mapping], starts: Sequence[str], where: str = "all") -> list[str]:
-    """For each number of sweeps the setting of some starts with the least mean error, of solvers that are still there.
-
-    Files from before may name others.
-    """
-    names = [name for name in settings_of(starts, SOLVERS) if name in scenes[0]["errors"]]
+    """For each number of sweeps the setting of some starts with the least mean error."""
+    names = [name for name in settings_with(starts) if name in scenes[0]["errors"]]
     means = np.array([mean_errors(scenes, name, where).mean(axis=0) for name in names])
     return [names[i] for i in means.argmin(axis=0)]
 
@@ -194,12 +190,6 @@ def text_of(ratio: Sequence[float], digits: int = 2) -> str:
 
 
 # ---- times of starts and sweeps ----
-
-
-def start_time(start: WarmStart, state: State, repeats: int) -> float:
-    """Seconds of a start on a state whose rows have been built: the least of the repeats."""
-    rows, make = ([step_problem(state)], start.from_problem) if hasattr(start, "from_problem") else ([], start)
-    return timing.fastest(partial(make, state, PGS(), *rows), repeats)
 
 
 def sweep_time(state: State, solver: str, repeats: int) -> float:
@@ -235,14 +225,11 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
 # ---- time to an error on the same states: Figure 6.10 ----
 
 TIMED = [
-    *settings_of(["none"], [BASE]),
-    *settings_of(["builtin"], ["PGS", BASE, "NNCG", "NesterovPGS"]),
-    *settings_of(["scaled", LEARNED], [BASE, "NNCG", "NesterovPGS"]),
+    *settings_with(["none"], [BASE]),
+    *settings_with(["builtin"], ["PGS", BASE, "NNCG", "NesterovPGS"]),
+    *settings_with(["scaled", LEARNED], [BASE, "NNCG", "NesterovPGS"]),
 ]
 """The settings whose time to an error is measured."""
-
-FEWEST = 10
-"""Fewest states that decide a case."""
 
 
 def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
@@ -265,10 +252,17 @@ def errors_of_pile(task: Mapping) -> tuple[dict, list[State]]:
 
 
 def times_on(states: Sequence[State], starts: Mapping[str, WarmStart], repeats: int) -> dict:
-    """Seconds of every start on every state, and of a sweep of every solver of `TIMED` on the last one."""
+    """Seconds of every start on every state, whose rows are built before, and of a sweep of every solver of `TIMED` on
+    the last state: the least of the repeats.
+    """
+
+    def start_time(start, state):
+        rows, make = ([step_problem(state)], start.from_problem) if hasattr(start, "from_problem") else ([], start)
+        return timing.fastest(partial(make, state, PGS(), *rows), repeats)
+
     solvers = sorted({parts_of(name)[1] for name in TIMED})
     return {
-        "start_seconds": {name: [start_time(start, s, repeats) for s in states] for name, start in starts.items()},
+        "start_seconds": {name: [start_time(start, s) for s in states] for name, start in starts.items()},
         "sweep_seconds": {name: sweep_time(states[-1], name, repeats) for name in solvers if states},
     }
 
@@ -302,14 +296,14 @@ def best_timed(
 
     The time is infinite where the error is not reached, and there are no states where nothing was solved.
     """
-
     timed = {}
-    for name, (start, solver) in ((name, parts_of(name)) for name in TIMED if parts_of(name)[0] in starts):
-        timed[name] = np.array([
-            seconds + sweeps_to(errors, sweeps, error) * pile["sweep_seconds"][solver]
-            for pile in piles
-            for seconds, errors in zip(pile["start_seconds"][start], pile["errors"][name])
-        ])  # fmt: skip
+    for name, (start, solver) in zip(TIMED, map(parts_of, TIMED)):
+        if start in starts:
+            timed[name] = np.array([
+                seconds + sweeps_to(errors, sweeps, error) * pile["sweep_seconds"][solver]
+                for pile in piles
+                for seconds, errors in zip(pile["start_seconds"][start], pile["errors"][name])
+            ])  # fmt: skip
     return min(timed.items(), key=lambda one: np.median(one[1]) if one[1].size else np.inf)
 
 

@@ -17,7 +17,7 @@ from deep_contact.physics.solvers import NNCG
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles, timing
-from deep_contact.studies.learned_starts import BASE, errors_of, fixed, settings_of
+from deep_contact.studies.learned_starts import BASE, errors_of, fixed, settings_with
 from deep_contact.warm_start import LearnedSupport, Support
 
 METHODS = ("PSOR 1.5", BASE, "NNCG", "NesterovPGS")
@@ -34,7 +34,7 @@ def without_past(state: StateWithContacts) -> StateWithContacts:
     return state.replace(contacts=contacts, solved=False)
 
 
-def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWithContacts, list, StateWithContacts]:
+def case(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWithContacts, list, StateWithContacts]:
     """(State whose contacts carry no impulses, solutions of its step, the state as it was, with its impulses).
 
     kind: of `piles.KINDS`. smallest: least radius, m; the largest is 1 m.
@@ -51,11 +51,11 @@ def pile(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWit
 
 def starts_of(state: StateWithContacts, model: str) -> dict:
     """Start -> what makes its impulses, from rows that have been built, as a run has them."""
-    nothing, given = np.zeros(state.contacts.count), (state, None, step_problem(state))
+    nothing, problem = np.zeros(state.contacts.count), (state, None, step_problem(state))
     return {
         "zero": lambda: (nothing, nothing),
-        "support": partial(Support().from_problem, *given),
-        LEARNED: partial(LearnedSupport(model).from_problem, *given),
+        "support": partial(Support().from_problem, *problem),
+        LEARNED: partial(LearnedSupport(model).from_problem, *problem),
     }
 
 
@@ -65,14 +65,14 @@ def measure(n_bodies: int, kind: str, radii: str, seed: int, options: Mapping, *
     Returns "contacts", "errors": method -> start -> velocity errors "after" so many sweeps, and "jolt": of a run from
     each start, of the run that `simulate` makes of the state, and of that from its past.
     """
-    state, references, past = pile(n_bodies, kind, options["radii"][radii], seed)
-    given = {name: make() for name, make in starts_of(state, options["model"]).items()}
-    errors = errors_of(state, given, settings_of(given, METHODS), options["sweeps"], references)
-    errors = {method: {name: errors[f"{name}, {method}"] for name in given} for method in METHODS}
-    jolts = {name: jolt(state, start, options["first"][name]) for name, start in given.items()}
+    state, references, past = case(n_bodies, kind, options["radii"][radii], seed)
+    impulses = {name: make() for name, make in starts_of(state, options["model"]).items()}
+    errors = errors_of(state, impulses, settings_with(impulses, METHODS), options["sweeps"], references)
+    errors = {method: {name: errors[f"{name}, {method}"] for name in impulses} for method in METHODS}
+    jolts = {name: jolt(state, start, options["first"][name]) for name, start in impulses.items()}
     jolts |= {"simulate": jolt(state), "past": jolt(past)}
-    found = {"n_bodies": n_bodies, "kind": kind, "radii": radii, "seed": seed, "after": options["sweeps"]}
-    return found | {"contacts": state.contacts.count, "errors": errors, "jolt": jolts}
+    about = {"n_bodies": n_bodies, "kind": kind, "radii": radii, "seed": seed, "after": options["sweeps"]}
+    return about | {"contacts": state.contacts.count, "errors": errors, "jolt": jolts}
 
 
 def times(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:
@@ -80,12 +80,13 @@ def times(state: StateWithContacts, starts: Mapping, repeats: int) -> dict:
 
     starts: of `starts_of`.
     """
-    found, swept = {}, partial(solve_contacts, state)
+    sweeps = {}
     for name in METHODS:
-        slope, overhead = timing.line(lambda k, name=name: swept(solver=fixed(name, k)), 20, 220, repeats=repeats)
-        found[name] = [max(overhead, 0.0), slope]
+        swept = lambda k, name=name: solve_contacts(state, solver=fixed(name, k))  # noqa: E731
+        slope, overhead = timing.line(swept, 20, 220, repeats=repeats)
+        sweeps[name] = [max(overhead, 0.0), slope]
     price = timing.interleaved(starts, repeats=repeats)
-    return {"contacts": state.contacts.count, "price": price, "sweeps": found}
+    return {"contacts": state.contacts.count, "price": price, "sweeps": sweeps}
 
 
 def jolt(state: StateWithContacts, impulses=None, sweeps: int = 0) -> dict:
@@ -116,8 +117,8 @@ def curves(of_pile: Mapping, timed: Mapping, start: str) -> list[list[tuple]]:
 
     of_pile: of `measure`. timed: of `times`, whose times go by contacts.
     """
-    scale, after, found = of_pile["contacts"] / timed["contacts"], np.array(of_pile["after"]), []
+    scale, after, curves = of_pile["contacts"] / timed["contacts"], np.array(of_pile["after"]), []
     for name, by_start in of_pile["errors"].items():
         overhead, sweep = timed["sweeps"][name]
-        found.append(list(zip(scale * (timed["price"][start] + overhead + sweep * after), by_start[start])))
-    return found
+        curves.append(list(zip(scale * (timed["price"][start] + overhead + sweep * after), by_start[start])))
+    return curves

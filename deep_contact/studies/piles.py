@@ -88,8 +88,7 @@ def rms_speed(state: State) -> float:
 
 def states_of(start: State, *, count: int, every: int = 4) -> list[State]:
     """`count` solved states of the run that continues from a pile, one in `every` steps."""
-    found = solved_states(start, steps=count * every, solver=NNCG(sweeps=2000))
-    return found[every - 1 :: every]
+    return solved_states(start, steps=count * every, solver=NNCG(sweeps=2000))[every - 1 :: every]
 
 
 def references_from(state: State, ends: Iterable[ContactSolution], *, exact: bool) -> list[ContactSolution]:
@@ -100,11 +99,11 @@ def references_from(state: State, ends: Iterable[ContactSolution], *, exact: boo
     """
     if not exact:
         return [end for end in ends if metrics.residual(state, end) < ENOUGH]
-    found: list[ContactSolution] = []
+    references: list[ContactSolution] = []
     for end in ends:
-        if not np.isfinite(metrics.residual(state, end)):
-            continue
-        near = solve_exactly(state, end.normal_impulses, end.tangent_impulses, residual=EXACT)
-        if near.converged and all(metrics.velocity_error(state, near.solution, other) > SAME for other in found):
-            found.append(near.solution)
-    return found
+        if np.isfinite(metrics.residual(state, end)):
+            near = solve_exactly(state, end.normal_impulses, end.tangent_impulses, residual=EXACT)
+            others = (metrics.velocity_error(state, near.solution, other) for other in references)
+            if near.converged and all(error > SAME for error in others):
+                references.append(near.solution)
+    return references

@@ -25,13 +25,13 @@ def methods(tolerance: float) -> dict[str, Callable]:
     """Every solver that can be imported, by name, to an error of `tolerance`. Prints why the others cannot."""
     makers = {f"ours, {kind.__name__}": partial(ours, kind) for kind in (PGS, NesterovPGS)}
     makers |= {f"Siconos {name}": partial(siconos, name) for name in ("NSGS", "ADMM", "NSN_AC")}
-    makers["pinocchio ADMM"], found = pinocchio, {}
+    makers["pinocchio ADMM"], importable = pinocchio, {}
     for name, make in makers.items():
         try:
-            found[name] = make(tolerance)
+            importable[name] = make(tolerance)
         except ImportError as error:
             print(f"{name}: {error}")
-    return found
+    return importable
 
 
 def ours(kind, tolerance: float) -> Callable:
@@ -55,8 +55,8 @@ def siconos(name: str, tolerance: float) -> Callable:
             W, q = padded(problem)
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # that it converts indices
-                given = numerics.FrictionContactProblem(3, m, W, q, problem.friction)
-            built[id(problem)] = given, problem, W, q  # it holds no references of its own
+                theirs = numerics.FrictionContactProblem(3, m, W, q, problem.friction)
+            built[id(problem)] = theirs, problem, W, q  # it holds no references of its own
         options = numerics.SolverOptions(getattr(numerics, f"SICONOS_FRICTION_3D_{name}"))
         options.iparam[0], options.dparam[0] = MOST_SWEEPS, tolerance
         reaction, velocity = np.zeros(3 * m), np.zeros(3 * m)
@@ -79,8 +79,8 @@ def pinocchio(tolerance: float) -> Callable:
         raise ImportError(f"pinocchio: expected version 4 or later, got {pin.__version__}")
     built: dict[int, tuple] = {}
 
-    def run(given: tuple, start, own: float) -> np.ndarray:
-        W, q, models, datas, m = given
+    def run(form: tuple, start, own: float) -> np.ndarray:
+        W, q, models, datas, m = form
         settings, result = pin.ADMMSolverSettings(), pin.ADMMSolverResult()
         settings.max_iterations, settings.lanczos_size = MOST_SWEEPS, 20  # its default never ends on large problems
         settings.absolute_feasibility_tol = settings.absolute_complementarity_tol = own
@@ -103,11 +103,11 @@ def pinocchio(tolerance: float) -> Callable:
                 contact.setFriction(friction)
                 models.append(pin.ConstraintModel(contact))
                 datas.append(models[len(models) - 1].createData())
-            given = sparse.csc_matrix(W.tocsr()[order][:, order]), q[order], models, datas, m
+            form = sparse.csc_matrix(W.tocsr()[order][:, order]), q[order], models, datas, m
             for own in 10.0 ** -np.arange(1, 11):
-                if siconos_error(problem, run(given, start, own)) <= tolerance:
+                if siconos_error(problem, run(form, start, own)) <= tolerance:
                     break
-            built[id(problem)] = given, own, problem
+            built[id(problem)] = form, own, problem
         return run(built[id(problem)][0], start, built[id(problem)][1])
 
     return solve

@@ -100,15 +100,15 @@ def paired(
 
     solver = PGS(sweeps=sweeps, tolerance=None)
     goals = [swept_on(state) for state in states] if velocity_sweeps else []
-    found = {}
+    by_start = {}
     for name, start in starts.items():
         impulses = [start(state, solver) for state in states]
         thetas = [solve_contacts(s, solver=solver, start=impulse).record.theta for s, impulse in zip(states, impulses)]
-        found[name] = convergence_of(thetas, sweeps)
+        by_start[name] = convergence_of(thetas, sweeps)
         if velocity_sweeps:
             errors = [velocity_errors(goal, impulse, velocity_sweeps) for goal, impulse in zip(goals, impulses)]
-            found[name]["velocity"] = np.array(errors)
-    return found
+            by_start[name]["velocity"] = np.array(errors)
+    return by_start
 
 
 def swept_on(state: State) -> State:
@@ -183,19 +183,15 @@ def compare_starts(
     {"theta": mean θ after these sweeps (k,), "sweeps": {"mean", "median"} until `THRESHOLD`, "states": number,
     "scenes": {"theta": mean θ of each scene (scenes, k), four digits, "states": number, (scenes,)}}.
     """
-    tasks = []
-    for scene_seed in seeds(seed, scenes):
-        if "paired" in modes:
-            tasks.append(("paired", scene_seed, dict(starts)))
-        if "independent" in modes:
-            tasks += [("independent", scene_seed, {name: description}) for name, description in starts.items()]
+    together = {"paired": [dict(starts)], "independent": [{name: start} for name, start in starts.items()]}
+    tasks = [(mode, scene, some) for scene in seeds(seed, scenes) for mode in modes for some in together[mode]]
     run = partial(_run, n_bodies=n_bodies, size=size, steps=steps, sweeps=sweeps)
-    found = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
+    done = parallel_map(run, tasks, jobs=jobs, progress=progress, text="scenes and starts")
     sample = np.unique(np.round(np.geomspace(1, sweeps, 160)).astype(np.int64))  # even on a logarithmic axis
     data = {"sweep": sample.tolist(), "threshold": THRESHOLD} | {mode: {} for mode in modes}
     for mode in modes:
         for name in starts:
-            parts = [part[name] for task, part in zip(tasks, found) if task[0] == mode and name in part]
+            parts = [part[name] for task, part in zip(tasks, done) if task[0] == mode and name in part]
             # Scenes differ in their number of states; every state counts the same.
             weights = [part["sweeps"].size for part in parts]
             counts = np.concatenate([part["sweeps"] for part in parts])
@@ -215,9 +211,9 @@ def table_of_starts(data: dict) -> list[list]:
     shown = [s for s in (10, 100, 1000) if s < last] + [last]
     rows = [["start", "states", "mean sweeps", "median", *(f"θ({s})" for s in shown)]]
     for mode in MODES:
-        for name, found in data.get(mode, {}).items():
-            theta = [found["theta"][int(np.argmin(np.abs(np.asarray(data["sweep"]) - s)))] for s in shown]
-            rows.append([f"{name}, {mode}", found["states"], *found["sweeps"].values(), *theta])
+        for name, start in data.get(mode, {}).items():
+            theta = [start["theta"][int(np.argmin(np.abs(np.asarray(data["sweep"]) - s)))] for s in shown]
+            rows.append([f"{name}, {mode}", start["states"], *start["sweeps"].values(), *theta])
     return rows
 
 
@@ -228,20 +224,20 @@ FLOOR = 1e-9
 def draw_comparison(data: dict, title: str, over: str = "builtin", hidden: Sequence[str] = ()):
     """θ by sweep in runs of their own, without the `hidden` starts, and the ratios of those that are near one start."""
     figure, (left, right) = plotting.subplots(1, 2, size=(10.0, 4.6))
-    found, sweeps = data["independent"], data["sweep"]
-    drawn = [name for name in found if name not in hidden]
+    starts, sweeps = data["independent"], data["sweep"]
+    drawn = [name for name in starts if name not in hidden]
     for name, look in plotting.styles_of(drawn).items():
-        curves = [found[name]["theta"], *np.percentile(found[name]["scenes"]["theta"], (25, 75), axis=0)]
+        curves = [starts[name]["theta"], *np.percentile(starts[name]["scenes"]["theta"], (25, 75), axis=0)]
         plotting.band(left, sweeps, *np.maximum(curves, FLOOR), **look)
     left.axhline(data["threshold"], color=plotting.GREY, linewidth=1, zorder=1, label=f"θ = {data['threshold']:g} N·s")
     left.set(xscale="log", yscale="log")
     title_of_left = "mean θ by sweep" + bands(data, "quartiles of the scenes")
     plotting.label_axes(left, "sweep", "mean convergence rate θ", y_unit="N·s", title=title_of_left)
-    if min(min(found[name]["theta"]) for name in drawn) < FLOOR:
+    if min(min(starts[name]["theta"]) for name in drawn) < FLOOR:
         note = f"θ below {FLOOR:.0e}, zero included, is drawn there"
         left.text(0.01, 0.01, note, transform=left.transAxes, fontsize=8, color="#555555", va="bottom")
     after_ten = int(np.argmin(np.abs(np.asarray(sweeps) - 10)))
-    near = [name for name in found if verdicts.intervals(found, name, over)[0, after_ten] > 0.1]
+    near = [name for name in starts if verdicts.intervals(starts, name, over)[0, after_ten] > 0.1]
     draw_ratios(right, data, near, over)
     right.set_title("ratio" + bands(data))
     curves = {text: line for ax in (left, right) for line, text in zip(*ax.get_legend_handles_labels())}
@@ -288,9 +284,7 @@ def convergence_figure(
         options = {name: options[name] for name in options if name != "spacing"}
         return compare_starts(described, modes=modes, seed=seed, jobs=jobs, progress=progress, **options)
 
-    def draw(data, options):
-        return draw_comparison(data, title, over, hidden)
-
+    draw = lambda data, options: draw_comparison(data, title, over, hidden)  # noqa: E731
     options, quick = THESIS_SETTINGS | {"sweeps": sweeps}, {"scenes": 1, "steps": 300}
     options |= {"spacing": SPACING} if chosen else {}
     return Figure(id, title, compute, table_of_starts, draw, claims, options=options, quick=quick, seed=seed)
@@ -323,8 +317,8 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
             return compare_starts(described, seed=seed, jobs=jobs, progress=progress, **settings)
 
         equal = [(size, size) for size in spacings]
-        found = compare([*((d, h) for h in supports), *equal])
-        return found | {"numbers": {str(n): compare(equal, {"sph": TRANSFERS["sph"]}, n_bodies=n) for n in numbers}}
+        others = {str(n): compare(equal, {"sph": TRANSFERS["sph"]}, n_bodies=n) for n in numbers}
+        return compare([*((d, h) for h in supports), *equal]) | {"numbers": others}
 
     def draw(data, options):
         d, spacings = options["d"], options["spacings"]
@@ -342,8 +336,8 @@ def study_figure(*, id: str, kernel: str, claims: Callable, numbers: Sequence[in
 
     def table(data):
         rows = table_of_starts(data)
-        for n, found in data["numbers"].items():
-            rows += [[f"{name}, {n} circles", *row] for name, *row in table_of_starts(found)[1:]]
+        for n, of_number in data["numbers"].items():
+            rows += [[f"{name}, {n} circles", *row] for name, *row in table_of_starts(of_number)[1:]]
         return rows
 
     own = {"d": 0.25, "h": [0.1, 0.2, 0.25, 0.5], "spacings": [0.25, 0.5, 0.75, 1.0], "numbers": list(numbers)}
@@ -432,7 +426,7 @@ def snapshots_figure(*, id: str, title: str, times: Sequence[float], colour_by: 
         return float(np.percentile(positive, SHOWN)) if positive else 0.0
 
     def draw(data, options):
-        states = [plotting.state_of(found) for found in data["snapshots"]]
+        states = [*map(plotting.state_of, data["snapshots"])]
         figure, panels = plotting.subplots(1, len(states), size=(8.3, 3.1), squeeze=False, sharey=True)
         limits = 0.0, end(plotting.body_values(state, colour_by)[0] for state in states)
         impulse = end(state.contacts.normal_impulse for state in states)

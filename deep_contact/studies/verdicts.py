@@ -39,32 +39,24 @@ def scenes_of(part: Mapping) -> int:
     return len(next(iter(part.values()))["scenes"]["states"])
 
 
-def mean_over_states(part: Mapping, name: str, drawn: np.ndarray) -> np.ndarray:
-    """A start's mean θ by sweep over the states of the scenes drawn, (rows, scenes) -> (rows, k).
-
-    part: one mode of `starts.compare_starts`' data.
-    """
-    scenes = part[name]["scenes"]
-    count = len(scenes["states"])
-    weights = (drawn[:, :, None] == np.arange(count)).sum(axis=1) * np.asarray(scenes["states"])
-    return np.maximum(weights @ np.asarray(scenes["theta"]) / weights.sum(axis=1, keepdims=True), SMALLEST)
-
-
 def intervals(part: Mapping, first: Names, second: Names, *, of: Callable | None = None) -> np.ndarray:
-    """[ratio, low, high], (3, k): largest of the first starts over smallest of the second.
+    """[ratio, low, high], (3, k): largest mean θ of the first starts over smallest of the second.
 
-    of: taken of each curve before the ratio, (rows, k) -> (rows,), such as `rise`; by default the curve itself.
+    part: one mode of `starts.compare_starts`' data. of: taken of each curve before the ratio, (rows, k) -> (rows,),
+    such as `rise`; by default the curve itself.
     """
+    count = scenes_of(part)
 
-    def values(names, drawn):
-        names = [names] if isinstance(names, str) else names
-        found = [mean_over_states(part, name, drawn) for name in names]
-        return found if of is None else [of(curve)[:, None] for curve in found]
+    def means(names, drawn):
+        """Of each start over the states of the scenes drawn, (rows, scenes): (starts, rows, k)."""
+        times, curves = (drawn[:, :, None] == np.arange(count)).sum(axis=1), []
+        for scenes in (part[name]["scenes"] for name in ([names] if isinstance(names, str) else names)):
+            weights = times * np.asarray(scenes["states"])
+            theta = np.maximum(weights @ np.asarray(scenes["theta"]) / weights.sum(axis=1, keepdims=True), SMALLEST)
+            curves.append(theta if of is None else of(theta)[:, None])
+        return np.array(curves)
 
-    return interval(
-        lambda drawn: np.maximum.reduce(values(first, drawn)) / np.minimum.reduce(values(second, drawn)),
-        scenes_of(part),
-    )
+    return interval(lambda drawn: means(first, drawn).max(axis=0) / means(second, drawn).min(axis=0), count)
 
 
 def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
@@ -79,14 +71,14 @@ def ranges(sweeps: Sequence[int], where: np.ndarray) -> str:
     return ", ".join(f"{a}" if a == b else f"{a} to {b}" for a, b in pairs)
 
 
-def verdict(found: np.ndarray, within: tuple[float, float], sweeps: Sequence[int] | None = None) -> tuple:
+def verdict(ratios: np.ndarray, within: tuple[float, float], sweeps: Sequence[int] | None = None) -> tuple:
     """(holds, verdict) of intervals by sweep: "holds, sweeps 1 to 180; does not hold, sweeps 250 to 3000".
 
     It holds where the whole interval lies within the range, and does not hold where the whole of it lies outside.
     holds: true where the claim holds at some sweeps and is refuted at none, false where it is the other way round, None
     where both occur or every interval reaches across an end of the range. sweeps: None for intervals of one number.
     """
-    (_, low, high), (least, most) = found, within
+    (_, low, high), (least, most) = ratios, within
     holds, fails = (low > least) & (high < most), (high < least) | (low > most)
     if not (holds.any() or fails.any()):
         return None, "within the noise"
@@ -115,15 +107,15 @@ def judged(
     smallest. of: see `intervals`; the claim is then on one number. mode: whose curves decide, by default runs of their
     own, as in the thesis; `measured` has the verdict from the same states too, where there is one.
     """
-    found, count = intervals(data[mode], first, second, of=of), scenes_of(data[mode])
+    ratios, count = intervals(data[mode], first, second, of=of), scenes_of(data[mode])
     if of is not None:
-        return _claim(text, thesis, count, within, {RATIO: found[:, 0].tolist()}, verdict(found, within))
+        return _claim(text, thesis, count, within, {RATIO: ratios[:, 0].tolist()}, verdict(ratios, within))
     sweeps = data["sweep"]
-    at = {str(k): found[:, int(np.argmin(np.abs(np.asarray(sweeps) - k)))].tolist() for k in SHOWN if k <= sweeps[-1]}
+    at = {str(k): ratios[:, int(np.argmin(np.abs(np.asarray(sweeps) - k)))].tolist() for k in SHOWN if k <= sweeps[-1]}
     measured = {BY_SWEEP: at}
     for other in data.keys() & {"paired", "independent"} - {mode}:
         measured[f"verdict, {other}"] = verdict(intervals(data[other], first, second), within, sweeps)[1]
-    return _claim(text, thesis, count, within, measured, verdict(found, within, sweeps))
+    return _claim(text, thesis, count, within, measured, verdict(ratios, within, sweeps))
 
 
 def judged_values(
@@ -144,9 +136,9 @@ def judged_values(
     def ratio(drawn):
         return np.maximum(first[drawn].mean(axis=1), SMALLEST) / np.maximum(second[drawn].mean(axis=1), SMALLEST)
 
-    found = interval(ratio, len(first))
-    measured = {RATIO: found.tolist()} | dict(also or {})
-    return _claim(text, thesis, len(first), within, measured, verdict(found[:, None], within))
+    ratios = interval(ratio, len(first))
+    measured = {RATIO: ratios.tolist()} | dict(also or {})
+    return _claim(text, thesis, len(first), within, measured, verdict(ratios[:, None], within))
 
 
 def _claim(text: str, thesis: str | None, count: int, within: tuple, measured: dict, judged: tuple) -> Claim:

@@ -188,7 +188,7 @@ def test_a_run_goes_on_from_a_model(undisturbed, data, tmp_path):
 def test_settings_of_the_shipped_models_are_known():
     for path in (TRAIN.parents[1] / "models").glob("*.h5"):
         metadata = read_metadata(path)
-        assert config.config_of(metadata).spec() == spec_of(metadata, path)
+        assert config.config_of(metadata).spec() == spec_of(metadata)
 
 
 @pytest.mark.parametrize(

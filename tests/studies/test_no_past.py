@@ -14,7 +14,7 @@ from deep_contact.warm_start import LearnedSupport
 
 @pytest.fixture(scope="module")
 def pile():
-    return no_past.pile(300, "resting", 0.8, 11)
+    return no_past.case(300, "resting", 0.8, 11)
 
 
 def test_the_network_corrects_the_support_within_the_cone(pile):

@@ -28,7 +28,7 @@ class FarFieldRun(NetworkRun):
         nodes = [tf.TensorSpec((None, 4), kind) for kind in (tf.int32, tf.float32)]
         self._coefficients = tf.function(self._read, input_signature=[images, *nodes])
         # As one program: called one by one, the optimizer's small operations take as long as the network.
-        self._apply = tf.function(lambda given: self.optimizer.apply(given, self.model.trainable_variables))
+        self._apply = tf.function(lambda gradients: self.optimizer.apply(gradients, self.model.trainable_variables))
 
     def _read(self, images, node, weight):
         """Coefficients (K, 12) at the contacts, from images and the arrays of `nodes_of`; differentiable."""
@@ -37,9 +37,9 @@ class FarFieldRun(NetworkRun):
 
     def examples(self, states: np.ndarray, symmetry: np.ndarray):
         """(description, problem) of each of the states (k, 2), one after the other."""
-        for state, k in zip(states.tolist(), symmetry.tolist()):
-            found = self.store.state(*state)
-            yield describe(found, self.spec, k), solved_problem(found)
+        for place, k in zip(states.tolist(), symmetry.tolist()):
+            state = self.store.state(*place)
+            yield describe(state, self.spec, k), solved_problem(state)
 
     def coefficients(self, descriptions):
         """What the network gives at the contacts of descriptions with windows of one shape, (K, 12)."""
@@ -67,34 +67,34 @@ class FarFieldRun(NetworkRun):
             by_coefficient.append(np.einsum("ik,ijk->ij", gradient, description.features))
             total += loss
         # Divided by a full batch, so that a few states with a rare window do not count as much as a batch.
-        given = tf.constant(np.concatenate(by_coefficient) / self.config.batch_size, tf.float32)
-        self._apply(tape.gradient(coefficients, self.model.trainable_variables, output_gradients=given))
+        gradients = tf.constant(np.concatenate(by_coefficient) / self.config.batch_size, tf.float32)
+        self._apply(tape.gradient(coefficients, self.model.trainable_variables, output_gradients=gradients))
         return total, len(batch)
 
     def errors(self, states: np.ndarray, *, learned: bool) -> np.ndarray:
         """Velocity errors (k, 1 + sweeps) before and after each number of sweeps, from the network or Builtin."""
         sweeps = sorted({0, *self.config.sweeps})
-        found = []
+        errors = []
         for batch in _by_shape(self.examples(states, np.zeros(len(states), np.int64)), 64):
             descriptions, problems = zip(*batch)
             starts = [problem.rows.impulse for problem in problems]
             if learned:
                 starts = _starts(descriptions, self.coefficients(descriptions))
-            found += [errors_after(problem, start, sweeps) for problem, start in zip(problems, starts)]
-        return np.array(found)[:, [0, *(sweeps.index(k) for k in self.config.sweeps)]]
+            errors += [errors_after(problem, start, sweeps) for problem, start in zip(problems, starts)]
+        return np.array(errors)[:, [0, *(sweeps.index(k) for k in self.config.sweeps)]]
 
     def validate(self) -> dict[str, float]:
         """Loss on the validation states over Builtin's, and mean velocity errors before and after `sweeps` sweeps."""
         errors = self.errors(self.validation, learned=True).mean(axis=0)
-        found = {"validation_loss": float(errors[1:] @ self.weights), "validation_velocity_error": float(errors[0])}
+        loss = {"validation_loss": float(errors[1:] @ self.weights), "validation_velocity_error": float(errors[0])}
         after = zip(self.config.sweeps, errors[1:].tolist())
-        return found | {f"validation_velocity_error_{k}": error for k, error in after}
+        return loss | {f"validation_velocity_error_{k}": error for k, error in after}
 
 
 def _states_with_error(store, sims, least: float) -> np.ndarray:
     """States (k, 2) of the simulations in which the relative error of Builtin's start is larger than `least`."""
-    found = [[sim, i] for sim in sims for i in np.flatnonzero(start_errors(store.simulation(sim).arrays) > least)]
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    pairs = [[sim, i] for sim in sims for i in np.flatnonzero(start_errors(store.simulation(sim).arrays) > least)]
+    return np.array(pairs, dtype=np.int64).reshape(-1, 2)
 
 
 def _starts(descriptions, coefficients) -> list[np.ndarray]:

@@ -48,7 +48,7 @@ class NetworkRun:
         self.optimizer.build(self.model.trainable_variables)
         self.model.optimizer = self.optimizer  # where Keras's callbacks look for it
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
-        self.variables = {f"{kind}_{i:04d}": v for kind, found in kinds.items() for i, v in enumerate(found)}
+        self.variables = {f"{kind}_{i:04d}": v for kind, of_kind in kinds.items() for i, v in enumerate(of_kind)}
         """All that a step changes: weights, statistics, the random states of dropout, the optimizer's."""
         self.history, self.position = [], _beginning(0)
 
