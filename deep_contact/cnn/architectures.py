@@ -10,6 +10,8 @@ import inspect
 from collections.abc import Callable, Sequence
 
 from deep_contact.cnn.backend import keras
+from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec
+from deep_contact.cnn.images import CHANNELS, TARGETS
 from deep_contact.validation import integer, number, one_of
 
 layers = keras.layers
@@ -35,13 +37,12 @@ def build(name: str, **options) -> keras.Model:
 def thesis(
     *,
     shape: Sequence[int] = (61, 61),
-    channels: int = 5,
-    outputs: int = 2,
+    channels: int = len(CHANNELS),
     stacks: Sequence[tuple[int, Sequence[int]]] = THESIS_STACKS,
     dropout: float = 0.1,
     weight_decay: float = 5e-4,
 ) -> keras.Model:
-    """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · outputs).
+    """The thesis's network (section 5.3.1, Table 5.1, Appendix B): (b, n_y, n_x, c) -> (b, n_y · n_x · 2).
 
     With the defaults: 64,498,866 trainable parameters. The fully connected last layer holds 61 million of them and ties
     the network to images of one size. Its ReLU excludes negative impulses, and with them half of all friction,
@@ -55,7 +56,6 @@ def thesis(
         raise ValueError(f"shape: expected (n_y, n_x), two integers >= 1, got {shape!r}")
     n_y, n_x = (integer(f"shape[{i}]", n, 1) for i, n in enumerate(shape))
     integer("channels", channels, 1)
-    integer("outputs", outputs, 1)
     number("dropout", dropout, 0, below=1)
     number("weight_decay", weight_decay, 0)
     same = {"padding": "same", "activation": "relu", "kernel_initializer": "he_normal"}
@@ -71,19 +71,18 @@ def thesis(
             if stage in _NORMALIZED:
                 stack.append(layers.BatchNormalization(name=f"normalization_{stage}"))
     stack.append(layers.Flatten(name="flatten"))
-    stack.append(layers.Dense(n_y * n_x * outputs, activation="relu", name="impulses"))
+    stack.append(layers.Dense(n_y * n_x * len(TARGETS), activation="relu", name="impulses"))
     return keras.Sequential(stack, name="thesis")
 
 
-def far_field(*, channels: int, outputs: int, width: int = 24) -> keras.Model:
-    """The far-field network (`cnn.far_field`): (b, n_y, n_x, channels) -> every second node, where n = 1 (mod 8).
+def far_field(*, width: int = 24) -> keras.Model:
+    """The far-field network (`cnn.far_field`): (b, n_y, n_x, 29) -> every second node, 12 outputs, where n = 1 (mod 8).
 
     A U-Net of residual blocks on every second, fourth and eighth node of the input, of `width`, 2 `width` and
     2 `width` features. The last layer starts from zero, so that an untrained network leaves Builtin as it is.
     Raises ValueError naming the option and the value.
     """
-    for name, value in (("channels", channels), ("outputs", outputs), ("width", width)):
-        integer(name, value, 1)
+    integer("width", width, 1)
     normal = {"kernel_initializer": "he_normal"}
 
     def block(x, features, name):
@@ -101,7 +100,7 @@ def far_field(*, channels: int, outputs: int, width: int = 24) -> keras.Model:
         x = layers.Conv2DTranspose(features, 3, strides=2, name=name)(x)
         return layers.Cropping2D(1, name=f"{name}_crop")(x)
 
-    image = keras.Input((None, None, channels), name="state")
+    image = keras.Input((None, None, len(FarFieldSpec.channels)), name="state")
     second = block(down(image, width, "to_second"), width, "second")
     fourth = block(down(second, 2 * width, "to_fourth"), 2 * width, "fourth")
     eighth = block(block(down(fourth, 2 * width, "to_eighth"), 2 * width, "eighth"), 2 * width, "far")
@@ -109,7 +108,7 @@ def far_field(*, channels: int, outputs: int, width: int = 24) -> keras.Model:
     x = block(x, 2 * width, "fourth_back")
     x = layers.Add(name="join_second")([second, up(x, width, "back_to_second")])
     x = layers.ReLU(name="last_relu")(block(x, width, "second_back"))
-    x = layers.Conv2D(outputs, 1, kernel_initializer="zeros", name="coefficients")(x)
+    x = layers.Conv2D(len(COEFFICIENTS), 1, kernel_initializer="zeros", name="coefficients")(x)
     return keras.Model(image, x, name="far_field")
 
 

@@ -16,19 +16,20 @@ import numpy as np
 from llvmlite.binding import get_host_cpu_features
 from numba import njit, uint64
 
+from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec
 from deep_contact.compiled.simd import WIDTH, doubled, load_like, most, spread, spread_like, store
 from deep_contact.validation import expect
 
 
-def layer_shapes(channels: int, outputs: int, width: int) -> dict[str, list[tuple[int, ...]]]:
+def layer_shapes(width: int) -> dict[str, list[tuple[int, ...]]]:
     """Layer of `architectures.far_field` -> shapes of its kernel and bias."""
-    near, far = width, 2 * width
+    channels, near, far = len(FarFieldSpec.channels), width, 2 * width
     features = {"second": near, "fourth": far, "eighth": far, "far": far, "fourth_back": far, "second_back": near}
     kernels = {f"{block}_{turn}": (3, 3, count, count) for block, count in features.items() for turn in (1, 2)}
     kernels |= {"to_second": (3, 3, channels, near), "to_fourth": (3, 3, near, far), "to_eighth": (3, 3, far, far)}
     # A transposed convolution has its outputs before its inputs.
     kernels |= {"back_to_fourth": (3, 3, far, far), "back_to_second": (3, 3, near, far)}
-    kernels["coefficients"] = (1, 1, near, outputs)
+    kernels["coefficients"] = (1, 1, near, len(COEFFICIENTS))
     return {name: [kernel, (kernel[2 if name.startswith("back") else 3],)] for name, kernel in kernels.items()}
 
 
@@ -86,21 +87,21 @@ class Program:
     """
 
     def __init__(self, weights: dict[str, list[np.ndarray]], shape: tuple[int, int]):
-        sizes = dimensions(weights)
-        expect(sizes, f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
+        expect(is_far_field(weights), f"network: expected the layers of architectures.far_field, got {sorted(weights)}")
         self._of = weights
         self._layers, self._nodes, self._weights, self._size, self._filled = [], [], [], 0, 0
-        image, outputs = self._image(*shape, sizes[0]), sizes[1]
+        image = self._image(*shape, len(FarFieldSpec.channels))
         second = self._block("second", self._down("to_second", image))
         fourth = self._block("fourth", self._down("to_fourth", second[0]))
         eighth = self._block("far", self._block("eighth", self._down("to_eighth", fourth[0])))
         fourth = self._block("fourth_back", self._up("back_to_fourth", eighth[0], fourth[0]))
         second = self._block("second_back", self._up("back_to_second", fourth[0], second[0]))
-        last = self._image(second[1].height, second[1].width, outputs)
+        last = self._image(second[1].height, second[1].width, len(COEFFICIENTS))
         self._convolution("coefficients", second[1], last)
         self.layers, self.nodes = np.array(self._layers, LAYER), np.concatenate(self._nodes)
         self.weights, self.workspace = np.concatenate(self._weights), _aligned(self._size)
-        self._input, self._output = image.view(self.workspace), last.view(self.workspace)[:, :, :outputs]
+        self._input, self._output = (one.view(self.workspace) for one in (image, last))
+        self._output = self._output[:, :, : len(COEFFICIENTS)]
         del self._of, self._layers, self._nodes, self._weights
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
@@ -179,14 +180,11 @@ class Program:
                 begin += groups * vectors
 
 
-def dimensions(weights: dict[str, list[np.ndarray]]) -> tuple[int, int, int] | None:
-    """(channels, outputs, width) of a network with the layers of `architectures.far_field`, None for any other."""
+def is_far_field(weights: dict[str, list[np.ndarray]]) -> bool:
+    """Whether a network has the layers of `architectures.far_field`."""
     shapes = {name: [array.shape for array in arrays] for name, arrays in weights.items() if arrays}
-    try:
-        (*_, channels, width), outputs = shapes["to_second"][0], shapes["coefficients"][0][-1]
-    except (KeyError, IndexError, ValueError):
-        return None
-    return (channels, outputs, width) if shapes == layer_shapes(channels, outputs, width) else None
+    first = shapes.get("to_second", [()])[0]
+    return len(first) > 0 and shapes == layer_shapes(first[-1])
 
 
 def _whole(count: int) -> int:

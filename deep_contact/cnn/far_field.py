@@ -51,7 +51,6 @@ from deep_contact.physics.engine import StepProblem, step_problem
 from deep_contact.sph import Grid
 from deep_contact.sph.grid import ROUNDING, bilinear_weights
 from deep_contact.state import State
-from deep_contact.validation import number
 
 CONTACT_CHANNELS = (
     "density",
@@ -94,24 +93,15 @@ WINDOW_SIDES = (9, 17, 25, 33, 49, 65, 97, 129, 193, 257, 385, 513, 769, 1025)
 
 @dataclass(frozen=True, kw_only=True)
 class FarFieldSpec(Spec):
-    """The images of a far-field network.
-
-    spacing: of the input's nodes, mean radii. support: h of the splat, mean radii.
-    Raises ValueError naming the field and the value.
-    """
+    """The images of a far-field network, by the input's nodes. Lengths are in mean radii."""
 
     spacing: float = 1.0
     support: float = 1.0
 
-    channels = CONTACT_CHANNELS + BODY_CHANNELS
-    targets = COEFFICIENTS
+    channels, targets = CONTACT_CHANNELS + BODY_CHANNELS, COEFFICIENTS
     multiple = 8
     constants: ClassVar = {"kind": "far field", "coarsening": COARSENING}
     removed: ClassVar = {"inputs": "all", "correction": True}
-
-    def __post_init__(self):
-        number("spacing", self.spacing, above=0)
-        number("support", self.support, above=0)
 
     def window(self, low: np.ndarray, high: np.ndarray, radius: float) -> Grid:
         """The grid of the input around contacts from `low` to `high`, (x, y), m, of circles with this mean radius, m.

@@ -27,15 +27,28 @@ TARGETS = ("normal_impulse", "tangent_impulse")
 """Its outputs, N·s."""
 
 
+@dataclass(frozen=True, kw_only=True)
 class Spec:
-    """What the images of a network are: a dataclass that model files hold as JSON."""
+    """What the images of a network are; model files hold it as JSON.
 
+    spacing: of the nodes. support: h of the splat, in the same unit. Raises ValueError naming the field and the value.
+    """
+
+    spacing: float
+    support: float
+
+    channels: ClassVar[tuple[str, ...]]
+    targets: ClassVar[tuple[str, ...]]
     multiple: ClassVar[int] = 1
     """The network takes n = 1 (mod multiple) nodes along an edge."""
     constants: ClassVar[dict] = {}
     """Field of a file that is no field of the dataclass -> its value."""
     removed: ClassVar[dict] = {}
     """The same of files of earlier versions: name -> the only value that still has a meaning."""
+
+    def __post_init__(self):
+        for name in ("spacing", "support"):
+            object.__setattr__(self, name, number(name, getattr(self, name), above=0))
 
     def to_dict(self) -> dict:
         """All fields as JSON knows them; `from_dict` gives the same spec to the last bit."""
@@ -57,23 +70,15 @@ class Spec:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageSpec(Spec):
-    """The definition of an image: a particle-normalised splat by poly6. The defaults are the thesis's.
-
-    spacing: d of the grid, m. support: radius h of the kernel, m. Raises ValueError naming the field and the value.
-    """
+    """The definition of an image: a particle-normalised splat by poly6. Lengths are in m; the thesis's by default."""
 
     spacing: float = 0.5
     support: float = 0.5
 
-    channels = CHANNELS
-    targets = TARGETS
+    channels, targets = CHANNELS, TARGETS
     constants: ClassVar = {"channels": list(CHANNELS), "targets": list(TARGETS)}
     removed: ClassVar = {"kernel": "poly6", "transfer": "thesis", "normalization": "particle"}
     removed |= {"scale_free": False, "scales": [1.0] * len(CHANNELS), "target_scales": [1.0] * len(TARGETS)}
-
-    def __post_init__(self):
-        for name in ("spacing", "support"):
-            object.__setattr__(self, name, number(name, getattr(self, name), above=0))
 
     def grid(self, world: World) -> Grid:
         """The grid over a world's box."""

@@ -27,7 +27,7 @@ def done(
     """
     paths = [work / f"{name}_{arguments['n_bodies']}_{digest_of([name, arguments])}.json" for name, arguments in parts]
     stored = [_read(path) for path in paths]
-    missing = [i for i, found in enumerate(stored) if found is None]
+    missing = [i for i, one in enumerate(stored) if one is None]
     work.mkdir(parents=True, exist_ok=True)
     tasks = [(functions[parts[i][0]], parts[i][1]) for i in missing]
     with closing(parallel.finished(_compute, tasks, jobs=jobs)) as computed:

@@ -94,8 +94,9 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
     "apart": what leaving a part out changes in so many steps. Circles may fall asleep in them.
     """
     pile, rolling = ready(at_rest(piles.scene(n_bodies, seed))), ready(heaps_and_one_rolling(n_bodies, seed))
-    still = {"asleep": _Asleep(pile, np.full(n_bodies, np.inf), steps)}
-    still["one rolling, asleep"] = _Asleep(rolling, np.append(np.full(n_bodies, np.inf), 0.0), steps)
+    still = np.full(n_bodies, np.inf)
+    asleep = {"asleep": _Asleep(pile, still, steps)}
+    asleep["one rolling, asleep"] = _Asleep(rolling, np.append(still, 0.0), steps)
     step = functools.partial(simulate, steps=steps, solver=STEP)
     ways = {
         "awake": functools.partial(step, pile),
@@ -103,11 +104,9 @@ def step_savings(n_bodies: int, seed: int, *, steps: int, repeats: int) -> dict[
         "uncorrected": functools.partial(step, pile, solver=replace(STEP, position_sweeps=0)),
         "called": functools.partial(step, pile, on_step=lambda *_: None),
     }
-    runs = ways | {name: one.run for name, one in still.items()}
-    setup = {name: one.reset for name, one in still.items()}
-    times = {name: found / steps for name, found in interleaved(runs, repeats=repeats, setup=setup).items()}
-    ways |= {"asleep": functools.partial(step, pile, sleep=True)}
-    ways |= {"one rolling, asleep": functools.partial(step, rolling, sleep=True)}
+    runs, setup = ({name: getattr(one, part) for name, one in asleep.items()} for part in ("run", "reset"))
+    times = {name: took / steps for name, took in interleaved(ways | runs, repeats=repeats, setup=setup).items()}
+    ways |= {name: functools.partial(step, state, sleep=True) for name, state in zip(asleep, (pile, rolling))}
     ends = {name: way().state for name, way in ways.items()}
     pairs = {
         "asleep": ("awake", "asleep"),
@@ -133,13 +132,13 @@ class _Asleep:
     def reset(self) -> None:
         parts = {"bodies": self._state.bodies, "contacts": self._state.contacts}
         copies = {name: part._make(field.copy() for field in part) for name, part in parts.items()}
-        self._given, self._contacts = step_input(self._state.replace(**copies), STEP), copies["contacts"]
+        self._input, self._contacts = step_input(self._state.replace(**copies), STEP), copies["contacts"]
         self._advance = Steps(STEP, self._state.bodies.count, sleep=True)
         self._log = make_log(self._steps)
         self._advance.sleep.still[:] = self._still
 
     def run(self) -> None:
-        self._advance(self._given, self._contacts, self._log)
+        self._advance(self._input, self._contacts, self._log)
 
 
 def island_savings(scene: State, *, steps: int, every: int) -> dict:
@@ -152,13 +151,13 @@ def island_savings(scene: State, *, steps: int, every: int) -> dict:
     states = solved_states(scene, steps=steps, every=every, solver=ways["together"])
     calls = {(name, k): functools.partial(solve_contacts, state, solver=solver)
              for k, state in enumerate(states) for name, solver in ways.items()}  # fmt: skip
-    took, found = interleaved(calls, repeats=3, reduce=min), {}
+    took, measured = interleaved(calls, repeats=3, reduce=min), {}
     for name, solver in ways.items():
         relaxations = [simulate(state, steps=1, solver=solver).relaxations[0] for state in states]
-        found[name] = np.array(relaxations, dtype=int)
-        found[f"seconds_{name}"] = np.array([took[name, k] for k in range(len(states))])
+        measured[name] = np.array(relaxations, dtype=int)
+        measured[f"seconds_{name}"] = np.array([took[name, k] for k in range(len(states))])
     ends = ([calls[name, k]().velocities for name in ways] for k in range(len(states)))
-    return found | {"difference": np.array([np.abs(one - other).max() for one, other in ends])}
+    return measured | {"difference": np.array([np.abs(one - other).max() for one, other in ends])}
 
 
 def saving_by_run(runs: list[dict], unit: str = "") -> dict:
@@ -182,6 +181,6 @@ JOBS = {
 def job(name: str) -> dict:
     """{"seconds", "heavy", "memory_mb"} of `timing.fresh`, after a first process has filled the caches."""
     timing.fresh(JOBS[name])
-    found = timing.fresh(JOBS[name])
-    kib = found.pop("memory_kib")
-    return found | {"memory_mb": kib and kib / 1024}
+    took = timing.fresh(JOBS[name])
+    kib = took.pop("memory_kib")
+    return took | {"memory_mb": kib and kib / 1024}

@@ -54,7 +54,7 @@ def interleaved(
     finally:
         if was_enabled:
             gc.enable()
-    return {name: reduce(found[1:]) for name, found in times.items()}
+    return {name: reduce(took[1:]) for name, took in times.items()}
 
 
 def fastest(function: Callable[[], object], repeats: int, clock: Callable[[], float] = time.perf_counter) -> float:

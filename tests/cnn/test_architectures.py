@@ -30,7 +30,7 @@ def test_thesis_network_cannot_pull(thesis):
         ("alexnet", {}, "architecture"),
         ("thesis", {"shape": (61, 0)}, r"shape\[1\]"),
         ("thesis", {"dropout": 1.0}, "dropout"),
-        ("far field", {"channels": 3, "widht": 8}, "options of far field: expected"),
+        ("far field", {"widht": 8}, "options of far field: expected"),
     ],
 )
 def test_bad_options_are_named(name, options, field):

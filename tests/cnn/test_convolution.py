@@ -9,19 +9,17 @@ from deep_contact.cnn.convolution import Program
 from deep_contact.cnn.model_file import weights_of
 from deep_contact.physics.engine import step_problem
 
-CHANNELS, OUTPUTS = 29, 12
-
 
 def network(width):
     """A far-field network none of whose weights is zero."""
-    model = architectures.far_field(channels=CHANNELS, outputs=OUTPUTS, width=width)
+    model = architectures.far_field(width=width)
     rng = np.random.default_rng(width)
     model.set_weights([rng.normal(0.0, 0.1, w.shape) for w in model.get_weights()])
     return model
 
 
 def image(shape):
-    return np.random.default_rng(1).normal(size=(*shape, CHANNELS)).astype(np.float32)
+    return np.random.default_rng(1).normal(size=(*shape, 29)).astype(np.float32)
 
 
 # Features: fewer than a vector has, one vector, and what takes both widths of vector at a time.

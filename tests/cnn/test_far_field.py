@@ -147,7 +147,7 @@ def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):
     from deep_contact.cnn import architectures
     from deep_contact.cnn.model_file import save_model
 
-    network = architectures.far_field(channels=len(SPEC.channels), outputs=len(SPEC.targets), width=4)
+    network = architectures.far_field(width=4)
     # Away from zero, where an untrained network starts, so that it does something.
     last = network.get_layer("coefficients")
     last.set_weights([np.full_like(w, 0.05) for w in last.get_weights()])

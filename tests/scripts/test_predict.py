@@ -27,7 +27,7 @@ def untrained(kind):
 
     if kind == "far field":
         spec = FarFieldSpec()
-        network = architectures.far_field(channels=len(spec.channels), outputs=len(spec.targets), width=2)
+        network = architectures.far_field(width=2)
         return FarFieldModel(source=network, spec=spec)
     network = architectures.thesis(stacks=[[2, [1]]])
     return LearnedModel(source=network, spec=ImageSpec(), box=(30.0, 30.0))

@@ -22,7 +22,7 @@ class TrainingConfig:
     """
 
     architecture: str = "far field"
-    options: dict = field(default_factory=dict)  # of `architectures.build`; channels and outputs follow from the images
+    options: dict = field(default_factory=dict)  # of `architectures.build`
     spacing: float = 1.0  # of the images, m, or mean radii for the far-field network
     support: float = 1.0  # the same
     sweeps: tuple[int, ...] = (3, 10, 30)  # increasing

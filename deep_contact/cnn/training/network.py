@@ -39,8 +39,7 @@ class NetworkRun:
     def __init__(self, config: TrainingConfig, store: Store, states, validation, network, **options):
         self.config, self.spec, self.store = config, config.spec(), store
         self.states, self.validation = states, evenly(validation, config.validation_states)
-        sizes = {"channels": len(self.spec.channels), "outputs": len(self.spec.targets)}
-        self.model = network or architectures.build(config.architecture, **sizes, **(options | config.options))
+        self.model = network or architectures.build(config.architecture, **(options | config.options))
         if config.optimizer == "sgd":  # Eq 4.8
             self.optimizer = keras.optimizers.SGD(config.rate)
         else:
