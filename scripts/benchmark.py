@@ -138,7 +138,7 @@ def costs(seconds: np.ndarray, contacts: np.ndarray, steps: int) -> dict[str, fl
     """
     few = np.array(BLOCKS) == FEW
     ends = ((sweeps * contacts[of].sum(), seconds[of].sum()) for sweeps, of in ((FEW, few), (MANY, ~few)))
-    slope, overhead = timing.slope_and_overhead(*ends)
+    slope, overhead = np.polyfit(*zip(*ends), 1)
     steps_few = steps * few.sum()
     cost = {"contacts": contacts.sum() / (steps * len(BLOCKS)), "sweep_ns": 1e9 * slope}
     cost |= {"overhead_us": 1e6 * overhead / steps_few, "step_us": 1e6 * seconds[few].sum() / steps_few}

@@ -79,7 +79,7 @@ class LearnedModel:
         Raises ModelFileError where the network does not fit the scene, ValueError where contacts have not been
         searched.
         """
-        return self._seen(state)[0]
+        return self.seen(state)[0]
 
     def impulses(self, state: State, output, *, project: bool = True) -> tuple[np.ndarray, np.ndarray]:
         """(λ_n, λ_t) at the state's contacts from what a network gave for `input(state)`, (m,) each, N·s.
@@ -87,7 +87,7 @@ class LearnedModel:
         output: (n_y, n_x, targets), flat or not, with or without a batch of one. project: on λ_n ≥ 0 and |λ_t| ≤ μ λ_n.
         Raises ValueError naming the shape that was expected and the one that came.
         """
-        image, read = self._seen(state)
+        image, read = self.seen(state)
         shape, pixels = self._output_shape(image.shape), np.asarray(output, np.float32)
         if pixels.size != np.prod(shape):
             raise ValueError(f"output: expected shape {(1, *shape)}, got {pixels.shape}")
@@ -103,7 +103,7 @@ class LearnedModel:
             return [self.predict(one, project=project) for one in state]
         if state.contacts is not None and state.contacts.count == 0:
             return np.zeros(0), np.zeros(0)
-        image, read = self._seen(state, problem)
+        image, read = self.seen(state, problem)
         return _cut(read(self.run(image)), state, project)
 
     def predict_image(self, state: State) -> np.ndarray:
@@ -121,7 +121,7 @@ class LearnedModel:
             self._compiled[image.shape] = self._compile(image.shape, self._output_shape(image.shape))
         return self._compiled[image.shape](image)
 
-    def _seen(self, state, problem=None):
+    def seen(self, state, problem=None):
         """The network's input for a state, and a function of its output: (λ_n, λ_t)."""
         self._check_scene(state)
         return input_image(state, self.spec), lambda image: read_back(image, state, self.spec)
@@ -182,7 +182,7 @@ class FarFieldModel(LearnedModel):
             warnings.warn(f"state.contacts: {hint}", stacklevel=2)
         return super().predict(state, project=project, problem=problem)
 
-    def _seen(self, state, problem=None):
+    def seen(self, state, problem=None):
         description = describe(state, self.spec, problem=problem)
         return description.image, lambda image: correct(image, description).T
 

@@ -15,8 +15,6 @@ from itertools import product
 
 import numpy as np
 
-from deep_contact.cnn.far_field import FarFieldSpec, correct, describe
-from deep_contact.cnn.images import input_image, read_back
 from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve, step_problem
@@ -192,6 +190,12 @@ def text_of(ratio: Sequence[float], digits: int = 2) -> str:
 # ---- times of starts and sweeps ----
 
 
+def from_rows(start: WarmStart, state: State) -> Callable[[], object]:
+    """What makes the impulses of a start from rows that have been built, as a run has them."""
+    rows, make = ([step_problem(state)], start.from_problem) if hasattr(start, "from_problem") else ([], start)
+    return partial(make, state, PGS(), *rows)
+
+
 def sweep_time(state: State, solver: str, repeats: int) -> float:
     """Seconds of a sweep of a solver over a state's contacts."""
     many = 10 + max(20, 400_000 // state.contacts.count)
@@ -209,16 +213,10 @@ def stages_of(start: WarmStart, state: State) -> dict[str, Callable[[], object]]
         return {"splat": lambda: start.splat(state, impulses), "gather": lambda: start.gather(state, image)}
     if not hasattr(start, "model"):
         return {}
-    model, spec, friction = start.model, start.model.spec, state.world.friction
-    far_field = isinstance(spec, FarFieldSpec)
-    splat = partial(describe, state, spec, 0, step_problem(state)) if far_field else partial(input_image, state, spec)
-    seen = splat()
-    image = seen.image if far_field else seen
+    model, splat = start.model, partial(start.model.seen, state, step_problem(state))
+    image, read = splat()
     out = model.run(image)
-
-    def gather():
-        return projected(*(correct(out, seen).T if far_field else read_back(out, state, spec)), friction)
-
+    gather = lambda: projected(*read(out), state.world.friction)  # noqa: E731
     return {"splat": splat, "network": partial(model.run, image), "gather": gather}
 
 
@@ -256,15 +254,10 @@ def times_on(states: Sequence[State], starts: Mapping[str, WarmStart], repeats: 
     the last state: the least of the repeats.
     """
 
-    def start_time(start, state):
-        rows, make = ([step_problem(state)], start.from_problem) if hasattr(start, "from_problem") else ([], start)
-        return timing.fastest(partial(make, state, PGS(), *rows), repeats)
-
     solvers = sorted({parts_of(name)[1] for name in TIMED})
-    return {
-        "start_seconds": {name: [start_time(start, s) for s in states] for name, start in starts.items()},
-        "sweep_seconds": {name: sweep_time(states[-1], name, repeats) for name in solvers if states},
-    }
+    times = {name: [timing.fastest(from_rows(start, s), repeats) for s in states] for name, start in starts.items()}
+    sweeps = {name: sweep_time(states[-1], name, repeats) for name in solvers if states}
+    return {"start_seconds": times, "sweep_seconds": sweeps}
 
 
 def sweeps_to(errors: Sequence[float], sweeps: Sequence[int], error: float) -> float:

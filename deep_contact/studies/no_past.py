@@ -12,12 +12,11 @@ from functools import partial
 
 import numpy as np
 
-from deep_contact.physics.engine import step_problem
 from deep_contact.physics.solvers import NNCG
 from deep_contact.simulation import simulate, solve_contacts
 from deep_contact.state import StateWithContacts
 from deep_contact.studies import piles, timing
-from deep_contact.studies.learned_starts import BASE, errors_of, fixed, settings_with
+from deep_contact.studies.learned_starts import BASE, errors_of, fixed, from_rows, settings_with
 from deep_contact.warm_start import LearnedSupport, Support
 
 METHODS = ("PSOR 1.5", BASE, "NNCG", "NesterovPGS")
@@ -51,12 +50,9 @@ def case(n_bodies: int, kind: str, smallest: float, seed: int) -> tuple[StateWit
 
 def starts_of(state: StateWithContacts, model: str) -> dict:
     """Start -> what makes its impulses, from rows that have been built, as a run has them."""
-    nothing, problem = np.zeros(state.contacts.count), (state, None, step_problem(state))
-    return {
-        "zero": lambda: (nothing, nothing),
-        "support": partial(Support().from_problem, *problem),
-        LEARNED: partial(LearnedSupport(model).from_problem, *problem),
-    }
+    nothing = np.zeros(state.contacts.count)
+    ours = {"support": Support(), LEARNED: LearnedSupport(model)}
+    return {"zero": lambda: (nothing, nothing)} | {name: from_rows(start, state) for name, start in ours.items()}
 
 
 def measure(n_bodies: int, kind: str, radii: str, seed: int, options: Mapping, **_) -> dict:

@@ -62,16 +62,11 @@ def fastest(function: Callable[[], object], repeats: int, clock: Callable[[], fl
     return interleaved({"": function}, repeats=repeats, clock=clock)[""]
 
 
-def slope_and_overhead(few: tuple[float, float], many: tuple[float, float]) -> tuple[float, float]:
-    """The two unknowns of time = overhead + slope · work, from two pairs (work, time)."""
-    slope = (many[1] - few[1]) / (many[0] - few[0])
-    return slope, few[1] - slope * few[0]
-
-
 def line(solve: Callable[[int], object], few: int, many: int, *, repeats: int) -> tuple[float, float]:
     """(Time of a sweep, time of none) of a function that does a given number of sweeps."""
     took = interleaved({k: partial(solve, k) for k in (few, many)}, repeats=repeats)
-    return slope_and_overhead((few, took[few]), (many, took[many]))
+    slope, overhead = np.polyfit(list(took), list(took.values()), 1).tolist()
+    return slope, overhead
 
 
 _PROBE = """
