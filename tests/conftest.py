@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib.util
+import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -32,6 +34,21 @@ def load_script(name):
         module = sys.modules[path.stem] = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
     return sys.modules[path.stem]
+
+
+def run_python(*arguments, status=0, environment=(), **options):
+    """A Python process with these arguments that ends with this status: what it has printed."""
+    command = [sys.executable, *map(str, arguments)]
+    options |= {"env": os.environ | dict(environment), "capture_output": True, "text": True, "timeout": 600}
+    done = subprocess.run(command, **options)
+    assert done.returncode == status, done.stdout + done.stderr
+    return done
+
+
+def circles_at(position, *, dt=0.01, **options):
+    """A scene of circles at these centres; options of `World`, such as `box`, and of `make_bodies`."""
+    world = {name: options.pop(name) for name in dc.World.__dataclass_fields__ if name in options}
+    return dc.State(name="circles", world=dc.World(**world), bodies=dc.make_bodies(position, **options), dt=dt)
 
 
 @pytest.fixture(scope="session")

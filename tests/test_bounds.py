@@ -4,22 +4,20 @@ from functools import cache
 
 import numpy as np
 import pytest
+from conftest import circles_at
 from scipy.optimize import linprog
 
 import deep_contact as dc
 from deep_contact.constants import WALL_SKIN
 from deep_contact.physics.lcp import contact_problem, natural_residual
-from deep_contact.state import World
-from deep_contact.state.checks import make_bodies
 from deep_contact.studies.piles import packing
 
 
 def row_of_circles(count, friction, width=None):
     """Circles side by side on the floor, the first at the left wall, the last at the right one, and m g Δt."""
-    world = World(box=(0, 0, width or 2.0 * count, 9), friction=friction)
-    bodies = make_bodies([(1.0 + 2.0 * i, 1.0) for i in range(count)], radius=np.full(count, 1.0))
-    state = dc.find_contacts(dc.State(name="row", world=world, bodies=bodies))
-    return state, state.bodies.mass[0] * -world.gravity[1] * state.dt
+    centres = [(1.0 + 2.0 * i, 1.0) for i in range(count)]
+    state = dc.find_contacts(circles_at(centres, box=(0, 0, width or 2.0 * count, 9), friction=friction))
+    return state, state.bodies.mass[0] * -state.world.gravity[1] * state.dt
 
 
 def on(state, a, b):

@@ -61,11 +61,6 @@ def test_a_plan_has_the_solver_of_the_run(scene, options):
     assert chosen[SUBSTEPS].used == (run.state.solver.substeps > 1 or run.state.solver.most_substeps is not None)
 
 
-def test_what_simulate_refuses_is_refused():
-    with pytest.raises(ValueError, match="sleep: expected"):
-        dc.plan(COLUMN, sleep=True, solver=dc.BatchedPGS())
-
-
 @pytest.mark.skipif(bool(config.DISABLE_JIT), reason="one thread without the compiler")
 @pytest.mark.parametrize(
     ("n_bodies", "solver", "used"),

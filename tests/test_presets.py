@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact import presets
@@ -104,8 +105,8 @@ def test_fast_circles_get_short_steps_without_gravity(study):
 
 @pytest.mark.parametrize("speed", [3.0, -3.0, 300.0, -300.0])
 def test_what_a_fast_surface_drags_gets_short_steps_whichever_way_it_moves(study, speed):
-    world = dc.World(gravity=(0, 0), segments=(((5.0, 5.0), (9.0, 5.0)),), surface_speeds=(speed,))
-    scene = dc.State(name="belt", world=world, bodies=dc.make_bodies([[7.0, 6.0]]))
+    belt = {"segments": [((5.0, 5.0), (9.0, 5.0))], "surface_speeds": [speed]}
+    scene = circles_at([[7.0, 6.0]], gravity=(0, 0), **belt)
     # Δt |v| / r as of circles at `FASTEST` √(g r) in steps of 10 ms.
     needed = abs(speed) / (presets.FASTEST * math.sqrt(9.81))
     assert dc.recommend(scene).solver.substeps == 2 ** max(0, math.ceil(math.log2(needed)))
@@ -204,21 +205,6 @@ def test_what_is_next_is_told(study):
     for part in ("fast: PGS(sweeps=9", "20 μs a step of 0.01 s, 100 circles; a processor", "energy 9.6 % (12)",
                  "cheaper: preview, PGS(sweeps=2, tolerance=None), 0.5 times", "better: balanced, "):  # fmt: skip
         assert part in text, part
-
-
-@pytest.mark.parametrize(
-    ("wish", "message"),
-    [
-        ({"accuracy": "best"}, "accuracy: expected"),
-        ({"accuracy": "fast", "budget_ms": 1}, "expected one of accuracy, budget_ms, got both"),
-        ({"budget_ms": 0}, "budget_ms: expected"),
-    ],
-)
-def test_bad_wishes_are_refused(study, wish, message):
-    with pytest.raises(ValueError, match=message):
-        dc.recommend(dc.column(2), **wish)
-    with pytest.raises(ValueError, match="accuracy: expected"):
-        dc.simulate(dc.column(2), accuracy="fast", solver=dc.PGS())
 
 
 def test_the_study_in_the_package_keeps_fast_for_the_scenes_of_the_thesis():

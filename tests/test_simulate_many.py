@@ -43,22 +43,6 @@ def test_options_are_those_of_simulate(options):
             np.testing.assert_array_equal(one.trajectory.positions, run.trajectory.positions)
 
 
-@pytest.mark.parametrize(
-    ("scenes", "options", "message"),
-    [
-        (SCENES[:2], {"warm_start": "sph"}, "warm_start: expected"),
-        (SCENES[:2], {"threads": 0}, "threads: expected"),
-        (SCENES[:2], {"steps": -1}, r"states\[0\]: steps: expected"),
-        (SCENES[:2], {"solver": dc.BatchedPGS(threads=2)}, "solver: expected"),
-        ([SCENES[0], "pile"], {}, "state: expected"),
-        ([SCENES[0], SCENES[1].replace(dt=-1.0)], {}, r"^states\[1\]: dt: expected"),
-    ],
-)
-def test_what_cannot_run_many_times_at_once_is_refused(scenes, options, message):
-    with pytest.raises(ValueError, match=message):
-        dc.simulate_many(scenes, **{"steps": 1} | options)
-
-
 def test_scenes_run_on_so_many_threads_at_a_time(monkeypatch):
     both = threading.Barrier(2, timeout=30)
     monkeypatch.setattr(simulation, "_simulate", lambda *_, **__: (both.wait(), threading.get_ident())[1])

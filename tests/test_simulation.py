@@ -6,6 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact import running
@@ -47,9 +48,8 @@ def test_the_suggested_size_has_room(n, options):
 
 def test_circles_that_nearly_coincide_are_said_once():
     positions = [[5.0, 5.0], [5.05, 5.0], [8.0, 5.0], [8.0, 5.09], [9.5, 5.0]]
-    scene = dc.State(name="twins", world=dc.World(), bodies=dc.make_bodies(positions))
     with pytest.warns(UserWarning, match=r"circles 0 and 1 nearly coincide, .* 0.05 m apart \(2 pairs do\)") as said:
-        run = dc.simulate(scene, steps=3)
+        run = dc.simulate(circles_at(positions), steps=3)
     assert len(said) == 1
     assert said[0].filename == __file__
     with warnings.catch_warnings():

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.io.state_xml import format_state
@@ -62,12 +63,8 @@ def test_parts_of_the_wrong_type_are_named_by_all_that_take_a_state(change, mess
 @pytest.fixture(scope="module")
 def pile():
     """Circles at rest on the floor of a box with a slope in it."""
-    world = dc.World(box=(0.0, 0.0, 12.0, 12.0), segments=[((0.0, 11.0), (1.0, 12.0)), ((6.0, 0.0), (12.0, 2.0))])
-    scene = dc.State(
-        name="pile",
-        world=world,
-        bodies=dc.make_bodies([[2, 1], [3, 2.6], [4, 1], [9, 2.1], [6, 8]], mass=[1, 2, 3, 4, 5]),
-    )
+    world = {"box": (0.0, 0.0, 12.0, 12.0), "segments": [((0.0, 11.0), (1.0, 12.0)), ((6.0, 0.0), (12.0, 2.0))]}
+    scene = circles_at([[2, 1], [3, 2.6], [4, 1], [9, 2.1], [6, 8]], mass=[1, 2, 3, 4, 5], **world)
     return dc.simulate(scene, steps=60, solver=dc.PGS()).state
 
 

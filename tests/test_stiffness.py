@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics import metrics
@@ -18,8 +19,7 @@ def leaning_column(n):
     pressed, order = 1e-4, np.arange(n)
     wide, high = 0.05 + 2 * pressed, 2.0 - pressed  # from one circle to the next along x; centres' distance
     x, y = 1.01 - pressed + wide * (order % 2), 1.01 - pressed + np.sqrt(high**2 - wide**2) * order
-    world = dc.World(box=(0.0, 0.0, 2.07, 2 * n + 4.02))
-    return dc.State(name="leaning", world=world, bodies=dc.make_bodies(np.column_stack([x, y])))
+    return circles_at(np.column_stack([x, y]), box=(0.0, 0.0, 2.07, 2 * n + 4.02))
 
 
 STIFF = {
@@ -64,8 +64,8 @@ def test_every_preset_and_the_default_take_the_stiff_solver_and_the_plan_says_so
         pyramid(50),
         dc.circles_in_box(400, size=(60.0, 200.0), seed=1),
         silo(15),
-        dc.State(name="one", world=dc.World(), bodies=dc.make_bodies([[5.0, 5.0]])),
-        dc.State(name="two", world=dc.World(box=(0, 0, 9, 400)), bodies=dc.make_bodies([[5.0, 1.0], [5.0, 399.0]])),
+        circles_at([[5.0, 5.0]]),
+        circles_at([[5.0, 1.0], [5.0, 399.0]], box=(0, 0, 9, 400)),
     ],
     ids=["pile", "mixed pile", "large pile", "pyramid", "cloud", "short column", "one circle", "two far apart"],
 )

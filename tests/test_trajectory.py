@@ -95,10 +95,3 @@ def test_an_mp4_gets_the_pictures_or_says_that_ffmpeg_is_missing(run, tmp_path, 
     monkeypatch.setattr(animation.writers, "is_available", lambda writer: False)
     with pytest.raises(ValueError, match="path: expected"):
         run.film(tmp_path / "fall.mp4")
-
-
-def test_states_that_are_no_run_are_refused(states):
-    with pytest.raises(ValueError, match="at least one state"):
-        Trajectory.from_states([])
-    with pytest.raises(ValueError, match=r"states\[1\]\.name"):
-        Trajectory.from_states([states[0], states[1].replace(name="other")])

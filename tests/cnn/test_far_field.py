@@ -2,13 +2,12 @@
 
 import numpy as np
 import pytest
-from conftest import solved_states
+from conftest import circles_at, solved_states
 from symmetry import transform_state
 
 import deep_contact as dc
 from deep_contact.cnn.far_field import COEFFICIENTS, FarFieldSpec, correct, corrected, describe, window_side
 from deep_contact.cnn.inference import FarFieldModel
-from deep_contact.state import World
 from deep_contact.warm_start import Cnn
 
 SPEC = FarFieldSpec()
@@ -31,7 +30,7 @@ def test_a_turned_state_is_described_as_the_state_turned(state, symmetry):
 
 def test_scaling_all_velocities_scales_features_and_leaves_the_image(state):
     factor = 3.7
-    world = World(box=state.world.box, gravity=tuple(factor * g for g in state.world.gravity))
+    world = dc.World(box=state.world.box, gravity=tuple(factor * g for g in state.world.gravity))
     contacts = state.contacts._replace(
         normal_start=factor * state.contacts.normal_start, tangent_start=factor * state.contacts.tangent_start
     )
@@ -54,8 +53,7 @@ def test_the_window_spans_the_contacts_and_no_more(state):
 
 def image_beside(place):
     """The image of a circle on the floor at x = 15 m, and of one that touches nothing."""
-    bodies = dc.make_bodies([[15.0, 1.0], place])
-    return describe(dc.simulate(dc.single_body().replace(bodies=bodies), steps=0).state, SPEC).image
+    return describe(dc.find_contacts(circles_at([[15.0, 1.0], place])), SPEC).image
 
 
 @pytest.mark.parametrize("place", [(22.5, 3.0), (13.5, 3.0), (15.0, 7.5)])
@@ -66,7 +64,7 @@ def test_a_circle_outside_the_window_is_not_painted(place):
 
 
 def test_an_empty_part_of_the_box_changes_nothing(state):
-    world = World(box=(-20.0, 0.0, 90.0, 200.0), gravity=state.world.gravity)
+    world = dc.World(box=(-20.0, 0.0, 90.0, 200.0), gravity=state.world.gravity)
     np.testing.assert_array_equal(describe(state.replace(world=world), SPEC).image, describe(state, SPEC).image)
 
 
@@ -77,16 +75,15 @@ def test_small_circles_look_like_large_ones(state):
         position=c * state.bodies.position, radius=c * state.bodies.radius, spin=state.bodies.spin / c
     )
     contacts = state.contacts._replace(position=c * state.contacts.position, separation=c * state.contacts.separation)
-    world = World(box=tuple(c * x for x in state.world.box), gravity=state.world.gravity)
+    world = dc.World(box=tuple(c * x for x in state.world.box), gravity=state.world.gravity)
     small, plain = describe(state.replace(world=world, bodies=bodies, contacts=contacts), SPEC), describe(state, SPEC)
     np.testing.assert_allclose(small.image, plain.image, atol=2e-5)
     np.testing.assert_allclose(small.features, plain.features, rtol=1e-9, atol=1e-9)
 
 
 def test_far_away_contacts_make_a_coarser_window():
-    bodies = dc.make_bodies([[0.9, 0.9], [9_999.1, 0.9]], radius=0.95)
-    spread = dc.single_body().replace(world=World(box=(0.0, 0.0, 10_000.0, 30.0)), bodies=bodies)
-    description = describe(dc.simulate(spread, steps=0).state, SPEC)
+    spread = circles_at([[0.9, 0.9], [9_999.1, 0.9]], radius=0.95, box=(0.0, 0.0, 10_000.0, 30.0))
+    description = describe(dc.find_contacts(spread), SPEC)
     assert max(description.image.shape) <= 1025
     assert description.grid.box[2] > 9_999.1
 

@@ -6,13 +6,12 @@ import json
 
 import numpy as np
 import pytest
+from conftest import circles_at
 from symmetry import transform_state
 
 import deep_contact as dc
 from deep_contact.cnn.images import CHANNELS, ImageSpec, input_image, label_image, read_back
 from deep_contact.physics.ready import ready
-from deep_contact.state import World
-from deep_contact.state.checks import make_bodies
 
 FLOAT32 = 2.0**-23
 
@@ -31,8 +30,7 @@ def states():
 def one_contact(position, impulse=(3.0, -1.0), **world):
     """Two circles one above the other whose contact point is at `position`, solved with that impulse."""
     x, y = position
-    centres = [[x, y - 0.998], [x, y + 0.998]]
-    state = ready(dc.State(name="pair", world=World(**world), bodies=make_bodies(centres)))
+    state = ready(circles_at([[x, y - 0.998], [x, y + 0.998]], **world))
     assert state.contacts.count == 1
     n, t = (np.array([v]) for v in impulse)
     return state.replace(contacts=state.contacts._replace(normal_impulse=n, tangent_impulse=t), solved=True)
@@ -101,8 +99,7 @@ def test_a_state_without_contacts_has_empty_contact_channels():
 
 
 def test_a_body_pushed_out_of_the_box_acts_from_its_edge():
-    state = ready(dc.State(name="out", world=World(), bodies=make_bodies([[-0.2, 15.0]])))
-    assert input_image(state, ImageSpec())[30, 0, 0] == pytest.approx(np.pi)
+    assert input_image(ready(circles_at([[-0.2, 15.0]])), ImageSpec())[30, 0, 0] == pytest.approx(np.pi)
 
 
 # ---- transfers ----

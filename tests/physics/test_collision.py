@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from conftest import circles_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import deep_contact as dc
 from deep_contact.constants import WALL_SKIN
 from deep_contact.physics.collision import (
     ROUNDED,
@@ -16,8 +16,6 @@ from deep_contact.physics.collision import (
     sort_into_cells,
 )
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import World
-from deep_contact.state.checks import make_bodies
 
 
 def pairs_of(contacts):
@@ -27,10 +25,6 @@ def pairs_of(contacts):
 def search(position, radius, box, cells, skin=0.01):
     """`find_contacts` in a box without segments."""
     return find_contacts(position, radius, box, None, skin, cells, make_contacts(4000))
-
-
-def state_of(position, radius, box=(0, 0, 30, 30)):
-    return dc.State(name="test", world=World(box=box), bodies=make_bodies(position, radius=radius))
 
 
 def brute_force_pairs(state):
@@ -55,14 +49,14 @@ def brute_force_pairs(state):
 )
 def test_pairs_equal_brute_force(seed, n, spread, ratio):
     rng = np.random.default_rng(seed)
-    state = state_of(rng.normal(15, spread, (n, 2)), np.exp(rng.uniform(np.log(1 / ratio), 0, n)))
+    state = circles_at(rng.normal(15, spread, (n, 2)), radius=np.exp(rng.uniform(np.log(1 / ratio), 0, n)))
     assert pairs_of(contacts_of(state)) == brute_force_pairs(state)
 
 
 @pytest.mark.parametrize("height", np.random.default_rng(0).uniform(0.0, 10.0, 8))
 def test_circles_that_just_touch_are_found(height):
     # As far apart as the cells are wide: rounding may put them two cells apart.
-    state = state_of(np.column_stack([np.full(12, 15.0), height + 2.0 * np.arange(12)]), 1.0)
+    state = circles_at(np.column_stack([np.full(12, 15.0), height + 2.0 * np.arange(12)]))
     assert [(a, b) for a, b in pairs_of(contacts_of(state)) if b < 12] == [(a, a + 1) for a in range(11)]
 
 
@@ -71,7 +65,7 @@ def crowd(n, seed, *, smallest, side=30.0):
     rng = np.random.default_rng(seed)
     radius = np.exp(rng.uniform(np.log(smallest), np.log(40 * smallest), n))
     radius[:: n // 3] = (6.0, 2.0, 0.5, 3.0)[: radius[:: n // 3].size]
-    return state_of(rng.uniform(0, side, (n, 2)) * (1.0, 0.4), radius, box=(0, 0, side, side))
+    return circles_at(rng.uniform(0, side, (n, 2)) * (1.0, 0.4), radius=radius, box=(0, 0, side, side))
 
 
 @pytest.mark.parametrize("smallest", [1e-5, 1e-3, 0.01])
@@ -87,7 +81,7 @@ def test_pairs_of_all_sizes_equal_brute_force(seed, smallest):
 
 def test_pairs_of_all_sizes_that_fit_no_list_are_found():
     rng = np.random.default_rng(1)
-    state = state_of(rng.normal(15, 0.2, (200, 2)), np.exp(rng.uniform(np.log(0.01), 0, 200)))
+    state = circles_at(rng.normal(15, 0.2, (200, 2)), radius=np.exp(rng.uniform(np.log(0.01), 0, 200)))
     contacts = contacts_of(state)
     assert contacts.count > 8 * 200 + 40
     assert pairs_of(contacts) == brute_force_pairs(state)
@@ -104,7 +98,7 @@ def test_one_large_circle_crowds_no_cells():
 
 
 def test_far_outlier_does_not_cost_a_cell_a_metre():
-    state = state_of([[0.0, 0.0], [1.5, 0.0], [1e9, 1e9]], 1.0, box=(-10, -10, 2e9, 2e9))
+    state = circles_at([[0.0, 0.0], [1.5, 0.0], [1e9, 1e9]], box=(-10, -10, 2e9, 2e9))
     assert pairs_of(contacts_of(state)) == [(0, 1)]
 
 
@@ -123,9 +117,9 @@ def test_cells_have_room_however_small_and_scattered_the_circles_are(n, stretch)
 
 
 def test_geometry_of_a_pair():
-    coinciding = contacts_of(state_of([[5.0, 5.0], [5.0, 5.0]], 1.0))
+    coinciding = contacts_of(circles_at([[5.0, 5.0], [5.0, 5.0]]))
     np.testing.assert_array_equal(coinciding.normal, [[1.0, 0.0]])
-    contacts = contacts_of(state_of([[10.0, 10.0], [11.2, 11.6]], [1.0, 1.1]))
+    contacts = contacts_of(circles_at([[10.0, 10.0], [11.2, 11.6]], radius=[1.0, 1.1]))
     # Centres 2 apart along (0.6, 0.8), radii 1 and 1.1: overlap 0.1, whose middle is 0.95 from the first centre.
     np.testing.assert_allclose(contacts.normal, [[0.6, 0.8]], atol=1e-14)
     np.testing.assert_allclose(contacts.separation, [-0.1], atol=1e-14)
@@ -138,7 +132,7 @@ def test_geometry_of_a_pair():
 )
 def test_every_wall_is_felt_at_its_own_side_of_the_box(centre, wall, gap):
     # A box of which no two coordinates are alike.
-    contacts = contacts_of(state_of([centre], 1.0, box=(-3.0, 7.0, 12.0, 40.0)))
+    contacts = contacts_of(circles_at([centre], box=(-3.0, 7.0, 12.0, 40.0)))
     assert list(contacts.body_b) == [1 + wall]
     np.testing.assert_array_equal(contacts.normal[0], [[0, -1], [1, 0], [0, 1], [-1, 0]][wall])
     np.testing.assert_allclose(contacts.separation, gap - 1.0 - WALL_SKIN, rtol=1e-14)

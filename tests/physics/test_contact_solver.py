@@ -14,7 +14,6 @@ from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.ready import ready
-from deep_contact.physics.scenes import single_body
 
 EXACT = dc.PGS(sweeps=20_000, tolerance=1e-13)
 
@@ -71,7 +70,7 @@ def test_slow_approach_does_not_bounce():
 @pytest.mark.parametrize(("speed", "friction_speed"), [(5.0, 0.3 * 9.81 * 0.01), (0.01, 0.01 / 3)])
 def test_circle_on_the_floor_slips_or_sticks(speed, friction_speed, solved):
     # By hand: it is braked by μ g Δt, or by a third of its speed, which makes a disc roll.
-    scene = single_body(friction=0.3)
+    scene = dc.single_body(friction=0.3)
     solution = solved(ready(scene.replace(bodies=scene.bodies._replace(velocity=np.array([[speed, 0.0]])))))
     np.testing.assert_allclose(solution.velocities[0], [speed - friction_speed, 0.0], atol=1e-11)
     np.testing.assert_allclose(solution.angular_velocities[0], -2 * friction_speed, atol=1e-11)
@@ -105,7 +104,7 @@ def test_record_stops_for_a_reason(falling_states):
     assert record.status == "converged"
     assert record.theta[-1] <= 1e-4 < record.theta[:-1].min()
     assert record.sweeps == record.theta.size
-    assert dc.solve_contacts(single_body(height=1.0)).record.status == "no_contacts"
+    assert dc.solve_contacts(dc.single_body(height=1.0)).record.status == "no_contacts"
 
 
 def test_zero_sweeps_apply_the_start_only(falling_states):

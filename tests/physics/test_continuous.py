@@ -8,17 +8,17 @@ import pytest
 import deep_contact as dc
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.solvers import METHODS
-from deep_contact.state import State, World
-from deep_contact.state.checks import make_bodies
 from deep_contact.studies.extremes import loaded_silo
 
-NO_GRAVITY = World(box=(0, 0, 60, 40), gravity=(0, 0))
+NO_GRAVITY = dc.World(box=(0, 0, 60, 40), gravity=(0, 0))
 ELASTIC = replace(NO_GRAVITY, restitution=1.0, friction=0.0)
 SOLVERS = {name: METHODS[name]() for name in METHODS}
 
 
 def scene(position, velocity, *, radius=1.0, world=NO_GRAVITY, **options):
-    return State(name="fast", world=world, bodies=make_bodies(position, velocity=velocity, radius=radius, **options))
+    return dc.State(
+        name="fast", world=world, bodies=dc.make_bodies(position, velocity=velocity, radius=radius, **options)
+    )
 
 
 def inside(state):

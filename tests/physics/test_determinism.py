@@ -16,7 +16,6 @@ import pytest
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
-from deep_contact.state.checks import make_bodies
 
 PACKAGE = Path(dc.__file__).parent
 
@@ -60,7 +59,7 @@ def test_the_kind_of_array_changes_nothing(kind):
         "read-only": np.frombuffer(position.tobytes()).reshape(-1, 2),
         "Fortran": np.asfortranarray(position),
     }[kind]
-    bodies = make_bodies(given) if kind == "list" else scene.bodies._replace(position=given)
+    bodies = dc.make_bodies(given) if kind == "list" else scene.bodies._replace(position=given)
     other = scene.replace(bodies=bodies)
     one, two = (dc.simulate(s, steps=120, solver=dc.PGS(sweeps=50)).state for s in (scene, other))
     assert fingerprint(one) == fingerprint(two)

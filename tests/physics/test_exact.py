@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from conftest import solved_states, stacked
+from conftest import circles_at, solved_states, stacked
 from scipy import sparse
 
 import deep_contact as dc
@@ -14,9 +14,6 @@ from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, natural_residual
 from deep_contact.physics.matrix_solvers import blocks_of
 from deep_contact.physics.ready import ready
-from deep_contact.physics.scenes import single_body
-from deep_contact.state import State, World
-from deep_contact.state.checks import make_bodies
 from deep_contact.studies import piles
 
 
@@ -57,7 +54,7 @@ def test_circles_of_all_sizes_with_any_friction(friction):
 
 def touching(centres, **world):
     """A state of circles of radius 1 at these centres, which overlap by so much that rounding opens no contact."""
-    return ready(State(name="touching", world=World(**world), bodies=make_bodies(np.array(centres) * 0.9999)))
+    return ready(circles_at(np.array(centres) * 0.9999, **world))
 
 
 def test_silo_carries_k_weights_at_level_k():
@@ -233,8 +230,7 @@ def test_sweeps_that_diverge_do_no_harm(falling_states, monkeypatch):
 def test_what_it_cannot_solve_does_not_raise():
     # Masses that differ by more than numbers have digits, and impulses to start from that swamp all others.
     masses = np.array([1e-30, 1e30, 1.0, 1e30, 1e-30])
-    bodies = make_bodies([(9, 1 + 2 * k) for k in range(5)], mass=masses)
-    state = ready(State(name="masses", world=World(), bodies=bodies))
+    state = ready(circles_at([(9, 1 + 2 * k) for k in range(5)], mass=masses))
     huge = np.full(state.contacts.count, 1e50)
     for start in ((), (huge, -huge)):
         found = solve_exactly(state, *start, most_pivots=500)
@@ -250,27 +246,8 @@ def test_it_ends_where_rounding_lets_it_no_further(falling_states):
 
 
 def test_nothing_to_solve():
-    state = ready(single_body(height=1.0))
+    state = ready(dc.single_body(height=1.0))
     found = solve_exactly(state)
     assert found[1:] == (0.0, True, 0, 0)
     assert found.solution.record.status == "no_contacts"
     np.testing.assert_allclose(found.solution.velocities, [[0.0, -0.0981]], rtol=1e-12)
-
-
-ONE = ready(single_body())
-
-
-@pytest.mark.parametrize(
-    ("state", "arguments", "options", "message"),
-    [
-        (None, (), {}, "state: expected"),
-        (ONE.replace(contacts=None), (), {}, r"state\.contacts: expected"),
-        (ONE, (), {"residual": 0.0}, "residual: expected"),
-        (ONE, ([0.0], None), {}, "tangent_start: expected"),
-        (ONE, ([0.0, 1.0], [0.0]), {}, "normal_start: expected"),
-        (ONE, ([1e300], [0.0]), {}, "normal_start: expected"),
-    ],
-)
-def test_bad_arguments_are_refused(state, arguments, options, message):
-    with pytest.raises(ValueError, match=message):
-        solve_exactly(state, *arguments, **options)

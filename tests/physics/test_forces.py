@@ -4,6 +4,7 @@ import csv
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics.engine import after_impacts
@@ -26,10 +27,9 @@ def scene(kind, seed):
     rng, (world, solver) = np.random.default_rng(seed), KINDS[kind]
     position = np.stack(np.meshgrid(np.arange(2.0, 11, 2.2), [2.8, 5.0, 7.2]), axis=-1).reshape(-1, 2)[:12]
     position += rng.uniform([-0.3, 2.7], [0.3, 3.3], position.shape)
-    options = {"velocity": rng.normal(0, 3, (12, 2)), "spin": rng.normal(0, 2, 12), "mass": rng.uniform(0.5, 2, 12)}
-    bodies = dc.make_bodies(position, radius=rng.uniform(0.5, 1.0, 12), **options)
-    state = dc.State(name=kind, world=dc.World(box=(0.0, 0.0, 12.0, 14.0), **world), bodies=bodies)
-    return state, dc.PGS(sweeps=12, **solver)
+    bodies = {"velocity": rng.normal(0, 3, (12, 2)), "spin": rng.normal(0, 2, 12), "mass": rng.uniform(0.5, 2, 12)}
+    bodies |= {"radius": rng.uniform(0.5, 1.0, 12)}
+    return circles_at(position, box=(0.0, 0.0, 12.0, 14.0), **bodies, **world), dc.PGS(sweeps=12, **solver)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "divided by motion"])
@@ -109,20 +109,16 @@ def test_the_stress_of_a_disc_between_two_walls_is_that_of_the_load():
 
 
 def test_circles_that_fly_dissipate_nothing_and_a_fall_dissipates_its_height():
-    fall = dc.State(
-        name="fall", world=dc.World(), bodies=dc.make_bodies([[15.0, 20.0], [5.0, 8.0]], velocity=[1.0, 0.0])
-    )
+    fall = circles_at([[15.0, 20.0], [5.0, 8.0]], velocity=[1.0, 0.0])
     flight = dc.simulate(fall, steps=60, solver=dc.PGS(substeps=2), record=10).trajectory
     np.testing.assert_allclose(flight.dissipated, 0.0, atol=1e-9)
-    still = fall.replace(bodies=dc.make_bodies([[15.0, 8.0]]))
-    run = dc.simulate(still, steps=300, solver=dc.PGS(), record=100).trajectory
+    run = dc.simulate(circles_at([[15.0, 8.0]]), steps=300, solver=dc.PGS(), record=100).trajectory
     np.testing.assert_allclose(run.dissipated.sum(), np.pi * 9.81 * 7.0, rtol=0.02)
 
 
 def test_neighbours_coordination_and_table_name_what_touches(tmp_path):
-    world = dc.World(box=(0.0, 0.0, 10.0, 10.0), segments=[((0.0, 9.0), (9.0, 9.0)), ((3.0, 0.0), (10.0, 0.01))])
-    bodies = dc.make_bodies([[1.0, 1.0], [2.99, 1.0], [2.0, 2.7], [6.0, 6.0]])
-    state = dc.find_contacts(dc.State(name="few", world=world, bodies=bodies))
+    world = {"box": (0.0, 0.0, 10.0, 10.0), "segments": [((0.0, 9.0), (9.0, 9.0)), ((3.0, 0.0), (10.0, 0.01))]}
+    state = dc.find_contacts(circles_at([[1.0, 1.0], [2.99, 1.0], [2.0, 2.7], [6.0, 6.0]], **world))
     assert [dc.neighbours(state, i) for i in range(4)] == [
         [1, 2, "floor", "left"],
         [0, 2, "floor", "segment 1"],
@@ -143,19 +139,3 @@ def test_neighbours_coordination_and_table_name_what_touches(tmp_path):
         dc.forces(wrong)
     with pytest.raises(ValueError, match="circle: expected"):
         dc.neighbours(state, 4)
-
-
-def test_a_run_without_a_record_or_without_forces_says_so():
-    run = dc.simulate(dc.column(2), steps=2)
-    with pytest.raises(ValueError, match="trajectory: expected"):
-        run.force_on("floor")
-    run = dc.simulate(dc.column(2), steps=2, record=1)
-    assert run.force_on("circle", 1).shape == (2, 2)
-    with pytest.raises(ValueError, match="forces: expected"):
-        run.force_on("floor")
-    with pytest.raises(ValueError, match="part: expected"):
-        run.force_on("roof")
-    with pytest.raises(ValueError, match="index: expected"):
-        run.force_on("circle", 2)
-    with pytest.raises(ValueError, match="forces: expected"):
-        dc.simulate(dc.column(2), steps=2, forces=True)

@@ -4,15 +4,14 @@ import math
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics.continuous import take_back_fall
 from deep_contact.presets import PRESETS
-from deep_contact.state import State, World
 from deep_contact.studies.extremes import mechanical_energy
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
-BOX = (0.0, 0.0, 30.0, 30.0)
 
 
 def energies(state, steps, every=50, **options):
@@ -51,9 +50,8 @@ def test_elastic_frictionless_circles_keep_their_energy_whatever_the_masses(rati
 
 def test_a_circle_that_slides_along_the_floor_rebounds_by_coulomb():
     # p_n = (1 + e) m v_n, p_t = μ p_n against the slip, v_n with half a step of gravity; then the step's gravity.
-    world = World(box=BOX, friction=0.1, restitution=0.5)
-    bodies = dc.make_bodies([[15.0, 1.01]], velocity=[[6.0, -4.0]])
-    solution = dc.solve_contacts(State(name="one", world=world, bodies=bodies), solver=dc.PGS())
+    scene = circles_at([[15.0, 1.01]], velocity=[[6.0, -4.0]], friction=0.1, restitution=0.5)
+    solution = dc.solve_contacts(scene, solver=dc.PGS())
     v_n, half = 4.0 + 0.5 * 0.01 * 9.81, 0.5 * 0.01 * 9.81
     np.testing.assert_allclose(solution.velocities[0], [6.0 - 0.1 * 1.5 * v_n, 0.5 * v_n - half], rtol=1e-12)
     np.testing.assert_allclose(solution.angular_velocities, -2.0 * 0.1 * 1.5 * v_n, rtol=1e-12)
@@ -61,9 +59,8 @@ def test_a_circle_that_slides_along_the_floor_rebounds_by_coulomb():
 
 def test_a_surface_that_moves_drags_what_rebounds_from_it():
     belt = {"segments": (((25.0, 5.0), (5.0, 5.0)),), "surface_speeds": (2.0,)}
-    world = World(box=BOX, gravity=(0, 0), restitution=1.0, friction=9.0, **belt)
-    bodies = dc.make_bodies([[15.0, 6.0]], velocity=[[0.0, -4.0]])
-    state = dc.simulate(State(name="belt", world=world, bodies=bodies), steps=1, solver=dc.PGS()).state
+    scene = circles_at([[15.0, 6.0]], velocity=[[0.0, -4.0]], gravity=(0, 0), restitution=1.0, friction=9.0, **belt)
+    state = dc.simulate(scene, steps=1, solver=dc.PGS()).state
     # A disc that sticks takes a third of the surface's speed, and turns with the rest.
     assert abs(state.bodies.velocity[0, 0]) == pytest.approx(2.0 / 3.0, rel=0.02)
     assert state.bodies.velocity[0, 1] == pytest.approx(4.0, rel=1e-9)
@@ -93,8 +90,7 @@ def test_angular_momentum_changes_by_position_correction_alone():
     # Two blocks of 16 circles run into each other, without gravity.
     block = np.stack(np.meshgrid(np.arange(4), np.arange(4)), -1).reshape(-1, 2) * 2.02
     position = np.concatenate([block + np.array([3.0, 11.0]), block + np.array([18.0, 11.5])])
-    bodies = dc.make_bodies(position, velocity=np.repeat([[5.0, 0.0], [-5.0, 0.0]], 16, axis=0))
-    state = State(name="blocks", world=World(box=BOX, gravity=(0, 0)), bodies=bodies)
+    state = circles_at(position, velocity=np.repeat([[5.0, 0.0], [-5.0, 0.0]], 16, axis=0), gravity=(0, 0))
 
     def angular(bodies):
         x, v = bodies.position - 15.0, bodies.velocity
@@ -102,6 +98,6 @@ def test_angular_momentum_changes_by_position_correction_alone():
 
     solvers = [dc.PGS(sweeps=20, position_sweeps=sweeps) for sweeps in (0, 10)]
     ends = [angular(dc.simulate(state, steps=80, solver=solver).state.bodies) for solver in solvers]
-    without, corrected = np.abs(np.array(ends) - angular(bodies)) / (bodies.mass.sum() * 5.0 * 10.0)
+    without, corrected = np.abs(np.array(ends) - angular(state.bodies)) / (state.bodies.mass.sum() * 5.0 * 10.0)
     assert without < 1e-13
     assert 1e-6 < corrected < 1e-2

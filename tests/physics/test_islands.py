@@ -2,14 +2,12 @@
 
 import numpy as np
 import pytest
-from conftest import solved_states
+from conftest import circles_at, solved_states
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 import deep_contact as dc
-from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.islands import islands_of
-from deep_contact.state.checks import make_bodies
 
 WIDE = {"size": (300.0, 30.0), "sigma_coef": 5.0}
 """A box in which circles fall into many heaps."""
@@ -20,8 +18,7 @@ def test_islands_are_the_components_of_the_contact_graph(seed):
     rng = np.random.default_rng(seed)
     n = int(rng.integers(1, 200))
     side = rng.choice([10.0, 30.0, 100.0])
-    state = dc.single_body().replace(bodies=make_bodies(rng.uniform(0, side, (n, 2)), radius=rng.uniform(0.2, 1.5, n)))
-    state = state.replace(contacts=contacts_of(state))
+    state = dc.find_contacts(circles_at(rng.uniform(0, side, (n, 2)), radius=rng.uniform(0.2, 1.5, n)))
     pairs = np.column_stack(state.contacts[:2])
     pairs = pairs[pairs[:, 1] < n]
     count, label = connected_components(coo_array((np.ones(len(pairs)), pairs.T), (n, n)), directed=False)
@@ -87,7 +84,7 @@ def test_theta_is_the_largest_of_the_islands_still_swept(fall):
 @pytest.mark.filterwarnings("ignore:.*nearly coincide")
 def test_islands_of_more_contacts_than_the_room_are_solved():
     # Forty circles in one place: 780 pairs, where there is room for 224.
-    state = dc.single_body().replace(bodies=make_bodies(np.full((40, 2), 15.0) + 1e-3 * np.arange(80).reshape(40, 2)))
+    state = circles_at(np.full((40, 2), 15.0) + 1e-3 * np.arange(80).reshape(40, 2))
     solvers = (dc.PGS(sweeps=5, tolerance=None, islands=islands) for islands in (False, True))
     one, other = (dc.simulate(state, steps=2, solver=solver) for solver in solvers)
     assert one.contacts[0] == 780

@@ -6,13 +6,8 @@ from conftest import carried
 from scipy import sparse
 
 import deep_contact as dc
-from deep_contact.physics.lcp import ContactProblem, check_problem, contact_problem, siconos_error
+from deep_contact.physics.lcp import ContactProblem, contact_problem, siconos_error
 from deep_contact.physics.matrix_solvers import CHECK_EVERY, blocks_of, is_met, solve_problem
-from deep_contact.physics.ready import ready
-from deep_contact.physics.scenes import single_body
-
-OF_CIRCLE = contact_problem(ready(single_body(friction=0.3)))
-"""One circle on the floor: d_n = 1 / m, d_t = 3 / m."""
 
 
 @pytest.mark.parametrize("solver", [dc.PGS, dc.NesterovPGS])
@@ -75,33 +70,3 @@ def test_the_error_that_sweeps_are_asked_for_is_siconos_error(stiffness, b):
     error = siconos_error(problem, impulse.ravel())
     for factor, met in ((1 - 1e-9, False), (1 + 1e-9, True)):
         assert is_met(blocks_of(problem), impulse, factor * error, CHECK_EVERY - 1) == met
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"b": np.array([0.0, np.nan])}, r"b\[1\]: expected"),
-        ({"friction": np.array([-0.5])}, r"friction\[0\]: expected"),
-        ({"A": sparse.csr_array(np.ones((2, 4)))}, "A: expected"),
-        ({"A": sparse.csr_array([[1.0, np.inf], [0, 1]])}, "A: expected"),
-        ({"inverse_mass": np.array([-1.0, 1.0, 1.0])}, "inverse_mass: expected"),
-        ({"jacobian": sparse.csr_array(np.ones((2, 4)))}, "jacobian: expected"),
-    ],
-)
-def test_bad_problems_are_refused(changes, message):
-    with pytest.raises(ValueError, match=message):
-        check_problem(OF_CIRCLE._replace(**changes))
-
-
-@pytest.mark.parametrize(
-    ("solver", "options", "message"),
-    [
-        (dc.PGS(islands=True), {}, "solver: expected"),
-        (dc.PGS(), {}, "tolerance: expected"),
-        (dc.PGS(tolerance=None), {"error": 0.0}, "error: expected"),
-        (dc.PGS(tolerance=None), {"start": np.zeros(3)}, "start: expected"),
-    ],
-)
-def test_bad_arguments_are_refused(solver, options, message):
-    with pytest.raises(ValueError, match=message):
-        solve_problem(OF_CIRCLE, solver, **options)

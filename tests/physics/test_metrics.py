@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
-from conftest import stacked
+from conftest import circles_at, stacked
 
 import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.physics.exact import solve_exactly
 from deep_contact.physics.lcp import contact_problem, natural_residual
 from deep_contact.physics.ready import ready
-from deep_contact.physics.scenes import single_body
-from deep_contact.state import State, World
-from deep_contact.state.checks import make_bodies
 
 
 def rows_of(state, solution):
@@ -48,17 +45,16 @@ def test_residual_is_the_natural_map(falling_states):
 def test_residual_sees_friction_that_is_missing(speed):
     # Two circles on the floor carry their weight; one of them slides without friction: what is missing there is
     # μ λ_n over the row's mass m / 3 (a disc), and nothing else is wrong.
-    world = World(friction=0.3)
-    bodies = make_bodies([[10.0, 1.01], [20.0, 1.01]], velocity=[[speed, 0.0], [0.0, 0.0]])
-    state = ready(State(name="sliding", world=world, bodies=bodies))
-    weight = bodies.mass * 9.81 * 0.01
+    velocity = [[speed, 0.0], [0.0, 0.0]]
+    state = ready(circles_at([[10.0, 1.01], [20.0, 1.01]], velocity=velocity, friction=0.3))
+    weight = state.bodies.mass * 9.81 * 0.01
     solution = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=(weight, np.zeros(2)))
     np.testing.assert_allclose(metrics.residual(state, solution), 0.3 * 9.81 * 0.01 * 3, rtol=1e-12)
 
 
 def test_a_circle_that_was_not_stopped():
     # One step of gravity, no impulse: it still approaches at g Δt, and that is all that is wrong, or all that is done.
-    state = ready(single_body())
+    state = ready(dc.single_body())
     falling = dc.solve_contacts(state, solver=dc.PGS(sweeps=0), start=None)
     held = solve_exactly(state)
     np.testing.assert_allclose(metrics.residual(state, falling), 0.0981, rtol=1e-12)
@@ -67,6 +63,6 @@ def test_a_circle_that_was_not_stopped():
 
 
 def test_penetration_is_measured_where_the_bodies_are():
-    state = single_body(height=-0.02)
+    state = dc.single_body(height=-0.02)
     np.testing.assert_allclose(metrics.penetration(state), 0.02, rtol=1e-12)
-    assert metrics.penetration(single_body(height=1.0)) == 0.0
+    assert metrics.penetration(dc.single_body(height=1.0)) == 0.0

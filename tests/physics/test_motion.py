@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics.collision import make_cells
@@ -132,7 +133,7 @@ def test_bounces_by_motion_keep_their_energy_and_their_bits(solver):
 
 def test_a_change_of_the_step_shifts_only_what_touches_nothing():
     # v(t − Δt / 2) of the leapfrog: half of g times the change, but for two circles in contact and one on the floor.
-    bodies = dc.make_bodies([[2.0, 5.0], [4.0, 5.0], [8.0, 1.0], [6.0, 8.0]], velocity=np.ones((4, 2)))
-    state = ready(dc.State(name="four", world=dc.World(box=(0, 0, 10, 10)), bodies=bodies))
-    shift_flights(bodies, state.contacts, (2.0, -10.0), 0.01)
-    np.testing.assert_allclose(bodies.velocity, [[1, 1], [1, 1], [1, 1], [1.01, 0.95]], rtol=1e-15)
+    centres = [[2.0, 5.0], [4.0, 5.0], [8.0, 1.0], [6.0, 8.0]]
+    state = ready(circles_at(centres, velocity=np.ones((4, 2)), box=(0, 0, 10, 10)))
+    shift_flights(state.bodies, state.contacts, (2.0, -10.0), 0.01)
+    np.testing.assert_allclose(state.bodies.velocity, [[1, 1], [1, 1], [1, 1], [1.01, 0.95]], rtol=1e-15)

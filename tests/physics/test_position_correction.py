@@ -2,14 +2,13 @@
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics import position_correction
 from deep_contact.physics.engine import contacts_of
 from deep_contact.physics.position_correction import SWEEPS, WAIT, fill_levels, make_correction_room
 from deep_contact.physics.segments import NO_SEGMENTS
-from deep_contact.state import World
-from deep_contact.state.checks import make_bodies
 
 SIDE = 20.0
 
@@ -20,8 +19,7 @@ def heap(n, seed, *, ratio=3.0):
     position = rng.uniform(0, SIDE, (n, 2))
     position[n // 2 : n // 2 + n // 20] = position[: n // 20]
     radius = SIDE / np.sqrt(n) * rng.uniform(1 / ratio, 0.7, n)
-    bodies = make_bodies(position, radius=radius, mass=rng.uniform(0.1, 10.0, n))
-    state = dc.State(name="heap", world=World(box=(0, 0, SIDE, SIDE)), bodies=bodies)
+    state = circles_at(position, radius=radius, mass=rng.uniform(0.1, 10.0, n), box=(0, 0, SIDE, SIDE))
     return state.replace(contacts=contacts_of(state))
 
 

@@ -13,7 +13,7 @@ from deep_contact.physics.continuous import FAST
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.physics.solvers.registry import entry_of
-from deep_contact.state import LIMITS, Bodies, State, World
+from deep_contact.state import LIMITS, Bodies
 from deep_contact.state.checks import check_state
 from deep_contact.studies.extremes import mechanical_energy
 
@@ -52,14 +52,14 @@ def accepted_states(draw):
         mass=column(quantity("bodies.mass")),
         radius=column(quantity("bodies.radius") | st.just(1.0)),
     )
-    world = World(
+    world = dc.World(
         box=(centre - half, centre - half, centre + half, centre + half),
         gravity=(draw(quantity("world.gravity")), draw(quantity("world.gravity"))),
         friction=draw(quantity("world.friction")),
         restitution=draw(st.sampled_from([0.0, 0.5, 1.0])),
         scales=draw(st.sampled_from([None, dc.BOX2D])),
     )
-    return check_state(State(name="any", world=world, bodies=bodies, dt=draw(quantity("dt"))))
+    return check_state(dc.State(name="any", world=world, bodies=bodies, dt=draw(quantity("dt"))))
 
 
 @settings(max_examples=150, deadline=None)
@@ -85,7 +85,7 @@ def crowds(draw):
         mass=10 ** rng.uniform(-draw(st.sampled_from([0.0, 1.0])), 0, n),
     )
     friction = draw(st.sampled_from([0.0, 0.5, 2.0]))
-    return State(name="crowd", world=World(box=(0, 0, 8, 8), friction=friction), bodies=bodies)
+    return dc.State(name="crowd", world=dc.World(box=(0, 0, 8, 8), friction=friction), bodies=bodies)
 
 
 @settings(max_examples=60, deadline=None)
@@ -113,7 +113,7 @@ def test_without_restitution_a_step_gains_no_energy_but_by_position_correction(s
 @given(crowds(), st.sampled_from([0.0, 0.3, 1.0]))
 def test_no_restitution_gains_energy_in_a_crowd(state, restitution):
     # A rebound changes it by −½ k (1 − e²) v_n² (`impacts`), what is solved after it by ½ Σ λ_n v_n: 0 for e = 1.
-    world = World(box=state.world.box, gravity=(0, 0), friction=0.0, restitution=restitution)
+    world = dc.World(box=state.world.box, gravity=(0, 0), friction=0.0, restitution=restitution)
     state = ready(state.replace(world=world))
     solution = dc.solve_contacts(state, solver=INELASTIC, start=None)
     assume(solution.record.status != "max_sweeps")
@@ -132,7 +132,7 @@ def test_the_solution_scales_with_all_masses_and_with_all_velocities(state, powe
     # Powers of two round nothing, so it holds to the last bit. (The tolerance has a unit, so none is set.) Without
     # gravity, which is a velocity too.
     factor, bodies = 2.0**power, state.bodies
-    state = state.replace(world=World(box=state.world.box, gravity=(0, 0), friction=state.world.friction))
+    state = state.replace(world=dc.World(box=state.world.box, gravity=(0, 0), friction=state.world.friction))
     heavy = state.replace(bodies=bodies._replace(mass=bodies.mass * factor))
     fast = state.replace(bodies=bodies._replace(velocity=bodies.velocity * factor, spin=bodies.spin * factor))
     one, *others = (dc.solve_contacts(s, solver=SWEEPS, start=None) for s in (state, heavy, fast))
@@ -160,7 +160,7 @@ def test_where_the_scene_lies_does_not_matter(state, by):
     # To the rounding of coordinates of 4096 m, 5e-13 m, which five steps and their sweeps amplify.
     x_min, y_min, x_max, y_max = state.world.box
     box = (x_min + by[0], y_min + by[1], x_max + by[0], y_max + by[1])
-    world = World(box=box, friction=state.world.friction)
+    world = dc.World(box=box, friction=state.world.friction)
     moved = state.replace(world=world, bodies=state.bodies._replace(position=state.bodies.position + by))
     one, other = (dc.step(s, solver=SWEEPS) for s in (state, moved))
     np.testing.assert_allclose(other.bodies.velocity, one.bodies.velocity, atol=1e-6)

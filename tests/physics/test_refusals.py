@@ -2,14 +2,23 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
+from scipy import sparse
 
 import deep_contact as dc
+from deep_contact import sph
+from deep_contact.cnn.through_solver import solved_problem
 from deep_contact.physics.islands import islands_of
+from deep_contact.physics.lcp import check_problem, contact_problem
+from deep_contact.physics.matrix_solvers import solve_problem
+from deep_contact.studies.chapter_4 import window_products
 
-COLUMN = dc.column(2)
+COLUMN, TOUCHING = dc.column(2), dc.find_contacts(dc.single_body(friction=0.3))
+PROBLEM = contact_problem(TOUCHING)
+GRID = sph.Grid.over_box((0, 0, 4, 3), 0.5)
 TWO = [((0, 0), (2, 0)), ((0, 0), (1, 1))]
 
 
@@ -21,6 +30,56 @@ def run(**options):
 def scaled(**scales):
     """A world with these scales."""
     dc.World(scales=dc.BOX2D._replace(**scales))
+
+
+def run_many(scenes=(COLUMN, COLUMN), **options):
+    """A step of several scenes."""
+    dc.simulate_many(scenes, **{"steps": 1} | options)
+
+
+def forces_on(part, index=None, **options):
+    """Forces of a recorded run."""
+    dc.simulate(COLUMN, steps=2, **options).force_on(part, index)
+
+
+def exactly(normal=None, tangent=None, **options):
+    """A circle on the floor solved exactly."""
+    dc.solve_exactly(TOUCHING, normal, tangent, **options)
+
+
+def swept(solver, **options):
+    """The same by matrices."""
+    solve_problem(PROBLEM, solver, **options)
+
+
+def problem(**changes):
+    """Its matrices, changed."""
+    check_problem(PROBLEM._replace(**changes))
+
+
+def splat(**changes):
+    """Two particles on a grid."""
+    sph.splat(**({"grid": GRID, "position": [[1.0, 1.0], [2.0, 2.0]], "values": [1.0, 2.0], "h": 0.5} | changes))
+
+
+def gather(**changes):
+    """What one of them gets back."""
+    sph.gather(**({"grid": GRID, "image": np.zeros(GRID.shape), "position": [[1.0, 1.0]]} | changes))
+
+
+def grid(**changes):
+    """A grid by its nodes."""
+    sph.Grid(**({"origin": (0, 0), "spacing": 0.5, "shape": (4, 4)} | changes))
+
+
+def grid_over(box=(0, 0, 1, 1), spacing=0.5):
+    """A grid over a box."""
+    sph.Grid.over_box(box, spacing)
+
+
+def kernel(kernel="poly6", r=0.5, h=1.0, dim=2):
+    """A value of a kernel."""
+    sph.value(kernel, r, h, dim)
 
 
 REFUSED = [
@@ -94,7 +153,95 @@ REFUSED = [
     (dc.make_bodies, {"position": [[1, 1]] * 2, "velocity": [1, 2, 3]}, "velocity: expected"),
     (dc.make_bodies, {"position": [[1, 1]] * 2, "mass": "heavy"}, "mass: expected"),
     (dc.make_bodies, {"position": [[1, 1], [4, np.nan]]}, r"bodies\.position\[1\]: expected"),
-]
+    # many scenes, presets, plans, forces, trajectories
+    (run_many, {"warm_start": "sph"}, "warm_start: expected"),
+    (run_many, {"threads": 0}, "threads: expected"),
+    (run_many, {"steps": -1}, r"states\[0\]: steps: expected"),
+    (run_many, {"solver": dc.BatchedPGS(threads=2)}, "solver: expected"),
+    (run_many, {"scenes": [COLUMN, "pile"]}, "state: expected"),
+    (run_many, {"scenes": [COLUMN, COLUMN.replace(dt=-1.0)]}, r"^states\[1\]: dt: expected"),
+    (run, {"accuracy": "fast", "solver": dc.PGS()}, "accuracy: expected"),
+    (dc.recommend, {"scene": COLUMN, "accuracy": "best"}, "accuracy: expected"),
+    (dc.recommend, {"scene": COLUMN, "accuracy": "fast", "budget_ms": 1}, "accuracy, budget_ms"),
+    (dc.recommend, {"scene": COLUMN, "budget_ms": 0}, "budget_ms: expected"),
+    (dc.plan, {"scene": COLUMN, "sleep": True, "solver": dc.BatchedPGS()}, "sleep: expected"),
+    (run, {"solver": object()}, "solver: expected"),
+    (run, {"forces": True}, "forces: expected"),
+    (forces_on, {"part": "floor"}, "trajectory: expected"),
+    (forces_on, {"part": "floor", "record": 1}, "forces: expected"),
+    (forces_on, {"part": "roof", "record": 1}, "part: expected"),
+    (forces_on, {"part": "circle", "index": 2, "record": 1}, "index: expected"),
+    (dc.Trajectory.from_states, {"states": []}, "at least one state"),
+    (dc.Trajectory.from_states, {"states": [TOUCHING, TOUCHING.replace(name="other")]}, r"states\[1\]\.name"),
+    # contact problems
+    (dc.solve_exactly, {"state": None}, "state: expected"),
+    (dc.solve_exactly, {"state": COLUMN}, r"state\.contacts: expected"),
+    (exactly, {"residual": 0.0}, "residual: expected"),
+    (exactly, {"normal": [0.0]}, "tangent_start: expected"),
+    (exactly, {"normal": [0.0, 1.0], "tangent": [0.0]}, "normal_start: expected"),
+    (exactly, {"normal": [1e300], "tangent": [0.0]}, "normal_start: expected"),
+    (problem, {"b": np.array([0.0, np.nan])}, r"b\[1\]: expected"),
+    (problem, {"friction": np.array([-0.5])}, r"friction\[0\]: expected"),
+    (problem, {"A": sparse.csr_array(np.ones((2, 4)))}, "A: expected"),
+    (problem, {"A": sparse.csr_array([[1.0, np.inf], [0, 1]])}, "A: expected"),
+    (problem, {"inverse_mass": np.array([-1.0, 1.0, 1.0])}, "inverse_mass: expected"),
+    (problem, {"jacobian": sparse.csr_array(np.ones((2, 4)))}, "jacobian: expected"),
+    (swept, {"solver": dc.PGS(islands=True)}, "solver: expected"),
+    (swept, {"solver": dc.PGS()}, "tolerance: expected"),
+    (swept, {"solver": dc.PGS(tolerance=None), "error": 0.0}, "error: expected"),
+    (swept, {"solver": dc.PGS(tolerance=None), "start": np.zeros(3)}, "start: expected"),
+    (solved_problem, {"state": TOUCHING}, r"state\.solved: expected"),
+    # kernels, grids and transfers
+    (kernel, {"kernel": "poly7"}, "kernel: expected"),
+    *((kernel, {"h": h}, "h: expected") for h in (0.0, 9e-51, 1.1e50, "1")),
+    (kernel, {"dim": 1}, "dim: expected"),
+    (kernel, {"r": [0.5, math.nan]}, r"r\[1\]: .*nan"),
+    (kernel, {"r": [[0.5], [-0.1]]}, r"r\[1, 0\]: .*-0.1"),
+    (kernel, {"r": math.inf}, "r: .*inf"),
+    (kernel, {"r": [0.5j]}, "r: expected"),
+    (sph.gradient, {"kernel": "poly6", "displacement": [1.0, 2.0, 3.0], "h": 1.0}, r"shape \(..., 2\)"),
+    (sph.gradient, {"kernel": "poly6", "displacement": [[0.0, math.nan]], "h": 1.0}, r"\[0, 1\].*nan"),
+    (grid, {"origin": (0, math.nan)}, "origin: expected"),
+    (grid, {"spacing": (0.5, 0)}, "spacing: expected"),
+    (grid, {"origin": (1e20, 0)}, "spacing: expected"),
+    (grid, {"shape": (1, 5)}, "shape: expected"),
+    (grid_over, {"box": (0, 0, 0, 1)}, "box"),
+    (grid_over, {"box": (-1e308, 0, 1e308, 1)}, "box: expected"),
+    (grid_over, {"box": (0, -1e308, 1, 1e308)}, "box: expected"),
+    (grid_over, {"spacing": 0}, "spacing.*0"),
+    (grid_over, {"spacing": 1e-12}, "spacing: expected"),
+    (splat, {"position": [[1.0, 1.0], [math.nan, 1.0]]}, r"position\[1\]: expected"),
+    (splat, {"position": [1.0, 1.0]}, "position: expected"),
+    (splat, {"values": [1.0, math.nan]}, r"values\[1\].*nan"),
+    (splat, {"h": 0.0}, "h: expected"),
+    (splat, {"kernel": "cubic"}, "kernel: expected"),
+    (splat, {"normalization": "none"}, "normalization: expected"),
+    (splat, {"unreached": None}, "unreached: expected"),
+    (splat, {"outside": "wrap"}, "outside: expected"),
+    (gather, {"image": np.zeros((7, 8))}, "image: expected"),
+    (gather, {"image": np.full(GRID.shape, np.nan)}, "image, density: expected"),
+    (gather, {"normalization": "consistent"}, "h: expected"),
+    (gather, {"normalization": "consistent", "density": np.zeros((3, 3))}, "density: expected"),
+    (gather, {"normalization": "consistent", "density": np.full(GRID.shape, np.nan)}, "density: expected"),
+    (gather, {"density": np.ones(GRID.shape)}, "density: only for"),
+    (gather, {"method": "cubic"}, "method: expected"),
+    *(
+        (read, {"grid": GRID, "image": np.zeros((7, 9, 1)), "position": [[0.5, 0.5]]} | changes, message)
+        for read in (sph.read_by_spline, partial(sph.share_out, h=0.5))
+        for changes, message in (
+            ({"image": np.zeros((7, 9))}, "image: expected"),
+            ({"image": np.full((7, 9, 1), np.nan)}, "image: expected"),
+            ({"position": [0.5, 0.5]}, "position: expected"),
+            ({"position": [[0.5, np.inf]]}, r"position\[0\]: expected"),
+        )
+    ),
+    (sph.read_by_spline, {"grid": sph.Grid.over_box((0, 0, 1, 3), 0.5), "image": np.zeros((7, 3, 1)),
+                          "position": [[0.5, 0.5]]}, r"4 × 4 nodes .* got \(7, 3\)"),
+    *(
+        (window_products, {"image": np.ones((6, 6)), "kernel": np.ones((2, 2)), "row": 0, "column": 0} | bad, "kernel")
+        for bad in ({"row": 5}, {"column": -1}, {"kernel": np.ones((2, 2, 3))})
+    ),
+]  # fmt: skip
 
 
 @pytest.mark.filterwarnings("ignore:the matrix subclass:PendingDeprecationWarning")

@@ -78,8 +78,3 @@ def test_the_precision_that_old_files_name_is_double():
     assert solver_from("PSOR", {"omega": 1.5, "precision": "double"}) == dc.PSOR(omega=1.5)
     with pytest.raises(ValueError, match="precision: expected"):
         solver_from("PSOR", {"precision": "single"})
-
-
-def test_options_that_are_not_registered_are_refused():
-    with pytest.raises(ValueError, match="solver: expected"):
-        dc.simulate(dc.column(2), steps=1, solver=object())

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import circles_at
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -22,16 +23,13 @@ from deep_contact.physics.segments import (
     touches,
 )
 from deep_contact.physics.solvers import METHODS
-from deep_contact.state import State, World
-from deep_contact.state.checks import make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 SOLVERS = {name: METHODS[name]() for name in METHODS} | {"islands": dc.PGS(islands=True)}
 
 
-def scene(position, *segments, gravity=(0.0, -9.81), friction=0.3, restitution=0.0, dt=0.01, **bodies):
-    world = World(box=BOX, gravity=gravity, friction=friction, restitution=restitution, segments=segments)
-    return State(name="segments", world=world, bodies=make_bodies(position, **bodies), dt=dt)
+def scene(position, *segments, **options):
+    return circles_at(position, **({"box": BOX, "segments": segments, "friction": 0.3} | options))
 
 
 def frames(state, steps, **options):

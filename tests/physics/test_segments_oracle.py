@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 from box2d_recorder import RecordingBox2D, solved_in_order
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state import State, World
-from deep_contact.state.checks import make_bodies
 
 pytest.importorskip("Box2D")
 pytestmark = pytest.mark.peers
 
 # No two share an end: Box2D feels the joints of edges.
 SEGMENTS = [((2, 24), (13, 14)), ((28, 24), (17, 14.5)), ((8, 9), (22, 6)), ((3, 3), (9, 5)), ((15, 2), (15, 3))]
+WORLD = {"box": (0, 0, 30, 40), "scales": dc.BOX2D, "segments": SEGMENTS}
 
 
 def test_contacts_and_impulses_equal_box2d():
@@ -22,8 +22,7 @@ def test_contacts_and_impulses_equal_box2d():
     rng = np.random.default_rng(4)
     x, y = np.meshgrid(4.0 + 2.2 * np.arange(11), 25.6 + 2.2 * np.arange(5))
     position = np.column_stack([x.ravel(), y.ravel()]) + rng.uniform(-0.05, 0.05, (55, 2))
-    world = World(box=(0, 0, 30, 40), scales=dc.BOX2D, segments=SEGMENTS, friction=0.3)
-    scene = State(name="oracle", world=world, bodies=make_bodies(position, radius=rng.uniform(0.6, 1.0, 55)))
+    scene = circles_at(position, radius=rng.uniform(0.6, 1.0, 55), friction=0.3, **WORLD)
     peer, on_segments, on_ends = RecordingBox2D(scene), 0, 0
     for step in range(500):
         if step % 10:
@@ -66,8 +65,7 @@ def test_contacts_and_impulses_equal_box2d():
     ],
 )
 def test_one_circle_moves_as_in_box2d(position, velocity):
-    world = World(box=(0, 0, 30, 40), scales=dc.BOX2D, segments=SEGMENTS, friction=0.2)
-    scene = State(name="one", world=world, bodies=make_bodies([position], velocity=velocity))
+    scene = circles_at([position], velocity=velocity, friction=0.2, **WORLD)
     solver = dc.PGS(sweeps=30, tolerance=None, position_sweeps=10)
     ours = dc.simulate(scene, steps=250, solver=solver, record=1).trajectory
     peer, theirs = RecordingBox2D(scene), []

@@ -2,20 +2,13 @@
 
 import numpy as np
 import pytest
-from conftest import assert_same_bits
+from conftest import assert_same_bits, circles_at
 
 import deep_contact as dc
 from deep_contact.physics.engine import contacts_of, step_input, with_rare
 from deep_contact.physics.sleeping import make_sleep_memory, wake_and_put_to_sleep
-from deep_contact.state import World
-from deep_contact.state.checks import make_bodies
 
 RESTING = dc.PGS(sweeps=200, tolerance=1e-9)
-
-
-def floor_scene(*centres, velocity=0.0, **world):
-    """Circles of radius 1 at the given centres; 1.01 is the height on the floor."""
-    return dc.single_body().replace(bodies=make_bodies(centres, velocity=velocity), world=World(**world))
 
 
 def test_a_resting_column_falls_asleep_after_half_a_second():
@@ -43,7 +36,7 @@ def test_until_the_first_island_sleeps_the_run_is_the_same_bit_for_bit():
 
 def test_islands_sleep_on_their_own():
     # One rests on the floor, the other falls beside it from 10 m: 1.43 s.
-    scene = floor_scene([5.0, 1.01], [20.0, 11.01])
+    scene = circles_at([[5.0, 1.01], [20.0, 11.01]])
     run = dc.simulate(scene, steps=120, solver=RESTING, sleep=True)
     np.testing.assert_allclose(run.state.bodies.velocity[1, 1], -9.81 * 1.2, rtol=1e-12)
     assert np.count_nonzero(run.contacts) in (50, 51)
@@ -52,7 +45,7 @@ def test_islands_sleep_on_their_own():
 def test_a_touch_wakes_the_whole_island():
     # Three in a row on the floor sleep; a fourth comes rolling in and pushes them on.
     centres, velocity = [[10.0, 1.01], [12.0, 1.01], [14.0, 1.01], [3.0, 1.01]], [[0, 0]] * 3 + [[2.0, 0]]
-    scene = floor_scene(*centres, velocity=velocity, friction=0.0)
+    scene = circles_at(centres, velocity=velocity, friction=0.0)
     asleep, moved = (dc.simulate(scene, steps=n, solver=RESTING, sleep=True).state.bodies for n in (200, 300))
     np.testing.assert_array_equal(asleep.position[:3], scene.bodies.position[:3])
     # Without friction and restitution all four go on with a quarter of the momentum.
@@ -61,7 +54,7 @@ def test_a_touch_wakes_the_whole_island():
 
 def test_nothing_falls_asleep_in_flight():
     # At the top of its flight a circle is slow for 2 v / g = 2 ms only; this one is back on the floor after 2.04 s.
-    run = dc.simulate(floor_scene([15.0, 5.0], velocity=[0.0, 8.0]), steps=300, sleep=True)
+    run = dc.simulate(circles_at([[15.0, 5.0]], velocity=[0.0, 8.0]), steps=300, sleep=True)
     np.testing.assert_allclose(run.state.bodies.position[0, 1], 1.01, atol=0.01)
 
 
@@ -79,10 +72,10 @@ def still_after_a_step(scene, still):
 )
 def test_the_tolerances_are_those_of_box2d(velocity, spin, awake):
     # 2° a second are 0.0349 rad/s.
-    scene = dc.single_body().replace(bodies=make_bodies([[5.0, 5.0]], velocity=[velocity, 0.0], spin=spin))
+    scene = circles_at([[5.0, 5.0]], velocity=[velocity, 0.0], spin=spin)
     assert np.isfinite(still_after_a_step(scene, 1.0)) == awake
     # Nor does what penetrates sleep, however still.
-    assert still_after_a_step(floor_scene([5.0, 0.9], gravity=(0.0, 0.0)), 10.0) == 10.01
+    assert still_after_a_step(circles_at([[5.0, 0.9]], gravity=(0.0, 0.0)), 10.0) == 10.01
 
 
 def test_a_resumed_run_starts_awake(tmp_path):

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from conftest import circles_at
 
 import deep_contact as dc
 from deep_contact.physics import metrics
 from deep_contact.physics.engine import contacts_of
-from deep_contact.state.checks import make_bodies
 from deep_contact.warm_start import Support
 
 WEIGHT = np.pi * 9.81 * 0.01  # of a step, N·s
@@ -36,9 +36,8 @@ def test_a_circle_on_two_presses_on_each_by_half_its_weight_over_cos_30_degrees(
     turned = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
     place = np.array([[-1.0, 1.0], [1.0, 1.0], [0.0, 1.0 + np.sqrt(3.0)]]) @ turned.T + 10.0
     floor = tuple(map(tuple, np.array([[-5.0, 0.0], [5.0, 0.0]]) @ turned.T + 10.0))
-    gravity = tuple(turned @ (0.0, -9.81))
-    world = dc.World(box=(0.0, 0.0, 20.0, 20.0), gravity=gravity, friction=0.0, segments=(sum(floor, ()),))
-    state, normal, _ = supported(dc.State(name="three", world=world, bodies=make_bodies(place)))
+    world = {"box": (0.0, 0.0, 20.0, 20.0), "gravity": turned @ (0.0, -9.81), "segments": (sum(floor, ()),)}
+    state, normal, _ = supported(circles_at(place, friction=0.0, **world))
     on_floor = state.contacts.body_b >= 3
     upper = (state.contacts.body_a == 2) | (state.contacts.body_b == 2)
     np.testing.assert_allclose(normal[upper], 0.5 * WEIGHT / np.cos(np.pi / 6), rtol=0.05)

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import stacked
+from conftest import circles_at, stacked
 from symmetry import SYMMETRIES, transform_state
 
 import deep_contact as dc
@@ -16,8 +16,6 @@ from deep_contact.physics import metrics
 from deep_contact.physics.lcp import contact_problem, natural_residual
 from deep_contact.physics.solvers import METHODS
 from deep_contact.presets import longest_step
-from deep_contact.state import State, World
-from deep_contact.state.checks import make_bodies
 
 BOX = (0.0, 0.0, 60.0, 40.0)
 LEVEL = ((5.0, 10.0), (55.0, 10.0))
@@ -25,9 +23,8 @@ SOLVERS = {name: METHODS[name]() for name in METHODS} | {"islands": dc.PGS(islan
 G = 9.81
 
 
-def on_belt(speed, segment=LEVEL, position=(30.0, 11.01), friction=0.3, **options):
-    world = World(box=BOX, friction=friction, segments=[segment], surface_speeds=[speed], **options)
-    return State(name="belt", world=world, bodies=make_bodies([position]))
+def on_belt(speed, segment=LEVEL, position=(30.0, 11.01), friction=0.3):
+    return circles_at([position], box=BOX, friction=friction, segments=[segment], surface_speeds=[speed])
 
 
 @pytest.fixture(scope="module")

@@ -15,13 +15,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import load_script
+from conftest import circles_at, load_script
 
 import deep_contact as dc
 from deep_contact.reporting import figures, plotting, results
 from deep_contact.reporting.figures import Claim, Figure
-from deep_contact.state import Contacts, State, World, no_contacts
-from deep_contact.state.checks import make_bodies
+from deep_contact.state import no_contacts
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 OPTIONS = {"n": 4, "scale": 1.5, "name": "poly6", "flag": False, "d": [0.25, 0.5], "limit": None}
@@ -358,15 +357,12 @@ def test_a_script_ended_by_ctrl_c_is_called_interrupted(toys, tmp_path, capfd):
 
 def three_circles(contacts=True):
     """Two circles on the floor, touching, the first of which carries 3 + 4 N·s; and one in the air."""
-    bodies = make_bodies([[1.0, 1.0], [3.0, 1.0], [5.0, 4.0]], velocity=[[3.0, 4.0], [0, 0], [0, -1.0]])
-    found = no_contacts()
-    if contacts:
-        n = np.array([4.0, 3.0, 0.0])
-        normal = [[1.0, 0.0], [0.0, -1.0], [0.0, -1.0]]
-        point = [[2.0, 1.0], [1.0, 0.0], [3.0, 0.0]]
-        index = np.array([0, 0, 1]), np.array([1, 3, 3])
-        found = Contacts(*index, np.array(point), np.array(normal), np.zeros(3), n, 0 * n, 0 * n, 0 * n)
-    return State(name="three", world=World(box=(0, 0, 8, 8)), bodies=bodies, contacts=found, time=0.5)
+    velocity = [[3.0, 4.0], [0, 0], [0, -1.0]]
+    state = dc.find_contacts(circles_at([[1.0, 1.0], [3.0, 1.0], [5.0, 4.0]], velocity=velocity, box=(0, 0, 8, 8)))
+    if not contacts:
+        return state.replace(contacts=no_contacts(), time=0.5)
+    assert list(zip(*state.contacts[:2])) == [(0, 1), (0, 3), (0, 6), (1, 3)]
+    return state.replace(contacts=state.contacts._replace(normal_impulse=np.array([4.0, 3.0, 0.0, 0.0])), time=0.5)
 
 
 def test_no_two_curves_share_colour_and_line():
@@ -423,9 +419,9 @@ def test_contact_lines_are_as_wide_as_impulses_and_end_at_circles_or_walls():
     figure, ax = plotting.subplots()
     plotting.draw_state(ax, three_circles(), largest_impulse=4.0)
     lines = ax.collections[-1]
-    np.testing.assert_allclose(lines.get_linewidths(), [4.3, 3.3, 0.3])
+    np.testing.assert_allclose(lines.get_linewidths(), [4.3, 3.3, 0.3, 0.3])
     np.testing.assert_allclose(lines.get_segments()[0], [[1, 1], [3, 1]])
-    np.testing.assert_allclose(lines.get_segments()[1], [[1, 1], [1, 0]])
+    np.testing.assert_allclose(lines.get_segments()[1], [[1, 1], [1, 0.005]])
     plotting.impulse_key(figure, 4.0)
     *keys, _ = figure.legends[0].get_lines()
     assert [line.get_linewidth() for line in keys] == pytest.approx([0.7, 2.3, 4.3])
@@ -445,8 +441,8 @@ def test_a_stored_state_draws_the_same_picture(tmp_path, contacts):
 
 
 def test_arrows_are_forces_stress_is_in_its_cells_and_a_belt_has_its_way():
-    world = dc.World(box=(0.0, 0.0, 8.0, 6.0), segments=[((1.0, 1.0), (7.0, 1.0))], surface_speeds=[-2.0])
-    scene = dc.State(name="belt", world=world, bodies=dc.make_bodies([[3.0, 2.0], [5.5, 2.0]]))
+    belt = {"segments": [((1.0, 1.0), (7.0, 1.0))], "surface_speeds": [-2.0]}
+    scene = circles_at([[3.0, 2.0], [5.5, 2.0]], box=(0.0, 0.0, 8.0, 6.0), **belt)
     state = dc.simulate(scene, steps=5, solver=dc.PGS()).state
     _, (ax, image) = plotting.subplots(1, 2)
     plotting.draw_state(ax, state)

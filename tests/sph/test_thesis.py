@@ -27,27 +27,6 @@ def test_a_spline_returns_a_cubic():
     np.testing.assert_allclose(beyond[0], image[0, -1], atol=1e-12)
 
 
-def test_a_spline_needs_four_nodes():
-    small = sph.Grid.over_box((0.0, 0.0, 1.0, 3.0), 0.5)
-    with pytest.raises(ValueError, match=r"4 × 4 nodes .* got \(7, 3\)"):
-        sph.read_by_spline(small, np.zeros((7, 3, 1)), [[0.5, 0.5]])
-
-
-@pytest.mark.parametrize("read", [sph.read_by_spline, lambda *given: sph.share_out(*given, h=0.5)])
-@pytest.mark.parametrize(
-    ("image", "position", "message"),
-    [
-        (np.zeros((7, 9)), [[0.5, 0.5]], "image: expected"),
-        (np.full((7, 9, 1), np.nan), [[0.5, 0.5]], "image: expected"),
-        (np.zeros((7, 9, 1)), [0.5, 0.5], "position: expected"),
-        (np.zeros((7, 9, 1)), [[0.5, np.inf]], r"position\[0\]: expected"),
-    ],
-)
-def test_what_cannot_be_read_is_named(read, image, position, message):
-    with pytest.raises(ValueError, match=message):
-        read(GRID, image, position)
-
-
 @pytest.mark.parametrize("kernel", ["poly6", "spiky"])
 @pytest.mark.parametrize("h", [0.5, 0.8])
 def test_sharing_is_what_the_sums_say(kernel, h):

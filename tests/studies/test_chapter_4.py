@@ -19,13 +19,6 @@ def keras():
 # ---- Eq 4.1-4.4, pooling, dropout ----
 
 
-@pytest.mark.parametrize("bad", [{"row": 5}, {"column": -1}, {"kernel": np.ones((2, 2, 3))}])
-def test_a_kernel_that_sticks_out_is_refused(bad):
-    arguments = {"kernel": np.ones((2, 2)), "row": 0, "column": 0} | bad
-    with pytest.raises(ValueError, match="kernel: expected"):
-        worked.window_products(np.ones((6, 6)), **arguments)
-
-
 @pytest.mark.parametrize("name", worked.ACTIVATIONS)
 def test_derivatives_of_activations_against_finite_differences(name):
     function, derivative = worked.ACTIVATIONS[name]

@@ -10,7 +10,6 @@ from conftest import load_script
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.physics.solvers import PGS
 from deep_contact.reporting import figures
 from deep_contact.reporting.results import Claim
 from deep_contact.studies import chapter_5, learned_starts, starts
@@ -73,9 +72,9 @@ def test_velocity_errors_beside_theta_are_those_of_each_start_alone(falling_stat
     found = starts.paired(states, {"none": NoStart(), "builtin": Builtin()}, sweeps=20, velocity_sweeps=after)
     goal = starts.swept_on(states[1])
     again = (goal.contacts.normal_impulse, goal.contacts.tangent_impulse)
-    once = dc.solve_contacts(goal, solver=PGS(sweeps=1, tolerance=None), start=again)
+    once = dc.solve_contacts(goal, solver=dc.PGS(sweeps=1, tolerance=None), start=again)
     assert once.record.theta[-1] <= starts.REFERENCE.tolerance
-    right = velocity_errors(goal, Builtin()(states[1], PGS()), after)
+    right = velocity_errors(goal, Builtin()(states[1], dc.PGS()), after)
     np.testing.assert_array_equal(found["builtin"]["velocity"][1], right)
     assert found["none"]["velocity"].shape == (3, 2)
 
@@ -94,10 +93,10 @@ def test_a_network_read_as_its_authors_did_gives_each_node_to_its_contacts(falli
     start = pickle.loads(pickle.dumps(chapter_5.ReadBySharing(path)))  # as it goes to another process
     image, shared = dc.load_model(path).predict_image(state), Sph(spacing=0.5, transfer="shared")
     normal, _ = shared.gather(state, image.astype(float))
-    found = start(state, PGS())
+    found = start(state, dc.PGS())
     np.testing.assert_allclose(found[0], np.maximum(normal, 0.0))
     assert np.all(np.abs(found[1]) <= state.world.friction * found[0] + 1e-12)
-    assert not np.allclose(found[0], chapter_5.start_of({"model": path})(state, PGS())[0])
+    assert not np.allclose(found[0], chapter_5.start_of({"model": path})(state, dc.PGS())[0])
 
 
 def test_what_the_thesis_says_of_its_network_is_open_and_the_rebuilt_ones_verdict_is_measured():
@@ -118,7 +117,7 @@ def test_the_last_stage_of_a_start_gives_its_impulses(falling_states, network, k
     start = Sph(transfer=kind) if of_sph else starts.start_of({"model": path})
     stages = learned_starts.stages_of(start, falling_states[5])
     assert list(stages) == ["splat", "gather"] if of_sph else ["splat", "network", "gather"]
-    np.testing.assert_array_equal(stages["gather"](), start(falling_states[5], PGS()))
+    np.testing.assert_array_equal(stages["gather"](), start(falling_states[5], dc.PGS()))
 
 
 def test_a_start_that_is_given_up_counts_with_all_its_sweeps(falling_states):

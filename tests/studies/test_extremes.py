@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from conftest import load_script
+from conftest import circles_at, load_script
 
 import deep_contact as dc
 from deep_contact import warm_start
@@ -17,8 +17,7 @@ from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import METHODS
 from deep_contact.reporting import figures
-from deep_contact.state import LIMITS, Bodies, Contacts, State, World
-from deep_contact.state.checks import make_bodies
+from deep_contact.state import LIMITS, Bodies
 from deep_contact.studies import extremes
 from deep_contact.studies.extremes import ACCURATE, DEGRADED, FAILED, REFUSED, SAFE, Trial, measure
 from deep_contact.warm_start import STARTS
@@ -41,7 +40,7 @@ def with_value(name, value):
             "surface_speeds": [value],
         }.get(field, value)
         belt = {"segments": [((0.0, 0.0), (3.0, 0.0))]} if field == "surface_speeds" else {}
-        return scene.replace(world=World(**{"box": scene.world.box, field: value}, **belt))
+        return scene.replace(world=dc.World(**{"box": scene.world.box, field: value}, **belt))
     if owner == "scales":
         return scene.replace(world=replace(scene.world, scales=dc.BOX2D._replace(**{field: value})))
     scene = ready(scene) if owner == "contacts" else scene
@@ -73,7 +72,7 @@ def test_at_a_limit_all_stays_finite_and_is_accepted_again(name):
         assert all(np.isfinite(field).all() for field in (*state.bodies, *state.contacts))
 
 
-FIELDS = [(owner, name) for owner, kind in (("bodies", Bodies), ("contacts", Contacts)) for name in kind._fields]
+FIELDS = [(owner, name) for owner, kind in (("bodies", Bodies), ("contacts", dc.Contacts)) for name in kind._fields]
 
 
 @pytest.mark.parametrize(("owner", "name"), FIELDS)
@@ -105,10 +104,10 @@ def test_a_start_beyond_the_limit_is_refused(kind):
 
 def test_the_inertia_of_the_lightest_and_largest_circle_is_a_number():
     # Half of the smallest float is 0, and 0 · ∞ is NaN: the order of the factors matters.
-    bodies = make_bodies([[0.0, 0.0]], mass=5e-324, radius=1e200)
+    bodies = dc.make_bodies([[0.0, 0.0]], mass=5e-324, radius=1e200)
     with np.errstate(over="ignore"):
         assert bodies.inertia[0] == np.inf
-    assert make_bodies([[0.0, 0.0]], mass=3.0, radius=2.0).inertia[0] == 6.0
+    assert dc.make_bodies([[0.0, 0.0]], mass=3.0, radius=2.0).inertia[0] == 6.0
 
 
 @pytest.mark.parametrize(
@@ -257,8 +256,7 @@ def test_what_others_do_not_survive_is_safe(quantity, values, steps):
 
 def test_lifting_by_position_correction_is_counted_apart():
     # Two circles above one another, half overlapping, at rest: what lifts them is correction, the sweeps only brake.
-    world = World(box=(0, 0, 2.02, 9))
-    scene = State(name="lift", world=world, bodies=make_bodies([[1.01, 1.01], [1.01, 2.01]]))
+    scene = circles_at([[1.01, 1.01], [1.01, 2.01]], box=(0, 0, 2.02, 9))
     outcome = measure(Trial(scene=scene, steps=50, solver=dc.PGS(sweeps=500, tolerance=1e-12)))
     assert outcome["correction"] > 0.2
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from conftest import assert_same_bits
+from conftest import assert_same_bits, circles_at
 from numba import config
 
 import deep_contact as dc
@@ -96,8 +96,7 @@ def test_more_contacts_than_a_mask_has_colours():
     angle = 2 * np.pi * np.arange(90) / 90
     position = np.vstack([[[15.0, 15.0]], 15 + 10.3 * np.column_stack([np.cos(angle), np.sin(angle)])])
     radius, velocity = np.r_[10.0, np.full(90, 0.32)], np.r_[[[0, 0]], 15 - position[1:]]
-    bodies = dc.make_bodies(position, radius=radius, velocity=velocity)
-    state = dc.simulate(dc.State(name="sun", world=dc.World(gravity=(0, 0)), bodies=bodies), steps=0).state
+    state = dc.find_contacts(circles_at(position, radius=radius, velocity=velocity, gravity=(0, 0)))
     plan = plan_of(state)
     of_the_large = np.flatnonzero(state.contacts.body_a == 0)
     assert of_the_large.size == 90
@@ -151,11 +150,9 @@ def test_overlaps_with_segments_are_corrected_as_contact_by_contact(sweeps, tole
     """The same push at first; then PGS turns the normal of an end, by a share of the depth squared."""
     x = np.arange(2.0, 60.0, 3.0)
     line = [(4.0 * k, 5.0 + k % 3, 4.0 * k + 4.0, 5.0 + (k + 1) % 3) for k in range(15)]
-    world = dc.World(box=(0.0, 0.0, 62.0, 20.0), gravity=(0.0, 0.0), segments=line[::2])
-    gap = [min(segment_gap(np.array([*one, 0.0]), at, 6.9)[0] for one in world.segments) for at in x]
-    scene = dc.State(
-        name="posts", world=world, bodies=dc.make_bodies(np.column_stack([x, np.full(len(x), 6.9)]), radius=1.0)
-    )
+    gap = [min(segment_gap(np.array([*one, 0.0]), at, 6.9)[0] for one in line[::2]) for at in x]
+    world = {"box": (0.0, 0.0, 62.0, 20.0), "gravity": (0.0, 0.0), "segments": line[::2]}
+    scene = circles_at(np.column_stack([x, np.full(len(x), 6.9)]), **world)
     assert np.sum(np.array(gap) < 0.95) > 3
     options = {"sweeps": 1, "tolerance": None, "position_sweeps": sweeps}
     states = [dc.simulate(scene, steps=1, solver=one(**options)).state for one in (dc.PGS, dc.BatchedPGS)]
