@@ -56,9 +56,9 @@ def test_two_circles_between_walls_lean_on_each_other():
 def test_a_pyramid_of_three_stands_by_friction_within_bounds():
     # Friction f at the upper contacts is, by the torques, that on the floor. On the upper circle √3 N + f = W; between
     # the lower ones K = (1 + √3 / 2) f - N / 2 >= 0; and f <= μ N.
-    world, mu, floor = World(friction=0.5), 0.5, 1.0 + WALL_SKIN - 1e-9
-    bodies = make_bodies([(9.0, floor), (11.0 - 1e-9, floor), (10.0, floor - 1e-9 + np.sqrt(3))])
-    state = dc.find_contacts(dc.State(name="pyramid", world=world, bodies=bodies))
+    mu, floor = 0.5, 1.0 + WALL_SKIN - 1e-9
+    centres = [(9.0, floor), (11.0 - 1e-9, floor), (10.0, floor - 1e-9 + np.sqrt(3))]
+    state = dc.find_contacts(circles_at(centres, friction=mu))
     weight, root = state.bodies.mass[0] * 9.81 * state.dt, np.sqrt(3)
     f = np.array([1 / (2 * root) / (1 + root / 2 + 1 / (2 * root)), mu / (root + mu)])
     bounds = dc.force_bounds(state)
@@ -72,8 +72,8 @@ def test_a_pyramid_of_three_stands_by_friction_within_bounds():
 def test_the_keystone_of_an_arch_is_wedged_within_bounds():
     # On two slopes of 45 degrees: N + f = W / √2 and |f| <= μ N.
     at = 5.0 + np.sqrt(2) * (1 + WALL_SKIN) - 1e-9
-    world = World(friction=0.5, segments=(((2.0, 8.0), (5.0, 5.0)), ((5.0, 5.0), (8.0, 8.0))))
-    state = dc.find_contacts(dc.State(name="arch", world=world, bodies=make_bodies([(5.0, at)])))
+    slopes = (((2.0, 8.0), (5.0, 5.0)), ((5.0, 5.0), (8.0, 8.0)))
+    state = dc.find_contacts(circles_at([(5.0, at)], friction=0.5, segments=slopes))
     weight = state.bodies.mass[0] * 9.81 * state.dt
     normal = dc.force_bounds(state).normal / weight
     np.testing.assert_allclose(normal, [[1 / 1.5 / np.sqrt(2), 1 / 0.5 / np.sqrt(2)]] * 2, atol=1e-6)
