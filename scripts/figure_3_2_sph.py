@@ -40,15 +40,14 @@ def draw(data, options):
     ax.scatter(*position[near].T, **inside)
     ax.plot(0, 0, "P", color=plotting.VERMILION, markersize=9, markeredgecolor="white", zorder=4)
     box = {"boxstyle": "round,pad=0.15", "fc": "#EAF4FB", "ec": "none"}
-    place = {"textcoords": "offset points", "ha": "center", "va": "bottom", "bbox": box, "zorder": 5}
-    ax.annotate(f"h = {h:g} m", (0, -h), (0, 4), fontsize=8, color=plotting.BLUE, **place)
+    ax.text(0, 0.07 - h, f"h = {h:g} m", fontsize=8, color=plotting.BLUE, ha="center", va="bottom", bbox=box, zorder=5)
 
     line = data["curve"]
     curve.plot(line["r"], line["weight"], color=plotting.BLACK, label=f"{options['kernel']}, 2-D", zorder=1.5)
     curve.scatter(distance[near], weight[near], label="particles within h", **inside)
     curve.scatter(distance[~near], weight[~near], label="particles outside: no weight", **outside)
     curve.axvline(h, color=plotting.BLUE, linewidth=1.0, linestyle="--")
-    plotting.label_axes(curve, "distance r", "weight W(r, h)", x_unit="m", y_unit="m$^{-2}$")
+    curve.set(xlabel="distance r (m)", ylabel="weight W(r, h) (m$^{-2}$)")
     curve.legend()
     return figure
 

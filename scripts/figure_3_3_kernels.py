@@ -19,8 +19,8 @@ def compute(options, seed, jobs, progress):
     curves = {kernel: {dim: sph.value(kernel, r, h, dim=int(dim)) for dim in DIMENSIONS} for kernel in kernels}
     integrals = {}
     for kernel, dim, (space, shell) in product(kernels, DIMENSIONS, SPACES.items()):
-        found = quad(lambda r: shell(r) * sph.value(kernel, r, h, dim=int(dim)), 0, h)  # noqa: B023
-        integrals[f"{kernel}, {dim}-D constant over {space}"] = found[0]
+        integral, _ = quad(lambda r: shell(r) * sph.value(kernel, r, h, dim=int(dim)), 0, h)  # noqa: B023
+        integrals[f"{kernel}, {dim}-D constant over {space}"] = integral
     return {"h": h, "r": r, "curves": curves, "integrals": integrals}
 
 
@@ -45,8 +45,7 @@ def draw(data, options):
     for ax, (dim, text) in zip(panels, DIMENSIONS.items()):
         for kernel, curves in data["curves"].items():
             ax.plot(data["r"], curves[dim], **styles[kernel])
-        title = f"{dim}-D: {text}"
-        plotting.label_axes(ax, "distance r", "W(r)", x_unit="m", y_unit=f"m$^{{-{dim}}}$", title=title)
+        ax.set(xlabel="distance r (m)", ylabel=f"W(r) (m$^{{-{dim}}}$)", title=f"{dim}-D: {text}")
         ax.axvline(data["h"], color=plotting.BLACK, linewidth=0.8)
         place = {"xycoords": ("data", "axes fraction"), "textcoords": "offset points", "ha": "right"}
         ax.annotate(f"h = {data['h']:g} m", (data["h"], 0.55), (-4, 0), fontsize=8, **place)

@@ -41,8 +41,7 @@ def draw(data, options):
         for kernel, curves in data["curves"].items():
             ax.plot(x, curves[dim], **styles[kernel])
             ax.plot(-x, -np.array(curves[dim]), **{**styles[kernel], "label": None})
-        title = f"{dim}-D: {text}"
-        plotting.label_axes(ax, "x", "∂W/∂x", x_unit="m", y_unit=f"m$^{{-{int(dim) + 1}}}$", title=title)
+        ax.set(xlabel="x (m)", ylabel=f"∂W/∂x (m$^{{-{int(dim) + 1}}}$)", title=f"{dim}-D: {text}")
         ax.yaxis.set_tick_params(labelleft=True)
         ax.legend()
     return figure

@@ -24,8 +24,8 @@ def compute(options, seed, jobs, progress):
         "Eq 3.16": float(left @ image.T @ right / area),
         "Algorithm 4": float(left @ image @ right / area),
     }
-    given = {name: options[name] for name in ("x", "y", "query")}
-    return given | {"nodes": image, "along x": along_x, "values": values, "surface": surface}
+    cell = {name: options[name] for name in ("x", "y", "query")}
+    return cell | {"nodes": image, "along x": along_x, "values": values, "surface": surface}
 
 
 def claims(data):
@@ -43,9 +43,7 @@ def draw(data, options):
     figure, ax = plotting.subplots(size=(5.6, 4.6))
     (x_1, x_2), (y_1, y_2), (x, y) = data["x"], data["y"], data["query"]
     ax.grid(False)
-    ax.set_aspect("equal")
-    n = len(data["surface"])
-    mesh = np.linspace(x_1, x_2, n), np.linspace(y_1, y_2, n)
+    mesh = (np.linspace(*ends, len(data["surface"])) for ends in (data["x"], data["y"]))
     shades = ax.pcolormesh(*mesh, data["surface"], shading="gouraud")
     figure.colorbar(shades, ax=ax, label="interpolated f", shrink=0.85)
     ax.plot([x_1, x_2], [y_1, y_1], [x_1, x_2], [y_2, y_2], color=plotting.BLACK, linewidth=1)
@@ -56,9 +54,9 @@ def draw(data, options):
     for b, name, value in zip((y_1, y_2), ("f(x, y$_1$)", "f(x, y$_2$)"), data["along x"]):
         mark(ax, x, b, plotting.BLUE, f"{name} = {value:.4g}", b == y_1, "center")
     mark(ax, x, y, plotting.GREEN, f"f(x, y) = {data['values']['gather']:.4g}", True, "left")
-    ax.set_xlim(x_1 - 0.14 * (x_2 - x_1), x_2 + 0.14 * (x_2 - x_1))
-    ax.set_ylim(y_1 - 0.14 * (y_2 - y_1), y_2 + 0.14 * (y_2 - y_1))
-    plotting.label_axes(ax, "x", "y", x_unit="m", y_unit="m")
+    ax.use_sticky_edges = False  # of the mesh
+    ax.margins(0.14)
+    ax.set(xlabel="x (m)", ylabel="y (m)", aspect="equal")
     return figure
 
 

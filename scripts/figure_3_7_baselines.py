@@ -5,7 +5,7 @@ from deep_contact.studies import starts, verdicts
 
 
 def claims(data):
-    medians = {name: found["sweeps"]["median"] for name, found in data["independent"].items()}
+    medians = {name: runs["sweeps"]["median"] for name, runs in data["independent"].items()}
     at_most_two = "Copy needs nearly no iteration: one or two sweeps to θ < 6e-5 for most states"
     long = "None takes a long time to reach convergence: over 100 sweeps to θ < 6e-5 for most states"
     alike = "Builtin performs like None: mean θ within a quarter of each other"

@@ -26,8 +26,8 @@ def compute(options, seed, jobs, progress):
     example = {"one kernel": list(ours[..., :1].shape), "four kernels": list(theirs.shape)}
     sizes = []
     for n, k, s in options["sizes"]:
-        found = worked.keras_convolution(np.zeros((n, n, 1)), np.zeros((k, k, 1, 1)), stride=s)
-        sizes.append({"I": n, "K": k, "s": s, "Eq 4.2": (n - k) / s + 1, "Keras": found.shape[0]})
+        by_keras = worked.keras_convolution(np.zeros((n, n, 1)), np.zeros((k, k, 1, 1)), stride=s)
+        sizes.append({"I": n, "K": k, "s": s, "Eq 4.2": (n - k) / s + 1, "Keras": by_keras.shape[0]})
     return {
         "image": image,
         "kernel": kernel,
@@ -57,8 +57,8 @@ def claims(data):
     fits = [(row["I"] - row["K"]) % row["s"] == 0 for row in sizes]
     equal = all(row["Eq 4.2"] == row["Keras"] for row, fit in zip(sizes, fits) if fit)
     where = "holds where the stride divides I − K; elsewhere rounded down" if equal and not all(fits) else None
-    found = {"I = {I}, K = {K}, s = {s}".format(**row): f"{row['Eq 4.2']:g}, Keras {row['Keras']}" for row in sizes}
-    yield Claim("Eq 4.2 gives the size of the output", "Eq 4.2", equal, found, where)
+    both = {"I = {I}, K = {K}, s = {s}".format(**row): f"{row['Eq 4.2']:g}, Keras {row['Keras']}" for row in sizes}
+    yield Claim("Eq 4.2 gives the size of the output", "Eq 4.2", equal, both, where)
     smaller = {f"{row['I']} with K = {row['K']}, s = {row['s']}": row["Keras"] for row in sizes}
     shrinks = all(row["Keras"] < row["I"] for row in sizes)
     yield Claim("without padding each convolution makes the map smaller", "section 4.2.2", shrinks, smaller)

@@ -28,7 +28,7 @@ def compute(options, seed, jobs, progress):
         panels.append(about | {"values": of_layer[..., best]})
     solved = np.array([state.contacts.normal_impulse, state.contacts.tangent_impulse])
     predicted = np.array(model.predict(state, project=False))
-    given = {"network": predicted, "Builtin": [state.contacts.normal_start, state.contacts.tangent_start], "None": 0.0}
+    guess = {"network": predicted, "Builtin": [state.contacts.normal_start, state.contacts.tangent_start], "None": 0.0}
     return {
         "box": state.world.box,
         "panels": panels,
@@ -36,7 +36,7 @@ def compute(options, seed, jobs, progress):
         "predicted": predicted[0],
         "depths": {layer.name: [int(layer.kernel.shape[2]), int(layer.input.shape[-1])] for layer in layers},
         "relative error of λ": {
-            name: float(np.linalg.norm(one - solved) / np.linalg.norm(solved)) for name, one in given.items()
+            name: float(np.linalg.norm(one - solved) / np.linalg.norm(solved)) for name, one in guess.items()
         },
     }
 
@@ -71,7 +71,7 @@ def draw(data, options):
     last.axline((0, 0), slope=1, color=plotting.GREY, linewidth=1)
     most = 1.05 * max(data["solved"] + data["predicted"])
     last.set(xlim=(-0.03 * most, most), ylim=(-0.03 * most, most), aspect="equal")
-    plotting.label_axes(last, "solved λ$_n$", "predicted λ$_n$", x_unit="N·s", y_unit="N·s")
+    last.set(xlabel="solved λ$_n$ (N·s)", ylabel="predicted λ$_n$ (N·s)")
     last.set_title(f"output\nrelative error of λ: {data['relative error of λ']['network']:.2f}")
     figure.suptitle(f"What the thesis's network sees of a falling pile ({options['model']})", fontsize=11)
     return figure

@@ -38,7 +38,7 @@ def claims(data):
         for what, part in (("value", "functions"), ("derivative", "derivatives"))
     }
     yield Claim("ReLU gets rid of every piece of negative information", "section 4.2.3", not any(lost.values()), lost)
-    he = {name: found["1"] for name, found in ratios.items()}
+    he = {name: by_gain["1"] for name, by_gain in ratios.items()}
     text = "vanishing or exploding gradients hardly affect ReLU: with the thesis's He normal weights (Table 5.2) a"
     text += f" gradient keeps its size through {data['depth']} layers, within a factor of ten"
     yield Claim(text, "section 4.2.3, Table 5.2", 0.1 <= he["ReLU"] <= 10, he)
@@ -61,7 +61,7 @@ def draw(data, options):
         styles = plotting.styles_of(data[part])
         for name, values in data[part].items():
             panel.plot(data["line"], values, **styles[name])
-        plotting.label_axes(panel, "x", title)
+        panel.set(xlabel="x", ylabel=title)
     functions.set_ylim(-1.2, 2.2)
     functions.legend()
     return figure

@@ -23,15 +23,15 @@ def compute(options, seed, jobs, progress):
     source = names[names.index(dropout.name) - 1]
 
     def maps_and_normal(layer, training):
-        found = worked.feature_maps(network, model.input(state), [layer, names[-1]], training=training)
-        return found[layer], model.impulses(state, found[names[-1]], project=False)[0]
+        maps = worked.feature_maps(network, model.input(state), [layer, names[-1]], training=training)
+        return maps[layer], model.impulses(state, maps[names[-1]], project=False)[0]
 
     (before, first), (_, second) = (maps_and_normal(source, training=False) for _ in range(2))
     mean, normal = np.zeros_like(before), []
     for _ in progress(range(options["masks"]), text="masks"):
-        after, found = maps_and_normal(dropout.name, training=True)
+        after, impulses = maps_and_normal(dropout.name, training=True)
         mean += after / options["masks"]
-        normal.append(found)
+        normal.append(impulses)
     strongest = worked.strongest(before)
     active = before > 0
     kept = active & (after > 0)

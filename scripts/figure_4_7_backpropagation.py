@@ -78,7 +78,7 @@ def draw(data, options):
     bars.plot(automatic, range(len(names)), "x", color=plotting.BLACK, label="automatic differentiation")
     bars.axvline(0, color=plotting.GREY, linewidth=0.8)
     plotting.name_bars(bars, names)
-    plotting.label_axes(bars, "gradient ∂L/∂w", "")
+    bars.set_xlabel("gradient ∂L/∂w")
     bars.legend()
     return figure
 

@@ -16,9 +16,8 @@ COLOURS = {"splat": plotting.SKY, "network": plotting.PURPLE, "gather": plotting
 
 def compute(options, seed, jobs, progress):
     """Settling piles of two sizes, the smaller in the thesis's box; one process, since its time counts."""
-    networks, found = options["networks"], {}
-    size = {"spacing": options["spacing"]}
-    described = {"none": "none", "builtin": "builtin"} | {name: of | size for name, of in starts.CHOSEN.items()}
+    networks, by_size, grid = options["networks"], {}, {"spacing": options["spacing"]}
+    described = {"none": "none", "builtin": "builtin"} | {name: of | grid for name, of in starts.CHOSEN.items()}
     described |= {name: {"model": path} for name, path in networks.items()} | {"copy": "copy"}
     every = {name: starts.start_of(description) for name, description in described.items()}
     for size, count, after, most in zip(*(options[name] for name in ("sizes", "states", "every", "most"))):
@@ -32,20 +31,19 @@ def compute(options, seed, jobs, progress):
                 refused[name] = str(error)
         fitting = {name: start for name, start in every.items() if name not in refused}
         timed = {"most": most, "repeats": options["repeats"], "progress": progress}
-        found[str(size)] = {
+        by_size[str(size)] = {
             "scene": [i for i, of_scene in enumerate(states) for _ in of_scene],
             "contacts": [state.contacts.count for state in flat],
             "starts": chapter_5.time_to_threshold(flat, fitting, **timed),
             "refused": refused,
             "splat by k-d tree": chapter_5.time_by_tree(flat[-1], repeats=options["repeats"]),
         }
-    return {"piles": found, "networks": chapter_5.networks_info(networks)}
+    return {"piles": by_size, "networks": chapter_5.networks_info(networks)}
 
 
 def by_scene(pile, values):
     """Mean over each scene of one number a state."""
-    of = np.array(pile["scene"])
-    return np.array([np.mean(values, where=of == number) for number in np.unique(of)])
+    return np.bincount(pile["scene"], values) / np.bincount(pile["scene"])
 
 
 def is_given_up(pile, name):
@@ -101,9 +99,9 @@ def claims_of(pile, name, size, network):
 def table(data):
     rows = [["circles", "start", *(f"{stage}, ms" for stage in STAGES), "all, ms", "sweeps", "not reached"]]
     for size, pile in data["piles"].items():
-        for name, found in pile["starts"].items():
+        for name, start in pile["starts"].items():
             stages = [values.mean() for values in times(pile, name).values()]
-            sweeps, missed = np.mean(found["sweeps"]), f"{found['missed']} of {len(pile['scene'])}"
+            sweeps, missed = np.mean(start["sweeps"]), f"{start['missed']} of {len(pile['scene'])}"
             label = plotting.style_of(name)["label"]
             rows.append([size, label, *(ms or None for ms in stages), sum(stages), sweeps, missed])
         for name, why in pile["refused"].items():
@@ -120,11 +118,11 @@ def draw(data, options):
         names = list(pile["starts"])
         stages, left = [times(pile, name) for name in names], np.zeros(len(names))
         for stage in STAGES:
-            widths = np.array([found[stage].mean() for found in stages])
+            widths = np.array([of_start[stage].mean() for of_start in stages])
             ax.barh(range(len(names)), widths, left=left, color=COLOURS[stage], label=stage, height=0.7)
             left += widths
-        for place, (name, found) in enumerate(zip(names, stages)):
-            whole = sum(found.values())
+        for place, (name, of_start) in enumerate(zip(names, stages)):
+            whole = sum(of_start.values())
             _, *ends = verdicts.interval(lambda drawn, whole=whole: whole[drawn].mean(axis=1), whole.size)
             ax.plot(ends, [place] * 2, color=plotting.BLACK, linewidth=1.2)
             text = f"  {np.mean(pile['starts'][name]['sweeps']):,.0f}, {reached(pile, name)}"
@@ -133,10 +131,7 @@ def draw(data, options):
         ax.set(xlim=(0, 1.25 * left.max()), xlabel="mean processor time of a step (ms)")
         ax.set_title(f"{int(size):,} circles, {min(pile['contacts']):,} to {max(pile['contacts']):,} contacts")
     plotting.legend_below(figure, panels[0, 0])
-    notes = [
-        TITLE,
-        "SPH and Copy know the solution. Lines: 95 % intervals; numbers: mean sweeps, states that reach θ.",
-    ]
+    notes = [TITLE, "SPH and Copy know the solution. Lines: 95 % intervals; numbers: mean sweeps, states that reach θ."]
     for size, pile in ((size, pile) for size, pile in data["piles"].items() if size not in solved):
         most = max(pile["starts"]["builtin"]["sweeps"])
         few = f"{reached(pile, 'builtin')} reach θ from Builtin, {reached(pile, 'copy')} from Copy"
@@ -149,9 +144,6 @@ OPTIONS = {
     "sizes": [100, 1000], "scenes": 10, "states": [4, 1], "every": [25, 100], "most": [10000, 20000], "repeats": 3,
     "spacing": starts.SPACING, "networks": chapter_5.NETWORKS,
 }  # fmt: skip
-QUICK = {
-    "sizes": [100, 300], "scenes": 1, "most": [5000, 5000], "repeats": 3,
-    "networks": {"cnn": chapter_5.NETWORKS["cnn"]},
-}  # fmt: skip
+QUICK = {"sizes": [100, 300], "scenes": 1, "most": [5000, 5000], "networks": {"cnn": chapter_5.NETWORKS["cnn"]}}
 FIGURE = Figure("5.10", TITLE, compute, table, draw, claims, options=OPTIONS, quick=QUICK, seed=510)
 figures.run_as_script(FIGURE, __name__)

@@ -73,15 +73,14 @@ def draw(data, options):
     figure, (left, right) = plotting.subplots(1, 2, size=(9.0, 3.6))
     scene, line = data["scenes"][0], fit(data["scenes"][0])
     left.plot(scene["contacts"], color=plotting.BLUE)
-    plotting.label_axes(left, "step", "contacts", title="a) contacts in each step")
+    left.set(xlabel="step", ylabel="contacts", title="a) contacts in each step")
     right.plot(scene["timed contacts"], scene["time (ms)"], ".", color=plotting.BLUE, markersize=4)
     look = {"color": plotting.VERMILION, "linewidth": 1.0, "label": f"{1e3 * line.slope:.3g} µs a contact"}
     x = np.array([0, max(scene["timed contacts"])])
     right.plot(x, line.slope * x + line.intercept, **look)
-    right.set_ylim(bottom=0)
+    right.set(xlabel="contacts", ylabel="processor time (ms)", ylim=(0, None))
+    right.set_title(f"b) contact solution, {options['sweeps']} sweeps")
     right.legend()
-    title = f"b) contact solution, {options['sweeps']} sweeps"
-    plotting.label_axes(right, "contacts", "processor time", y_unit="ms", title=title)
     return figure
 
 

@@ -29,12 +29,12 @@ def compute(options, seed, jobs, progress):
     for size in sorted({*options["cells"], 1.0, d}):
         _, count = np.unique(np.floor((contacts - box[:2]) / size).astype(int), axis=0, return_counts=True)
         shared[f"{size:.4g}"] = {"most": int(count.max()), "cells with several": int((count > 1).sum())}
-    found = {"nodes reached, by h / d": reached, "contacts in one cell, by d": shared}
-    return {"scene": plotting.state_data(state), "d": d, "h": options["h"], "x": x, "y": y} | found
+    counts = {"nodes reached, by h / d": reached, "contacts in one cell, by d": shared}
+    return {"scene": plotting.state_data(state), "d": d, "h": options["h"], "x": x, "y": y} | counts
 
 
 def claims(data):
-    shared = {float(d): found["cells with several"] for d, found in data["contacts in one cell, by d"].items()}
+    shared = {float(d): cells["cells with several"] for d, cells in data["contacts in one cell, by d"].items()}
     measured = {f"cells with several, d = {d:.4g} m": count for d, count in shared.items()}
     several = any(count for d, count in shared.items() if d <= 1)
     yield Claim("with d <= r = 1 m no two contact points lie in one cell", "section 5.1.3", not several, measured)

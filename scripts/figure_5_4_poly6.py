@@ -30,14 +30,10 @@ def claims(data):
 def best_by_number(numbers, best, others, way):
     """Whether d = 0.5 m is beaten for some number of circles, by the level of θ over the sweeps (`verdicts.level`)."""
     text = f"d = h = 0.5 m, {way}, is not always the best: for another number of circles another d converges faster"
-    parts = {n: found["independent"] for n, found in numbers.items()}
+    parts = {n: runs["independent"] for n, runs in numbers.items()}
     fewest = min(map(verdicts.scenes_of, parts.values()))
-    beaten = {
-        f"{n} circles: level of θ over the best other's, and its interval": verdicts.intervals(
-            part, best, others, of=verdicts.level
-        )[:, 0].tolist()
-        for n, part in parts.items()
-    }
+    levels = {n: verdicts.intervals(part, best, others, of=verdicts.level)[:, 0].tolist() for n, part in parts.items()}
+    beaten = {f"{n} circles: level of θ over the best other's, and its interval": of for n, of in levels.items()}
     if fewest < verdicts.FEWEST:
         return Claim(text, PLACE, None, beaten, f"open: {fewest} scenes")
     somewhere = any(low > 1 for _, low, _ in beaten.values())

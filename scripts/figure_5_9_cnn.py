@@ -10,10 +10,9 @@ def compute(options, seed, jobs, progress):
     """The starts on scenes of a random number of circles each, and what the model files say about themselves."""
     networks, size = options.pop("networks"), {"spacing": options.pop("spacing")}
     about = chapter_5.networks_info(networks)
-    described = {name: {"model": path} for name, path in networks.items()}
-    chosen = {"none": "none", "builtin": "builtin", **{name: of | size for name, of in starts.CHOSEN.items()}}
-    chosen |= described
     shared = [name for name, card in about.items() if card["architecture"] == "thesis"]
+    chosen = {"none": "none", "builtin": "builtin"} | {name: of | size for name, of in starts.CHOSEN.items()}
+    chosen |= {name: {"model": path} for name, path in networks.items()}
     chosen |= {f"{name}, shared": chapter_5.ReadBySharing(networks[name]) for name in shared} | {"copy": "copy"}
     own = {"modes": ["independent"], "seed": seed, "jobs": jobs, "progress": progress}
     return starts.compare_starts(chosen, **own, **options) | {"networks": about}
@@ -25,7 +24,7 @@ def claims(data):
 
 
 def draw(data, options):
-    shown = {name: found for name, found in data["independent"].items() if not name.endswith("shared")}
+    shown = {name: runs for name, runs in data["independent"].items() if not name.endswith("shared")}
     return starts.draw_comparison(data | {"independent": shown}, TITLE, hidden=["sph spline"])
 
 

@@ -47,9 +47,9 @@ def claims(data):
         sizes[n] = sizes.get(n, []) + piles
         with np.errstate(invalid="ignore"):  # a time that never comes is infinite, and so are its ratios
             intervals = [*map(learned_starts.median_with_interval, ratios)]
-        for error, found in zip(TOLERANCES, intervals):
-            if found:
-                known.append({"where": f"{n}, {kind}, {error}"} | dict(zip(("ratio", "from", "to"), found)))
+        for error, interval in zip(TOLERANCES, intervals):
+            if interval:
+                known.append({"where": f"{n}, {kind}, {error}"} | dict(zip(("ratio", "from", "to"), interval)))
     known.sort(key=lambda one: one["to"])
     wins, ties = sum(one["to"] < 1 for one in known), sum(one["from"] <= 1 <= one["to"] for one in known)
     prices = {f"{n} circles": learned_starts.price_of(piles) for n, piles in sorted(sizes.items())}
@@ -93,7 +93,7 @@ def draw(data, options):
         ax.set_xticks(range(len(TOLERANCES)), [f"{error:g}" for error in TOLERANCES])
         ax.set_yticks(range(len(counts)), [f"{n:,}" for n in counts])
         ax.grid(False)
-        plotting.label_axes(ax, "velocity error asked for", "circles", title=f"{kind} piles")
+        ax.set(xlabel="velocity error asked for", ylabel="circles", title=f"{kind} piles")
     figure.suptitle("Is the network's start sooner at an error? (below 1: yes)", fontsize=10)
     label = "time over that of the\nbest classical setting"
     figure.colorbar(picture, ax=axes, ticks=[-1, 0, 1], label=label).set_ticklabels(["0.1", "1", "10"])

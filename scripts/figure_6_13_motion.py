@@ -48,12 +48,11 @@ def claims(data):
 def draw(data, options):
     """Three panels over time: kinetic energy, substeps, deepest penetration."""
     figure, panels = plotting.subplots(1, 3, size=(plotting.PAGE, 3.2))
-    shown = {"kinetic": ("kinetic energy", "M g r"), "substeps": ("substeps of 10 ms", ""),
-             "deepest": ("deepest penetration", "% of r")}  # fmt: skip
-    for ax, (key, (text, unit)) in zip(panels, shown.items()):
+    shown = {"kinetic": "kinetic energy (M g r)", "substeps": "substeps of 10 ms"}
+    for ax, (key, text) in zip(panels, (shown | {"deepest": "deepest penetration (% of r)"}).items()):
         for (name, one), colour in zip(data["courses"].items(), (*plotting.shades(2), plotting.VERMILION)):
             ax.plot(one["time"], one[key], color=colour, label=name)
-        plotting.label_axes(ax, "time", text, x_unit="s", y_unit=unit)
+        ax.set(xlabel="time (s)", ylabel=text)
     return plotting.legend_below(figure, panels[0], "What do substeps by motion cost, and what do they keep?")
 
 

@@ -66,11 +66,9 @@ def draw(data, options):
         for k, (label, colour) in enumerate(zip(SHARES, (plotting.BLUE, plotting.VERMILION))):
             middle, low, high = (np.array([f(one[:, k]) for one in by_cell]) for f in (np.median, np.min, np.max))
             plotting.band(ax, x, middle, low, high, color=colour, marker="o", markersize=4, label=label)
-        plotting.label_axes(ax, name, "interval of λ_n / mean λ_n")
-        ax.set_ylim(bottom=0)
+        ax.set(xlabel=name, ylabel="interval of λ_n / mean λ_n", ylim=(0, None))
     panels[0].set_title(f"{first} circles")
-    panels[1].set_title(f"μ = {mu:g}")
-    panels[1].set(xscale="log", xticks=options["sizes"], xticklabels=options["sizes"])
+    panels[1].set(xscale="log", xticks=options["sizes"], xticklabels=options["sizes"], title=f"μ = {mu:g}")
     panels[1].minorticks_off()
     distances, models = apart(data), options["models"]
     for y, (name, values) in enumerate(distances.items()):
@@ -79,8 +77,8 @@ def draw(data, options):
     half = np.median(widths(data, first, mu)[:, 0]) / 2
     panels[2].axvline(half, color=plotting.BLUE, linestyle="--", linewidth=1)
     plotting.name_bars(panels[2], [f"{name}.h5" if name in models else name for name in distances])
-    panels[2].set_title(f"{first} circles, μ = {mu:g}")
-    panels[2].set_xlabel("median distance / mean λ_n\n(dashed: half of the interval)")
+    text = "median distance / mean λ_n\n(dashed: half of the interval)"
+    panels[2].set(xlabel=text, title=f"{first} circles, μ = {mu:g}")
     return plotting.legend_below(figure, panels[0], "How much of λ do the positions determine?")
 
 

@@ -77,7 +77,7 @@ def draw(data, options):
             ax.errorbar(steps, values, np.concatenate(reach, axis=1), **look)
         for dt in (TIME_STEP, runs.REFERENCE["dt"]):
             ax.axvline(dt, color=plotting.GREY, linewidth=0.6, linestyle=":")
-        plotting.label_axes(ax, "", text)
+        ax.set_ylabel(text)
         plotting.log_axes(ax)
     for ax in panels[1]:
         ax.set_xlabel("time step Δt (s); dotted: the reference's, 10 ms")

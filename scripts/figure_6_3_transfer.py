@@ -129,7 +129,7 @@ def draw(data, options):
             ax.plot(data["charted"], data["by spacing"][radii][name], label=name, **look)
         ax.set_xscale("log", base=2)
         ax.xaxis.set_major_formatter("{x:g}")
-        plotting.label_axes(ax, "spacing d = support h", "", x_unit="m", title=title)
+        ax.set(xlabel="spacing d = support h (m)", title=title)
     panels[0].set_ylabel("relative error of λ")
     return plotting.legend_below(figure, panels[0], "How much of the impulses does the way through the grid lose?")
 

@@ -82,18 +82,16 @@ def draw(data, options):
     for i, k in enumerate(data["after"]):
         plotting.band(left, weights, *ratios[:, i].T, marker="o", markersize=4, label=f"after {k} sweeps")
     left.axhline(1.0, color=plotting.GREY, linewidth=1.0)
-    left.set_ylim(0, 1.2)
-    plotting.label_axes(left, "weights", "velocity error / Builtin's", title="error on held-out scenes")
+    left.set(ylim=(0, 1.2), ylabel="velocity error / Builtin's", title="error on held-out scenes")
     left.legend(loc="lower left")
     us = [network["us"] for network in networks]
     right.plot(weights, us, marker="o", color=plotting.PURPLE)
-    right.set_ylim(0, None)
-    sweep_us, title = data["sweep_us"], "time of a start for 100 circles"
+    right.set(ylim=(0, None), ylabel="time of a start (μs)", title="time of a start for 100 circles")
+    sweep_us = data["sweep_us"]
     sweeps = right.secondary_yaxis("right", functions=(lambda us: us / sweep_us, lambda count: count * sweep_us))
     sweeps.set_ylabel("sweeps of PGS in that time")
-    plotting.label_axes(right, "weights", "time of a start", y_unit="μs", title=title)
     for ax in (left, right):
-        ax.set_xscale("log")
+        ax.set(xscale="log", xlabel="weights")
     figure.suptitle("What does a larger network gain, and what does it cost?", fontsize=10)
     return figure
 

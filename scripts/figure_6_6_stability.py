@@ -62,7 +62,7 @@ def by_quantity(data):
 
 def ranges(cells, verdict):
     """The values that got the verdict, as text: "1 to 100; 1e+06"."""
-    runs = [list(group) for found, group in groupby(cells, key=lambda cell: cell["verdict"]) if found == verdict]
+    runs = [list(group) for said, group in groupby(cells, key=lambda cell: cell["verdict"]) if said == verdict]
     ends = [[f"{cell['value']:g}" for cell in (run[0], run[-1])] for run in runs]
     return "; ".join(low if low == high else f"{low} to {high}" for low, high in ends) or None
 
@@ -76,12 +76,10 @@ def spread(cells, key):
 def table(data):
     verdicts = (SAFE, DEGRADED, FAILED, REFUSED)
     rows = [["quantity", "unit", *(f"ours: {v}" for v in verdicts), *(f"{engine}: safe" for engine in ENGINES[1:])]]
-    rows[0] += [f"{engine}: {what}" for what in ("slops at rest", "µs a step") for engine in ENGINES]
     for name, engines in by_quantity(data).items():
         mine, *others = engines.values()
         row = [ranges(mine, verdict) for verdict in verdicts] + [ranges(cells, SAFE) for cells in others]
-        spreads = [spread(cells, key) for key in ("settled", "us") for cells in engines.values()]
-        rows.append([name, data["units"][name], *row, *(of and of[1] for of in spreads)])
+        rows.append([name, data["units"][name], *row])
     return rows
 
 
@@ -111,17 +109,14 @@ def draw(data, options):
     ends = ((of["ours"][0]["value"], of["ours"][-1]["value"]) for of in grouped.values())
     names = (f"{name}, {data['units'][name]}".rstrip(", ") for name in grouped)
     left.set_yticks(range(len(grouped)), [f"{name}\n{low:g} to {high:g}" for name, (low, high) in zip(names, ends)])
-    left.set(ylim=(len(grouped) - 0.5, -0.5), xlim=(0, 1), xticks=[0.04, 0.96])
-    left.set_xticklabels(["least", "largest value"])
+    left.set(ylim=(len(grouped) - 0.5, -0.5), xlim=(0, 1), title="Is it safe? (ours above)")
+    left.set_xticks([0.04, 0.96], ["least", "largest value"])
     middle.axvline(3, color=plotting.BLACK, linewidth=0.8, linestyle=":")
-    for ax in (middle, right):
-        ax.set_xscale("log")
     for ax in (left, middle, right):
         ax.grid(False, axis="y")
         ax.tick_params(axis="y", length=0)
-    left.set_title("Is it safe? (ours above)")
-    plotting.label_axes(middle, "slops (dotted: 3 are safe)", "", title="How deep at rest?")
-    plotting.label_axes(right, "time of a step", "", x_unit="µs", title="At which cost?")
+    middle.set(xscale="log", xlabel="slops (dotted: 3 are safe)", title="How deep at rest?")
+    right.set(xscale="log", xlabel="time of a step (µs)", title="At which cost?")
     handles = [Patch(color=colour, label=verdict) for verdict, colour in COLOURS.items()]
     for name, (colour, marker) in LOOKS.items():
         handles += middle.plot([], [], color=colour, marker=marker, markersize=3.5, linewidth=0.8, label=name)

@@ -101,14 +101,13 @@ def draw(data, options):
     plotting.name_bars(left, [name for name, _, _ in rows])
     ratios = [one[end] for _, _, one in rows for end in ("low", "high")]
     left.set(xscale="log", xlim=(0.8 * min(1, *ratios), 5 * max(ratios)))
+    left.set(xlabel="times cheaper (line: quartiles)", title="What is saved?")
     left.axvline(1, color=plotting.BLACK, linewidth=0.8)
     right.axvline(constants.LINEAR_SLOP, color=plotting.GREY, linewidth=0.8, linestyle=":")
-    right.set(xscale="log", xlim=(SMALLEST / 10, 1), xticks=[SMALLEST, 1e-9, constants.LINEAR_SLOP])
-    right.set_xticklabels(["0", "1e-9", "slop"])
+    right.set(xscale="log", xlim=(SMALLEST / 10, 1), xlabel="circles apart, m", title="At what error?")
+    right.set_xticks([SMALLEST, 1e-9, constants.LINEAR_SLOP], ["0", "1e-9", "slop"])
     right.minorticks_off()
     right.grid(False, axis="y")
-    plotting.label_axes(left, "times cheaper (line: quartiles)", "", title="What is saved?")
-    plotting.label_axes(right, "circles apart, m", "", title="At what error?")
     return figure
 
 

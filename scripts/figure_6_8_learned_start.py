@@ -56,8 +56,8 @@ def draw(data, options):
         plotting.band(ax, x, mean, mean - spread, mean + spread, marker="o", markersize=3, **look)
     plotting.log_axes(ax)
     ax.set_xticks(x, [f"{k}" for k in data["after"]])
-    title = f"What is left after so many sweeps, where Builtin is off by over {OFF:.0%}?"
-    plotting.label_axes(ax, "sweeps", "velocity error, share of a step's", title=title)
+    ax.set(xlabel="sweeps", ylabel="velocity error, share of a step's")
+    ax.set_title(f"What is left after so many sweeps, where Builtin is off by over {OFF:.0%}?")
     ax.legend(title="band: 95 % over scenes", loc="lower left")
     return figure
 

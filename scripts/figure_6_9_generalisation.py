@@ -55,7 +55,7 @@ def draw(data, options):
         ax.errorbar(ratio, np.arange(len(by_kind)) + 0.22 * (i - 1), xerr=off, **look)
     ax.axvline(1.0, color=plotting.GREY, linewidth=1.0)
     text = "velocity error over the best classical setting's\nafter as many sweeps, its price left out (Figure 6.10)"
-    plotting.label_axes(ax, text, "")
+    ax.set_xlabel(text)
     return plotting.legend_below(figure, ax, "Does the network's start carry over to other scenes?")
 
 

@@ -17,8 +17,8 @@ def about(path: Path, stored: dict) -> dict:
     from deep_contact.cnn.training.curve import learning_curve
 
     curve = learning_curve(stored["card"]["history"], path.with_name(f"{path.stem}_history.png"))
-    found = {"card": stored["card"], "size": path.stat().st_size, "curve": curve.name}
-    return found | ends(spec_of(stored), stored["box"])
+    card = {"card": stored["card"], "size": path.stat().st_size, "curve": curve.name}
+    return card | ends(spec_of(stored), stored["box"])
 
 
 def main(arguments=None) -> None:

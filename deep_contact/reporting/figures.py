@@ -21,7 +21,6 @@ import signal
 import sys
 import tempfile
 import time
-from collections import UserDict
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
@@ -139,7 +138,6 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     except OSError as error:
         parser.error(f"--out: expected a folder that can be written, got {args.out!r} ({error.strerror})")
     changes, path = dict(args.set), Path(args.out, f"{figure.stem}.json")
-    seed = figure.seed if args.seed is None else args.seed
     # An exit, so that temporary files and child processes are cleaned up.
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
     try:
@@ -147,7 +145,7 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
             _report(figure, _redrawn(figure, path), path)
         else:
             with parallel.opened(args.jobs, args.scheduler) as jobs:
-                produce(figure, options=changes, quick=args.quick, seed=seed, out=args.out, jobs=jobs)
+                produce(figure, options=changes, quick=args.quick, seed=args.seed, out=args.out, jobs=jobs)
         return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
@@ -177,44 +175,19 @@ def produce(
     options: changes to the figure's own, by name. quick: start from those of its quick run. out: folder of the files.
     jobs: number of processes, or an executor (`parallel.finished`); the numbers do not depend on it. The results
     are stored before they are drawn, so that an error in `draw` does not cost a long computation. Raises ValueError for
-    an option that is unknown, or that `compute` did not read.
+    an unknown option.
     """
-    changes = options or {}
-    options = figure.settings(changes, quick)
-    seed, watched, path = figure.seed if seed is None else seed, _Watched(options), Path(out, f"{figure.stem}.json")
+    options = figure.settings(options or {}, quick)
+    seed, path = figure.seed if seed is None else seed, Path(out, f"{figure.stem}.json")
     start = time.perf_counter()
-    data = figure.compute(watched, seed, jobs, progress_bar)
+    data = results.plain(figure.compute(dict(options), seed, jobs, progress_bar), digits=figure.digits)
     made = provenance.provenance(seed=seed, wall_s=time.perf_counter() - start, options=options)
-    if unread := [name for name in changes if name not in watched.read]:
-        others = ", ".join(f"{name}={options[name]}" for name in options if name in watched.read)
-        raise ValueError(
-            f"{unread[0]}: expected a setting that changes what is drawn, got one without effect beside {others}"
-        )
-    data = results.plain(data, digits=figure.digits)
     stored = {"id": figure.id, "title": figure.title, "options": options, "provenance": made}
     stored |= {"claims": list(figure.claims(data)), "data": data}
     stored = results.read_results(results.write_results(path, stored))
     _draw(figure, stored, path)
     _report(figure, stored, path)
     return Results(stored, figure=figure, picture=path.with_suffix(".png"))
-
-
-class _Watched(UserDict):
-    """Options that remember which of them were read. A copy of them, as for another process, has read them all."""
-
-    def __init__(self, options: dict):
-        super().__init__(options)
-        self.read: set[str] = set()
-
-    def __getitem__(self, name):
-        self.read.add(name)
-        return super().__getitem__(name)
-
-    def __or__(self, other):
-        return dict(self) | dict(other)
-
-    def __reduce__(self):
-        return dict, (dict(self),)
 
 
 class Results(dict):

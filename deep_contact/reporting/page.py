@@ -63,21 +63,15 @@ def write_report(
 def _content(path: Path) -> dict:
     """Content of the page for a results file. Raises ResultsError where it cannot be read."""
     entry, reference, picture = results.read_results(path), results.reference(path.stem), path.with_suffix(".png")
-    made, here, there = entry["provenance"], entry["options"], reference["options"] if reference else entry["options"]
-    other = {
-        name: f"{cell(here.get(name))} instead of {cell(there.get(name))}"
-        for name in {**here, **there}
-        if here.get(name) != there.get(name)
-    }
+    made, is_full = entry["provenance"], reference and reference["options"] == entry["options"]
     run = {key: value for key, value in made.items() if key not in ("packages", "seed", "inputs", "code")}
     return entry | {
-        "claims": [_judged(claim, reference if other else None) for claim in entry["claims"]],
-        "full": None if reference is None else not other,
-        "other": other,
+        "claims": [_judged(claim, None if is_full else reference) for claim in entry["claims"]],
+        "full": is_full,
         "name": results.name_of(entry["id"]),
         "anchor": path.stem.replace("_", "-"),
         "picture": base64.b64encode(picture.read_bytes()).decode("ascii") if picture.exists() else None,
-        "settings": {**here, "seed": made["seed"]},
+        "settings": {**entry["options"], "seed": made["seed"]},
         "old": references.why_old(path.stem) if path.resolve().parent == results.REFERENCE else "",
         "made": run | made["packages"] | made.get("inputs", {}),
     }

@@ -5,7 +5,6 @@ import dataclasses
 import functools
 import json
 import os
-import pickle
 import re
 import signal
 import subprocess
@@ -188,28 +187,6 @@ def test_a_setting_of_the_wrong_type_is_refused_by_its_name(text):
     with pytest.raises(argparse.ArgumentTypeError, match="expected") as error:
         figures.assigned(OPTIONS, text)
     assert text.partition("=")[0] in str(error.value)
-
-
-def test_a_setting_that_changes_nothing_is_refused_by_its_name(tmp_path, capsys):
-    """`figure 6.1 --set n_bodies=300` drew the stored study and recorded 300."""
-
-    def walk_or_read(options, *_):
-        return {"walks": [[1.0, 2.0]] * 2 if options["results"] else [[1.0] * options["n"]] * 2}
-
-    figure = dataclasses.replace(FIGURE, options={"results": "a.json", "n": 4}, quick={}, compute=walk_or_read)
-    assert run(tmp_path, "--set", "results=", "--set", "n=3", figure=figure) == 0
-    before = stored(tmp_path)
-    assert before["options"] == {"results": "", "n": 3}
-    with pytest.raises(SystemExit, match="2"):
-        run(tmp_path, "--set", "n=3", figure=figure)
-    assert "--set: n: expected a setting that changes what is drawn, got one without effect" in capsys.readouterr().err
-    assert stored(tmp_path) == before
-
-
-@pytest.mark.parametrize("read", [dict, lambda options: options | {}, lambda o: pickle.loads(pickle.dumps(o))])
-def test_whole_options_handed_on_count_as_read(read, tmp_path):
-    figure = dataclasses.replace(FIGURE, compute=lambda options, *_: walk(read(options), 0, 1, None))
-    assert run(tmp_path, "--set", "n=3", figure=figure) == 0
 
 
 @pytest.mark.parametrize("script", sorted(SCRIPTS.glob("*_[0-9]*_[0-9]*.py")), ids=lambda path: path.stem)
