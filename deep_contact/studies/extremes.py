@@ -81,10 +81,10 @@ def measure(trial: Trial, engine: str = "ours") -> dict:
     The scale of energy is the initial energy, kinetic and potential above the lowest place in the box; where
     that is 0, the kinetic energy of all circles at 1 m/s. Raises ValueError on an unknown engine.
     """
-    run, watch = {"ours": _ours}.get(one_of("engine", engine, ENGINES), partial(_peer, engine)), _Watch(trial)
-    more = max(20, trial.steps // 10)
+    one_of("engine", engine, ENGINES)
+    watch, more = _Watch(trial), max(20, trial.steps // 10)
     try:
-        advance, bodies = run(trial)
+        advance, bodies = _begin(trial, engine)
         for _ in range(trial.steps):
             advance(1)
             watch.see(bodies(), ours=engine == "ours")
@@ -104,26 +104,23 @@ def _without_run(verdict: str, error: Exception) -> dict:
     return {"verdict": verdict, "message": str(error).strip().splitlines()[-1], "finite": True, **nothing}
 
 
-def _ours(trial: Trial) -> tuple[Callable, Callable]:
-    """Functions that do so many steps of a trial, and that return the bodies after them."""
-    state = ready(trial.scene)
+def _begin(trial: Trial, engine: str) -> tuple[Callable, Callable]:
+    """Functions that do so many steps of a trial in an engine, and that return the bodies after them."""
+    scene, solver = trial.scene, trial.solver
+    if engine == "pymunk" and solver.sweeps == 0:
+        raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
+    if engine != "ours":
+        world = peers.ENGINES[engine](scene)
+        return lambda steps: world.run(steps, scene.dt, solver.sweeps, solver.position_sweeps), world.bodies
+    state = ready(scene)
     stiff = stiffness(state) if trial.recognised else None
-    options = {"solver": stiff.solver if stiff else trial.solver, "warm_start": trial.warm_start}
+    options = {"solver": stiff.solver if stiff else solver, "warm_start": trial.warm_start}
 
     def advance(steps: int) -> None:
         nonlocal state
         state = simulate(state, steps=steps, **options).state
 
     return advance, lambda: state.bodies
-
-
-def _peer(engine: str, trial: Trial) -> tuple[Callable, Callable]:
-    """The same of another engine."""
-    dt, solver = trial.scene.dt, trial.solver
-    if engine == "pymunk" and solver.sweeps == 0:
-        raise ValueError("iterations must be positive and non-zero")  # Chipmunk prints this and ends the process
-    world = peers.ENGINES[engine](trial.scene)
-    return lambda steps: world.run(steps, dt, solver.sweeps, solver.position_sweeps), world.bodies
 
 
 class _Watch:
