@@ -1,20 +1,18 @@
 """`deep-contact` and `python -m deep_contact`; `view` is in `test_viewer.py`."""
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT, run_python
 
 import deep_contact as dc
 from deep_contact import __main__ as command_line
 from deep_contact.__main__ import main
 from deep_contact.io.xml_tree import StateFileError
 from deep_contact.physics.solvers import describe
-
-ROOT = Path(__file__).resolve().parents[1]
 
 PROBE = '''"""python scripts/figure_9_1_probe.py: what a script sees."""
 import json, sys
@@ -118,8 +116,7 @@ def test_a_figure_of_a_stored_study_is_drawn_in_any_folder(tmp_path, monkeypatch
 def test_a_list_that_is_cut_short_is_no_error():
     code = "import os, sys; from deep_contact.__main__ import main; os.close(0); r, w = os.pipe(); os.dup2(w, 1); "
     code += "os.close(w); os.close(r); sys.exit(main(['figure']))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    assert run_python("-c", code).stderr == ""
 
 
 # ---- simulate, predict, sample ----

@@ -1,15 +1,9 @@
 """What is imported for which job: cost follows what is there."""
 
-import subprocess
-import sys
-from pathlib import Path
-
 import pytest
+from conftest import ROOT, run_python
 
 import deep_contact as dc
-
-ROOT = Path(__file__).resolve().parents[1]
-
 
 HEAVY = {"numpy", "numba", "scipy", "matplotlib", "tensorflow", "keras", "h5py", "lxml"}
 HELP = "import runpy, sys; sys.argv = ['x', '--help']; runpy.run_path('{}', run_name='__main__')"
@@ -23,6 +17,7 @@ MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}'
         ("from deep_contact.io import provenance; assert provenance.provenance()['packages']", HEAVY),
         *((MAIN.format(argument), HEAVY) for argument in ("--version", "--help", "figure")),
         *((HELP.format(ROOT / "scripts" / name), HEAVY - {"numpy", "h5py"}) for name in ("train.py", "model_cards.py")),
+        ("from deep_contact import plotting; plotting.subplots()", {"matplotlib.pyplot"}),
         # Numba asks for scipy.linalg, which takes a quarter of the time to the first step: see `prepare_numba`.
         (
             "import deep_contact as dc; dc.simulate(dc.column(2), steps=1)",
@@ -32,16 +27,13 @@ MAIN = "import sys; from deep_contact.__main__ import main; sys.argv[1:] = ['{}'
 )
 def test_nothing_is_loaded_that_the_job_does_not_need(code, unused):
     code = f"import atexit, sys; atexit.register(lambda: print(*sys.modules)); {code}"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not set(done.stdout.split()) & unused
+    assert not set(run_python("-c", code).stdout.split()) & unused
 
 
 def test_imports_point_down_and_make_no_circle():
     # The contracts are in pyproject.toml. Imports inside functions count, too.
     code = "import sys; from importlinter.cli import lint_imports; sys.exit(lint_imports(sys.argv[1], no_cache=True))"
-    command = [sys.executable, "-c", code, str(ROOT / "pyproject.toml")]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
+    run_python("-c", code, ROOT / "pyproject.toml", cwd=ROOT)
 
 
 def test_every_public_name_is_there():

@@ -11,36 +11,27 @@ from deep_contact import simulation
 SCENES = [dc.lattice_in_box(20 + 7 * k, seed=k, gap=0.05) for k in range(6)] + [dc.column(4), dc.single_body()]
 
 
-@pytest.mark.parametrize("threads", [1, 2, 5, None])
-def test_each_run_is_what_it_is_alone(threads):
-    options = {"steps": 60, "solver": dc.PGS(sweeps=15)}
-    assert dc.simulate_many([], threads=threads, **options) == []
-    for scene, many in zip(SCENES, dc.simulate_many(SCENES, threads=threads, **options), strict=True):
-        one = dc.simulate(scene, **options)
-        assert one.state == many.state
-        assert one.contacts.max() > 0
-        for name in ("contacts", "sweeps", "theta", "relaxations"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
-
-
 @pytest.mark.parametrize(
-    "options",
+    ("threads", "options"),
     [
-        {},
-        {"accuracy": "preview"},
-        {"dt": 0.005, "warm_start": None},
-        {"sleep": True, "record": 10, "solver": dc.PGS(sweeps=10)},
-        {"solver": dc.BatchedPGS(sweeps=10)},
+        *((threads, {"solver": dc.PGS(sweeps=15)}) for threads in (1, 2, 5)),
+        (None, {}),
+        (None, {"accuracy": "preview"}),
+        (None, {"dt": 0.005, "warm_start": None}),
+        (None, {"sleep": True, "record": 10, "solver": dc.PGS(sweeps=10)}),
+        (None, {"solver": dc.BatchedPGS(sweeps=10)}),
     ],
 )
-def test_options_are_those_of_simulate(options):
-    many = dc.simulate_many(iter(SCENES[:3]), steps=25, **options)
-    for scene, run in zip(SCENES[:3], many, strict=True):
-        one = dc.simulate(scene, steps=25, **options)
-        assert one.state == run.state
-        assert (run.recorded is None) == ("record" not in options)
-        if run.recorded is not None:
-            np.testing.assert_array_equal(one.trajectory.positions, run.trajectory.positions)
+def test_each_run_is_what_it_is_alone(threads, options):
+    assert dc.simulate_many([], steps=60, threads=threads, **options) == []
+    for scene, many in zip(SCENES, dc.simulate_many(iter(SCENES), steps=60, threads=threads, **options), strict=True):
+        one = dc.simulate(scene, steps=60, **options)
+        assert one.state == many.state
+        for name in ("contacts", "sweeps", "theta", "relaxations"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(many, name))
+        assert (many.recorded is None) == ("record" not in options)
+        if many.recorded is not None:
+            np.testing.assert_array_equal(one.trajectory.positions, many.trajectory.positions)
 
 
 def test_scenes_run_on_so_many_threads_at_a_time(monkeypatch):

@@ -11,28 +11,6 @@ from deep_contact.io.state_xml import format_state
 from deep_contact.state.checks import check_state
 
 
-def broken(state, part, field, index, value):
-    arrays = getattr(state, part)
-    array = getattr(arrays, field).copy()
-    array[index] = value
-    return state.replace(**{part: arrays._replace(**{field: array})})
-
-
-@pytest.mark.parametrize(
-    ("part", "field", "value", "message"),
-    [
-        ("bodies", "mass", 0.0, r"bodies\.mass\[2\]: expected"),
-        ("contacts", "body_b", 999, r"contacts\.body_b\[2\]: expected"),
-        ("contacts", "body_a", -1, r"contacts\.body_a\[2\]: expected"),
-        ("contacts", "normal", 3.0, r"contacts\.normal\[2\]: expected"),
-        ("contacts", "normal_impulse", -1.0, r"contacts\.normal_impulse\[2\]: expected"),
-    ],
-)
-def test_a_broken_field_is_named(falling_states, part, field, value, message):
-    with pytest.raises(ValueError, match=message):
-        check_state(broken(falling_states[-1], part, field, 2, value))
-
-
 def test_contacts_are_put_into_sweep_order_and_a_pair_twice_is_refused(falling_states):
     state = falling_states[-1]
     order = np.random.default_rng(0).permutation(state.contacts.count)

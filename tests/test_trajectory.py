@@ -7,7 +7,6 @@ import pytest
 from conftest import solved_states
 
 import deep_contact as dc
-from deep_contact.io import simulation_h5
 from deep_contact.physics.metrics import kinetic_energy
 from deep_contact.trajectory import Trajectory, load_trajectory
 
@@ -50,14 +49,6 @@ def test_a_file_gives_the_same_run(run, tmp_path):
     again = load_trajectory(tmp_path / "runs" / "fall.h5")
     assert again.stored.digest == run.stored.digest
     assert repr(again) == repr(run)
-
-
-def test_a_recorded_run_has_no_digest_before_somebody_asks_for_it(monkeypatch):
-    monkeypatch.setattr(simulation_h5, "_digest", lambda attributes, arrays: 1 / 0)
-    recorded = dc.simulate(dc.column(2), steps=4, record=1).trajectory
-    assert len(recorded) == 5
-    with pytest.raises(ZeroDivisionError):
-        _ = recorded.stored.digest
 
 
 def test_a_film_shows_circles_where_they_are_in_the_colour_of_their_speed(tmp_path):

@@ -1,11 +1,10 @@
 """`python -m deep_contact view`: frames, films, windows, and the command line."""
 
-import subprocess
-import sys
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import run_python
 
 import deep_contact as dc
 from deep_contact import viewer
@@ -109,9 +108,8 @@ def test_a_state_file_is_gone_on_from(scene, tmp_path, capsys):
 
 
 def test_without_a_display_a_film_is_written(tmp_path):
-    command = [sys.executable, "-m", "deep_contact", "view", "--bodies", "3", "--steps", "2", "--every", "1"]
+    arguments = ["--bodies", 3, "--steps", 2, "--every", 1]
     environment = {"MPLBACKEND": "agg", "PATH": "", "PYTHONPATH": str(dc.__path__[0] + "/..")}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
-    assert done.returncode == 0, done.stderr
+    done = run_python("-m", "deep_contact", "view", *arguments, cwd=tmp_path, environment=environment)
     assert "no display" in done.stderr
     assert (tmp_path / "view.gif").read_bytes().startswith(b"GIF89a")

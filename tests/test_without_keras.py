@@ -2,11 +2,9 @@
 
 import re
 import shlex
-import subprocess
-import sys
 from configparser import ConfigParser
 
-from conftest import ROOT
+from conftest import ROOT, run_python
 
 PROGRAM = """
 import sys
@@ -47,8 +45,8 @@ print(main(["figure", "4.2", "--quick"]))
 
 
 def test_what_needs_no_keras_works_without_it_and_what_needs_it_says_so(tmp_path):
-    done = subprocess.run([sys.executable, "-c", PROGRAM], cwd=tmp_path, capture_output=True, text=True)
-    assert "all of it" in done.stdout, done.stderr
+    done = run_python("-c", PROGRAM, cwd=tmp_path)
+    assert "all of it" in done.stdout
     *_, refused, status = done.stdout.splitlines()
     assert refused.startswith("keras: expected the package, which training and networks on images need, got none")
     assert status == "4"

@@ -132,14 +132,6 @@ def test_spec_goes_through_json():
         FarFieldSpec.from_dict({"kind": "far field"})
 
 
-def test_a_state_without_contacts_found_is_refused():
-    with pytest.raises(ValueError, match=r"state\.contacts: expected"):
-        describe(dc.column(3), SPEC)
-    flying = dc.simulate(dc.circles_in_box(2, seed=0), steps=0).state
-    with pytest.raises(ValueError, match=r"state\.contacts: expected"):
-        describe(flying, SPEC)
-
-
 def test_a_model_file_gives_a_start_in_the_cone(tmp_path, state):
     from deep_contact.cnn import architectures
     from deep_contact.cnn.model_file import save_model

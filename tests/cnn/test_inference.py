@@ -3,13 +3,12 @@
 import json
 import os
 import shutil
-import subprocess
-import sys
 
 import h5py
 import keras
 import numpy as np
 import pytest
+from conftest import run_python
 
 import deep_contact as dc
 from deep_contact.cnn import far_field, inference, model_file, registry
@@ -84,15 +83,15 @@ def test_file_opens_with_plain_keras(file, network):
     np.testing.assert_array_equal(loaded(image), network(image))
 
 
-def test_keras_is_imported_on_request_on_the_threads_asked_for_without_a_line_of_its_log():
+def test_keras_is_imported_on_request_on_the_threads_asked_for_without_a_line_of_its_log(monkeypatch):
     """Nor before: `test_without_keras`."""
     code = "from deep_contact.cnn.backend import limit_threads; limit_threads(1); import deep_contact as dc, sys"
     code += "; model = dc.load_model(); print('keras' in sys.modules); model.network"
     code += "; from deep_contact.cnn.backend import tensorflow as tf"
     code += "; print(tf.config.threading.get_intra_op_parallelism_threads())"
-    environment = {name: value for name, value in os.environ.items() if name != "TF_CPP_MIN_LOG_LEVEL"}
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment)
-    assert (done.returncode, done.stdout.split(), done.stderr) == (0, ["False", "1"], "")
+    monkeypatch.delenv("TF_CPP_MIN_LOG_LEVEL", raising=False)
+    done = run_python("-c", code)
+    assert (done.stdout.split(), done.stderr) == (["False", "1"], "")
 
 
 def test_a_file_of_plain_keras_is_refused(tmp_path, network):

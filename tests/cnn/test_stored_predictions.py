@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT
 
 import deep_contact as dc
 
-ROOT = Path(__file__).resolve().parents[2]
 STORED = json.loads(Path(__file__).with_name("stored_predictions.json").read_text(encoding="utf-8"))
 
 

@@ -192,13 +192,7 @@ def test_settings_of_the_shipped_models_are_known():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"),
-    [
-        ("architecture", "alexnet"),
-        ("epochs", 0),
-        ("rate", -1.0),
-        ("sweeps", (3, 1)),
-    ],
+    ("field", "value"), [("architecture", "alexnet"), ("epochs", 0), ("rate", -1.0), ("sweeps", (3, 1))]
 )
 def test_bad_settings_are_named(field, value):
     with pytest.raises(ValueError, match=field):

@@ -2,12 +2,11 @@
 
 import multiprocessing
 import os
-import subprocess
-import sys
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from conftest import run_python
 from numba import config, njit
 
 from deep_contact.compiled import team as teams
@@ -156,5 +155,4 @@ if __name__ == "__main__":
 def test_a_process_that_is_forked_after_threads_have_run_lives(tmp_path):
     script = tmp_path / "fork.py"
     script.write_text(FORK_AFTER_THREADS)
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=300)
-    assert done.stdout.strip() == "True", done.stderr
+    assert run_python(script).stdout.strip() == "True"

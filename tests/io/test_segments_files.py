@@ -16,8 +16,10 @@ from deep_contact.reporting import plotting, results
 
 @pytest.fixture(scope="module")
 def run():
-    """A funnel in use: contacts with circles, walls and segments."""
-    found = dc.simulate(dc.hopper(60, opening=5.0, seed=1), steps=300, solver=dc.PGS(sweeps=20), record=50)
+    """A funnel in use, one side of which moves: contacts with circles, walls and segments."""
+    scene = dc.hopper(60, opening=5.0, seed=1)
+    belts = replace(scene.world, surface_speeds=[-0.5, *[0.0] * (len(scene.world.segments) - 1)])
+    found = dc.simulate(scene.replace(world=belts), steps=300, solver=dc.PGS(sweeps=20), record=50)
     contacts = found.state.contacts
     assert {0, 1} <= set(contacts.body_b[contacts.body_b >= 64] - 64)
     assert ((contacts.body_b >= 60) & (contacts.body_b < 64)).any()
@@ -31,6 +33,7 @@ def test_a_state_survives_xml(run, tmp_path):
     assert again == run.state
     assert format_state(again) == path.read_bytes()
     assert b"segment" not in format_state(dc.column(2))
+    assert format_state(run.state).count(b"speed") == 2
     on = [dc.simulate(state, steps=20).state for state in (run.state, again)]
     assert on[0].bodies == on[1].bodies
 
@@ -41,6 +44,7 @@ def test_a_state_survives_xml(run, tmp_path):
         ('<segment index="62"', '<segment index="61"', "segment.*index: expected"),
         ('slave="62"', 'slave="63"', "slave: expected"),
         ("<segment index", "<segment colour='red' index", "colour"),
+        ('speed="-0.5"', 'speed="nan"', "speed.*nan"),
         (r'(<segment index="61") .*/>', r'\1 x_0="1.0" y_0="1.0" x_1="1.0" y_1="1.0"/>', "two different points"),
         (r'(<segment index="61") x_0="[^"]*"', r"\1", "x_0"),
         (r"(?s)<segments>.*</segments>", "", "expected the index of a body"),
@@ -67,12 +71,16 @@ def test_a_trajectory_survives_hdf5(run, tmp_path):
     assert len(dc.load_trajectory(tmp_path / "some.h5").world.segments) == 2000
 
 
-@pytest.mark.parametrize("value", [np.zeros(4), np.zeros(6), np.zeros((1, 4)), np.arange(8.0) * np.nan])
-def test_damaged_segments_of_a_trajectory_are_refused(run, tmp_path, value):
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [*(("segments", bad) for bad in (np.zeros(4), np.zeros(6), np.zeros((1, 4)), np.arange(8.0) * np.nan)),
+     ("surface_speeds", np.ones(59))],
+)  # fmt: skip
+def test_damaged_segments_of_a_trajectory_are_refused(run, tmp_path, name, value):
     run.trajectory.save(tmp_path / "bad.h5")
     with h5py.File(tmp_path / "bad.h5", "r+") as file:
-        file.attrs.create("segments", value)
-    with pytest.raises(DataFileError, match="segments"):
+        file.attrs.create(name, value)
+    with pytest.raises(DataFileError, match=name):
         dc.load_trajectory(tmp_path / "bad.h5")
 
 

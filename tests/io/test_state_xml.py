@@ -4,8 +4,6 @@ import gzip
 import os
 import re
 import socket
-import subprocess
-import sys
 import time
 import tracemalloc
 import xml.etree.ElementTree as ElementTree
@@ -15,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import TOOLS, run_python
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -28,7 +27,6 @@ from deep_contact.state.checks import make_bodies
 from deep_contact.state.scales import BOX2D, ContactScales
 
 DATA = Path(__file__).parent / "data"
-TOOLS = Path(__file__).parents[1] / "tools"
 OLD_A = DATA / "old_pybox2d_12.xml"
 OLD_B = DATA / "7.xml"
 EXTREME = (5e-324, -5e-324, -0.0, 0.0, 1e308, -1.7976931348623157e308, 2.2250738585072014e-308, 0.1, 1 / 3)
@@ -418,8 +416,6 @@ def test_state_larger_than_can_be_read_is_not_written(monkeypatch, tmp_path):
 def test_two_thousand_damaged_files_only_raise_state_file_errors():
     """The whole run is `fuzz.py xml --inputs 1000000`."""
     pytest.importorskip("atheris")
-    command = [sys.executable, TOOLS / "fuzz.py", "xml", "--inputs", "2000", "--seed", "1"]
-    result = subprocess.run(command, capture_output=True, text=True)
-    assert result.returncode == 0, result.stdout + result.stderr
-    assert "'read'" in result.stdout
-    assert "'refused'" in result.stdout
+    printed = run_python(TOOLS / "fuzz.py", "xml", "--inputs", 2000, "--seed", 1).stdout
+    assert "'read'" in printed
+    assert "'refused'" in printed

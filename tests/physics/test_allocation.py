@@ -4,11 +4,9 @@ Numba's runtime counts what compiled code allocates. A run allocates its rooms a
 """
 
 import json
-import os
-import subprocess
-import sys
 
 import pytest
+from conftest import run_python
 
 RUNS = {
     "PGS": "dict(solver=dc.PGS(sweeps=20))",
@@ -42,9 +40,7 @@ print(json.dumps({{{", ".join(f"{name!r}: allocations(**{options})" for name, op
 @pytest.fixture(scope="module")
 def allocations():
     """Name of a run -> (allocations in two runs of one step and one of a hundred, contacts of a step)."""
-    environment = {**os.environ, "NUMBA_NRT_STATS": "1"}
-    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=True, env=environment)
-    return json.loads(done.stdout)
+    return json.loads(run_python("-c", CODE, environment={"NUMBA_NRT_STATS": "1"}).stdout)
 
 
 @pytest.mark.parametrize("name", RUNS)

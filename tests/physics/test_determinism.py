@@ -7,12 +7,11 @@ LLVM.
 import hashlib
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import run_python
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
@@ -35,11 +34,8 @@ def in_another_process(seed, *, method="PGS", folder=None, **environment):
     """`run` in a process of its own that starts in a folder, whose package it then takes."""
     code = f"import test_determinism as t; print(t.run({seed}, method={method!r}))"
     paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
-    environment = {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
-    command = [sys.executable, "-c", code]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=300, cwd=folder)
-    assert done.returncode == 0, done.stderr
-    return done.stdout.strip()
+    environment |= {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
+    return run_python("-c", code, environment=environment, cwd=folder).stdout.strip()
 
 
 @pytest.mark.parametrize("method", ["PGS", "NNCG"])

@@ -1,18 +1,14 @@
 """Steps and runs: free fall, rest, position correction, determinism, resuming."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
-from conftest import assert_same_bits, circles_at
+from conftest import ROOT, assert_same_bits, circles_at
 
 import deep_contact as dc
 from deep_contact.constants import MAX_ROTATION, WALL_SKIN
 from deep_contact.physics.ready import is_valid
 from deep_contact.physics.solvers import METHODS
 from deep_contact.state.checks import is_unit
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def assert_same_run(first: dc.State, second: dc.State):

@@ -156,20 +156,6 @@ def test_packings_whose_rows_depend_on_each_other_are_solved():
         check_solution(state, solve_exactly(state))
 
 
-def test_epsilon_falls_while_steps_are_easy(falling_states, monkeypatch):
-    # A fifth after up to 5 pivots, half after up to 12, and four times as much after a step that is given up.
-    pivots, given = iter([5, 6, 12, 13, None]), []
-
-    def step(rates, blocks, impulse, epsilon, limit):
-        given.append(epsilon)
-        done = next(pivots, 99)
-        return (None, 0, 1) if done is None else (impulse, done, 1)
-
-    monkeypatch.setattr(exact, "_step", step)
-    from_nothing(falling_states[4], residual=1e-300, most_pivots=42)
-    np.testing.assert_allclose(given, [1e-4, 2e-5, 1e-5, 5e-6, 5e-6, 2e-5], rtol=1e-12)
-
-
 @pytest.mark.parametrize(("sweeps", "expected"), [(0, (1.0, 0.5)), (1, (0.1, 0.05))])
 def test_what_is_swept_lies_in_the_cone(sweeps, expected):
     # By hand, A = I and μ = ½: a sweep holds λ_t at ½ λ_n = ½ of before it, then λ_n falls to 0.1.

@@ -81,23 +81,6 @@ def test_a_run_by_motion_is_the_run_of_the_steps_it_chose():
     np.testing.assert_array_equal(whole.state.bodies.position, halves.state.bodies.position)
 
 
-@pytest.mark.parametrize("sleep", [False, True])
-def test_a_run_by_motion_is_the_same_in_parts_from_a_file_and_seen_step_by_step(tmp_path, sleep):
-    scene = dc.circles_in_box(40, size=16, seed=4)
-    run = dc.simulate(scene, steps=150, solver=MOTION, sleep=sleep)
-    seen = []
-    watched = dc.simulate(scene, steps=150, solver=MOTION, sleep=sleep, on_step=lambda state, _: seen.append(state.dt))
-    np.testing.assert_array_equal(watched.state.bodies.position, run.state.bodies.position)
-    np.testing.assert_array_equal(watched.substeps, run.substeps)
-    assert seen == [0.01] * 150
-    if not sleep:  # who sleeps is known within a run only
-        dc.write_state(tmp_path / "half.xml", dc.simulate(scene, steps=70, solver=MOTION).state)
-        later = dc.simulate(dc.read_state(tmp_path / "half.xml"), steps=80)
-        assert later.state.solver == MOTION
-        np.testing.assert_array_equal(later.state.bodies.position, run.state.bodies.position)
-        np.testing.assert_array_equal(later.state.contacts.normal_start, run.state.contacts.normal_start)
-
-
 def test_batches_divide_by_motion_on_any_number_of_threads():
     scene, batches = dc.lattice_in_box(200, seed=4), dc.BatchedPGS(**vars(replace(MOTION, sweeps=8)))
     one, two = (dc.simulate(scene, steps=120, solver=replace(batches, threads=k)) for k in (1, 2))

@@ -10,10 +10,13 @@ from scipy import sparse
 
 import deep_contact as dc
 from deep_contact import sph
+from deep_contact.cnn.far_field import FarFieldSpec, describe
+from deep_contact.cnn.images import ImageSpec, input_image, label_image, read_back
 from deep_contact.cnn.through_solver import solved_problem
 from deep_contact.physics.islands import islands_of
 from deep_contact.physics.lcp import check_problem, contact_problem
 from deep_contact.physics.matrix_solvers import solve_problem
+from deep_contact.state.checks import check_state
 from deep_contact.studies.chapter_4 import window_products
 
 COLUMN, TOUCHING = dc.column(2), dc.find_contacts(dc.single_body(friction=0.3))
@@ -30,6 +33,12 @@ def run(**options):
 def scaled(**scales):
     """A world with these scales."""
     dc.World(scales=dc.BOX2D._replace(**scales))
+
+
+def with_contact(**fields):
+    """A state whose only contact has these fields."""
+    contacts = TOUCHING.contacts._replace(**{name: np.array([value]) for name, value in fields.items()})
+    check_state(TOUCHING.replace(contacts=contacts))
 
 
 def run_many(scenes=(COLUMN, COLUMN), **options):
@@ -173,6 +182,27 @@ REFUSED = [
     (forces_on, {"part": "circle", "index": 2, "record": 1}, "index: expected"),
     (dc.Trajectory.from_states, {"states": []}, "at least one state"),
     (dc.Trajectory.from_states, {"states": [TOUCHING, TOUCHING.replace(name="other")]}, r"states\[1\]\.name"),
+    # starts and states with contacts
+    (dc.solve_contacts, {"state": TOUCHING, "start": ([], [])}, "one a contact, got"),
+    (dc.solve_contacts, {"state": TOUCHING, "start": "magic"}, "expected one of"),
+    (dc.solve_contacts, {"state": TOUCHING, "start": 3.0}, "expected two arrays"),
+    (dc.solve_contacts, {"state": TOUCHING, "start": lambda *_: 2 * [np.array([math.nan])]}, "got nan at contact 0"),
+    (dc.solve_contacts, {"state": TOUCHING, "start": ([-1e51], [0.0])}, r"normal impulses of at most 1e\+50"),
+    (dc.solve_contacts, {"state": TOUCHING, "start": ([0.0], [-1e51])}, r"tangent impulses of at most 1e\+50"),
+    (with_contact, {"body_a": -1}, r"contacts\.body_a\[0\]: expected"),
+    (with_contact, {"body_b": 999}, r"contacts\.body_b\[0\]: expected"),
+    (with_contact, {"normal": [3.0, 0.0]}, r"contacts\.normal\[0\]: expected"),
+    (with_contact, {"normal_impulse": -1.0}, r"contacts\.normal_impulse\[0\]: expected"),
+    (dc.make_bodies, {"position": [[1, 1], [4, 1]], "mass": [1.0, 0.0]}, r"bodies\.mass\[1\]: expected"),
+    # images and descriptions
+    (ImageSpec, {"spacing": 0}, "spacing: expected"),
+    (ImageSpec, {"support": math.nan}, "support: expected"),
+    (input_image, {"state": COLUMN, "spec": ImageSpec()}, "contacts"),
+    (label_image, {"state": TOUCHING, "spec": ImageSpec()}, "solved"),
+    (read_back, {"image": np.zeros((61, 61, 1)), "state": TOUCHING, "spec": ImageSpec()}, r"\(61, 61, 2\)"),
+    (read_back, {"image": np.full((61, 61, 2), math.nan), "state": TOUCHING, "spec": ImageSpec()}, "finite"),
+    (describe, {"state": COLUMN, "spec": FarFieldSpec()}, r"state\.contacts: expected"),
+    (describe, {"state": dc.find_contacts(dc.single_body(height=5.0)), "spec": FarFieldSpec()}, "contacts: expected"),
     # contact problems
     (dc.solve_exactly, {"state": None}, "state: expected"),
     (dc.solve_exactly, {"state": COLUMN}, r"state\.contacts: expected"),

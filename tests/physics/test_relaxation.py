@@ -1,7 +1,5 @@
 """The convex relaxation of the contact problem: its optimality, and piles that rest."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import nnls

@@ -1,7 +1,6 @@
 """Scenes: what they promise, and what they refuse."""
 
 import numpy as np
-import pytest
 
 import deep_contact as dc
 
@@ -11,17 +10,6 @@ def overlap(bodies):
     offset = bodies.position[:, None] - bodies.position[None]
     gap = np.hypot(*np.moveaxis(offset, -1, 0)) - bodies.radius[:, None] - bodies.radius[None]
     return -gap[np.triu_indices(bodies.count, 1)].min()
-
-
-@pytest.mark.parametrize("radius", [(1.0, 1.0), (0.5, 1.5)])
-def test_thesis_scene_fits_its_box_without_overlap(radius):
-    scene = dc.circles_in_box(80, radius=radius, seed=1)
-    bodies = scene.bodies
-    assert overlap(bodies) < 0
-    assert (bodies.position > bodies.radius[:, None]).all()
-    assert (bodies.position < 30 - bodies.radius[:, None]).all()
-    np.testing.assert_allclose(bodies.mass, np.pi * bodies.radius**2)
-    assert scene.world == dc.World()
 
 
 def test_centres_scatter_as_the_thesis_says():

@@ -9,9 +9,6 @@ from conftest import circles_at, stacked
 from symmetry import SYMMETRIES, transform_state
 
 import deep_contact as dc
-from deep_contact.io.simulation_h5 import DataFileError, simulation_info
-from deep_contact.io.state_xml import format_state, parse_state
-from deep_contact.io.xml_tree import StateFileError
 from deep_contact.physics import metrics
 from deep_contact.physics.lcp import contact_problem, natural_residual
 from deep_contact.physics.solvers import METHODS
@@ -154,30 +151,3 @@ def test_a_barrel_leaves_its_columns_room_to_fall_apart():
     assert scene.bodies.position[:, 0].min() - scene.world.box[0] > 17
     end = dc.simulate(scene, steps=600).state.bodies
     assert end.position[:, 1].max() < 0.7 * scene.bodies.position[:, 1].max()
-
-
-# ---- files and input ----
-
-
-def test_speeds_survive_files(turning, tmp_path):
-    mixed = turning.replace(world=replace(turning.world, surface_speeds=[0.0, -1.5] * 30))
-    for state in (turning, mixed):
-        assert parse_state(format_state(state), "drum.xml").world == state.world
-    dc.simulate(mixed, steps=3, record=1).trajectory.save(tmp_path / "drum.h5")
-    assert simulation_info(tmp_path / "drum.h5").header["world"] == mixed.world
-    at_rest = turning.replace(world=replace(turning.world, surface_speeds=()))
-    assert b"speed" not in format_state(at_rest)
-
-
-def test_a_damaged_speed_is_refused(turning, tmp_path):
-    import h5py
-
-    text = format_state(turning).decode()
-    with pytest.raises(StateFileError, match=r"speed.*nan"):
-        parse_state(text.replace(f'speed="{turning.world.surface_speeds[0]!r}"', 'speed="nan"', 1).encode(), "drum.xml")
-    path = tmp_path / "drum.h5"
-    dc.simulate(turning, steps=2, record=1).trajectory.save(path)
-    with h5py.File(path, "r+") as file:
-        file.attrs["surface_speeds"] = np.ones(59)
-    with pytest.raises(DataFileError, match="surface_speeds: expected"):
-        simulation_info(path)

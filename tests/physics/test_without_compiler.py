@@ -2,12 +2,11 @@
 mutation testing rely on it."""
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import run_python
 
 import deep_contact as dc
 from deep_contact.physics.solvers import METHODS
@@ -52,10 +51,8 @@ def interpreted(tmp_path_factory):
     """A folder with what each case computes without the compiler."""
     folder = tmp_path_factory.mktemp("interpreted")
     paths = os.pathsep.join(filter(None, [str(Path(__file__).parent), os.environ.get("PYTHONPATH")]))
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1", "PYTHONPATH": paths}
     code = f"import test_without_compiler as t; t.write_all({str(folder)!r})"
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
+    run_python("-c", code, environment={"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": paths})
     return folder
 
 

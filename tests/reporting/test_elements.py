@@ -5,10 +5,10 @@ import re
 from pathlib import Path
 
 import pytest
+from conftest import ROOT
 
 from deep_contact.reporting import results
 
-ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "elements.txt").read_text(encoding="utf-8")
 ROWS = [f"{line} | ".split(" | ")[:4] for line in PAGE.splitlines()]
 

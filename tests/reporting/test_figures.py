@@ -379,11 +379,6 @@ def test_a_saved_figure_has_the_same_bytes_whatever_users_set(tmp_path):
     assert b"tEXt" not in pictures[0]
 
 
-def test_plotting_never_loads_pyplot():
-    code = "import sys; from deep_contact import plotting as p; p.subplots(); print('matplotlib.pyplot' in sys.modules)"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True) == "False\n"
-
-
 def test_a_state_is_coloured_by_speed_or_by_the_impulses_on_a_body():
     np.testing.assert_allclose(plotting.body_values(three_circles(), "speed")[0], [5, 0, 1])
     np.testing.assert_allclose(plotting.body_values(three_circles(), "impulse")[0], [7, 4, 0])

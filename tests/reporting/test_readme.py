@@ -13,13 +13,13 @@ from pathlib import Path
 from unittest.mock import patch
 
 import pytest
+from conftest import ROOT, run_python
 
 import deep_contact
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "docs"))
+sys.path.insert(0, str(ROOT / "docs"))
 import measured
 
-ROOT = Path(__file__).resolve().parents[2]
 README = ROOT / "README.md"
 DOCS = ROOT / "docs"
 REFERENCE = ROOT / "data" / "reference"
@@ -47,7 +47,7 @@ def test_readme_is_one_page_and_the_documentation_at_most_100_kilobytes():
 
 
 def test_tables_and_sentences_have_the_numbers_of_the_results_files():
-    subprocess.run([sys.executable, ROOT / "docs" / "tables.py", "--check"], check=True)
+    run_python(DOCS / "tables.py", "--check")
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if page != "docs/tried.md"])  # whose files are gone
@@ -64,8 +64,7 @@ def test_a_sentence_gets_its_numbers_wherever_its_lines_end(monkeypatch):
 
 
 def test_the_appendix_has_every_claim_element_and_erratum():
-    command = [sys.executable, ROOT / "docs" / "tables.py", "--appendix"]
-    appendix = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    appendix = run_python(DOCS / "tables.py", "--appendix").stdout
     claims = [claim for path in REFERENCE.glob("*.json") for claim in json.loads(path.read_text()).get("claims", ())]
     assert all(claim["text"].replace("|", "\\|") in appendix for claim in claims)
     for line in (DOCS / "elements.txt").read_text(encoding="utf-8").splitlines():
@@ -93,7 +92,7 @@ def test_python_of_a_page_runs_in_order_in_one_namespace(page, tmp_path, monkeyp
 def help_of(*words):
     """What a Python program says of its options."""
     if words[0] == "-m" and words[1] != "deep_contact":
-        return subprocess.run([sys.executable, *words, "--help"], capture_output=True, text=True, check=True).stdout
+        return run_python(*words, "--help").stdout
     script = ROOT / words[0] if words[0] != "-m" else Path(deep_contact.__file__).parent / "__main__.py"
     said, given = io.StringIO(), words[1:] if words[0] != "-m" else words[2:]
     with redirect_stdout(said), patch.object(sys, "argv", [str(script), *given, "--help"]):

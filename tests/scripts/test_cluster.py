@@ -12,7 +12,7 @@ from contextlib import closing
 from pathlib import Path
 
 import pytest
-from conftest import SCRIPTS, load_script
+from conftest import SCRIPTS, load_script, run_python
 
 import deep_contact as dc
 from deep_contact import parallel
@@ -97,8 +97,7 @@ def test_data_and_figures_are_the_same(cluster, tmp_path):
     figure = load_script("figure_3_7_baselines").FIGURE
     small = [item for name in ("n_bodies=20", "steps=150", "sweeps=60", "scenes=1") for item in ("--set", name)]
     for name, where in (("near", ["--jobs", "1"]), ("far", ["--scheduler", cluster.scheduler_address])):
-        generate = [sys.executable, str(SCRIPTS / "generate_data.py"), *SMALL, "--out", str(tmp_path / name)]
-        subprocess.run([*generate, *where], check=True, capture_output=True)
+        run_python(SCRIPTS / "generate_data.py", *SMALL, "--out", tmp_path / name, *where)
         assert figures.main(figure, [*small, "--out", str(tmp_path / f"{name} figure"), *where]) == 0
     near, far = ({path.name: path.read_bytes() for path in (tmp_path / k).iterdir()} for k in ("near", "far"))
     assert len(near) == 8

@@ -14,7 +14,7 @@ import time
 from pathlib import Path
 
 import pytest
-from conftest import SCRIPTS
+from conftest import SCRIPTS, run_python
 
 import deep_contact as dc
 from deep_contact.io.state_xml import read_state
@@ -22,12 +22,6 @@ from deep_contact.reporting import figures
 
 PACKAGE = Path(dc.__file__).parent
 POSIX = pytest.mark.skipif(os.name != "posix", reason="signals and limits as POSIX has them")
-
-
-def run(code, *arguments, **options):
-    """A Python process that runs the code; its result."""
-    command = [sys.executable, "-c", code, *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
 
 
 @pytest.fixture
@@ -87,9 +81,8 @@ assert found == [{"k": k} for k in range(4)]
 
 @POSIX
 def test_a_killed_study_loses_the_part_in_flight(tmp_path):
-    first, second = (run(KILLED_STUDY, tmp_path, k) for k in (2, -1))
-    assert (first.returncode, second.returncode) == (-signal.SIGKILL, 0), first.stderr + second.stderr
-    assert (first.stdout.split(), second.stdout.split()) == (["0", "1", "2"], ["2", "3"])
+    assert run_python("-c", KILLED_STUDY, tmp_path, 2, status=-signal.SIGKILL).stdout.split() == ["0", "1", "2"]
+    assert run_python("-c", KILLED_STUDY, tmp_path, -1).stdout.split() == ["2", "3"]
 
 
 # ---- no room, no rights ----
@@ -135,8 +128,8 @@ def test_a_full_disk_is_an_oserror_that_leaves_the_old_file_and_nothing_else(tmp
     # A limit on the size of files stands for the disk: a write beyond 4 KB fails as ENOSPC does, part way through.
     old = tmp_path / f"it.{suffix}"
     old.write_bytes(b"old")
-    done = run(FULL.format(write=WRITERS[suffix], prepare=PREPARE.get(suffix, "")), tmp_path)
-    assert done.stdout.startswith("OSError [Errno 27]"), done.stdout + done.stderr
+    code = FULL.format(write=WRITERS[suffix], prepare=PREPARE.get(suffix, ""))
+    assert run_python("-c", code, tmp_path).stdout.startswith("OSError [Errno 27]")
     assert old.read_bytes() == b"old"
     assert [path.name for path in tmp_path.iterdir()] == [old.name]
 
@@ -154,8 +147,8 @@ def test_a_figure_refuses_a_folder_that_cannot_be_written_before_it_computes(tmp
 def test_training_survives_a_full_disk_and_two_processes_in_one_folder(tmp_path):
     import resource
 
-    generate = [sys.executable, SCRIPTS / "generate_data.py", "--steps", "170", "--bodies", "8", "9", "--jobs", "1"]
-    subprocess.run([*generate, "--simulations", "5", "--out", tmp_path / "data"], check=True, capture_output=True)
+    few = "--simulations 5 --steps 170 --bodies 8 9 --jobs 1".split()
+    run_python(SCRIPTS / "generate_data.py", *few, "--out", tmp_path / "data")
     tiny = "--batch-size 8 --fractions 0.6 0.2 0.2 --held-out 5 --threads 1 --rate 0.01 --options width=2".split()
     tiny += ["--data", tmp_path / "data", "--schedule", "constant"]  # of which a run may be prolonged
 

@@ -1,15 +1,12 @@
 """scripts/predict.py, for a network that predicts images of impulses and for one that corrects Builtin's start."""
 
 import csv
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import load_script
+from conftest import ROOT, load_script
 
 import deep_contact as dc
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
