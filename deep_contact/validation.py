@@ -29,7 +29,7 @@ def integer(name: str, value, least: int = 0, most: int | None = None) -> int:
 
 
 def number(name: str, value, low=None, high=None, *, above=None, below=None) -> float:
-    """`value` as a finite float with low <= value <= high and above < value < below, each where given."""
+    """`value` as a finite float with low <= value <= high and above < value < below, each unless None."""
     try:
         checked = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
     except OverflowError:
@@ -37,17 +37,10 @@ def number(name: str, value, low=None, high=None, *, above=None, below=None) -> 
     is_above = (low is None or checked >= low) and (above is None or checked > above)
     is_below = (high is None or checked <= high) and (below is None or checked < below)
     if not (math.isfinite(checked) and is_above and is_below):
-        raise ValueError(f"{name}: expected {_interval(low, high, above, below)}, got {value!r}")
-    return checked
-
-
-def _interval(low, high, above, below) -> str:
-    if (low is None and above is None) or (high is None and below is None):
         limits = {">=": low, ">": above, "<=": high, "<": below}
-        return "a finite number" + "".join(f" {sign} {limit}" for sign, limit in limits.items() if limit is not None)
-    if above is None:
-        return f"a number from {low} to {high}" if below is None else f"a number from {low} to below {below}"
-    return f"a number above {above}, " + (f"up to {high}" if below is None else f"below {below}")
+        expected = " and".join(f" {sign} {limit}" for sign, limit in limits.items() if limit is not None)
+        raise ValueError(f"{name}: expected a finite number{expected}, got {value!r}")
+    return checked
 
 
 def flag(name: str, value) -> bool:

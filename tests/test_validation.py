@@ -29,10 +29,10 @@ def test_what_is_no_finite_number_is_refused(value):
     [
         ({"low": 0}, 0, -1, "a finite number >= 0"),
         ({"above": 0}, 1, 0, "a finite number > 0"),
-        ({"low": 0, "high": 1}, 0, -1, "a number from 0 to 1"),
-        ({"low": 0, "below": 1}, 0, 1, "a number from 0 to below 1"),
-        ({"above": 0, "high": 1}, 1, 0, "a number above 0, up to 1"),
-        ({"above": 0, "below": 1}, 0.5, 1, "a number above 0, below 1"),
+        ({"low": 0, "high": 1}, 0, -1, "a finite number >= 0 and <= 1"),
+        ({"low": 0, "below": 1}, 0, 1, "a finite number >= 0 and < 1"),
+        ({"above": 0, "high": 1}, 1, 0, "a finite number > 0 and <= 1"),
+        ({"above": 0, "below": 1}, 0.5, 1, "a finite number > 0 and < 1"),
         ({"high": 1}, 1, 2, "a finite number <= 1"),
     ],
 )

@@ -31,12 +31,12 @@ def _from_native_value(self, typ, val, env_manager=None):
     if env_manager is None or "unserialize" in vars(self):
         return _unpickling(self, typ, val, env_manager)
 
-    def constant(found):
-        pointer = env_manager.read_const(env_manager.add_const(found))
+    def constant(value):
+        pointer = env_manager.read_const(env_manager.add_const(value))
         self.incref(pointer)
         return pointer
 
-    self.serialize_object, self.unserialize = lambda found: found, constant
+    self.serialize_object, self.unserialize = lambda value: value, constant
     try:
         return _unpickling(self, typ, val, env_manager)
     finally:

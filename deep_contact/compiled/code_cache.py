@@ -69,12 +69,12 @@ def _stamp(locator):
 @cache
 def source_stamp(file: Path, root: Path = _ROOT) -> str:
     """Checksum of a source file and of all that it imports of `deep_contact`, which lies in the folder `root`."""
-    found, waiting = {}, {file}
+    checksums, waiting = {}, {file}
     while waiting:
         file = waiting.pop()
-        found[file], imported = _read(file, root)
-        waiting |= imported - found.keys()
-    return hashlib.sha256(b"".join(found[file] for file in sorted(found))).hexdigest()
+        checksums[file], imported = _read(file, root)
+        waiting |= imported - checksums.keys()
+    return hashlib.sha256(b"".join(checksums[file] for file in sorted(checksums))).hexdigest()
 
 
 @cache
@@ -119,15 +119,15 @@ class _CheckedFile(caching.IndexDataCacheFile):
 
 def _modules_in(pickled: bytes) -> set[str]:
     """The packages of the classes and functions that are named in pickled bytes."""
-    found = set()
+    packages = set()
 
     class Reader(pickle.Unpickler):
         def find_class(self, module, name):
-            found.add(module.partition(".")[0])
+            packages.add(module.partition(".")[0])
             return super().find_class(module, name)
 
     Reader(io.BytesIO(pickled)).load()
-    return found
+    return packages
 
 
 def _is_whole(path: str) -> bool:

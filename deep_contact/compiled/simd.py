@@ -11,6 +11,7 @@ import operator
 
 from llvmlite import ir
 from numba import config, types
+from numba.core import cgutils
 from numba.extending import intrinsic, models, overload, register_model
 
 WIDTH = 8
@@ -33,13 +34,15 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, lanes, ir.VectorType(manager.lookup(lanes.dtype).get_value_type(), lanes.width))
 
 
+def _built(build):
+    """What an intrinsic emits, of a function of LLVM's builder and the values."""
+    return lambda context, builder, signature, values: build(builder, *values)
+
+
 def _arithmetic(symbol, instruction):
     @intrinsic
     def apply(context, x, y):
-        def emit(context, builder, signature, values):
-            return getattr(builder, instruction)(*values, flags=("contract",))
-
-        return x(x, y), emit
+        return x(x, y), _built(lambda builder, x, y: getattr(builder, instruction)(x, y, flags=("contract",)))
 
     @overload(symbol)
     def apply_to_lanes(x, y):
@@ -56,29 +59,26 @@ _arithmetic(operator.truediv, "fdiv")
 @intrinsic
 def times(context, x, y):
     """Products that are rounded before anything is added to them, as NumPy does; `x * y` may be fused with a sum."""
-    return x(x, y), lambda context, builder, signature, values: builder.fmul(*values)
+    return x(x, y), _built(lambda builder, x, y: builder.fmul(x, y))
 
 
 @intrinsic
 def where_less(context, x, y, then, otherwise):
     """`then` in the lanes where x < y, `otherwise` in the others."""
-
-    def emit(context, builder, signature, values):
-        return builder.select(builder.fcmp_ordered("<", values[0], values[1]), values[2], values[3])
-
-    return then(x, y, then, otherwise), emit
+    signature = then(x, y, then, otherwise)
+    return signature, _built(lambda builder, x, y, *two: builder.select(builder.fcmp_ordered("<", x, y), *two))
 
 
 @intrinsic
 def any_less(context, x, y):
     """Whether x < y in any lane."""
 
-    def emit(context, builder, signature, values):
-        mask = builder.fcmp_ordered("<", *values)
+    def build(builder, x, y):
+        mask = builder.fcmp_ordered("<", x, y)
         bits = builder.bitcast(mask, ir.IntType(mask.type.count))
         return builder.icmp_unsigned("!=", bits, bits.type(0))
 
-    return types.boolean(x, y), emit
+    return types.boolean(x, y), _built(build)
 
 
 def _choice(sign):
@@ -86,10 +86,7 @@ def _choice(sign):
 
     @intrinsic
     def choose(context, x, y):
-        def emit(context, builder, signature, values):
-            return builder.select(builder.fcmp_ordered(sign, values[1], values[0]), values[1], values[0])
-
-        return x(x, y), emit
+        return x(x, y), _built(lambda builder, x, y: builder.select(builder.fcmp_ordered(sign, y, x), y, x))
 
     return choose
 
@@ -100,70 +97,50 @@ least, most = _choice("<"), _choice(">")
 @intrinsic
 def root(context, x):
     """Square roots."""
+    name = f"llvm.sqrt.v{x.width}f{x.dtype.bitwidth}"
 
-    def emit(context, builder, signature, values):
-        kind, module = values[0].type, builder.module
-        name = f"llvm.sqrt.v{kind.count}f{signature.return_type.dtype.bitwidth}"
-        function = module.globals.get(name) or ir.Function(module, ir.FunctionType(kind, [kind]), name)
-        return builder.call(function, values)
+    def build(builder, x):
+        kind = ir.FunctionType(x.type, [x.type])
+        return builder.call(cgutils.get_or_insert_function(builder.module, kind, name), [x])
 
-    return x(x), emit
+    return x(x), _built(build)
 
 
 @intrinsic
 def spread(context, number):
     """The same number in all lanes."""
-    lanes = Lanes(number)
-    return lanes(number), lambda context, builder, signature, values: _spread(context, builder, lanes, values[0])
+    return Lanes(number)(number), _emit_spread
 
 
 @intrinsic
 def spread_like(context, like, number):
     """The same number in as many lanes as there are in `like`."""
-    return like(like, number), lambda context, builder, signature, values: _spread(context, builder, like, values[1])
+    return like(like, number), _emit_spread
 
 
 @intrinsic
 def doubled(context, x):
     """Twice as many lanes, the numbers of x in both halves."""
-    lanes = Lanes(x.dtype, 2 * x.width)
-
-    def emit(context, builder, signature, values):
-        return _shuffle(builder, values[0], values[0], [*range(x.width)] * 2)
-
-    return lanes(x), emit
+    both = [*range(x.width)] * 2
+    return Lanes(x.dtype, 2 * x.width)(x), _built(lambda builder, x: _shuffle(builder, x, x, both))
 
 
 @intrinsic
 def lane(context, x, i):
     """The number in lane i."""
-
-    def emit(context, builder, signature, values):
-        return builder.extract_element(values[0], builder.trunc(values[1], _INT32))
-
-    return x.dtype(x, types.int64), emit
+    return x.dtype(x, types.int64), _built(lambda builder, x, i: builder.extract_element(x, builder.trunc(i, _INT32)))
 
 
 @intrinsic
 def load(context, array, i):
     """The i-th eight numbers of a contiguous array."""
-    lanes = Lanes(array.dtype)
-
-    def emit(context, builder, signature, values):
-        return _load(builder, _pointer(context, builder, array, *values, WIDTH), context.get_value_type(lanes), array)
-
-    return lanes(array, types.int64), emit
+    return Lanes(array.dtype)(array, types.int64), _emit_load
 
 
 @intrinsic
 def load_like(context, like, array, i):
     """As many numbers of a contiguous array as there are in `like`, from the i-th eight on."""
-
-    def emit(context, builder, signature, values):
-        pointer = _pointer(context, builder, array, *values[1:], WIDTH)
-        return _load(builder, pointer, context.get_value_type(like), array)
-
-    return like(like, array, types.int64), emit
+    return like(like, array, types.int64), _emit_load
 
 
 @intrinsic
@@ -220,17 +197,18 @@ def store_rows(context, rows, index, i, columns):
 @intrinsic
 def lowest_zero(context, mask):
     """Number of the lowest bit that is 0; 64 where there is none."""
-
-    def emit(context, builder, signature, values):
-        return builder.cttz(builder.not_(values[0]), ir.IntType(1)(0))
-
-    return types.int64(types.uint64), emit
+    return types.int64(types.uint64), _built(lambda builder, mask: builder.cttz(builder.not_(mask), ir.IntType(1)(0)))
 
 
-def _spread(context, builder, lanes, number):
-    undefined = ir.Constant(context.get_value_type(lanes), ir.Undefined)
-    first = builder.insert_element(undefined, number, _INT32(0))
-    return _shuffle(builder, first, first, [0] * lanes.width)
+def _emit_spread(context, builder, signature, values):
+    undefined = ir.Constant(context.get_value_type(signature.return_type), ir.Undefined)
+    first = builder.insert_element(undefined, values[-1], _INT32(0))
+    return _shuffle(builder, first, first, [0] * signature.return_type.width)
+
+
+def _emit_load(context, builder, signature, values):
+    array, kind = signature.args[-2], context.get_value_type(signature.return_type)
+    return _load(builder, _pointer(context, builder, array, *values[-2:], WIDTH), kind, array)
 
 
 def _shuffle(builder, one, other, mask):

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from llvmlite import ir
 from numba import config, njit, types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 ARRIVED, ROUND, BROKEN = 0, 8, 16
@@ -74,9 +75,9 @@ def together(size: int, function, *arguments) -> object:
     with ThreadPoolExecutor(size - 1) as pool:
         try:
             others = [pool.submit(run, rank) for rank in range(1, size)]
-            found = run(0)
+            result = run(0)
         except BrokenTeam:
-            found = None
+            result = None
         except BaseException:
             board[BROKEN] = 1
             raise
@@ -84,7 +85,7 @@ def together(size: int, function, *arguments) -> object:
     # Of the thread that was lost first, not of those that it left waiting.
     for error in sorted(errors, key=lambda error: isinstance(error, BrokenTeam)):
         raise error
-    return found
+    return result
 
 
 class BrokenTeam(RuntimeError):
@@ -146,8 +147,8 @@ def _add(context, board, i, number):
 def _let_others_run(context):
     def emit(context, builder, signature, values):
         if os.name == "posix":
-            name, kind = "sched_yield", ir.FunctionType(ir.IntType(32), [])
-            builder.call(builder.module.globals.get(name) or ir.Function(builder.module, kind, name), [])
+            kind = ir.FunctionType(ir.IntType(32), [])
+            builder.call(cgutils.get_or_insert_function(builder.module, kind, "sched_yield"), [])
         return context.get_dummy_value()
 
     return types.void(), emit

@@ -16,7 +16,7 @@ Only the nodes within reach of a particle, r < h, are visited.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -55,7 +55,6 @@ class Grid:
     origin: tuple[float, float]
     spacing: tuple[float, float]
     shape: tuple[int, int]
-    _geometry: tuple[float, float, float, float] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self):
         origin, spacing = _several("origin", self.origin), _spacing(self.spacing)
@@ -64,8 +63,7 @@ class Grid:
         for x, d, n in zip(origin, spacing, reversed(shape)):
             if not x + d * (n - 2) < x + d * (n - 1) < math.inf or not x < x + d:
                 raise ValueError(f"spacing: expected nodes that differ, got {spacing} at the origin {origin}")
-        for name, value in zip(("origin", "spacing", "shape", "_geometry"), (origin, spacing, shape, origin + spacing)):
-            object.__setattr__(self, name, value)
+        vars(self).update(origin=origin, spacing=spacing, shape=shape)  # past the dataclass, which is frozen
 
     @classmethod
     def over_box(cls, box, spacing) -> Grid:
@@ -76,13 +74,18 @@ class Grid:
         gives 44, up to 30.1 m. Raises ValueError naming the argument and the value.
         """
         x_min, y_min, x_max, y_max = _several("box", box, 4)
-        if not (x_min < x_max and y_min < y_max and math.isfinite(x_max - x_min + y_max - y_min)):
-            raise ValueError(f"box: expected (x_min, y_min, x_max, y_max) of finite extent > 0, got {box}")
+        fits = x_min < x_max and y_min < y_max and math.isfinite(x_max - x_min + y_max - y_min)
+        expect(fits, f"box: expected (x_min, y_min, x_max, y_max) of finite extent > 0, got {box}")
         dx, dy = _spacing(spacing)
         cells = (y_max - y_min) / dy, (x_max - x_min) / dx
         expect(max(cells) < _MOST_NODES, f"spacing: expected at most {_MOST_NODES} nodes along an edge, got {spacing}")
         shape = tuple(max(math.ceil(n - ROUNDING), 1) + 1 for n in cells)
         return cls(origin=(x_min, y_min), spacing=(dx, dy), shape=shape)
+
+    @property
+    def _geometry(self) -> tuple[float, float, float, float]:
+        """(x0, y0, dx, dy), for compiled code."""
+        return self.origin + self.spacing
 
     @property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
@@ -297,9 +300,7 @@ def splat(
     if columns.ndim != 2 or columns.shape[0] != position.shape[0]:
         raise ValueError(f"values: expected shape ({position.shape[0]}, channels), got {samples.shape}")
     image = np.zeros((*grid.shape, columns.shape[1]))
-    code, k = _splat_core(grid._geometry, position, columns, h, chosen, *codes, image)
-    if code != _DONE:
-        raise _error(code, k, grid, position, h)
+    _raise_unless_done(*_splat_core(grid._geometry, position, columns, h, chosen, *codes, image), grid, position, h)
     return image if samples.ndim == 2 else image.reshape(grid.shape)
 
 
@@ -357,9 +358,8 @@ def gather(
         divisor = as_floats("density", density)
         expect(divisor.shape == grid.shape, f"density: expected shape {grid.shape}, got {divisor.shape}")
     out = np.empty((position.shape[0], layers.shape[2]))
-    code, k = _gather_core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
-    if code != _DONE:
-        raise _error(code, k, grid, position, h)
+    done = _gather_core(grid._geometry, layers, divisor, position, h or 0.0, chosen, *codes, out)
+    _raise_unless_done(*done, grid, position, h)
     return out if np.ndim(image) == 3 else out.reshape(-1)
 
 
@@ -408,14 +408,16 @@ def _code(name, choice):
     return _OPTIONS[name][one_of(name, choice, _OPTIONS[name])]
 
 
-def _error(code, k, grid, position, h) -> ValueError:
-    """The exception for what a core returned."""
+def _raise_unless_done(code, k, grid, position, h) -> None:
+    """Raise the exception for what a core returned."""
+    if code == _DONE:
+        return
     at = f"({position[k, 0]}, {position[k, 1]})"
     if code == _BAD_RESULT:
-        return ValueError(f"image, density: expected finite numbers around position[{k}] = {at}")
+        raise ValueError(f"image, density: expected finite numbers around position[{k}] = {at}")
     if code == _IS_OUTSIDE:
         expected, hint = f"a point of the grid {grid.box}, got {at}", "outside='clamp' allows for it"
     else:
         expected = f"a node, or density, within reach, got {at} at h = {h}, spacing {grid.spacing}"
         hint = "unreached='zero' or 'nearest' allow for it"
-    return ValueError(f"position[{k}]: expected {expected}; {hint}")
+    raise ValueError(f"position[{k}]: expected {expected}; {hint}")

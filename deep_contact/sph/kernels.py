@@ -19,7 +19,7 @@ import math
 import numpy as np
 from numba import njit
 
-from deep_contact.validation import number, one_of
+from deep_contact.validation import expect, number, one_of
 
 GAUSSIAN_DECAY = 9.0
 """The Gaussian is exp(-9 q²): the support radius h is 3 √2 standard deviations, σ = 0.2357 h."""
@@ -140,8 +140,7 @@ def gradient(kernel: str, displacement, h: float, dim: int = 2) -> np.ndarray:
     """
     dim = int(one_of("dim", dim, (2, 3)))
     displacement = as_floats("displacement", displacement)
-    if displacement.ndim == 0 or displacement.shape[-1] != dim:
-        raise ValueError(f"displacement: expected shape (..., {dim}), got {displacement.shape}")
+    expect(displacement.shape[-1:] == (dim,), f"displacement: expected shape (..., {dim}), got {displacement.shape}")
     if not np.isfinite(displacement).all():
         where = tuple(int(i) for i in np.argwhere(~np.isfinite(displacement))[0])
         raise ValueError(f"displacement{list(where)}: expected a finite number, got {displacement[where]}")
@@ -192,9 +191,8 @@ def as_floats(name: str, array) -> np.ndarray:
     if type(array) is np.ndarray and array.dtype == np.float64 and array.flags.carray:
         return array
     try:
-        given = np.asarray(array)
+        numbers = np.asarray(array)
     except ValueError as error:
         raise ValueError(f"{name}: expected an array of real numbers, got {error}") from None
-    if given.dtype.kind not in "fiub":
-        raise ValueError(f"{name}: expected an array of real numbers, got dtype {given.dtype}")
-    return np.array(given, dtype=np.float64, order="C")
+    expect(numbers.dtype.kind in "fiub", f"{name}: expected an array of real numbers, got dtype {numbers.dtype}")
+    return np.array(numbers, dtype=np.float64, order="C")

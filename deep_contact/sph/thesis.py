@@ -29,18 +29,18 @@ def splat_by_tree(
     near = tree.query_ball_point(nodes, h) if one_query else [tree.query_ball_point(x, h) for x in nodes]
     weights = {}
     total = np.zeros(len(position))
-    for node, found in enumerate(near):
-        if found:
-            distance = np.hypot(*(position[found] - nodes[node]).T)
+    for node, particles in enumerate(near):
+        if particles:
+            distance = np.hypot(*(position[particles] - nodes[node]).T)
             weights[node] = kernels.value(kernel, distance, h)
-            total[found] += weights[node]
+            total[particles] += weights[node]
     image = np.zeros((len(nodes), values.shape[1]))
     for node, w in weights.items():
-        found = near[node]
+        particles = near[node]
         if normalization == "particle":
             # A neighbour at exactly r = h has no weight, and may have no other node either.
-            w = np.divide(w, total[found], out=np.zeros_like(w), where=total[found] > 0)
-        image[node] = w @ values[found]
+            w = np.divide(w, total[particles], out=np.zeros_like(w), where=total[particles] > 0)
+        image[node] = w @ values[particles]
     return image.reshape(*grid.shape, -1)
 
 
@@ -78,8 +78,8 @@ def share_out(grid: Grid, image, position, *, h: float, kernel: str = "poly6") -
     total = np.bincount(node, weights, minlength=len(nodes))[node]
     # At h from its only node a particle has no weight there.
     shares = np.divide(weights, total, out=np.zeros_like(weights), where=total > 0.0)
-    given = shares[:, None] * values.reshape(len(nodes), -1)[node]
-    return np.stack([np.bincount(particle, part, minlength=len(at)) for part in given.T], axis=-1)
+    parts = shares[:, None] * values.reshape(len(nodes), -1)[node]
+    return np.stack([np.bincount(particle, part, minlength=len(at)) for part in parts.T], axis=-1)
 
 
 def _nodes(grid: Grid) -> np.ndarray:

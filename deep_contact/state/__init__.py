@@ -62,9 +62,6 @@ of one: a body leaves it with at most `scales.FASTEST` and π / (2 Δt), and the
 after a start of 1e50 N·s.) Circles whose radius is below 1e-13 of their distance from the origin sink in.
 """
 
-_OWNERS = {"bodies", "world"}
-"""Fields of a state whose parts contacts name by their numbers."""
-
 LARGEST_START = 1e50
 """Largest impulse that a start may hand to the solver, N·s: below what contacts may carry, so that it can be solved."""
 
@@ -185,9 +182,9 @@ class World:
     @cached_property
     def is_within_limits(self) -> bool:
         """Whether the engine computes with all of it (`LIMITS`)."""
-        from deep_contact.state.checks import is_world_within_limits
+        from deep_contact.state.checks import beyond_limits
 
-        return is_world_within_limits(self)
+        return not any(beyond_limits(world=self, scales=self.scales))
 
 
 @dataclass(frozen=True, kw_only=True, repr=False)
@@ -232,7 +229,7 @@ class State:
         or of another segment.
         """
         changed = replace(self, **changes)
-        if self.contacts is not None and "contacts" not in changes and not changes.keys().isdisjoint(_OWNERS):
+        if self.contacts is not None and "contacts" not in changes and ("bodies" in changes or "world" in changes):
             from deep_contact.state.checks import check_kept_contacts
 
             check_kept_contacts(self, changed)
@@ -256,8 +253,7 @@ class State:
         index = np.arange(n + 4 + len(self.world.segments)) + bodies.count - n
         index[removed], index[stays] = -1, np.arange(len(stays))
         a, b = (index[body] for body in self.contacts[:2])
-        kept = Contacts(a, b, *self.contacts[2:])
-        kept = Contacts(*(values[(a >= 0) & (b >= 0)] for values in kept))
+        kept = Contacts(*(values[(a >= 0) & (b >= 0)] for values in (a, b, *self.contacts[2:])))
         return find_contacts(self.replace(bodies=bodies, contacts=kept, solved=False))
 
     def __repr__(self) -> str:

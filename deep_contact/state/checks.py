@@ -20,7 +20,7 @@ UNIT = 1e-4
 
 
 def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, density=1.0, mass=None) -> Bodies:
-    """Circles from their centres; everything else is given per circle or once for all.
+    """Circles from their centres; everything else is one value for all, or one for each.
 
     position: (n, 2), m. radius: m. velocity: (2,) or (n, 2), m/s. density: kg/m², used where `mass` (kg) is None.
     Raises ValueError naming the field, the body and the value.
@@ -34,8 +34,9 @@ def make_bodies(position, *, radius=1.0, velocity=0.0, angle=0.0, spin=0.0, dens
     _refuse_where(radius <= 0, "bodies", "radius", radius, "a number > 0")  # before a mass is made from it
     if mass is None:
         mass = _for_each("density", density, (n,)) * np.pi * radius**2
-    angle, spin, mass = (_for_each(*given, (n,)) for given in (("angle", angle), ("spin", spin), ("mass", mass)))
-    return check_bodies(Bodies(position, _for_each("velocity", velocity, (n, 2)), angle, spin, mass, radius))
+    velocity = _for_each("velocity", velocity, (n, 2))
+    angle, spin, mass = (_for_each(*one, (n,)) for one in (("angle", angle), ("spin", spin), ("mass", mass)))
+    return check_bodies(Bodies(position, velocity, angle, spin, mass, radius))
 
 
 def _for_each(name: str, value, shape: tuple[int, ...]) -> np.ndarray:
@@ -154,8 +155,7 @@ def check_types(state) -> State:
         value = getattr(state, name)
         if not (isinstance(value, kind) or (value is None and kind is Contacts)):
             raise ValueError(f"{name}: expected {kind.__name__}, got {type(value).__name__}")
-    if not isinstance(state.name, str):
-        raise ValueError(f"name: expected a text, got {state.name!r}")
+    expect(isinstance(state.name, str), f"name: expected a text, got {state.name!r}")
     number("time", state.time)
     number("dt", state.dt, above=0)
     integer("step", state.step)
@@ -165,31 +165,25 @@ def check_types(state) -> State:
 
 def check_limits(state: State) -> State:
     """The state itself, if all it holds is within `LIMITS`. Raises ValueError naming the quantity, limits and value."""
-    for name, (low, high, unit) in LIMITS.items():
-        owner = name.rpartition(".")[0]
-        part = getattr(state, owner) if owner else state
-        bad, values = _beyond(part, name) if part is not None else ((), ())
-        for at in np.argwhere(bad)[:1].tolist():
-            expected = f"{low:g} to {high:g} {unit}".rstrip()
-            raise ValueError(f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}")
+    parts = {name: getattr(state, name) for name in ("bodies", "contacts", "world", "dt", "scales")}
+    for message in beyond_limits(**parts):
+        raise ValueError(message)
     return state
 
 
-def _beyond(part, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Which values of a quantity of a part of a state are beyond its limits, and the values."""
-    (low, high, _), values = LIMITS[name], np.asarray(getattr(part, name.rpartition(".")[2]))
-    return ~((values >= low) & (values <= high)), values
-
-
-def is_world_within_limits(world: World) -> bool:
-    """Whether all of a world is within `LIMITS`."""
-    parts = {"world": world} | ({"scales": world.scales} if world.scales else {})
-    named = ((parts.get(name.partition(".")[0]), name) for name in LIMITS)
-    return not any(_beyond(part, name)[0].any() for part, name in named if part is not None)
+def beyond_limits(**parts) -> Iterator[str]:
+    """The quantities of parts of a state that are beyond `LIMITS`, in its order: which, what is expected, the value."""
+    for name, (low, high, unit) in LIMITS.items():
+        owner, _, field = name.partition(".")
+        if (part := parts.get(owner)) is not None:
+            values = np.asarray(getattr(part, field) if field else part)
+            for at in np.argwhere(~((values >= low) & (values <= high)))[:1].tolist():
+                expected = f"{low:g} to {high:g} {unit}".rstrip()
+                yield f"{name}{at or ''}: expected {expected}, got {values[tuple(at)]}"
 
 
 def _numbers(value) -> tuple[float, ...]:
-    """What was given as floats; none where it is no numbers."""
+    """A value as floats; none where it is no numbers."""
     try:
         return tuple(float(v) for v in np.ravel(value))
     except (ValueError, TypeError):
@@ -226,9 +220,9 @@ def _checked_scales(scales) -> ContactScales | None:
         return None
     is_known = isinstance(scales, ContactScales)
     expect(is_known, f"scales: expected None or ContactScales, such as scales.BOX2D, got {scales!r}")
-    # Floats, whatever was given: compiled code is compiled for those.
     limits = {"max_translation": {"above": 0}}
     named = scales._asdict().items()
+    # Floats, also of integers: compiled code is compiled for those.
     return ContactScales(*(number(f"scales.{name}", v, **limits.get(name, {"low": 0})) for name, v in named))
 
 

@@ -66,16 +66,16 @@ BOX2D = ContactScales(
 
 
 def contact_scales(
-    radius, gravity, dt: float, given: ContactScales | None = None, *, bounces: bool = False
+    radius, gravity, dt: float, fixed: ContactScales | None = None, *, bounces: bool = False
 ) -> ContactScales:
-    """The scales of a scene's steps: the given ones, or those that follow from its radii, (n,), m, gravity and Δt.
+    """The scales of a scene's steps: the fixed ones, or those that follow from its radii, (n,), m, gravity and Δt.
 
     bounces: whether e > 0, where a cut of the largest translation would take energy. It is cut to `FASTEST` times Δt.
     """
     length = mean(radius)
     felt = math.sqrt(math.hypot(*gravity) * length / _GRAVITY)  # 0 without gravity
     speed = felt if felt > 0.0 else length * constants.TIME_STEP / dt
-    scales = given or ContactScales(
+    scales = fixed or ContactScales(
         slop=BOX2D.slop * length,
         wall_skin=BOX2D.wall_skin * length,
         max_correction=BOX2D.max_correction * length,

@@ -205,7 +205,7 @@ def test_a_setting_that_the_figure_refuses_is_reported_without_a_traceback(tmp_p
     figure = load_script("figure_3_3_kernels").FIGURE
     with pytest.raises(SystemExit, match="2"):
         run(tmp_path, "--set", "h=-1", figure=figure)
-    assert "--set: h: expected a number from 1e-50" in capsys.readouterr().err
+    assert "--set: h: expected a finite number >= 1e-50" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("bad", [["--seed", "-1"], ["--jobs", "0"], ["--seed", "x"], ["--fast"]])
