@@ -71,7 +71,7 @@ class _Calls:
         inputs, rows = step_input(self.state, self._solver, self._scales), some_steps(log, first, count, self._work)
         contacts, begun = self.state.contacts, time.perf_counter()
         # Impacts that were computed with the problem are in no log.
-        found = self._steps(inputs, contacts, rows, None if len(log.loads) else problem)
+        contacts_after = self._steps(inputs, contacts, rows, None if len(log.loads) else problem)
         # How a run is divided changes no bit of it.
         self._work = min(MOST_WORK, 2 * self._work, 1 + int(self._work * SECONDS / (time.perf_counter() - begun)))
         state, count = self.state, int(rows.progress[DONE]) // inputs.parts
@@ -80,7 +80,7 @@ class _Calls:
             _raise_diverged(state.bodies, step)
         # From the number of steps, not by adding up, so that time does not depend on how a run was divided.
         now = step * state.dt if state.time == state.step * state.dt else state.time + count * state.dt
-        self.state = state.replace(contacts=found, time=now, step=step, solved=False)
+        self.state = state.replace(contacts=contacts_after, time=now, step=step, solved=False)
         self.is_own = on_step is None
         if before is not None:
             theta = self._steps.memory(inputs).theta[: rows.progress[LAST_SWEEPS]]

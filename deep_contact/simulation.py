@@ -213,8 +213,8 @@ def _simulate(
     expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
     if dt is not None:
         state = with_time_step(state, dt)
-    given, state = state, ready(state)
-    without_past = given.contacts is None or state.step == 0
+    without_past = state.contacts is None or state.step == 0
+    state = ready(state)
     solver, start, _, decision = method_of(state, solver, warm_start, accuracy, sleep=sleep)
     for sentence in decision.warnings if decision else ():
         warnings.warn(sentence, PresetWarning, stacklevel=3)
@@ -318,11 +318,11 @@ class Method(NamedTuple):
     solver: object  # with numbers in place of what follows the scene
     start: WarmStart
     start_name: str
-    decision: Decision | None  # of the preset that chose the solver; None where it was given
+    decision: Decision | None  # of the preset that chose the solver; None where the caller did
 
 
 def method_of(state: State, solver=None, start="builtin", accuracy=None, *, sleep=False) -> Method:
-    """The method of a run from this state: that of a preset, or the given one, or the state's solver.
+    """The method of a run from this state: that of a preset, or of the solver, or of the state's.
 
     Without any of these the solver is that of the preset "fast". Raises ValueError where they do not fit each other.
     """

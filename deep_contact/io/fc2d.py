@@ -30,7 +30,7 @@ _ENTRY = re.compile(r"\s*(\d{1,9}) : (\S+)\s*$")
 def read_problem(path: str | os.PathLike) -> ContactProblem:
     """The contact problem of a file.
 
-    Raises ValueError with the path, and what was expected and found, and OSError where the file cannot be opened.
+    Raises ValueError with the path, what was expected and what came, and OSError where the file cannot be opened.
     """
     text = read_bytes(path, MAX_TEXT)
     try:
@@ -58,8 +58,8 @@ def _parse(lines: list[str]) -> ContactProblem:
 
 def _printed_by_csparse(lines: list[str], rows: int) -> tuple[sparse.coo_array, int]:
     """The matrix of CSparse's print, and the line after it. A title may stand before its sizes."""
-    found = ((at, match) for at, line in enumerate(lines[5:9], 5) if (match := _SIZES.match(line)))
-    at, sizes = next(found, (0, None))
+    titles = ((at, match) for at, line in enumerate(lines[5:9], 5) if (match := _SIZES.match(line)))
+    at, sizes = next(titles, (0, None))
     expect(sizes, "W: expected CSparse's print, 'r-by-c, nzmax: … nnz: …', within 3 lines of line 6")
     end, columns, entries = at + 1, 0, []
     for end, line in enumerate(lines[at + 1 :], at + 1):

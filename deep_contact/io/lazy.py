@@ -33,11 +33,11 @@ def attach(package: str, source: str) -> tuple[Callable, Callable, list[str]]:
         if public not in home:
             raise AttributeError(f"module {package!r} has no attribute {public!r}")
         module, name = home[public]
-        found = importlib.import_module(module)
-        if module == package or not hasattr(found, name):
+        owner = importlib.import_module(module)
+        if module == package or not hasattr(owner, name):
             return importlib.import_module(f"{module}.{name}")
         # Kept, since looking it up takes 3 µs, a good part of what `step` takes beside its computation.
-        setattr(sys.modules[package], public, getattr(found, name))
-        return getattr(found, name)
+        setattr(sys.modules[package], public, getattr(owner, name))
+        return getattr(owner, name)
 
     return get, lambda: sorted(names), names

@@ -28,22 +28,19 @@ def provenance(*, seed: int | None = None, wall_s: float = 0.0, options: dict | 
     Neither paths nor the name of the machine are recorded. No package is imported to learn its version.
     """
     script = Path(getattr(sys.modules["__main__"], "__file__", None) or "none").resolve()
-    made = {}
+    record: dict = {}
     if script.suffix == ".py" and script.is_file() and "site-packages" not in script.parts:
-        made = {"code": sources.code(script)} | dict(zip(["golden"], sources.golden()))
-    return (
-        made
-        | {
-            "version": VERSION,
-            "commit": commit(),
-            "python": platform.python_version(),
-            "packages": package_versions(),
-            "cpu": processor(),
-            "seed": seed,
-            "wall_s": round(float(wall_s), 3),
-        }
-        | ({} if options is None else {"inputs": digests(options)})
-    )
+        record = {"code": sources.code(script)} | dict(zip(["golden"], sources.golden()))
+    record |= {
+        "version": VERSION,
+        "commit": commit(),
+        "python": platform.python_version(),
+        "packages": package_versions(),
+        "cpu": processor(),
+        "seed": seed,
+        "wall_s": round(float(wall_s), 3),
+    }
+    return record if options is None else record | {"inputs": digests(options)}
 
 
 def commit() -> str:
@@ -63,7 +60,7 @@ def commit() -> str:
 
 
 def digests(options) -> dict[str, str]:
-    """SHA-256 of each file that a run's options name, such as model files, by the path as it is given.
+    """SHA-256 of each file that a run's options name, such as model files, by its path there.
 
     options: dicts, lists and values, in each other; text that names no file here or in the package's folders is none.
     """

@@ -124,7 +124,7 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
     """States of one simulation as arrays.
 
     states: all of one name, world, dt, solver and the same circles, with contacts. sweeps, theta: of each state, (T,);
-    -1 and NaN where not given. seed, options: what made the simulation, anything that JSON holds.
+    -1 and NaN where None. seed, options: what made the simulation, anything that JSON holds.
     Raises ValueError naming the state and the field.
     """
     states = [check_state(state) for state in states]
@@ -152,9 +152,8 @@ def pack_simulation(states: Iterable[State], *, sweeps=None, theta=None, seed=No
         "mass": first.bodies.mass,
         "radius": first.bodies.radius,
         **{name: np.stack([getattr(s.bodies, name) for s in states]) for name in _BODIES},
+        **{name: np.concatenate(parts) for name, parts in zip(_CONTACTS, zip(*(s.contacts for s in states)))},
     }
-    for name, field in zip(_CONTACTS, Contacts._fields):
-        arrays[name] = np.concatenate([getattr(s.contacts, field) for s in states])
     header = {name: getattr(first, name) for name in _SHARED} | {"dt": float(first.dt)}
     header |= {"seed": _json_value("seed", seed), "options": _json_value("options", {} if options is None else options)}
     return StoredSimulation(header=header, arrays=arrays)
@@ -235,10 +234,10 @@ def simulation_info(path) -> SimulationInfo:
 # ---- details of a file ----
 
 
-def _per_state(name: str, given, count: int, dtype, missing) -> np.ndarray:
-    if given is None:
+def _per_state(name: str, values, count: int, dtype, missing) -> np.ndarray:
+    if values is None:
         return np.full(count, missing, dtype)
-    array = np.asarray(given)
+    array = np.asarray(values)
     fits = array.shape == (count,) and array.dtype.kind in ("iu" if dtype is np.int32 else "iuf")
     expect(fits, f"{name}: expected {count} numbers, one a state, got {array.dtype}, shape {array.shape}")
     return array.astype(dtype)
@@ -326,10 +325,7 @@ def _datasets(file: h5py.File) -> dict[str, h5py.Dataset]:
     strange = sorted(set(file) ^ set(_ARRAYS))
     expect(not strange, f"arrays: expected {', '.join(sorted(_ARRAYS))}, missing or unknown: {strange}")
     datasets = {name: hdf5.dataset(file, name) for name in _ARRAYS}
-    for name in ("step", "mass", "body_a"):
-        shape = datasets[name].shape
-        expect(shape is not None and len(shape) == 1, f"{name}: expected one dimension, got shape {shape}")
-    count, n, m = (datasets[name].shape[0] for name in ("step", "mass", "body_a"))
+    count, n, m = ((*(datasets[name].shape or ()), 0)[0] for name in ("step", "mass", "body_a"))
     expect(count, "step: expected at least one state, got none")
     sizes = {"T": count, "E": count + 1, "n": n, "M": m, "2": 2}
     for name, (dtype, dimensions) in _ARRAYS.items():

@@ -138,27 +138,15 @@ def _imported(tree: ast.Module, root: Path) -> set[Path]:
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id in packages:
             wanted.add((packages[node.value.id], node.attr))
     inside = [pair for pair in wanted if pair[0].partition(".")[0] == "deep_contact"]
-    return {file for module, name in inside for file in _files(root, module, name) if _counts(file, root)}
-
-
-def _counts(file: Path, root: Path) -> bool:
-    return not file.relative_to(root / "deep_contact").as_posix().startswith(NO_NUMBERS)
+    files = {file for module, name in inside for file in _files(root, module, name)}
+    return {file for file in files if not file.relative_to(root / "deep_contact").as_posix().startswith(NO_NUMBERS)}
 
 
 def _files(root: Path, module: str, name: str) -> set[Path]:
     """Where a module, or a name of it, is defined, with the packages that are imported on the way."""
     place = root / module.replace(".", "/")
-    if place.with_suffix(".py").is_file():
-        return {place.with_suffix(".py"), *_packages(place, root)}
-    if (place / f"{name}.py").is_file():
-        return {place / f"{name}.py", *_packages(place / name, root)}
-    if (place / name / "__init__.py").is_file():
-        return _packages(place / name / "_", root)
-    packages, init = _packages(place / "_", root), place / "__init__.py"
-    home = lazy.homes(str(init)).get(name) if init.is_file() else None
-    return packages | (_files(root, *home) if home and home[0] != module else set())
-
-
-def _packages(place: Path, root: Path) -> set[Path]:
-    files = (folder / "__init__.py" for folder in place.parents if root in folder.parents)
-    return {file for file in files if file.is_file()}
+    files = {place.with_suffix(".py"), place / f"{name}.py", place / name / "__init__.py"}
+    files |= {folder / "__init__.py" for folder in (place / "_").parents if root in folder.parents}
+    files = {file for file in files if file.is_file()}
+    homes = lazy.homes(str(place / "__init__.py")) if place / "__init__.py" in files else {}
+    return files if homes.get(name, [module])[0] == module else files | _files(root, *homes[name])

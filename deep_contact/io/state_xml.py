@@ -203,7 +203,7 @@ def _read_bodies(rows: Rows) -> Bodies:
     inertia = np.array([math.inf if text == "inf" else xml_tree.to_float(text) for text in texts])
     with np.errstate(all="ignore"):
         disc = bodies.inertia
-        wrong = ~((inertia == disc) | (np.abs(inertia - disc) <= _INERTIA_TOLERANCE * disc))
+        wrong = ~np.isclose(inertia, disc, rtol=_INERTIA_TOLERANCE, atol=0.0)
     for expected in disc[wrong][:1].tolist():
         rows.refuse(wrong, "inertia", "value", f"m r²/2 = {expected!r} (only solid discs are modelled)")
     return bodies
@@ -317,12 +317,10 @@ def _option_text(name: str, value) -> str:
 def _format_solver(solver) -> str:
     if solver is None:
         return ""
-    method = next((name for name, cls in METHODS.items() if cls is type(solver)), None)
-    if method is None:
+    if type(solver) not in METHODS.values():
         raise ValueError(f"solver: expected None or one of {', '.join(sorted(METHODS))}, got {solver!r}")
-    options = ((field.name, getattr(solver, field.name)) for field in dataclasses.fields(solver))
-    text = "".join(f" {name}={_option_text(name, value)}" for name, value in options)
-    return f'  <solver method="{method}"{text}/>\n'
+    text = "".join(f" {name}={_option_text(name, value)}" for name, value in dataclasses.asdict(solver).items())
+    return f'  <solver method="{type(solver).__name__}"{text}/>\n'
 
 
 def _attributes(numbers: dict) -> str:

@@ -141,12 +141,12 @@ def elements_of(container, tag: str, attributes=("count",)) -> list:
 
 def by_index(elements) -> dict:
     """Elements by their attribute `index`, which each has once."""
-    found = {}
+    numbered = {}
     for element in elements:
         index = read_integer(element, "index")
-        expect(index not in found, element, "index: expected each once, got a duplicate of", str(index))
-        found[index] = element
-    return found
+        expect(index not in numbered, element, "index: expected each once, got a duplicate of", str(index))
+        numbered[index] = element
+    return numbered
 
 
 class Rows:
