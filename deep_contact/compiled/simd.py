@@ -2,13 +2,15 @@
 
 `+ - * /` and the functions below act lane by lane. LLVM splits the lanes over what registers there are, so nothing here
 depends on the processor. Operations carry the flag "contract": a * b + c may be one fused operation, as in the scalar
-sweep. All are for compiled callers only; without the compiler `simd_numpy` takes their place.
+sweep. All are for compiled callers; above each stands what it does to NumPy's arrays of eight, which takes its place
+without the compiler (NUMBA_DISABLE_JIT=1).
 """
 
 from __future__ import annotations
 
 import operator
 
+import numpy as np
 from llvmlite import ir
 from numba import config, types
 from numba.core import cgutils
@@ -34,6 +36,11 @@ class _LanesModel(models.PrimitiveModel):
         super().__init__(manager, lanes, ir.VectorType(manager.lookup(lanes.dtype).get_value_type(), lanes.width))
 
 
+def _lanewise(on_arrays):
+    """A decorator: an intrinsic of Numba, or, without the compiler, the function on arrays."""
+    return (lambda _: on_arrays) if config.DISABLE_JIT else intrinsic
+
+
 def _built(build):
     """What an intrinsic emits, of a function of LLVM's builder and the values."""
     return lambda context, builder, signature, values: build(builder, *values)
@@ -56,20 +63,20 @@ _arithmetic(operator.mul, "fmul")
 _arithmetic(operator.truediv, "fdiv")
 
 
-@intrinsic
+@_lanewise(np.multiply)
 def times(context, x, y):
     """Products that are rounded before anything is added to them, as NumPy does; `x * y` may be fused with a sum."""
     return x(x, y), _built(lambda builder, x, y: builder.fmul(x, y))
 
 
-@intrinsic
+@_lanewise(lambda x, y, then, otherwise: np.where(x < y, then, otherwise))
 def where_less(context, x, y, then, otherwise):
     """`then` in the lanes where x < y, `otherwise` in the others."""
     signature = then(x, y, then, otherwise)
     return signature, _built(lambda builder, x, y, *two: builder.select(builder.fcmp_ordered("<", x, y), *two))
 
 
-@intrinsic
+@_lanewise(lambda x, y: bool((x < y).any()))
 def any_less(context, x, y):
     """Whether x < y in any lane."""
 
@@ -81,20 +88,20 @@ def any_less(context, x, y):
     return types.boolean(x, y), _built(build)
 
 
-def _choice(sign):
+def _choice(sign, holds):
     """For each two, y where "y sign x" holds; else, and where one of them is none, x."""
 
-    @intrinsic
+    @_lanewise(lambda x, y: np.where(holds(y, x), y, x))
     def choose(context, x, y):
         return x(x, y), _built(lambda builder, x, y: builder.select(builder.fcmp_ordered(sign, y, x), y, x))
 
     return choose
 
 
-least, most = _choice("<"), _choice(">")
+least, most = _choice("<", np.less), _choice(">", np.greater)
 
 
-@intrinsic
+@_lanewise(np.sqrt)
 def root(context, x):
     """Square roots."""
     name = f"llvm.sqrt.v{x.width}f{x.dtype.bitwidth}"
@@ -106,44 +113,44 @@ def root(context, x):
     return x(x), _built(build)
 
 
-@intrinsic
+@_lanewise(lambda number: np.full(WIDTH, number))
 def spread(context, number):
     """The same number in all lanes."""
     return Lanes(number)(number), _emit_spread
 
 
-@intrinsic
+@_lanewise(lambda like, number: np.full_like(like, number))
 def spread_like(context, like, number):
     """The same number in as many lanes as there are in `like`."""
     return like(like, number), _emit_spread
 
 
-@intrinsic
+@_lanewise(lambda x: np.concatenate([x, x]))
 def doubled(context, x):
     """Twice as many lanes, the numbers of x in both halves."""
     both = [*range(x.width)] * 2
     return Lanes(x.dtype, 2 * x.width)(x), _built(lambda builder, x: _shuffle(builder, x, x, both))
 
 
-@intrinsic
+@_lanewise(lambda x, i: x[i])
 def lane(context, x, i):
     """The number in lane i."""
     return x.dtype(x, types.int64), _built(lambda builder, x, i: builder.extract_element(x, builder.trunc(i, _INT32)))
 
 
-@intrinsic
+@_lanewise(lambda array, i: array.reshape(-1)[WIDTH * i : WIDTH * (i + 1)].copy())
 def load(context, array, i):
     """The i-th eight numbers of a contiguous array."""
     return Lanes(array.dtype)(array, types.int64), _emit_load
 
 
-@intrinsic
+@_lanewise(lambda like, array, i: array.reshape(-1)[WIDTH * i : WIDTH * i + like.size].copy())
 def load_like(context, like, array, i):
     """As many numbers of a contiguous array as there are in `like`, from the i-th eight on."""
     return like(like, array, types.int64), _emit_load
 
 
-@intrinsic
+@_lanewise(lambda array, i, x: operator.setitem(array.reshape(-1), slice(WIDTH * i, WIDTH * i + x.size), x))
 def store(context, array, i, x):
     """Write the numbers of x to a contiguous array, from its i-th eight on."""
 
@@ -154,7 +161,7 @@ def store(context, array, i, x):
     return types.void(array, types.int64, x), emit
 
 
-@intrinsic
+@_lanewise(lambda rows, index, i: tuple(rows[load(index, i)].T.copy()))
 def load_rows(context, rows, index, i):
     """The four columns of eight rows: rows (n, 4), contiguous; index: array of uint32, whose i-th eight are taken."""
     lanes = Lanes(rows.dtype)
@@ -175,7 +182,7 @@ def load_rows(context, rows, index, i):
     return types.UniTuple(lanes, 4)(rows, index, types.int64), emit
 
 
-@intrinsic
+@_lanewise(lambda rows, index, i, columns: operator.setitem(rows, load(index, i), np.stack(columns, axis=1)))
 def store_rows(context, rows, index, i, columns):
     """Write the four columns of eight rows. What `load_rows` reads, backwards."""
 
@@ -194,7 +201,7 @@ def store_rows(context, rows, index, i, columns):
     return types.void(rows, index, types.int64, columns), emit
 
 
-@intrinsic
+@_lanewise(lambda mask: next((bit for bit in range(64) if not int(mask) >> bit & 1), 64))
 def lowest_zero(context, mask):
     """Number of the lowest bit that is 0; 64 where there is none."""
     return types.int64(types.uint64), _built(lambda builder, mask: builder.cttz(builder.not_(mask), ir.IntType(1)(0)))
@@ -236,7 +243,3 @@ def _load(builder, pointer, kind, array_type):
 
 def _store(builder, value, pointer, array_type):
     builder.store(value, builder.bitcast(pointer, value.type.as_pointer())).align = array_type.dtype.bitwidth // 8
-
-
-if config.DISABLE_JIT:
-    from deep_contact.compiled.simd_numpy import *  # noqa: F403

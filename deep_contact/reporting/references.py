@@ -83,7 +83,8 @@ def reason(stored: dict, script: Path, *, is_time: bool, root: Path = shipped.RO
     then = {file: digest for file, digest in stored["code"].items() if not file.startswith(no_numbers)}
     runs = sources.code(root / "tests" / "tools" / "golden.py", root)
     survives = not is_time and stored.get("golden") in sources.golden(root)
-    changed = [file for file in now | then if now.get(file) != then.get(file) and not (survives and file in runs)]
+    held = runs.keys() | then.keys() - now.keys()  # what imported a file that is gone has changed itself
+    changed = [file for file in now | then if now.get(file) != then.get(file) and not (survives and file in held)]
     if changed := sorted(changed, key=lambda file: (file in runs, file)):
         return f"{', '.join(changed[:3])}{f' and {len(changed) - 3} more' if len(changed) > 3 else ''} changed"
     if is_time and stored["cpu"] != processor():
