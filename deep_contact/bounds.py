@@ -76,13 +76,12 @@ def force_bounds(
     impulse = np.column_stack([exact.solution.normal_impulses, exact.solution.tangent_impulses])
     u_n, u_t = metrics.row_velocities(state, exact.solution.velocities, exact.solution.angular_velocities)
     # λ of a contact is a sum of the edges of its cone, (1, ±μ), of unit length: sums >= 0 are all that the cone says.
-    sides = [(i, side) for side in ((1.0, -1.0) if mu > 0 else (0.0,)) for i in np.flatnonzero(u_n <= MOVING)
-             if side * u_t[i] <= MOVING]  # fmt: skip
-    of, side = (np.array(column) for column in zip(*sides)) if sides else (np.empty(0, int), np.empty(0))
+    sides = np.array([1.0, -1.0] if mu > 0 else [0.0])
+    side, of = np.nonzero((u_n <= MOVING) & (sides[:, None] * u_t <= MOVING))
     places = np.concatenate([2 * of, 2 * of + 1]), np.tile(np.arange(of.size), 2)
     length = np.hypot(1.0, mu)
     edges = sparse.csc_array(
-        (np.concatenate([np.full(of.size, 1 / length), side * mu / length]), places), shape=(2 * m, of.size)
+        (np.concatenate([np.full(of.size, 1 / length), sides[side] * mu / length]), places), shape=(2 * m, of.size)
     )
     impulse[u_n > MOVING] = 0.0  # what the residual leaves there
     slides = np.abs(u_t) > MOVING
