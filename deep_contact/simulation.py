@@ -134,12 +134,11 @@ def find_contacts(state: State) -> StateWithContacts:
     contacts = contacts_of(old)
     end = old.bodies.count + 4 + len(old.world.segments)
     keys, before = (one.body_a * end + one.body_b for one in (contacts, old.contacts))
-    is_same, at = np.array_equal(keys, before), np.searchsorted(before, keys)
-    (kept,) = np.nonzero(before.take(at, mode="clip") == keys) if len(before) else (np.zeros(0, np.int64),)
-    starts = old.contacts[7:]
+    is_same, starts = np.array_equal(keys, before), old.contacts[7:]
+    _, kept, at = np.intersect1d(keys, before, assume_unique=True, return_indices=True)
     impulses = old.contacts[5:7] if old.solved and is_same else (np.maximum(starts[0], 0.0), starts[1])
     for values, carried in zip(contacts[5:], (*impulses, *starts)):
-        values[kept] = carried[at[kept]]
+        values[kept] = carried[at]
     return old.replace(contacts=contacts, solved=old.solved and is_same)
 
 

@@ -55,9 +55,9 @@ def modernise(root, source: str) -> None:
     by_index(contacts)  # so that a file of nothing but contacts is refused at once
     _complete_settings(root, source)
     _complete_shapes(root.iterfind("bodies/body"), contacts)
-    solved = root.find("contacts") is not None and (not contacts or not _none_has("impulse", contacts))
+    solved = root.find("contacts") is not None and (not contacts or root.find("contacts/contact/impulse") is not None)
     root.set("solved", "true" if solved else "false")
-    _complete_contacts(contacts)
+    _complete_contacts(root, contacts)
 
 
 def _add(parent, tag: str, **attributes):
@@ -128,7 +128,7 @@ def _part(body, tag: str):
     return part
 
 
-def _complete_contacts(contacts: list) -> None:
+def _complete_contacts(root, contacts: list) -> None:
     """Give contacts a normal of two numbers; a start of zero, and the start as impulse, where no contact has one."""
     for contact in contacts:
         normal = contact.find("normal")
@@ -137,10 +137,6 @@ def _complete_contacts(contacts: list) -> None:
             expect(match, normal, "normal: expected b2Vec2(x, y)", normal.get("normal"))
             normal.attrib.update({"x": match[1], "y": match[2]})
     for tag in ("start", "impulse"):
-        for contact in contacts if _none_has(tag, contacts) else ():
+        for contact in contacts if root.find(f"contacts/contact/{tag}") is None else ():
             start = contact.find("start")
             _add(contact, tag, **{name: "0.0" if start is None else start.get(name, "") for name in "nt"})
-
-
-def _none_has(tag: str, contacts: list) -> bool:
-    return all(contact.find(tag) is None for contact in contacts)

@@ -95,6 +95,13 @@ def test_another_sweep_makes_a_time_old_and_the_rest_unless_the_golden_runs_are_
     assert changed(*change, golden="c") == f"{file} changed"
 
 
+def test_a_module_that_is_gone_makes_times_alone_old(changed, tmp_path):
+    code = sources.code(tmp_path / SCRIPT, tmp_path) | {"deep_contact/gone.py": "0" * 16}
+    assert changed(SCRIPT, "", "", code=code) == ""
+    assert changed(SCRIPT, "", "", code=code, is_time=True) == "deep_contact/gone.py changed"
+    assert changed(SCRIPT, "", "", code=code, golden="c") == "deep_contact/gone.py changed"
+
+
 def test_another_input_or_processor_makes_a_result_old(changed, monkeypatch):
     same = SCRIPT, "", ""
     assert changed(*same, inputs={"models/model.h5": "0" * 64}) == "models/model.h5 has changed"
