@@ -20,7 +20,6 @@ from deep_contact.warm_start import Start
 PANELS = (1.0, 0.8)
 """Widths of the scene and of θ, in heights of a frame."""
 LAYOUT: dict = {"figsize": (5.0 * sum(PANELS), 5.0), "layout": "constrained"}
-FILM_DPI = 80
 FLOOR = 1e-9
 """Smallest θ that is drawn, N·s; an isolated contact is solved exactly."""
 
@@ -126,7 +125,7 @@ def record(frames: Iterable[Frame], path, *, fps: float = 25) -> Path:
     from matplotlib.figure import Figure
 
     with plotting.style():
-        canvas = FigureCanvasAgg(Figure(**LAYOUT, dpi=FILM_DPI))
+        canvas = FigureCanvasAgg(Figure(**LAYOUT, dpi=80))
 
         def pictures():
             for _ in _painted(frames, canvas.figure):

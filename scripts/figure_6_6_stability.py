@@ -17,11 +17,7 @@ MILD_START = 1e12
 def compute(options, seed, jobs, progress):
     """Every value of every quantity in every engine."""
     cases = extremes.cases(options["quantities"], quick=options["few"], steps=options["steps"])
-    outcomes = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
-    cells = [
-        {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"], **outcome}
-        for case, outcome in zip(cases, outcomes)
-    ]
+    cells = figures.parallel_map(extremes.run_case, cases, jobs=jobs, progress=progress, text="scenes")
     return {"units": {name: extremes.QUANTITIES[name][0] for name in options["quantities"]}, "cells": cells}
 
 

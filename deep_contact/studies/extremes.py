@@ -362,11 +362,12 @@ def cases(names, *, quick: bool, steps: int) -> list[dict]:
 
 
 def run_case(case: dict) -> dict:
-    """`measure` of a case; a scene that cannot be built is refused."""
+    """`measure` of a case, after "quantity", "value" and "engine"; a scene that cannot be built is refused."""
     _, _, trial_of = QUANTITIES[case["quantity"]]
+    about = {"quantity": case["quantity"], "value": float(case["value"]), "engine": case["engine"]}
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             trial = trial_of(case["value"], case["steps"])
     except ValueError as error:
-        return _without_run(REFUSED, error)
-    return measure(trial, case["engine"])
+        return about | _without_run(REFUSED, error)
+    return about | measure(trial, case["engine"])

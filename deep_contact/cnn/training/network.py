@@ -25,13 +25,16 @@ from deep_contact.validation import expect
 SAVE_EVERY = 20.0
 """Seconds from one last.npz to the next within an epoch."""
 
+BEGINNING = {"batches": 0, "states": 0, "loss": 0.0}
+"""The position before the first state of an epoch."""
+
 
 class NetworkRun:
     """A network in training. Subclasses have `batches`, `step` and `validate`.
 
     states, validation: those to learn from and to judge by, (k, 2), as `Store.states`. box: the world's box of a
-    network of one size, or None. position: where the run is: the epoch, its batches and states that are done, and the
-    sum of their losses. history: a dict an epoch, by column.
+    network of one size, or None. history: a dict an epoch that is done, by column. position: where the run is in the
+    next one: its batches and states that are done, and the sum of their losses.
     """
 
     box = None
@@ -49,7 +52,7 @@ class NetworkRun:
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
         self.variables = {f"{kind}_{i:04d}": v for kind, of_kind in kinds.items() for i, v in enumerate(of_kind)}
         """All that a step changes: weights, statistics, the random states of dropout, the optimizer's."""
-        self.history, self.position = [], _beginning(0)
+        self.history, self.position = [], dict(BEGINNING)
 
     def batches_per_epoch(self) -> int:
         """Number of full batches of an epoch. Raises ValueError where there are fewer states than one batch has."""
@@ -87,7 +90,7 @@ class NetworkRun:
         called = keras.callbacks.CallbackList(callbacks, add_progbar=bool(verbose), model=self.model, **options)
         self.model.stop_training = False
         called.on_train_begin()
-        for epoch in range(self.position["epoch"], self.config.epochs):
+        for epoch in range(len(self.history), self.config.epochs):
             called.on_epoch_begin(epoch)
             at, start, saved = self.position, perf_counter(), perf_counter()
             for k, batch in itertools.islice(enumerate(self.batches(epoch)), at["batches"], None):
@@ -113,7 +116,7 @@ class NetworkRun:
         rate = float(f"{float(self.optimizer.learning_rate):.7g}")
         best = min((line["validation_loss"] for line in self.history), default=math.inf)
         self.history.append({"epoch": epoch, "rate": rate} | measured | {"seconds": round(seconds, 2)})
-        self.position = _beginning(epoch + 1)
+        self.position = dict(BEGINNING)
         # The best one first: killed between the two, the last part is repeated with the same result.
         if measured["validation_loss"] < best:
             save_model(self.out / "best.h5", self.model, self.spec, self.card(), box=self.box)
@@ -145,11 +148,6 @@ class NetworkRun:
             "history": self.history,
             "seconds": round(sum(line["seconds"] for line in self.history), 1),
         }
-
-
-def _beginning(epoch: int) -> dict:
-    """The position before the first state of an epoch."""
-    return {"epoch": epoch, "batches": 0, "states": 0, "loss": 0.0}
 
 
 def masked_squared_error(y_true, y_pred):
