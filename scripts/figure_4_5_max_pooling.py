@@ -42,7 +42,6 @@ def claims(data):
 def draw(data, options):
     """Each window and its largest value in one colour; incomplete windows at the edges count too."""
     from matplotlib.colors import ListedColormap
-    from matplotlib.patches import Rectangle
 
     image, pooled = np.array(data["image"]), np.array(data["pooled"])
     figure, panels = plotting.subplots(1, 2, size=(6.8, 3.7), width_ratios=[image.shape[1], pooled.shape[1]])
@@ -51,13 +50,13 @@ def draw(data, options):
     window = 2 * (rows % 2) + columns % 2
     spread = window.repeat(2, axis=0).repeat(2, axis=1)[: image.shape[0], : image.shape[1]]
     for ax, values, kinds in ((panels[0], image, spread), (panels[1], pooled, window)):
-        ax.imshow(kinds, cmap=colours, vmin=0, vmax=3)
+        ax.pcolormesh(kinds, cmap=colours, vmin=0, vmax=3, edgecolors="white", linewidth=1.5)
         ax.grid(False)
-        ax.set(xticks=[], yticks=[])
+        ax.set(xticks=[], yticks=[], aspect="equal")
+        ax.invert_yaxis()
         for (i, j), value in np.ndenumerate(values):
             largest = ax is panels[1] or value == pooled[i // 2, j // 2]
-            ax.text(j, i, f"{value:g}", ha="center", va="center", weight="bold" if largest else "normal")
-            ax.add_patch(Rectangle((j - 0.5, i - 0.5), 1, 1, fill=False, edgecolor="white", linewidth=1.5))
+            ax.text(j + 0.5, i + 0.5, f"{value:g}", ha="center", va="center", weight="bold" if largest else "normal")
     panels[0].set_title(f"{image.shape[0]} × {image.shape[1]} values")
     panels[1].set_title("largest of each 2 × 2")
     sizes = " → ".join(str(n) for n in data["sizes"])

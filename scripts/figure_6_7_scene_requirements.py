@@ -10,7 +10,6 @@ from deep_contact.reporting import Claim, Figure, figures, plotting
 from deep_contact.studies import savings
 
 NAMES = {
-    "frictionless": ("no tangent rows, no spin: a sweep", "ns a contact"),
     "asleep": ("asleep: a step", "µs"),
     "asleep but for one": ("asleep but for one circle: a step", "µs"),
     "no position correction": ("no position correction: a step", "µs"),
@@ -20,7 +19,7 @@ NAMES = {
     "islands, heaps": ("islands, scattered heaps: relaxations", ""),
     "islands, heaps, time": ("islands, scattered heaps: time", "ms"),
 }
-"""Saving -> in words, unit of what is paid with and without it."""
+"""Saving -> in words, unit of what is paid with and without it. That of a sweep is named by its number of circles."""
 
 PER_SECOND = {"µs": 1e6, "ms": 1e3}
 """Unit of a time -> how many a second has. A sweep is stored in ns."""
@@ -71,9 +70,9 @@ def claims(data):
 
 def named_savings(data):
     """(name, unit, saving) of all savings: those of a sweep by number of circles, then others."""
-    (sweep, unit), *_ = NAMES.values()
-    rows = [(f"{sweep}, {int(n):,} circles", unit, one["frictionless"]) for n, one in data["sweeps"].items()]
-    return rows + [(*NAMES[name], data["savings"][name]) for name in list(NAMES)[1:]]
+    text, sweeps = "no tangent rows, no spin: a sweep, {:,} circles", data["sweeps"].items()
+    rows = [(text.format(int(n)), "ns a contact", one["frictionless"]) for n, one in sweeps]
+    return rows + [(*names, data["savings"][name]) for name, names in NAMES.items()]
 
 
 def table(data):
