@@ -60,15 +60,12 @@ def advance(step, motion, contacts, sleep, options, memory, log):
     step: `StepInput`. motion: its own, None where it has nothing rare. sleep: `SleepMemory`, None where nothing may.
     options: `StepOptions`. memory: `StepMemory`. log: `StepLog`, filled.
     """
-    # One function, and stages are called where they are needed: a call counts references to all arrays handed on.
-    bodies, box, segments, scales, friction = step.bodies, step.box, step.segments, step.scales, step.friction
-    solver_bodies, theta, workspace = memory.solver_bodies, memory.theta, memory.workspace
     part, turn = step, 0
     for j in range(log.progress[DONE], step.parts * log.contacts.shape[0]):
         if sleep is not None:
             if sleeping.all_asleep(sleep):
-                log_part(log, j // step.parts, 0, 0, theta, 0)
-                add_loads(log, contacts, bodies.mass.shape[0], 1.0 / step.parts)
+                log_part(log, j // step.parts, 0, 0, memory.theta, 0)
+                add_loads(log, contacts, step.bodies.mass.shape[0], 1.0 / step.parts)
                 log.progress[DONE] = j + 1
                 continue
         if motion is not None:
@@ -77,35 +74,10 @@ def advance(step, motion, contacts, sleep, options, memory, log):
             if part.parts > step.parts:
                 depart(step, part, contacts)
         for _ in range(part.parts // step.parts):
-            solved = active = contacts
-            if sleep is not None:
-                active = sleeping.awake_contacts(solved, sleep)
-            # Velocities.
-            rows = memory.rows
-            if not memory.is_built:
-                if motion is not None:
-                    rebound(part, active, log.loads)
-                integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
-                if sleep is not None:
-                    sleeping.hold_sleeping(solver_bodies, sleep)
-                rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts)
-            apply_impulses(rows, solver_bodies, friction)
-            sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, workspace)
-            store_impulses(rows, active, part.parts)
-            if sleep is not None:
-                sleeping.store_awake_impulses(active, solved, sleep)
-            # Positions.
-            before = positions_before(bodies, segments)
-            if not integrate_positions(bodies, solver_bodies, part, segments):
-                return solved
-            correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
-            # The contacts that the next part or step solves.
-            turn, buffer, skin = 1 - turn, memory.contacts[turn], scales.wall_skin
-            contacts = next_contacts(bodies, before, box, segments, skin, memory.cells, solved, options.carry, buffer)
-            if sleep is not None:
-                sleeping.wake_and_put_to_sleep(part, contacts, sleep)
-            log_part(log, j // step.parts, active.body_a.shape[0], sweeps, theta, relaxations)
-            add_loads(log, solved, bodies.mass.shape[0], 1.0 / part.parts)
+            turn = 1 - turn
+            is_whole, contacts = do_part(part, motion, contacts, sleep, options, memory, log, j // step.parts, turn)
+            if not is_whole:
+                return contacts
         if motion is not None:
             if part.parts > step.parts:
                 rejoin(step, part, contacts)
@@ -113,6 +85,47 @@ def advance(step, motion, contacts, sleep, options, memory, log):
         if log.progress[WORK] <= 0 and (j + 1) % step.parts == 0:
             break
     return contacts
+
+
+@njit(inline="always")
+def do_part(part, motion, contacts, sleep, options, memory, log, k, turn):
+    """A part of the k-th step: velocities, positions, and the contacts that the next part solves, in buffer `turn`.
+
+    Returns (False, the contacts as they are) before a fast circle that nothing compiled stops. It has no call of its
+    own, which would count references to all arrays that are handed on.
+    """
+    bodies, box, segments, scales, friction = part.bodies, part.box, part.segments, part.scales, part.friction
+    solver_bodies, theta, rows, cells = memory.solver_bodies, memory.theta, memory.rows, memory.cells
+    active = contacts
+    if sleep is not None:
+        active = sleeping.awake_contacts(contacts, sleep)
+    # Velocities.
+    if not memory.is_built:
+        if motion is not None:
+            rebound(part, active, log.loads)
+        integrate_velocities(bodies, part.gravity, part.dt, solver_bodies)
+        if sleep is not None:
+            sleeping.hold_sleeping(solver_bodies, sleep)
+        rows = contact_rows(active, bodies.radius, segments, solver_bodies, rows, friction, 1.0 / part.parts)
+    apply_impulses(rows, solver_bodies, friction)
+    sweeps, relaxations = relax(options.settings, rows, friction, solver_bodies, theta, memory.workspace)
+    store_impulses(rows, active, part.parts)
+    if sleep is not None:
+        sleeping.store_awake_impulses(active, contacts, sleep)
+    # Positions.
+    before = positions_before(bodies, segments)
+    is_whole = integrate_positions(bodies, solver_bodies, part, segments)
+    following = contacts
+    if is_whole:
+        correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
+        # The contacts that the next part or step solves.
+        buffer, skin = memory.contacts[turn], scales.wall_skin
+        following = next_contacts(bodies, before, box, segments, skin, cells, contacts, options.carry, buffer)
+        if sleep is not None:
+            sleeping.wake_and_put_to_sleep(part, following, sleep)
+        log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
+        add_loads(log, contacts, bodies.mass.shape[0], 1.0 / part.parts)
+    return is_whole, following
 
 
 class Steps:
