@@ -237,7 +237,7 @@ def without_past() -> tuple:
 
 def width(friction: float = 0.5) -> float:
     """Figure 6.15: of the interval of the median contact of 100 circles, over the mean λ_n."""
-    return claim("figure_6_15", "interval of the median")[f"100 circles, μ = {friction:g}"]
+    return claim("figure_6_15", "interval of the median")[f"100 circles, resting, μ = {friction:g}, radii from 0.8 m"]
 
 
 # ---- the thesis ----

@@ -1,5 +1,7 @@
 """python scripts/figure_6_15_determinacy.py: the interval of λ_n that a motion leaves, and what labels make of it."""
 
+from itertools import chain
+
 import numpy as np
 
 from deep_contact.reporting import Claim, Figure, figures, plotting
@@ -8,83 +10,111 @@ from deep_contact.studies import determinacy
 SHARES = {"median contact": 50, "90th percentile": 90}
 """Name -> percentile of the contacts of a pile."""
 
+PILE = "kind", "n_bodies", "friction", "smallest"
+
+
+def cells(options):
+    """Panel → piles (kind, circles, μ, smallest radius), all beside one of them."""
+    n, mu, radius = options["sizes"][0], options["friction"], options["smallest"][0]
+    return {
+        "friction μ": [("resting", n, other, radius) for other in sorted(options["frictions"])],
+        "friction μ, settling": [("settling", n, other, radius) for other in sorted(options["frictions"])],
+        "circles": [("resting", other, mu, radius) for other in sorted(options["sizes"])],
+        "smallest radius (m), largest 1 m": [("resting", n, mu, other) for other in sorted(options["smallest"])],
+        "answers": [("thesis", options["circles"], mu, 1)],
+    }
+
 
 def compute(options, seed, jobs, progress):
-    """Piles of the first size with every friction, and of every size with the one that is drawn by size."""
-    first, mu = options["sizes"][0], options["friction"]
-    wanted = [(first, other) for other in options["frictions"]] + [(n, mu) for n in options["sizes"][1:]]
+    """The intervals of all piles, and the errors of answers for those of the thesis's scene."""
     tasks = [
-        (n, friction, options["contacts"], s, options["models"] if [n, friction] == [first, mu] else [])
-        for n, friction in wanted
+        (pile, options["contacts"], s, options["models"] if pile[0] == "thesis" else [])
+        for pile in dict.fromkeys(chain(*cells(options).values()))
         for s in figures.seeds(seed, options["scenes"])
     ]
     return {"piles": figures.parallel_map(_measured, tasks, jobs=jobs, progress=progress, text="piles")}
 
 
 def _measured(task):
-    return determinacy.measure(*task)
+    pile, contacts, seed, models = task
+    return dict(zip(PILE, pile)) | determinacy.measure(determinacy.pile(*pile, seed), contacts, seed, models)
 
 
-def widths(data, n_bodies, friction):
+def widths(data, pile):
     """Percentiles of the widths in each pile, (piles, shares)."""
-    cell = {"n_bodies": n_bodies, "friction": friction}
-    exact = (pile["widths"] for pile in data["piles"] if pile["exact"] and pile | cell == pile)
+    exact = (one["widths"] for one in data["piles"] if one["exact"] and one | dict(zip(PILE, pile)) == one)
     open_ended = ([np.inf if width is None else width for width in one] for one in exact)
     return np.array([np.percentile(one, [*SHARES.values()], method="nearest") for one in open_ended])
 
 
-def apart(data):
-    """Answer -> its distances in each pile."""
-    distances = [pile["apart"] for pile in data["piles"] if pile.get("apart")]
-    return {name: [one[name] for one in distances] for name in distances[0]} if distances else {}
+def errors(data):
+    """Answer → error of λ_n and of the velocities in each pile, (piles, 2)."""
+    by_pile = [pile["errors"] for pile in data["piles"] if pile.get("errors")]
+    return {name: np.array([one[name] for one in by_pile]) for name in by_pile[0]} if by_pile else {}
+
+
+def name_of(pile):
+    return f"{pile[1]} circles, {pile[0]}, μ = {pile[2]:g}, radii from {pile[3]:g} m"
 
 
 def claims(data):
     """With friction much is open; without it, what contacts within the slop carry beyond two a circle."""
-    cells = dict.fromkeys((pile["n_bodies"], pile["friction"]) for pile in data["piles"] if pile["exact"])
-    medians = {cell: np.median(widths(data, *cell), axis=0) for cell in cells}
-    smooth = [row.max() for (_, friction), row in medians.items() if friction == 0]
-    middles = {f"{n} circles, μ = {mu:g}": row[0] for (n, mu), row in medians.items()}
+    piles = dict.fromkeys(tuple(pile[key] for key in PILE) for pile in data["piles"] if pile["exact"])
+    medians = {pile: np.median(widths(data, pile), axis=0) for pile in piles}
+    smooth = [row.max() for pile, row in medians.items() if pile[2] == 0]
     if smooth:
         yield Claim("without friction the motion determines λ", None, max(smooth) < 1e-6, {"width": max(smooth)})
-    text = "with friction the interval of the median contact is at least half of the mean λ_n wide"
-    yield Claim(text, None, min(row[0] for (_, mu), row in medians.items() if mu > 0) >= 0.5, middles)
-    middle = {name: float(np.median(values)) for name, values in apart(data).items()}
+    text = "with friction the interval of the median contact at rest is at least half of the mean λ_n wide"
+    at_rest = [row[0] for pile, row in medians.items() if pile[2] > 0 and pile[0] != "settling"]
+    yield Claim(text, None, min(at_rest) >= 0.5, {name_of(pile): row[0] for pile, row in medians.items()})
+    middle = {name: np.median(both, axis=0).tolist() for name, both in errors(data).items()}
     text = "solvers and starts that know no past lie at least a tenth of the mean λ_n from the label of the run"
-    yield Claim(text, None, min(v for name, v in middle.items() if "from" in name) >= 0.1, middle)
+    yield Claim(text, None, min(both[0] for name, both in middle.items() if "from" in name) >= 0.1, middle)
 
 
 def draw(data, options):
-    """Widths over friction and over circles, median and range of the piles; distances of answers beside them."""
-    figure, panels = plotting.subplots(1, 3, size=(plotting.PAGE, 3.4), width_ratios=(1, 0.8, 1))
-    first, mu = options["sizes"][0], options["friction"]
-    sweeps = {"friction μ": [(first, x) for x in options["frictions"]], "circles": [(n, mu) for n in options["sizes"]]}
-    for ax, (name, chosen) in zip(panels, sweeps.items()):
-        chosen = sorted(cell for cell in chosen if len(widths(data, *cell)))
-        by_cell = [widths(data, *cell) for cell in chosen]
-        x = [cell[1 if name.startswith("friction") else 0] for cell in chosen]
+    """Widths over friction, circles and radii, median and range of the piles; errors of answers beside them."""
+    figure, panels = plotting.subplots(2, 2, size=(plotting.PAGE, 6.0))
+    axes = [panels[0, 0], panels[0, 0], panels[0, 1], panels[1, 0]]
+    for ax, (name, chosen), column in zip(axes, cells(options).items(), (2, 2, 1, 3)):
+        chosen = [pile for pile in chosen if len(widths(data, pile))]
+        by_pile = [widths(data, pile) for pile in chosen]
         for k, (label, colour) in enumerate(zip(SHARES, (plotting.BLUE, plotting.VERMILION))):
-            middle, low, high = (np.array([f(one[:, k]) for one in by_cell]) for f in (np.median, np.min, np.max))
-            plotting.band(ax, x, middle, low, high, color=colour, marker="o", markersize=4, label=label)
-        ax.set(xlabel=name, ylabel="interval of λ_n / mean λ_n", ylim=(0, None))
-    panels[0].set_title(f"{first} circles")
-    panels[1].set(xscale="log", xticks=options["sizes"], xticklabels=options["sizes"], title=f"μ = {mu:g}")
-    panels[1].minorticks_off()
-    distances, models = apart(data), options["models"]
-    for y, (name, values) in enumerate(distances.items()):
-        panels[2].barh(y, np.median(values), color=plotting.PURPLE if name in models else plotting.GREY)
-        panels[2].plot([min(values), max(values)], [y, y], color=plotting.BLACK, linewidth=1)
-    half = np.median(widths(data, first, mu)[:, 0]) / 2
-    panels[2].axvline(half, color=plotting.BLUE, linestyle="--", linewidth=1)
-    plotting.name_bars(panels[2], [f"{name}.h5" if name in models else name for name in distances])
-    text = "median distance / mean λ_n\n(dashed: half of the interval)"
-    panels[2].set(xlabel=text, title=f"{first} circles, μ = {mu:g}")
-    return plotting.legend_below(figure, panels[0], "How much of λ do the positions determine?")
+            middle, low, high = (np.array([f(one[:, k]) for one in by_pile]) for f in (np.median, np.min, np.max))
+            style = {"color": colour, "marker": "o", "markersize": 4, "label": label}
+            if "settling" in name:
+                style |= {"linestyle": "--", "marker": "s", "label": f"{label}, settling"}
+            plotting.band(ax, [pile[column] for pile in chosen], middle, low, high, **style)
+        plotting.label_axes(ax, name.removesuffix(", settling"), "interval of λ_n / mean λ_n")
+        ax.set_yscale("symlog", linthresh=1)
+        ax.set_ylim(bottom=0)
+    panels[0, 0].set_title(f"{options['sizes'][0]} circles")
+    panels[0, 1].set_title(f"μ = {options['friction']:g}, resting")
+    panels[0, 1].set(xscale="log", xticks=options["sizes"], xticklabels=options["sizes"])
+    panels[0, 1].minorticks_off()
+    panels[1, 0].set_title(f"{options['sizes'][0]} circles, resting")
+    ax, both = panels[1, 1], errors(data)
+    for y, values in enumerate(both.values()):
+        for k, (label, marker) in enumerate((("λ_n, over its mean", "o"), ("velocities", "D"))):
+            shown = np.maximum(values[:, k], options["least"])
+            colour = plotting.BLACK if k == 0 else plotting.PURPLE
+            ax.plot([shown.min(), shown.max()], [y + 0.15 * k] * 2, color=colour, linewidth=1)
+            ax.plot(np.median(shown), y + 0.15 * k, marker, color=colour, label=label if y == 0 else None)
+    half = np.median(widths(data, cells(options)["answers"][0])[:, 0]) / 2
+    ax.axvline(half, color=plotting.BLUE, linestyle="--", linewidth=1)
+    plotting.name_bars(ax, list(both))
+    ax.set(xscale="log", xlim=(0.8 * options["least"], None))
+    ax.legend(fontsize=7)
+    ax.set_title("The thesis's scene, resting")
+    ax.set_xlabel("error of an answer\n(dashed: half of the interval)")
+    return plotting.legend_below(figure, panels[0, 0], "How much of λ do the positions determine?")
 
 
-OPTIONS = {"sizes": [100, 30, 300], "frictions": [0, 0.1, 0.3, 0.5, 1], "friction": 0.5, "contacts": 16,
-           "scenes": 5, "models": ["model", "no_past"]}  # fmt: skip
-QUICK = {"sizes": [30, 60], "frictions": [0, 0.5, 1], "contacts": 8, "scenes": 2}
+OPTIONS = {"sizes": [100, 30, 300, 1000], "frictions": [0, 0.1, 0.3, 0.5, 1], "friction": 0.5, "circles": 100,
+           "smallest": [0.8, 0.2, 0.5, 1], "contacts": 16, "scenes": 5, "least": 1e-4,
+           "models": ["thesis_factored", "model", "no_past"]}  # fmt: skip
+QUICK = {"sizes": [30, 60], "frictions": [0, 0.5, 1], "smallest": [0.8, 0.4], "contacts": 8, "scenes": 2,
+         "models": ["model", "no_past"]}  # fmt: skip
 FIGURE = Figure("6.15", "How much of λ the positions determine", compute, None, draw, claims, options=OPTIONS,
                 quick=QUICK, digits=5)  # fmt: skip
 figures.run_as_script(FIGURE, __name__)
