@@ -235,9 +235,16 @@ def without_past() -> tuple:
     return *largest, measured["cells"], measured["wins"], *by_size, np.mean(prices)
 
 
-def width(friction: float = 0.5) -> float:
-    """Figure 6.15: of the interval of the median contact of 100 circles, over the mean λ_n."""
-    return claim("figure_6_15", "interval of the median")[f"100 circles, resting, μ = {friction:g}, radii from 0.8 m"]
+def width(friction: float = 0.5, circles: int = 100) -> float:
+    """Figure 6.15: of the interval of the median contact of resting circles, over the mean λ_n."""
+    name = f"{circles} circles, resting, μ = {friction:g}, radii from 0.8 m"
+    return claim("figure_6_15", "interval of the median")[name]
+
+
+def elsewhere() -> list[float]:
+    """Figure 6.15: of PGS from zero, the distance from the run's impulses; of model.h5, that and its velocity error."""
+    errors = claim("figure_6_15", "that know no past")
+    return [errors["PGS from zero"][0], *errors["model.h5"]]
 
 
 # ---- the thesis ----
@@ -386,7 +393,15 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ("for the SPH image: {:.2f} on the pile", lambda: [lost("pile, authors' spline")]),
     ],
     "starts.md": [
-        ("μ = 0.5, an interval of {:.1f} times the mean λ_n (without friction {:.2f};", lambda: [width(), width(0)]),
+        (
+            "μ = 0.5, an interval of {:.1f} times the mean λ_n (without friction {:.2f}), of 1,000 circles {:.0f}",
+            lambda: [width(), width(0), width(circles=1000)],
+        ),
+        (
+            "Solvers from other starts end {:.2f} of the mean λ_n from the run's impulses and at its velocities; `model.h5` ends "
+            "{:.3f} from them and {:.2f} off in velocity",
+            elsewhere,
+        ),
         (
             "3 sweeps from the network are worth {:.1f} of the best classical setting, 10 are worth {:.1f} and 30 are "
             "worth {:.1f}",
