@@ -71,16 +71,6 @@ def test_islands_reach_the_tolerance_with_less_work(fall):
     assert less > 5
 
 
-def test_theta_is_the_largest_of_the_islands_still_swept(fall):
-    together, found = (
-        dc.solve_contacts(fall[-1], solver=dc.PGS(islands=islands, tolerance=1e-9), start="none").record
-        for islands in (False, True)
-    )
-    assert (found.status, found.sweeps) == ("converged", together.sweeps)
-    assert found.theta[0] == together.theta[0]
-    np.testing.assert_array_equal(found.theta <= together.theta, True)
-
-
 @pytest.mark.filterwarnings("ignore:.*nearly coincide")
 def test_islands_of_more_contacts_than_the_room_are_solved():
     # Forty circles in one place: 780 pairs, where there is room for 224.

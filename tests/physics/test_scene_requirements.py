@@ -7,7 +7,6 @@ from conftest import assert_same_bits
 import deep_contact as dc
 from deep_contact import running
 from deep_contact.physics import engine
-from deep_contact.physics.ready import ready
 from deep_contact.physics.step import with_rare
 
 
@@ -35,18 +34,6 @@ def test_frictionless_runs_are_those_of_the_general_rows_bit_for_bit(solver, gen
     assert one.contacts.max() > 25
     assert_same_bits(one.state, other.state)
     np.testing.assert_array_equal(one.theta, other.theta)
-
-
-@pytest.mark.parametrize(("friction", "start"), [(0.5, 0.0), (1e-9, 0.0), (0.0, 1e-3), (0.0, 0.0)])
-def test_friction_or_a_start_with_tangents_requires_them(friction, start):
-    state = ready(dc.column(3, friction=friction))
-    state = state.replace(contacts=state.contacts._replace(tangent_start=np.full(state.contacts.count, start)))
-    for solver in (dc.PGS(), dc.NNCG(), dc.BatchedPGS()):
-        needed = friction > 0 or start > 0 or type(solver) is dc.BatchedPGS
-        found = engine.step_input(state, solver).friction
-        assert found == (friction if needed else None)
-        problem = engine.started(engine.step_problem(state), state.contacts, found)
-        assert problem.rows.impulse.shape == (state.contacts.count, 1 + needed)
 
 
 def test_a_start_with_tangents_is_worked_off_without_friction(frictionless_states):

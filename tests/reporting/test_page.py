@@ -63,15 +63,6 @@ def test_the_page_has_every_result_in_order_and_is_well_formed(folder):
     assert links == {f"#{anchor}" for anchor in anchors}
 
 
-def test_claims_stand_with_section_and_verdict(folder):
-    text = report_page.write_report(folder).read_text()
-    assert "of 6 claims of the thesis, 3 hold, 0 hold in part, 3 do not, and 0 are left open" in text
-    assert "<strong>holds:</strong> θ &lt; 1 &amp; so on <small>(section 3.4.1)</small>" in text
-    assert '<span class="measured">θ = 0.125</span>' in text
-    assert "<strong>does not hold:</strong> the &lt;other&gt;" in text
-    assert text.count("the &lt;other&gt;") == 6  # at their figures, and in the list of those that do not hold
-
-
 def test_the_page_asks_for_nothing_beyond_itself(folder):
     page = Page(report_page.write_report(folder).read_text())
     sources = [attributes["src"] for _, attributes in page.attributes if "src" in attributes]
