@@ -26,6 +26,7 @@ import llvmlite
 import numba
 import numpy as np
 import scipy
+from numba import config
 from numba.core.registry import cpu_target
 
 import deep_contact as dc
@@ -245,6 +246,7 @@ RUNS = dict(runs())
 def machine():
     """What bits depend on: the processor as Numba compiles for it, and versions."""
     _, processor, features = cpu_target.target_context.codegen().magic_tuple()
+    processor = "Python's" if config.DISABLE_JIT else processor  # where the compiler may fuse, Python rounds twice
     versions = {package.__name__: package.__version__ for package in (numba, llvmlite, np, scipy)}
     return {"processor": processor, "features": hashlib.sha256(features.encode()).hexdigest()[:16]} | versions
 
