@@ -20,14 +20,15 @@ from deep_contact.studies.starts import solved_states
 ROOT = Path(__file__).resolve().parents[1]
 SCRIPTS = ROOT / "scripts"
 TOOLS = ROOT / "tests" / "tools"
+FOLDERS = SCRIPTS, TOOLS, ROOT / "docs" / "gallery"
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as a shell has it in the background, and processes inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def load_script(name):
-    """The script or tool of this name, or "figure_6_6" for figure_6_6_….py, as a module that pickles by name."""
-    places = (folder.glob(pattern) for pattern in (f"{name}.py", f"{name}_*.py") for folder in (SCRIPTS, TOOLS))
+    """The script, tool or example of this name, or figure_6_6_….py for "figure_6_6", a module that pickles by name."""
+    places = (folder.glob(pattern) for pattern in (f"{name}.py", f"{name}_*.py") for folder in FOLDERS)
     path = next(path for place in places for path in place)
     if path.stem not in sys.modules:
         spec = importlib.util.spec_from_file_location(path.stem, path)
