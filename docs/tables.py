@@ -141,16 +141,6 @@ def disks() -> list[list]:
     return [["discs", "step", "contacts", *errors, "reference's residual, m/s"], *rows]
 
 
-def transfer() -> list[list]:
-    """Times of the transfer and of state files."""
-    case, files = stored("benchmark_transfer"), stored("benchmark_state_xml")
-    times = [[name, f"{_text(1e6 * seconds, 4)} µs"] for name, seconds in case["case"].items()]
-    times += [[name, f"{_text(ratio)}×"] for name, ratio in case["ratio"].items()]
-    kinds = [(way, suffix) for suffix in (".xml", ".xml.gz") for way in ("write", "read")]
-    files = [[f"{way} a state as {suffix}", f"{files[suffix][way]['min_ms']:.3g} ms"] for way, suffix in kinds]
-    return [["what", "time"], *times, *files]
-
-
 def noticed() -> list[list]:
     """What was done to find what the tests overlook."""
     fuzz = stored("fuzz")["targets"]
@@ -350,7 +340,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (learned, engine, runs, many, outside, disks, transfer, noticed, presets, rivals, kinds, missed, figures)
+_MADE = (learned, engine, runs, many, outside, disks, noticed, presets, rivals, kinds, missed, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),

@@ -3,20 +3,18 @@
 NAME   what is timed
 engine ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
 step   whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
-transfer, xml   splat and gather beside a k-d tree; writing and reading a state
 outside  FILE …: fc2d files, or piles of our own, to Siconos's error, by our solvers, Siconos and pinocchio
 disks  steps of Siconos's bench-disks: ours whole, and Siconos's solver alone
 
 Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 where times are of the processor (outside, disks). The result
-is data/reference's benchmark_NAME.json (xml: benchmark_state_xml.json). pinocchio 4 and Debian's Siconos need different
-NumPys: run where one is, then --add where the other is, with --only and one of ours in both.
+is data/reference's benchmark_NAME.json. pinocchio 4 and Debian's Siconos need different NumPys: run where one is, then
+--add where the other is, with --only and one of ours in both.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import tempfile
 import time
 from collections.abc import Iterator
 from functools import partial
@@ -27,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 import deep_contact as dc
-from deep_contact import peers, sph
+from deep_contact import peers
 from deep_contact.compiled import team
 from deep_contact.io.fc2d import read_problem
 from deep_contact.io.files import write_json
@@ -35,7 +33,6 @@ from deep_contact.physics.lcp import check_problem, contact_problem, natural_res
 from deep_contact.physics.ready import ready
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
 from deep_contact.reporting import results
-from deep_contact.sph.thesis import splat_by_tree
 from deep_contact.state import State
 from deep_contact.studies import piles, rivals, timing
 
@@ -240,59 +237,6 @@ def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     return {"cores": team.cores(), "us": us}
 
 
-# ---- transfer and state files ----
-
-
-def transfer(args) -> dict:
-    """The calls of a step with images: 100 bodies and 170 contacts on the thesis's grid, and a k-d tree beside."""
-    rng, kernel = np.random.default_rng(args.seed), {"h": 0.5, "kernel": "poly6"}
-    options, consistent = ({**kernel, "normalization": how} for how in ("particle", "consistent"))
-    grid = sph.Grid.over_box((0.0, 0.0, 30.0, 30.0), 0.5)
-    bodies, contacts = (
-        (rng.uniform(0, 30, (n, 2)), rng.normal(size=(n, channels))) for n, channels in ((100, 4), (170, 2))
-    )
-    image, position = sph.splat(grid, *contacts, **options), contacts[0]
-    given_density = {"normalization": "consistent", "density": sph.density(grid, position, **kernel)}
-
-    def both(splat, **more):
-        splat(grid, *bodies, **options, **more)
-        splat(grid, *contacts, **options, **more)
-
-    def round_trip():
-        return sph.gather(grid, sph.splat(grid, *contacts, **consistent), position, **consistent)
-
-    calls = {
-        "splat of 100 bodies, 4 channels": lambda: sph.splat(grid, *bodies, **options),
-        "splat of 170 contacts, 2 channels": lambda: sph.splat(grid, *contacts, **options),
-        "splat of both": lambda: both(sph.splat),
-        "density of 170 contacts": lambda: sph.density(grid, position, **kernel),
-        "gather of 170 contacts, bilinear": lambda: sph.gather(grid, image, position),
-        "gather of 170 contacts, consistent": lambda: sph.gather(grid, image, position, **given_density),
-        "splat, density and consistent gather": round_trip,
-        "k-d tree, splat of both": lambda: both(splat_by_tree),
-        "k-d tree, all nodes in one query": lambda: both(splat_by_tree, one_query=True),
-    }
-    case = {name: timing.fastest(call, 3 if "tree" in name else args.repeats) for name, call in calls.items()}
-    trees = {"k-d tree": "k-d tree, splat of both", "k-d tree, one query": "k-d tree, all nodes in one query"}
-    ratio = {f"{name} / splat of both": case[tree] / case["splat of both"] for name, tree in trees.items()}
-    say("µs", {name: f"{1e6 * seconds:.4g}" for name, seconds in case.items()})
-    return {"options": options, "spacing": 0.5, "case": case, "ratio": ratio}
-
-
-def xml(args) -> dict:
-    """Writing and reading a state of 100 circles, plain and compressed. The goals are 4 ms and 6 ms."""
-    state = dc.simulate(dc.circles_in_box(100, seed=args.seed), steps=400).state
-    measured = {"circles": state.bodies.count, "contacts": state.contacts.count, "repeats": args.repeats}
-    with tempfile.TemporaryDirectory() as folder:
-        for suffix in (".xml", ".xml.gz"):
-            path = Path(folder) / f"state{suffix}"
-            runs = {"write": partial(dc.write_state, path, state), "read": partial(dc.read_state, path)}
-            least = timing.interleaved(runs, repeats=args.repeats)
-            measured[suffix] = {way: {"min_ms": 1e3 * seconds} for way, seconds in least.items()}
-            say(suffix, measured[suffix])
-    return measured
-
-
 # ---- solvers of others ----
 
 
@@ -380,8 +324,6 @@ def impulses(solution) -> np.ndarray:
 BENCHMARKS = {
     "engine": (engine, [100, 1000, 10_000], 5),
     "step": (step, [100, 1000, 3000, 10_000, 100_000, 1_000_000], 10),
-    "transfer": (transfer, [], 5000),
-    "xml": (xml, [], 200),
     "outside": (outside, [100, 300], 5),
     "disks": (disks, [32], 5),
 }
@@ -415,7 +357,7 @@ def main(arguments=None) -> None:
     args.repeats = repeats if args.repeats is None else args.repeats
     if min([*args.sizes, args.repeats]) < 1:
         parser.error(f"expected sizes and repeats of at least 1, got {args.sizes} and {args.repeats}")
-    args.out = args.out or Path(f"build/results/benchmark_{'state_xml' if args.name == 'xml' else args.name}.json")
+    args.out = args.out or Path(f"build/results/benchmark_{args.name}.json")
     begin = time.perf_counter()
     made, write = run(args), write_json
     if args.name in TITLES:

@@ -21,8 +21,6 @@ STUDIES = {
     "run_tradeoff": [_SCRIPTS / "run_tradeoff.py"],
     "benchmark_engine": [_SCRIPTS / "benchmark.py", "engine"],
     "benchmark_step": [_SCRIPTS / "benchmark.py", "step"],
-    "benchmark_transfer": [_SCRIPTS / "benchmark.py", "transfer"],
-    "benchmark_state_xml": [_SCRIPTS / "benchmark.py", "xml"],
 }
 """File of data/reference -> the script and options that write it; `--out` and the path follow."""
 

@@ -9,14 +9,11 @@ from deep_contact.sph.grid import Grid, image_of, positions
 from deep_contact.validation import expect, one_of
 
 
-def splat_by_tree(
-    grid: Grid, position, values, *, h: float, kernel="poly6", normalization="raw", one_query=False
-) -> np.ndarray:
+def splat_by_tree(grid: Grid, position, values, *, h: float, kernel="poly6", normalization="raw") -> np.ndarray:
     """Particles to image, shape (n_y, n_x, c): for every node its neighbours, then Σ_k W S_k (Algorithms 2 and 3).
 
     position: (k, 2), m. values: (k, c). normalization: "raw", or "particle" (Appendix A: the weights of a particle sum
-    to one). A particle with no node within h adds nothing. one_query: look up all nodes in one call, which the thesis
-    did not do. Raises ValueError for an unknown kernel, h or normalization.
+    to one). A particle with no node within h adds nothing. Raises ValueError for an unknown kernel, h or normalization.
     """
     from scipy.spatial import cKDTree
 
@@ -26,7 +23,7 @@ def splat_by_tree(
     position, values = np.asarray(position, dtype=np.float64), np.asarray(values, dtype=np.float64)
     nodes = _nodes(grid)
     tree = cKDTree(position)
-    near = tree.query_ball_point(nodes, h) if one_query else [tree.query_ball_point(x, h) for x in nodes]
+    near = [tree.query_ball_point(x, h) for x in nodes]
     weights = {}
     total = np.zeros(len(position))
     for node, particles in enumerate(near):

@@ -43,16 +43,6 @@ def test_steps_are_timed_as_users_run_them(run):
     assert set(found["many"]["us"]) == {"bare", "one core", "all cores"}
 
 
-def test_transfer_and_state_files_are_timed(run):
-    found = run("transfer", "--repeats", 2)
-    assert found["ratio"]["k-d tree / splat of both"] == pytest.approx(
-        found["case"]["k-d tree, splat of both"] / found["case"]["splat of both"]
-    )
-    found = run("xml", "--repeats", 2)
-    assert found["circles"] == 100
-    assert all(0 < one["min_ms"] for suffix in (".xml", ".xml.gz") for one in found[suffix].values())
-
-
 def write_fc2d(path, state):
     """The contact problem of a state as Siconos's text, W dense by columns."""
     problem = contact_problem(state)

@@ -261,11 +261,10 @@ def test_an_isolated_particle_comes_back_whatever_its_place_and_value(x, y, dx, 
     np.testing.assert_allclose(back, [[value]], rtol=1e-12, atol=1e-320)
 
 
-@pytest.mark.parametrize("one_query", [False, True])
-def test_the_tree_adds_nothing_for_a_particle_whose_nodes_lie_at_exactly_h(one_query):
+def test_the_tree_adds_nothing_for_a_particle_whose_nodes_lie_at_exactly_h():
     """Half a metre to either node, all exact in binary: W(h) = 0, and 0 / 0 would spread from there."""
     grid = sph.Grid(origin=(0, 0), spacing=1.0, shape=(3, 3))
-    options = {"h": 0.5, "normalization": "particle", "one_query": one_query}
+    options = {"h": 0.5, "normalization": "particle"}
     image = splat_by_tree(grid, [[0.5, 0.0], [2.0, 2.0]], [[1.0], [3.0]], **options)
     expected = np.zeros((3, 3, 1))
     expected[2, 2] = 3.0
