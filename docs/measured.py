@@ -397,11 +397,8 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "μ = 0.5, an interval of {:.1f} times the mean λ_n (without friction {:.2f}), of 1,000 circles {:.0f}",
             lambda: [width(), width(0), width(circles=1000)],
         ),
-        (
-            "Solvers from other starts end {:.2f} of the mean λ_n from the run's impulses and at its velocities; `model.h5` ends "
-            "{:.3f} from them and {:.2f} off in velocity",
-            elsewhere,
-        ),
+        ("Solvers from other starts end {:.2f} of the mean λ_n", lambda: elsewhere()[:1]),
+        ("ends {:.3f} from them and {:.2f} off in velocity", lambda: elsewhere()[1:]),
         (
             "3 sweeps from the network are worth {:.1f} of the best classical setting, 10 are worth {:.1f} and 30 are "
             "worth {:.1f}",
