@@ -33,7 +33,7 @@ def run(seed, *, method="PGS"):
 def in_another_process(seed, *, method="PGS", folder=None, **environment):
     """`run` in a process of its own that starts in a folder, whose package it then takes."""
     code = f"import test_determinism as t; print(t.run({seed}, method={method!r}))"
-    paths = [str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")]
+    paths = [*map(str, Path(__file__).parents[:2]), os.environ.get("PYTHONPATH", "")]
     environment |= {"PYTHONPATH": os.pathsep.join(filter(None, paths))}
     return run_python("-c", code, environment=environment, cwd=folder).stdout.strip()
 

@@ -308,6 +308,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="results file, in which the target's entry is replaced")
     target, inputs, seed, out = vars(parser.parse_args()).values()
     begin = time.perf_counter()
+    if child := os.fork():  # whose peak of memory is its own, and not that of who started this process
+        sys.exit(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
     def report(outcomes: Counter) -> None:
         seconds, tried = time.perf_counter() - begin, outcomes["read"] + outcomes["refused"]
