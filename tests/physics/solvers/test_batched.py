@@ -44,6 +44,19 @@ def test_every_contact_has_one_place_of_its_own(pile):
     assert two.count[batches.BLOCKS] == 2  # full ones: no empty block after them
 
 
+def test_a_plan_holds_as_long_as_the_pairs_are_the_same(pile):
+    n, contacts = pile.bodies.count, pile.contacts
+    fresh = batches.make_plan(n, contacts.count)
+    assert not batches.is_plan_of(fresh, n, contacts, contacts)
+    plan = batches.plan_batches(contacts.body_a, contacts.body_b, n, fresh)
+    others = contacts._replace(body_a=contacts.body_a.copy(), body_b=contacts.body_b.copy())
+    assert batches.is_plan_of(plan, n, others, contacts)
+    others.body_b[-1] += 1
+    assert not batches.is_plan_of(plan, n, others, contacts)
+    fewer = contacts._replace(**{name: field[:-1] for name, field in contacts._asdict().items()})
+    assert not batches.is_plan_of(plan, n, fewer, contacts)
+
+
 def test_a_plan_that_is_kept_changes_no_bit():
     # A pile of a hundred at rest, whose pairs are mostly those of the step before.
     solver = dc.BatchedPGS(sweeps=10)
