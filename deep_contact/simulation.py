@@ -212,8 +212,8 @@ def _simulate(
     expect(not flag("forces", forces) or record is not None, "forces: expected False without record=…, got True")
     if dt is not None:
         state = with_time_step(state, dt)
-    without_past = state.contacts is None or state.step == 0
-    state = ready(state)
+    first, state = state, ready(state)
+    without_past = first.contacts is None or state.step == 0
     solver, start, _, decision = method_of(state, solver, warm_start, accuracy, sleep=sleep)
     for sentence in decision.warnings if decision else ():
         warnings.warn(sentence, PresetWarning, stacklevel=3)

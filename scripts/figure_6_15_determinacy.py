@@ -104,7 +104,7 @@ def draw(data, options):
     ax.axvline(half, color=plotting.BLUE, linestyle="--", linewidth=1)
     plotting.name_bars(ax, list(both))
     ax.set(xscale="log", xlim=(0.8 * options["least"], None))
-    ax.legend(fontsize=7, loc="upper left", bbox_to_anchor=(0.06, 1.0))
+    ax.legend(fontsize=8, loc="upper left", bbox_to_anchor=(0.06, 1.0))
     ax.set_title("The thesis's scene, resting")
     ax.set_xlabel("error of an answer\n(dashed: half of the interval)")
     return plotting.legend_below(figure, panels[0, 0], "How much of λ do the positions determine?")
