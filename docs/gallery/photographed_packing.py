@@ -3,7 +3,8 @@
 For those who have a photograph of discs, or positions from another program: no impulses of a step before are known.
 The start "learned support" reads them off the positions, and some sweeps solve them. Noise of the positions opens
 contacts, so radii are enlarged by twice the noise before contacts are looked for. With friction a packing has many
-admissible forces, so even exact positions do not give back those of its history.
+admissible forces, so even exact positions do not give back those of its history: the last column is the interval that
+is open to the force of the median contact (`dc.force_bounds`, of every 25th), over the mean force.
 """
 
 import numpy as np
@@ -17,7 +18,7 @@ true = dict(zip(zip(pile.contacts.body_a, pile.contacts.body_b), carried))
 solver, rng = dc.NesterovPGS(sweeps=1000, tolerance=None), np.random.default_rng(1)
 solved: list[StateWithContacts] = []
 figure, axes = dc.plotting.subplots(1, 3, size=(9.0, 3.2))
-print("noise, % of r   contacts   of the true ones   correlation of forces")
+print("noise, % of r   contacts   of the true ones   correlation of forces   interval")
 for ax, noise in zip(axes, (0.0, 0.1, 1.0)):  # % of a radius
     sigma = 0.01 * noise * pile.bodies.radius.mean()
     seen = dc.make_bodies(
@@ -36,7 +37,9 @@ for ax, noise in zip(axes, (0.0, 0.1, 1.0)):  # % of a radius
     pairs = list(zip(contacts.body_a, contacts.body_b))
     both = [(forces[k], true[pair]) for k, pair in enumerate(pairs) if pair in true]
     agree = np.corrcoef(np.array(both).T)[0, 1]
-    print(f"{noise:13g} {len(pairs):10d} {len(both):8d} of {len(true)} {agree:16.2f}")
+    bounds = dc.force_bounds(solved[-1], range(0, len(pairs), 25)).normal
+    width = np.median(np.ptp(bounds, axis=1)) / contacts.normal_impulse.mean()
+    print(f"{noise:13g} {len(pairs):10d} {len(both):8d} of {len(true)} {agree:16.2f} {width:18.2f}")
     dc.plotting.draw_state(ax, solved[-1], colour_by=None)
     ax.set_title(f"noise {noise:g} % of r")
 dc.plotting.save(figure, "photographed_packing.png")
