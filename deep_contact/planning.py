@@ -146,9 +146,9 @@ def _of_the_solver(scene: State, solver, left: Mapping) -> Iterator[Choice]:
     n, in_batches = scene.bodies.count, isinstance(solver, BatchedPGS)
     saving = "eight contacts at a time, in another order than PGS's: sooner at some thousand circles"
     yield Choice("batches of contacts", in_batches, f"{describe(solver)} for {n:,} circles", saving)
-    threads, given = threads_of(solver, n), getattr(solver, "threads", None)
-    if given is not None:
-        why = f"threads={given} was asked for"
+    threads, wanted = threads_of(solver, n), getattr(solver, "threads", None)
+    if wanted is not None:
+        why = f"threads={wanted} was asked for"
     elif in_batches:
         why = f"{threads} for {n:,} circles, one for every {CIRCLES_A_THREAD:,}, and {cores()} cores"
     else:

@@ -239,11 +239,11 @@ def interval(statistic: Callable[[np.ndarray], np.ndarray], count: int, *, resam
     value = statistic(np.arange(count)[None])[0]
     if count == 1:
         return np.stack([value] * 3)
-    found = stats.bootstrap(
+    bootstrap = stats.bootstrap(
         (np.arange(count),), lambda drawn, axis: np.moveaxis(statistic(np.atleast_2d(drawn)), 0, -1),
         vectorized=True, method="percentile", n_resamples=resamples, random_state=0,
     )  # fmt: skip
-    return np.stack([value, *found.confidence_interval])
+    return np.stack([value, *bootstrap.confidence_interval])
 
 
 def with_reach(error: Sequence[float]) -> tuple[float, np.ndarray]:

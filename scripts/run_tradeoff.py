@@ -35,12 +35,12 @@ def settings(budgets: dict, **options) -> list[dict]:
 
     Substeps that follow the motion are (fewest, most, slop).
     """
-    found = []
+    listed = []
     for substeps, sweeps in budgets.items():
         k, *motion = substeps if isinstance(substeps, tuple) else (substeps,)
         by_motion = {"most_substeps": motion[0] // k, "slop": motion[1]} if motion else {}
-        found += [{"sweeps": count, "dt": TIME_STEP / k, **by_motion, **options} for count in sweeps]
-    return found
+        listed += [{"sweeps": count, "dt": TIME_STEP / k, **by_motion, **options} for count in sweeps]
+    return listed
 
 
 PGS, PSOR = {"method": "PGS"}, {"method": "PSOR", "omega": 1.3}
@@ -206,7 +206,7 @@ LIMIT = trade.name_of(runs.REFERENCE)
 
 def wanted(options: dict) -> dict[tuple[str, int, str], tuple[dict, int]]:
     """(Kind, n_bodies, name) -> (setting, number of seeds); of a name that is there twice, the first has the most."""
-    found = {}
+    cases_by_name = {}
     for n, kinds in options["seeds"].items():
         for kind, count in kinds.items():
             ours = options["dense" if kind in runs.DENSE_KINDS else "settings"][n]
@@ -215,8 +215,8 @@ def wanted(options: dict) -> dict[tuple[str, int, str], tuple[dict, int]]:
             if kind == "plain":
                 cases += [(setting, options["ladder_seeds"][n]) for setting in options["ladders"][n]]
                 cases += [(setting, options["peer_seeds"][n]) for setting in options["peers"][n]]
-            found |= {(kind, int(n), trade.name_of(case[0])): case for case in reversed(cases)}
-    return found
+            cases_by_name |= {(kind, int(n), trade.name_of(case[0])): case for case in reversed(cases)}
+    return cases_by_name
 
 
 def plan(options: dict, seed: int, known: Mapping) -> tuple[list, dict]:
@@ -253,11 +253,11 @@ def study(
 ) -> dict | None:
     """The data of the results file. before: one whose errors are taken over; times are measured anew."""
     seen, rows = plan(options, seed, known_rows(before, options, seed) if before else {})
-    found = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
+    observed = done(seen, FUNCTIONS, work=work, jobs=jobs, text="errors")
     if errors_only:
         return None
     ensembles: dict = {}  # runs in the order of their seeds, so that each meets the reference of its own scene
-    for (_, part), stored in zip(seen, found):
+    for (_, part), stored in zip(seen, observed):
         key = part["kind"], part["n_bodies"], trade.name_of(part["setting"])
         ensembles.setdefault(key, (part["setting"], []))[1].append(run_errors.observation(stored))
     for (kind, n, name), (setting, ensemble) in ensembles.items():
@@ -321,14 +321,14 @@ def main(arguments=None) -> int:
     add("--install", action="store_true", help="make these the numbers of the presets")
     add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
     add("--add", action="store_true", help="take the errors over that the results file has, and measure times anew")
-    given = parser.parse_args(arguments)
+    chosen = parser.parse_args(arguments)
     start = time.perf_counter()
-    options = QUICK if given.quick else FULL
-    out = given.out or Path("runs/run_tradeoff_quick.json" if given.quick else "data/reference/run_tradeoff.json")
-    before = results.read_results(out) if given.add else None
+    options = QUICK if chosen.quick else FULL
+    out = chosen.out or Path("runs/run_tradeoff_quick.json" if chosen.quick else "data/reference/run_tradeoff.json")
+    before = results.read_results(out) if chosen.add else None
     try:
-        with parallel.opened(given.jobs, given.scheduler) as jobs:
-            about = {"seed": given.seed, "work": given.work, "errors_only": given.errors, "before": before}
+        with parallel.opened(chosen.jobs, chosen.scheduler) as jobs:
+            about = {"seed": chosen.seed, "work": chosen.work, "errors_only": chosen.errors, "before": before}
             data = study(options, jobs=jobs, **about)
     except parallel.ClusterError as error:
         print(error, file=sys.stderr)
@@ -336,17 +336,17 @@ def main(arguments=None) -> int:
     if data is None:
         return 0
     wall_s = time.perf_counter() - start
-    kept = {key: value for key, value in options.items() if key not in LISTS} | {"quick": given.quick}
+    kept = {key: value for key, value in options.items() if key not in LISTS} | {"quick": chosen.quick}
     if before:
         kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
-    made = results.provenance(seed=given.seed, wall_s=wall_s)
+    made = results.provenance(seed=chosen.seed, wall_s=wall_s)
     about = {"id": "6.1", "title": "Speed for accuracy in runs: errors and times of settings and engines"}
     about |= {"options": kept, "provenance": made}
     judged = list(claims(data))
     results.write_results(out, about | {"claims": judged, "data": data}, digits=4)
     for claim in judged:
         print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
-    if given.install:
+    if chosen.install:
         results.write_json(TABLE, table(data, made["cpu"]))
     print(f"{len(data['rows'])} rows in {out.name}, {wall_s:.0f} s")
     return 0

@@ -58,14 +58,14 @@ BLOCK = 1024
 COLOURS = 64
 """Colours, and phases, in a bit mask. A contact without a free colour is a batch of its own; so are phases."""
 
-CONTACTS, BLOCKS, TILES, PHASES, CIRCLES, ROWS = range(6)
-"""Elements of `Plan.count`."""
+CONTACTS, BLOCKS, TILES, BLOCK_PHASES, CIRCLES, ROWS = range(6)
+"""Elements of `BatchPlan.count`."""
 
 BATCHES, PHASE_BITS = range(2)
-"""Columns of `Plan.mark`."""
+"""Columns of `BatchPlan.mark`."""
 
 
-class Plan(NamedTuple):
+class BatchPlan(NamedTuple):
     """Where each contact goes: buffers for M contacts of n circles in B blocks."""
 
     mark: np.ndarray  # (n, 2): of a circle: its colours in the current block, and its phases, as bits
@@ -97,7 +97,7 @@ def make_plan(n, capacity):
     """Buffers for the plan of so many contacts of n circles."""
     blocks = capacity // BLOCK + 1
     whole = np.int64
-    return Plan(
+    return BatchPlan(
         np.zeros((n, 2), np.uint64), np.empty(capacity, whole), np.empty(capacity, np.uint32),
         np.empty(capacity, whole), np.empty(capacity, whole), np.empty(blocks + 1, whole),
         np.empty(blocks + 1, whole), np.empty(blocks, whole), np.empty(blocks, whole), np.empty(blocks + 2, whole),
@@ -136,7 +136,7 @@ def plan_batches(body_a, body_b, n, plan):
         tiles, rows = place_contacts(begin, end, batches, tiles, plan), rows + segments
     plan.first[blocks], plan.own[blocks] = tiles, rows
     plan.count[CONTACTS], plan.count[BLOCKS], plan.count[TILES], plan.count[CIRCLES] = m, blocks, tiles, n
-    plan.count[PHASES], plan.count[ROWS] = sort_phases(blocks, plan), rows
+    plan.count[BLOCK_PHASES], plan.count[ROWS] = sort_phases(blocks, plan), rows
     return plan
 
 

@@ -169,11 +169,11 @@ class Steps:
         while True:
             self._is_plain = self._is_plain and step.motion is None
             step = step if self._is_plain else with_rare(step)
-            found = own_contacts(self._advance(step, step.motion, contacts, self.sleep, self._options, memory, log))
+            following = own_contacts(self._advance(step, step.motion, contacts, self.sleep, self._options, memory, log))
             if not self._is_plain or log.progress[WORK] <= 0 or log.progress[DONE] == step.parts * len(log.contacts):
-                return found
+                return following
             # A circle is fast. What has been built is used up.
-            self._is_plain, contacts, memory = False, found, self.memory(step)
+            self._is_plain, contacts, memory = False, following, self.memory(step)
 
 
 @njit(cache=True, error_model="numpy")

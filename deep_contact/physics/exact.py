@@ -188,8 +188,8 @@ def _start_of_state(state: State) -> np.ndarray:
     if not state.contacts.have_past:
         held = supported(state, step_problem(state))
     starts = [solve(state, solver, *held) for solver in (PGS(sweeps=0), FIRST_SWEEPS)]
-    found = min(starts, key=lambda start: np.nan_to_num(metrics.residual(state, start), nan=np.inf))
-    return np.column_stack(projected(found.normal_impulses, found.tangent_impulses, state.world.friction)).ravel()
+    nearest = min(starts, key=lambda start: np.nan_to_num(metrics.residual(state, start), nan=np.inf))
+    return np.column_stack(projected(nearest.normal_impulses, nearest.tangent_impulses, state.world.friction)).ravel()
 
 
 def _start_of(problem: ContactProblem, normal, tangent) -> np.ndarray:

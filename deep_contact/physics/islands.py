@@ -76,10 +76,10 @@ def sort_by_island(rows, workspace):
             start[count] = start[c + 1]
             count += 1
     start[count] = m
-    found = Rows(workspace.rows.body[:m], workspace.rows.data[:m], workspace.rows.impulse[:m])
+    sorted_rows = Rows(workspace.rows.body[:m], workspace.rows.data[:m], workspace.rows.impulse[:m])
     for i in range(m):
-        copy_row(rows, order[i], found, i)
-    return count, found
+        copy_row(rows, order[i], sorted_rows, i)
+    return count, sorted_rows
 
 
 @njit(cache=True)

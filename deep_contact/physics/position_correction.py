@@ -211,23 +211,23 @@ def fill_levels(contacts, n, room):
     level[:] = 0
     for i in range(m):
         a, b = contacts.body_a[i], contacts.body_b[i]
-        found = level[a]
+        own = level[a]
         if b < n:
-            found = max(found, level[b])
-            level[b] = found + 1
-        level[a] = found + 1
-        if found == levels:
-            fill[found] = 0
+            own = max(own, level[b])
+            level[b] = own + 1
+        level[a] = own + 1
+        if own == levels:
+            fill[own] = 0
             levels += 1
-        batch[i] = found
-        fill[found] += 1
+        batch[i] = own
+        fill[own] += 1
     if m < _FILLED * levels or m == 0:
         return 0
     tiles = 0
-    for found in range(levels):
-        used, fill[found] = fill[found], tiles * WIDTH
+    for k in range(levels):
+        used, fill[k] = fill[k], tiles * WIDTH
         tiles += (used + WIDTH - 1) // WIDTH
-        for place in range(fill[found] + used, tiles * WIDTH):
+        for place in range(fill[k] + used, tiles * WIDTH):
             room.body[place // WIDTH, :, place % WIDTH] = n + IDLE
             room.normal[place // WIDTH, :, place % WIDTH] = 0.0
     for i in range(m):

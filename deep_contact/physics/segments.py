@@ -263,18 +263,18 @@ def shared_end(line, s, end, k):
 @njit(cache=True)
 def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
     """Insert the circles and segments that touch among m sorted pairs, in place. Returns their number, -1 if full."""
-    n, found = position.shape[0], m
+    n, end = position.shape[0], m
     circles = np.empty(n, np.int64)
     for i in circles[: circles_beside(segments, position, position, circles)]:
         x, y = position[i, 0], position[i, 1]
         for s in near_box(segments, x, x, y, y, segments.every):
             if touches(segments.line, segments.joined, s, x, y, radius[i] + skin):
-                if found == body_a.shape[0]:
+                if end == body_a.shape[0]:
                     return -1
-                body_a[found], body_b[found] = i, n + 4 + s
-                found += 1
-    more_a, more_b = body_a[m:found].copy(), body_b[m:found].copy()
-    i, j = m - 1, found - m - 1
+                body_a[end], body_b[end] = i, n + 4 + s
+                end += 1
+    more_a, more_b = body_a[m:end].copy(), body_b[m:end].copy()
+    i, j = m - 1, end - m - 1
     # Merged from the back; of one circle, segments come after all other bodies.
     while j >= 0:
         if i >= 0 and body_a[i] > more_a[j]:
@@ -283,7 +283,7 @@ def insert_pairs(position, radius, segments, skin, body_a, body_b, m):
         else:
             body_a[i + j + 1], body_b[i + j + 1] = more_a[j], more_b[j]
             j -= 1
-    return found
+    return end
 
 
 @njit(cache=True, error_model="numpy")

@@ -111,9 +111,9 @@ def check_kept_contacts(before: State, after: State) -> None:
     hint = "; contacts=None lets them be found, `State.with_bodies` keeps the impulses"
     n, contacts = before.bodies.count, before.contacts
     mass = after.bodies.mass if isinstance(after.bodies, Bodies) else before.bodies.mass
-    found = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # a list need not be an array's
-    if found != n and contacts.count:
-        raise ValueError(f"bodies: expected {n} circles, as the contacts have, got {found}{hint}")
+    circles = len(mass) if isinstance(mass, (list, tuple)) else np.size(mass)  # a list need not be an array's
+    if circles != n and contacts.count:
+        raise ValueError(f"bodies: expected {n} circles, as the contacts have, got {circles}{hint}")
     old, new = (getattr(state.world, "segments", ()) for state in (before, after))
     for k in np.unique(contacts.body_b[contacts.body_b >= n + 4]) - (n + 4) if len(old) != len(new) else ():
         expected = f"segments[{k}]: expected {old[k]}, which has contacts"

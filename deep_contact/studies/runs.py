@@ -120,8 +120,8 @@ def read_study(path) -> dict:
 
     path: from the current folder, or else of a file that comes with the package.
     """
-    found = results.read_results(shipped.find(path))["data"]["rows"]
-    return {"plain": [row for row in found if row["kind"] == "plain" and row["errors"]], "presets": presets(found)}
+    rows = results.read_results(shipped.find(path))["data"]["rows"]
+    return {"plain": [row for row in rows if row["kind"] == "plain" and row["errors"]], "presets": presets(rows)}
 
 
 def presets(rows: Sequence[Mapping]) -> list[dict]:

@@ -16,7 +16,7 @@ from deep_contact.compiled.simd import WIDTH, lane, least, load, load_rows, most
 from deep_contact.compiled.team import Team, share_of, team_size, together, wait
 from deep_contact.constants import POSITION_TOLERANCE
 from deep_contact.physics import batches, collision
-from deep_contact.physics.batches import BLOCKS, CONTACTS, PHASES
+from deep_contact.physics.batches import BLOCK_PHASES, BLOCKS, CONTACTS
 from deep_contact.physics.contact_solver import (
     ARM_A,
     ARM_B,
@@ -109,11 +109,11 @@ def sweep_tiles(tiles, first, last, friction):
 
 @njit(cache=True)
 def share_of_phase(start, count, p, team):
-    """The places in `Plan.order`, first and after the last, of the blocks of a phase that this thread does.
+    """The places in `BatchPlan.order`, first and after the last, of the blocks of a phase that this thread does.
 
     Neighbours in the list, so that threads share the circles of a few blocks: to get one that another core has changed
-    costs more than to relax a contact. Where phases are not shared, rank 0 does all. start, count: of the `Plan`, of
-    which a call would count the references to all its arrays, for each sweep.
+    costs more than to relax a contact. Where phases are not shared, rank 0 does all. start, count: of the `BatchPlan`,
+    of which a call would count the references to all its arrays, for each sweep.
     """
     first, last = share_of(start[p + 1] - start[p], team)
     if not phases_are_shared(count):
@@ -124,13 +124,13 @@ def share_of_phase(start, count, p, team):
 @njit(cache=True)
 def phases_are_shared(count):
     """Whether phases have more than one block. Those of circles that are numbered at random have nothing to share."""
-    return 3 * count[PHASES] <= 2 * count[BLOCKS]
+    return 3 * count[BLOCK_PHASES] <= 2 * count[BLOCKS]
 
 
 @njit(cache=True)
 def end_phase(count, p, team):
     """The barrier after a phase, where the next one needs it."""
-    if phases_are_shared(count) or p == count[PHASES] - 1:
+    if phases_are_shared(count) or p == count[BLOCK_PHASES] - 1:
         wait(team)
 
 
@@ -138,7 +138,7 @@ def end_phase(count, p, team):
 def sweep_blocks(plan, tiles, friction, turn, team):
     """One sweep over all tiles, in place, by a team. Returns θ. turn: 0 and 1 alternate."""
     start, order, begin, worst, count = plan.start, plan.order, plan.first, plan.worst, plan.count
-    for p in range(count[PHASES]):
+    for p in range(count[BLOCK_PHASES]):
         first, last = share_of_phase(start, count, p, team)
         for q in range(first, last):
             k = order[q]
@@ -155,7 +155,7 @@ def correct_blocks(plan, tiles, scales, turn, team):
     """One sweep of position correction, likewise. Returns the deepest separation, m."""
     start, order, begin, worst, count = plan.start, plan.order, plan.first, plan.worst, plan.count
     body, data, centre = tiles.body, tiles.data, tiles.centre
-    for p in range(count[PHASES]):
+    for p in range(count[BLOCK_PHASES]):
         first, last = share_of_phase(start, count, p, team)
         for q in range(first, last):
             k = order[q]
@@ -210,7 +210,7 @@ PAIRS_FOUND, PARTS = range(2)
 _FIELDS = ("plan", "tiles", "solved", "contacts", "memory", "flags", "counts")
 """What a team shares of a run, in a `Shared`. Rank 0 alone replaces it, between barriers, where it is too small.
 
-plan: `Plan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and of this one. memory: `StepMemory`.
+plan: `BatchPlan`. tiles: `Tiles`. solved, contacts: `Contacts` of the step before and this one. memory: `StepMemory`.
 flags: what a thread tells the others, (size, 8): whether a circle of its share is fast, whether all are finite, whether
 there is a list of near pairs. counts: pairs of its share that touch, parts of a substep, (size, 8).
 """
@@ -405,15 +405,15 @@ def find_touching(step, shared, buffer, mine):
         step.scales.wall_skin,
         shared.memory.cells,
     )
-    found = -1
-    while found < 0:
+    pairs_found = -1
+    while pairs_found < 0:
         where = position, radius, step.box, skin, cells, mine.first, mine.last, mine.body_a, mine.body_b
-        found = collision.write_near_pairs(*where)
-        if found < 0:
+        pairs_found = collision.write_near_pairs(*where)
+        if pairs_found < 0:
             capacity = 2 * mine.body_a.shape[0] + 64
             pairs = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
             mine = Share(mine.team, mine.first, mine.last, mine.bodies, pairs[0], pairs[1])
-    shared.counts[mine.team.rank, PAIRS_FOUND] = found
+    shared.counts[mine.team.rank, PAIRS_FOUND] = pairs_found
     wait(mine.team)
     if mine.team.rank == 0:
         m = shared.counts[:, PAIRS_FOUND].sum()
@@ -439,7 +439,7 @@ def describe_touching(step, options, shared, mine):
 @njit(cache=True, error_model="numpy")
 def start_blocks(step, contacts, plan, tiles, team, rows, is_built):
     """The rows of all blocks and what they start from, phase by phase, since that changes velocities."""
-    for p in range(plan.count[PHASES]):
+    for p in range(plan.count[BLOCK_PHASES]):
         first, last = share_of_phase(plan.start, plan.count, p, team)
         for q in range(first, last):
             k = plan.order[q]

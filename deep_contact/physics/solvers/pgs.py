@@ -72,8 +72,8 @@ class PGS:
         if self.tolerance != FOLLOWS_SCENE:
             return self
         bodies = state.bodies
-        found = theta_tolerance(bodies.mass, bodies.radius, state.world.gravity, state.dt)
-        return replace(self, tolerance=found / self.substeps)
+        tolerance_of_state = theta_tolerance(bodies.mass, bodies.radius, state.world.gravity, state.dt)
+        return replace(self, tolerance=tolerance_of_state / self.substeps)
 
 
 PGSSettings = namedtuple("PGSSettings", ["tolerance"])

@@ -81,13 +81,13 @@ def test_no_circle_occurs_twice_in_a_batch(pile):
 def test_blocks_of_a_phase_share_no_circle(pile):
     plan, seen = plan_of(pile), []
     blocks = np.arange(pile.contacts.count) // batches.BLOCK
-    for p in range(plan.count[batches.PHASES]):
+    for p in range(plan.count[batches.BLOCK_PHASES]):
         mine = plan.order[plan.start[p] : plan.start[p + 1]]
         found = np.concatenate([np.unique(circles_of(pile, np.flatnonzero(blocks == k))) for k in mine])
         assert np.unique(found).size == found.size
         seen.extend(mine)
     assert sorted(seen) == list(range(plan.count[batches.BLOCKS]))
-    assert plan.count[batches.PHASES] < plan.count[batches.BLOCKS]  # or every block would be a phase of its own
+    assert plan.count[batches.BLOCK_PHASES] < plan.count[batches.BLOCKS]  # or every block would be a phase of its own
 
 
 @pytest.mark.filterwarnings("ignore:.*solved to a tolerance")
