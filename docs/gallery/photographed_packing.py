@@ -39,7 +39,9 @@ for ax, noise in zip(axes, (0.0, 0.1, 1.0)):  # % of a radius
     agree = np.corrcoef(np.array(both).T)[0, 1]
     bounds = dc.force_bounds(solved[-1], range(0, len(pairs), 25)).normal
     width = np.median(np.ptp(bounds, axis=1)) / contacts.normal_impulse.mean()
-    print(f"{noise:13g} {len(pairs):10d} {len(both):8d} of {len(true)} {agree:16.2f} {width:18.2f}")
+    print(
+        f"{noise:13g} {len(pairs):10d} {len(both):8d} of {len(true)} {agree:16.2f} {width:18.2f}"
+    )
     dc.plotting.draw_state(ax, solved[-1], colour_by=None)
     ax.set_title(f"noise {noise:g} % of r")
 dc.plotting.save(figure, "photographed_packing.png")
