@@ -87,6 +87,10 @@ DONE, WORK, LAST_SWEEPS = range(3)
 part."""
 
 
+BESIDE_SWEEPS = 20
+"""Work of a part beside its sweeps, in relaxations a contact."""
+
+
 class StepLog(NamedTuple):
     """What the steps log, (steps,) each. Of a divided step: contacts and θ of the last part, sums of the others."""
 
@@ -118,7 +122,7 @@ def log_part(log, k, contacts, sweeps, theta, relaxations):
     log.theta[k] = theta[sweeps - 1] if sweeps > 0 else np.inf
     log.relaxations[k] += relaxations
     log.parts[k] += 1
-    log.progress[WORK] -= relaxations + 20 * contacts
+    log.progress[WORK] -= relaxations + BESIDE_SWEEPS * contacts
     log.progress[LAST_SWEEPS] = sweeps
 
 
