@@ -15,8 +15,8 @@ a while. ε falls while steps are easy.
 A pivot is a solve with SuperLU's factors (`proximal_path`): this is for references, not for the steps of a run.
 
 A path is sure to lead to a solution without friction, where the problem is monotone. With friction ε may be too small
-against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε. Settling piles
-of 1,000 have been solved, of 10,000 some. Of many solutions, the start and these constants choose one.
+against a negative mode, and a path can turn back for good: it is given up and taken up with a larger ε. Most piles of
+1,000 have been solved, of 10,000 none. Of many solutions, the start and these constants choose one.
 """
 
 from __future__ import annotations
