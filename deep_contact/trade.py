@@ -645,7 +645,7 @@ def _plans(trade: Trade, costs: Mapping, count: int) -> Iterator[tuple[list[str]
 def _judge(trade: Trade) -> None:
     """Rows, noise and sentences from what was observed."""
     true = {i: seen for (name, i), (_, seen) in sorted(trade.observed.items()) if name == REFERENCE}
-    trade.seeds = len(true)
+    trade.seeds, every = len(true), max(1, trade.steps // FRAMES)  # a run ends with a whole interval
 
     def paired(name):
         return [(trade.observed[name, i][1], seen) for i, seen in true.items() if (name, i) in trade.observed]
@@ -653,7 +653,7 @@ def _judge(trade: Trade) -> None:
     for name, setting in trade.settings.items():
         if pairs := paired(name):
             took = [seconds for (of, _), (seconds, _) in trade.observed.items() if of == name and seconds is not None]
-            us = 1e6 * float(np.mean(took)) / trade.steps if took else None
+            us = 1e6 * float(np.mean(took)) / (trade.steps // every * every) if took else None
             trade.rows.append(row_of(setting, trade.dt, *zip(*pairs)) | {"us": us})
     if pairs := paired(HALF):
         half, reference = zip(*pairs)

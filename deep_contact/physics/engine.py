@@ -114,18 +114,17 @@ def do_part(part, motion, contacts, sleep, options, memory, log, k, turn):
         sleeping.store_awake_impulses(active, contacts, sleep)
     # Positions.
     before = positions_before(bodies, segments)
-    is_whole = integrate_positions(bodies, solver_bodies, part, segments)
-    following = contacts
-    if is_whole:
-        correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
-        # The contacts that the next part or step solves.
-        buffer, skin = memory.contacts[turn], scales.wall_skin
-        following = next_contacts(bodies, before, box, segments, skin, cells, contacts, options.carry, buffer)
-        if sleep is not None:
-            sleeping.wake_and_put_to_sleep(part, following, sleep)
-        log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
-        add_loads(log, contacts, bodies.mass.shape[0], 1.0 / part.parts)
-    return is_whole, following
+    if not integrate_positions(bodies, solver_bodies, part, segments):
+        return False, contacts
+    correct_positions(bodies, active, box, segments, scales, options.position_sweeps, memory.correction)
+    # The contacts that the next part or step solves.
+    buffer, skin = memory.contacts[turn], scales.wall_skin
+    following = next_contacts(bodies, before, box, segments, skin, cells, contacts, options.carry, buffer)
+    if sleep is not None:
+        sleeping.wake_and_put_to_sleep(part, following, sleep)
+    log_part(log, k, active.body_a.shape[0], sweeps, theta, relaxations)
+    add_loads(log, contacts, bodies.mass.shape[0], 1.0 / part.parts)
+    return True, following
 
 
 class Steps:

@@ -20,16 +20,19 @@ SWEEPS = 20_000
 
 
 def pile(kind: str, n_bodies: int, friction: float, smallest: float, seed: int) -> StateWithContacts:
-    """A packing after 50 steps ("settling"), or at a rms speed below 1e-3 m/s or after 1,050 ("resting").
+    """A packing after 51 steps ("settling"), or at a rms speed below 1e-3 m/s or after 1,050 ("resting").
 
-    smallest: radius, m; the largest is 1 m. "thesis": the thesis's scene, which has no other radius, at rest likewise.
+    smallest: radius, m; the largest is 1 m. "thesis": the thesis's scene, of one radius, likewise, or after 1,600.
     """
-    scene = piles.packing(n_bodies, np.random.default_rng(seed), smallest=smallest, friction=friction)
     if kind == "thesis":
-        scene = circles_in_box(n_bodies=n_bodies, friction=friction, seed=seed)
-    state = simulate(scene, steps=600 if kind == "thesis" else 50, solver=piles.SETTLE).state
-    for _ in range(1 if kind == "settling" else 20):
-        state = simulate(state, steps=1 if kind == "settling" else 50, solver=NNCG(sweeps=200)).state
+        scene, first = circles_in_box(n_bodies=n_bodies, friction=friction, seed=seed), 600
+    else:
+        scene, first = piles.packing(n_bodies, np.random.default_rng(seed), smallest=smallest, friction=friction), 50
+    state, well = simulate(scene, steps=first, solver=piles.SETTLE).state, NNCG(sweeps=200)
+    if kind == "settling":
+        return simulate(state, steps=1, solver=well).state
+    for _ in range(20):
+        state = simulate(state, steps=50, solver=well).state
         if piles.rms_speed(state) < 1e-3:
             break
     return state

@@ -109,7 +109,8 @@ def test_what_json_does_not_know_is_refused(bad):
         results.plain({"thing": bad})
 
 
-FULL = {"claims": [{"text": "faster, 100 circles", "holds": True}]}
+PARTLY = {"text": "near", "holds": None, "verdict": "holds, sweeps 1 to 2; does not hold, sweeps 4 to 28"}
+FULL = {"claims": [{"text": "faster, 100 circles", "holds": True}, PARTLY]}
 
 
 @pytest.mark.parametrize(
@@ -121,6 +122,7 @@ FULL = {"claims": [{"text": "faster, 100 circles", "holds": True}]}
         ("", True, "holds, sweeps 1 to 180", None, "holds, sweeps 1 to 180"),
         ("faster, 60 circles", True, None, FULL, "as in the reference run, holds"),
         ("faster, 60 circles", False, None, FULL, "too few states to tell (reference run: holds)"),
+        ("near", True, None, FULL, "too few states to tell (reference run: holds in part)"),
         ("slower", False, None, FULL, "too few states to tell"),
     ],
 )
