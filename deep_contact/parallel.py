@@ -1,43 +1,20 @@
-"""Where independent tasks run: in processes of this machine, or on the workers of a Dask cluster.
-
-An argument `jobs` takes the number of local processes, or an executor such as that of `cluster("tcp://10.0.0.1:8786")`;
-the results have the same bits. docs/guide.md says how a cluster is started. Workers need no file system of the client:
-tasks and results are sent. A task that reads a file, such as a network of `models/`, reads the worker's own.
+"""Where independent tasks run: in processes of this machine, or wherever an executor sends them.
 
 The local pool is not joblib's: its workers outlive a killed parent and get Ctrl-C themselves.
 """
 
 from __future__ import annotations
 
-import gc
-import hashlib
 import multiprocessing
 import os
-import platform
 import signal
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from functools import cache
-from pathlib import Path
+from contextlib import contextmanager, nullcontext
 
-from deep_contact.constants import VERSION
-from deep_contact.io import provenance
 from deep_contact.validation import integer
-
-_PACKAGES = ("numba", "numpy", "scipy", "keras", "tensorflow")
-"""Packages on whose versions results depend."""
-
-SCHEDULER_HELP = "a Dask cluster, such as tcp://10.0.0.1:8786, in place of local processes"
-"""Of the option `--scheduler`."""
-
-_one_task = threading.Lock()
-
-
-class ClusterError(RuntimeError):
-    """A cluster that cannot be used; names the address or the worker, what was expected and what was found."""
 
 
 def finished(function: Callable, items: Iterable, *, jobs: int | Executor = 1) -> Iterator[tuple[int, object]]:
@@ -72,94 +49,6 @@ def _finished(function: Callable, items: list, jobs: int | Executor) -> Iterator
                 for future in numbers:
                     future.cancel()
             raise
-
-
-def opened(jobs: int, scheduler: str | None = None) -> AbstractContextManager[int | Executor]:
-    """What `--jobs` and `--scheduler` ask for, as `jobs` of everything else: see `cluster`."""
-    return nullcontext(jobs) if scheduler is None else cluster(scheduler)
-
-
-@contextmanager
-def cluster(address: str, *, timeout: float = 10.0) -> Iterator[Executor]:
-    """The workers of the Dask cluster whose scheduler is at `address`, as an executor.
-
-    timeout: seconds within which the scheduler has to answer. Tasks wait until there is a worker. If a worker dies,
-    another does its task, up to Dask's limit (`distributed.scheduler.allowed-failures`). Worker processes do one task
-    at a time, and refuse it where sources or versions differ from those of this process. Tasks that have begun cannot
-    be stopped: after an error or Ctrl-C the workers finish them, and the results are dropped.
-    Raises ClusterError naming the address if no scheduler answers or the connection is lost, and if the package
-    `distributed` is missing.
-    """
-    try:
-        from distributed import Client
-    except ImportError:
-        raise ClusterError(
-            f"scheduler: expected the package `distributed` to be installed for {address}, got none: "
-            "it comes with the extra `cluster`, pip install 'deep-contact[cluster]'"
-        ) from None
-    try:
-        client, fault = Client(address, timeout=timeout, set_as_default=False), None
-    except Exception as error:  # OSError, ValueError, TypeError and others, depending on what is wrong with the address
-        fault = str(error) or type(error).__name__
-    if fault is not None:
-        # The client that came to nothing closes itself here. Left to the garbage collector it may do so while another
-        # one starts, and both wait for each other for ever.
-        gc.collect()
-        expected = f"a Dask scheduler that answers at {address} within {timeout:g} s"
-        raise ClusterError(f"scheduler: expected {expected}, got none: {fault}")
-    with client:
-        try:
-            yield _Cluster(client)
-        except CancelledError:
-            raise ClusterError(f"scheduler: expected {address} to be there until the end, got no answer") from None
-
-
-class _Cluster(Executor):
-    """Dask's executor; the workers check that they run our code before each task."""
-
-    def __init__(self, client):
-        # Impure: Dask must neither merge two equal tasks nor return a result that older code has computed.
-        self._executor = client.get_executor(pure=False)
-
-    def submit(self, function, /, *args, **kwargs):
-        import cloudpickle
-
-        task, expected = cloudpickle.dumps((function, args, kwargs)), code()
-
-        # A nested function and bytes are pickled by value. A worker that cannot import the task, or this package, then
-        # reports an ordinary error; a message that it cannot unpickle would end the worker.
-        def task_of_deep_contact():
-            from deep_contact.parallel import on_worker
-
-            return on_worker(task, expected)
-
-        return self._executor.submit(task_of_deep_contact)
-
-
-def on_worker(task: bytes, expected: dict[str, str]):
-    """Do a pickled task (function, args, kwargs) here. Raises ClusterError if `code` is not what is expected."""
-    import cloudpickle
-
-    for name, ours in code().items():
-        if ours != expected[name]:
-            difference = f"{name}: expected {expected[name]} as the client has it, got {ours}"
-            raise ClusterError(f"worker on {platform.node()}: {difference}; install the same and start it again")
-    # Neither the compiled kernels, which hold the interpreter anyway, nor the peer engines are made for threads.
-    with _one_task:
-        function, args, kwargs = cloudpickle.loads(task)
-        return function(*args, **kwargs)
-
-
-@cache
-def code() -> dict[str, str]:
-    """Versions, and a digest of the sources, by name: results depend on them beside the task."""
-    digest, folder = hashlib.sha256(), Path(__file__).parent
-    # A wheel has the scripts below the package; a checkout beside it runs the same code.
-    for path in sorted(set(folder.rglob("*.py")) - set(folder.glob("scripts/*"))):
-        digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes() + b"\0")
-    versions = provenance.package_versions()
-    ours = {"deep_contact": VERSION, "sources of deep_contact": digest.hexdigest()[:16]}
-    return ours | {name: versions.get(name, "none") for name in _PACKAGES}
 
 
 @contextmanager

@@ -91,7 +91,7 @@ def parse(arguments):
     if args.references:
         args.out = str(REFERENCE)
     flags = [f"--{name}" for name in ("quick", "replot") if getattr(args, name)]
-    values = [(f"--{name}", getattr(args, name)) for name in ("out", "jobs", "seed", "scheduler")]
+    values = [(f"--{name}", getattr(args, name)) for name in ("out", "jobs", "seed")]
     return args, flags + [str(word) for name, value in values if value is not None for word in (name, value)]
 
 

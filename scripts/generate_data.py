@@ -6,8 +6,7 @@ the data of the start `learned support`: four states of a pile that settles, who
 five eighths of the piles have 50 to 3,000 circles, the others 600 to 6,000.
 
 Simulation i depends on the seed and on i only: the same bits for any number of simulations or jobs. The script can be
-stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind. With
---scheduler the workers of a Dask cluster simulate (`deep_contact.parallel`); this process writes the files.
+stopped at any moment and started again: finished simulations stay, unfinished ones leave nothing behind.
 """
 
 from __future__ import annotations
@@ -169,7 +168,6 @@ def parse(arguments=None) -> argparse.Namespace:
     add("--seed", type=int, default=0, help="of the whole set (0)")
     add("--out", type=Path, help="folder (data/generated)")
     add("--jobs", type=int, default=2, metavar="N", help="processes (2)")
-    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     add("--xml", action="store_true", help="write every state as XML as well")
     add("--gzip", action="store_true", help="compress the XML files")
     add = parser.add_mutually_exclusive_group().add_argument
@@ -208,15 +206,14 @@ def main(arguments=None) -> int:
     try:
         wanted = missing(jobs)
         print(f"{args.out}: {len(jobs)} simulations, {len(jobs) - len(wanted)} are there already")
-        with parallel.opened(args.jobs, args.scheduler) as workers:
-            run(wanted, workers)
+        run(wanted, args.jobs)
         if args.xml:
             figures.parallel_map(write_xml, jobs, jobs=args.jobs, progress=figures.progress_bar, text="XML")
     except KeyboardInterrupt:
         print("\nstopped; the same command goes on from here", file=sys.stderr)
         return 130
     except (OSError, RuntimeError, ValueError) as error:
-        # A full disk is an OSError or, from within HDF5, a RuntimeError; so is a ClusterError.
+        # A full disk is an OSError or, from within HDF5, a RuntimeError.
         print(f"{args.out}: {error}", file=sys.stderr)
         return 1
     states = sum(simulation_info(job.path).count for job in jobs)

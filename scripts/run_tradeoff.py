@@ -1,13 +1,13 @@
 """The study of speed against accuracy in runs: errors and times of settings and of other engines.
 
-    python scripts/run_tradeoff.py [--quick] [--jobs J] [--scheduler ADDRESS] [--seed S] [--out FILE] [--work FOLDER]
+    python scripts/run_tradeoff.py [--quick] [--jobs J] [--seed S] [--out FILE] [--work FOLDER]
     python scripts/run_tradeoff.py --errors     only the parts that need no quiet machine
     python scripts/run_tradeoff.py --add        errors of settings that the results file lacks, and times of all
 
 A list of scenes and settings, which `deep_contact.trade` runs, times and judges as those of a user's own scene. Every
-finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes, or a
-Dask cluster (--scheduler), compute errors; then one process of this machine measures times. `--install` makes these the
-numbers that `dc.simulate` and `dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw the results file.
+finished part is stored in the work folder, so an interrupted study goes on where it stopped. Several processes
+compute errors; then one process measures times. `--install` makes these the numbers that `dc.simulate` and
+`dc.recommend` read. Figures 6.1, 6.2 and 6.11 draw the results file.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pathlib import Path
 
 import numpy as np
 
-from deep_contact import parallel, run_errors, trade
+from deep_contact import run_errors, trade
 from deep_contact.constants import TIME_STEP
 from deep_contact.presets import TABLE
 from deep_contact.reporting import figures, results
@@ -315,7 +315,6 @@ def main(arguments=None) -> int:
     add("--quick", action="store_true", help="a smaller study that ends within five minutes")
     add("--seed", type=int, default=0, help="of the piles")
     add("--jobs", type=int, default=2, help="processes for the errors (2)")
-    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP + ", for the errors")
     add("--out", type=Path, help="results file (in data/reference; quick: in runs)")
     add("--work", type=Path, default=Path("runs/run_tradeoff"), help="folder of the finished parts")
     add("--install", action="store_true", help="make these the numbers of the presets")
@@ -326,13 +325,8 @@ def main(arguments=None) -> int:
     options = QUICK if chosen.quick else FULL
     out = chosen.out or Path("runs/run_tradeoff_quick.json" if chosen.quick else "data/reference/run_tradeoff.json")
     before = results.read_results(out) if chosen.add else None
-    try:
-        with parallel.opened(chosen.jobs, chosen.scheduler) as jobs:
-            about = {"seed": chosen.seed, "work": chosen.work, "errors_only": chosen.errors, "before": before}
-            data = study(options, jobs=jobs, **about)
-    except parallel.ClusterError as error:
-        print(error, file=sys.stderr)
-        return 1
+    about = {"seed": chosen.seed, "work": chosen.work, "errors_only": chosen.errors, "before": before}
+    data = study(options, jobs=chosen.jobs, **about)
     if data is None:
         return 0
     wall_s = time.perf_counter() - start

@@ -119,8 +119,8 @@ def run_as_script(figure: Figure, module: str) -> None:
 def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
     """Run a script's command line; its exit status.
 
-    0: files written. 1: a file that has to exist first is missing, such as a trained network, or a
-    cluster cannot be used; the message is printed. 2: bad arguments, or a ValueError of the figure's own functions
+    0: files written. 1: a file that has to exist first is missing, such as a trained network;
+    the message is printed. 2: bad arguments, or a ValueError of the figure's own functions
     under `--set`. 130: interrupted by Ctrl-C, 143: by SIGTERM, both without a traceback and without half-written files.
     Any other error of the figure's own functions is raised.
     """
@@ -144,13 +144,12 @@ def main(figure: Figure, arguments: Sequence[str] | None = None) -> int:
         if args.replot:
             _report(figure, _redrawn(figure, path), path)
         else:
-            with parallel.opened(args.jobs, args.scheduler) as jobs:
-                produce(figure, options=changes, quick=args.quick, seed=args.seed, out=args.out, jobs=jobs)
+            produce(figure, options=changes, quick=args.quick, seed=args.seed, out=args.out, jobs=args.jobs)
         return 0
     except KeyboardInterrupt:
         print(f"{figure.stem}: interrupted", file=sys.stderr)
         return INTERRUPTED
-    except (FileNotFoundError, parallel.ClusterError) as error:
+    except FileNotFoundError as error:
         print(f"{figure.stem}: {error}", file=sys.stderr)
         return 1
     except ValueError as error:
@@ -302,7 +301,6 @@ def common_arguments(seed: int | str) -> argparse.ArgumentParser:
     add("--out", default="figures", metavar="FOLDER", help="where the files go (default: figures)")
     add("--jobs", type=int, default=cores(), help="processes (default: one for each core)")
     add("--seed", type=int, help=f"of everything random (default: {seed})")
-    add("--scheduler", metavar="ADDRESS", help=parallel.SCHEDULER_HELP)
     return parser
 
 

@@ -1,6 +1,6 @@
 """Studies in parts: every finished part is stored, so that an interrupted study goes on where it stopped.
 
-Ours in place of joblib.Memory, which stores where a task runs: workers of a cluster send back what this process stores.
+Ours in place of joblib.Memory, which stores where a task runs: processes send back what this one stores.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 folder. Nothing corrupt stays, and nothing is lost beyond the unit in flight.
 
 A killed data generation is in `test_dataset.py`, a killed training in `test_training.py`, an interrupted figure in
-`test_figures.py`, a worker that dies in `test_cluster.py`, a damaged part of a study in `test_run_study.py`, damaged
-machine code in `test_code_cache.py`.
+`test_figures.py`, a damaged part of a study in `test_run_study.py`, damaged machine code in `test_code_cache.py`.
 """
 
 import os

@@ -6,7 +6,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 . scripts/venv.sh
-ensure_venv "[test,peers,cluster]"
+ensure_venv "[test,peers]"
 PYTHON="$(cd "$(dirname "$PYTHON")" && pwd)/$(basename "$PYTHON")"
 export TF_CPP_MIN_LOG_LEVEL=3 CUDA_VISIBLE_DEVICES=""
 unset PYTHONPATH DEEP_CONTACT_MODELS
@@ -46,7 +46,7 @@ other="${DEEP_CONTACT_WHEEL_PYTHON:-}"
 packages="$("$work/env/bin/python" -c 'import sysconfig; print(sysconfig.get_path("purelib"))')"
 install=("$PYTHON" -m pip --python "$work/env/bin/python" install --quiet --disable-pip-version-check)
 if [ -n "$other" ]; then
-    "${install[@]}" "$(echo "$work"/deep_contact-*.whl)[cluster]"
+    "${install[@]}" "$work"/deep_contact-*.whl
 else
     # The folders of packages are added to an environment with the wheel alone. Their .pth files, which name the
     # checkout, are not read there.
