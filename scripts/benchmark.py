@@ -48,8 +48,8 @@ MOST = 20.0
 """Seconds beyond which a solver of `outside` runs once, and on no larger problem."""
 
 
-def solver_of(sweeps: int, method=PGS, **options):
-    """Options with a fixed number of sweeps and of position sweeps."""
+def fixed_sweeps(sweeps: int, method=PGS, **options):
+    """A solver of exactly so many sweeps, and at most `POSITION_SWEEPS` of positions."""
     return method(sweeps=sweeps, tolerance=None, position_sweeps=POSITION_SWEEPS, **options)
 
 
@@ -58,57 +58,41 @@ def made_pile(kind: str, n_bodies: int, seed: int) -> State:
     if kind == "packed":
         return piles.packed_pile(n_bodies, seed=seed, steps=50)
     kind = {"settled": "resting"}.get(kind, kind)
-    return piles.pile(kind, n_bodies, seed, solver=solver_of(FEW), most=3000, make=dc.lattice_in_box)
+    return piles.pile(kind, n_bodies, seed, solver=fixed_sweeps(FEW), most=3000, make=dc.lattice_in_box)
 
 
 # ---- engines ----
 
 
 class Ours:
-    """Our engine as users run it, one `simulate` for a block of steps. options: of `solver_of`."""
+    """Our engine as users run it, one `simulate` for a block of steps, as an adapter of `peers`. options: of PGS."""
+
+    counts_next_step = True
 
     def __init__(self, state: State, **options):
         self.state, self.options = state, options
 
-    def run(self, steps: int, sweeps: int) -> int:
-        """Do so many steps. Returns the sum of their contacts."""
-        done = dc.simulate(self.state, steps=steps, solver=solver_of(sweeps, **self.options))
-        self.state = done.state
-        return int(done.contacts.sum())
+    def run(self, steps: int, dt: float, sweeps: int, position_sweeps: int) -> None:
+        """So many steps, of the state's own Δt."""
+        self.state = dc.simulate(self.state, steps=steps, solver=fixed_sweeps(sweeps, **self.options)).state
 
-    count = run
+    def contact_count(self) -> int:
+        """Contacts that the next step will solve."""
+        return self.state.contacts.count
 
 
 class OursByStep(Ours):
     """Our engine by `step`, which validates the state every time."""
 
-    def run(self, steps: int, sweeps: int) -> None:
+    def run(self, steps: int, dt: float, sweeps: int, position_sweeps: int) -> None:
         for _ in range(steps):
-            self.state = dc.step(self.state, solver=solver_of(sweeps))
+            self.state = dc.step(self.state, solver=fixed_sweeps(sweeps))
 
 
-class Peer:
-    """An adapter of `peers`, with the methods of `Ours`."""
-
-    def __init__(self, state: State, *, adapter, **options):
-        self.world = adapter(state, **options)
-
-    def run(self, steps: int, sweeps: int) -> None:
-        self.world.run(steps, TIME_STEP, sweeps, POSITION_SWEEPS)
-
-    def count(self, steps: int, sweeps: int) -> int:
-        counts = [self.world.contact_count()]
-        for _ in range(steps):
-            self.run(1, sweeps)
-            counts.append(self.world.contact_count())
-        return sum(counts[:-1] if self.world.counts_next_step else counts[1:])
-
-
-PEERS = {
-    name + words: partial(Peer, adapter=adapter, **options)
-    for words, options in (("", {}), (", two threads", {"threads": 2}))
+PEERS = peers.ENGINES | {
+    f"{name}, two threads": partial(adapter, threads=2)
     for name, adapter in peers.ENGINES.items()
-    if adapter.takes_threads or not options
+    if adapter.takes_threads
 }
 ENGINES = {
     "ours": Ours,
@@ -116,7 +100,7 @@ ENGINES = {
     "two threads": partial(Ours, method=BatchedPGS, threads=2),
     "dc.step": OursByStep,
 } | PEERS
-"""Name -> callable that takes a state and returns an engine that can `run` and `count`."""
+"""Name -> callable that takes a state and returns an adapter."""
 
 GOALS = {
     "A sweep costs at most a quarter of pybox2d's": ("sweep_ns", ["Box2D 2.3"], 0, 4.0),
@@ -146,17 +130,26 @@ def costs_of_engines(state: State, steps: int, repeats: int) -> dict[str, dict]:
     """Name of the engine -> its `costs` on a pile, from which every repeat starts. Contacts are counted untimed."""
     worlds, contacts = {}, {}
 
+    def run(name, steps, sweeps):
+        worlds[name].run(steps, TIME_STEP, sweeps, POSITION_SWEEPS)
+
     def restart(name):
         worlds[name] = ENGINES[name](state)
-        worlds[name].run(WARM_UP, FEW)
+        run(name, WARM_UP, FEW)
 
-    def run(name, block):
-        worlds[name].run(steps, BLOCKS[block])
+    def count(name, sweeps):
+        counts = [worlds[name].contact_count()]
+        for _ in range(steps):
+            run(name, 1, sweeps)
+            counts.append(worlds[name].contact_count())
+        return sum(counts[:-1] if worlds[name].counts_next_step else counts[1:])
 
     for name in ENGINES:
         restart(name)
-        contacts[name] = np.array([worlds[name].count(steps, sweeps) for sweeps in BLOCKS])
-    runs = {key: partial(run, *key) for key in product(ENGINES, range(len(BLOCKS)))}
+        contacts[name] = np.array([count(name, sweeps) for sweeps in BLOCKS])
+    runs = {
+        (name, block): partial(run, name, steps, BLOCKS[block]) for name, block in product(ENGINES, range(len(BLOCKS)))
+    }
     setup = {(name, 0): partial(restart, name) for name in ENGINES}
     least = timing.interleaved(runs, repeats=repeats, setup=setup)
     seconds = {name: np.array([least[name, block] for block in range(len(BLOCKS))]) for name in ENGINES}
@@ -193,9 +186,9 @@ def claims(cases: list[dict]) -> Iterator[results.Claim]:
 # ---- whole steps ----
 
 RUNS = {
-    "PGS": solver_of(FEW),
-    "colours": solver_of(FEW, BatchedPGS, threads=1),
-    "colours, two threads": solver_of(FEW, BatchedPGS, threads=2),
+    "PGS": fixed_sweeps(FEW),
+    "colours": fixed_sweeps(FEW, BatchedPGS, threads=1),
+    "colours, two threads": fixed_sweeps(FEW, BatchedPGS, threads=2),
 }
 """Name -> solver whose steps are timed."""
 
@@ -213,7 +206,7 @@ def step(args) -> dict:
     for n_bodies in args.sizes:
         steps = max(5, min(200, 200_000 // n_bodies))
         for kind in ("packed",) if n_bodies >= LARGE else ("settled", "falling"):
-            state = dc.simulate(made_pile(kind, n_bodies, args.seed), steps=WARM_UP, solver=solver_of(FEW)).state
+            state = dc.simulate(made_pile(kind, n_bodies, args.seed), steps=WARM_UP, solver=fixed_sweeps(FEW)).state
             calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in RUNS.items()}
             least = timing.interleaved(calls, repeats=max(2, min(args.repeats, 3_000_000 // n_bodies)))
             us = {name: 1e6 * seconds / steps for name, seconds in least.items()}
@@ -227,7 +220,7 @@ def step(args) -> dict:
 
 def many_piles(seed: int, repeats: int, steps: int, count: int = 16) -> dict:
     """Settled piles of 100 by `simulate_many`: μs of a step on one core and on all, and in one long run ("bare")."""
-    states, solver = [made_pile("settled", 100, seed + k) for k in range(count)], solver_of(FEW)
+    states, solver = [made_pile("settled", 100, seed + k) for k in range(count)], fixed_sweeps(FEW)
     many = partial(dc.simulate_many, states, solver=solver, steps=steps)
     bare = partial(dc.simulate, states[0], solver=solver, steps=20 * steps)
     calls = {"bare": bare, "one core": partial(many, threads=1), "all cores": many}
