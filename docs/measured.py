@@ -235,9 +235,9 @@ def without_past() -> tuple:
     return *largest, measured["cells"], measured["wins"], *by_size, np.mean(prices)
 
 
-def width(friction: float = 0.5, circles: int = 100) -> float:
+def width(friction: float = 0.5, circles: int = 100, *, scene: str = "resting", radii: str = "0.8") -> float:
     """Figure 6.15: of the interval of the median contact of resting circles, over the mean λ_n."""
-    name = f"{circles} circles, resting, μ = {friction:g}, radii from 0.8 m"
+    name = f"{circles} circles, {scene}, μ = {friction:g}, radii from {radii} m"
     return claim("figure_6_15", "interval of the median")[name]
 
 
@@ -420,7 +420,10 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
         ),
     ],
     "thesis.md": [
-        ("with μ = 0.5 a network that sees them can promise no error below {:.2f} of", lambda: [width() / 2]),
+        (
+            "scene an interval of {:.2f} times the mean λ_n, so that no network can promise an error below {:.2f}",
+            lambda: (width(scene="thesis", radii="1"), width(scene="thesis", radii="1") / 2),
+        ),
         (
             "is faster than Builtin at sweeps {} to {} (Figure 5.9)",
             lambda: sweeps("figure_5_9", "CNN (model.h5) converges faster than Builtin"),

@@ -149,8 +149,9 @@ PLACE = "section 5.4, Figure 5.9"
 THESIS_VISITS = 18_208 * 8 // 10 * 1000
 """States that the thesis's training showed: its samples without the fifth that is held out, in each of its epochs."""
 
-OPEN = "open: the rebuilt network starts little better than None"
-"""Verdict on what the thesis says of its network."""
+BOUND = "at rest positions leave λ_n open by ±0.74 of its mean: Figure 6.15"
+OPEN = f"open: the rebuilt network starts little better than None ({BOUND})"
+"""Verdict on what the thesis says of its network, and half of the median interval, below which no network can promise."""
 
 
 @dataclass(frozen=True)

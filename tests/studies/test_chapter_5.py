@@ -10,7 +10,7 @@ from conftest import load_script
 import deep_contact as dc
 from deep_contact.cnn.evaluation import velocity_errors
 from deep_contact.cnn.images import ImageSpec
-from deep_contact.reporting import figures
+from deep_contact.reporting import figures, results
 from deep_contact.reporting.results import Claim
 from deep_contact.studies import chapter_5, learned_starts, starts
 from deep_contact.warm_start import Builtin, NoStart, Sph
@@ -105,6 +105,9 @@ def test_what_the_thesis_says_of_its_network_is_open_and_the_rebuilt_ones_verdic
     found = chapter_5.of_network({"architecture": "thesis"}, claim)
     assert (found.holds, found.verdict) == (None, chapter_5.OPEN)
     assert found.measured == {"ratio": 2.0, "verdict, rebuilt": "does not hold"}
+    _, widths, _ = results.reference("figure_6_15")["claims"]
+    bound = widths["measured"]["100 circles, thesis, μ = 0.5, radii from 1 m"] / 2
+    assert f"±{bound:.2f} of its mean" in found.verdict
 
 
 # ---- stages and time of Figure 5.10 ----
