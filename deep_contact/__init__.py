@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from deep_contact.physics.forces import contact_table, coordination, forces, mean_stress, neighbours, stress
     from deep_contact.physics.scenes import (
         barrel,
-        bench_disks,
         circles_in_box,
         column,
         drifting_circles,

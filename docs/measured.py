@@ -169,12 +169,6 @@ def saved(row: str) -> float:
     return cell("figure_6_7", row, "times cheaper")
 
 
-def of_siconos() -> tuple[float, float]:
-    """The least and the most that 40 sweeps of ours take of the time of Siconos's solver on its bench-disks."""
-    states = [state["seconds"] for states in stored("benchmark_disks")["sides"].values() for state in states]
-    return spread(seconds["ours, 40 sweeps"] / seconds["Siconos"] for seconds in states)
-
-
 def in_own_runs(*starts: str) -> list[float]:
     """Mean sweeps to the threshold of starts in runs of their own (Figure 3.8)."""
     return [stored("figure_3_8")["data"]["independent"][start]["sweeps"]["mean"] for start in starts]
@@ -378,9 +372,6 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
     "README.md": [
         ("pymunk takes {:.1f} to {:.1f} times as long", rivals),
         ("with it compiled natively the range is {:.1f} to {:.1f}", rivals_with_native),
-    ],
-    "benchmarks.md": [
-        ("in a whole step of ours, take {:.1f} to {:.1f} of the time of Siconos's NSGS alone", of_siconos)
     ],
     "other_starts.md": [
         (

@@ -129,18 +129,6 @@ def outside() -> list[list]:
     return rows
 
 
-def disks() -> list[list]:
-    """A step of Siconos's bench-disks: ours whole, and Siconos's solver alone."""
-    rows = []
-    for side, states in stored("benchmark_disks")["sides"].items():
-        for state in states:
-            errors = state["velocity_error"]
-            cells = [f"{1e3 * seconds:.3g} ms, {errors[name]:.2g}" for name, seconds in state["seconds"].items()]
-            residual = f"{state['reference_residual']:.0e}"
-            rows.append([f"{side}²", state["step"], f"{state['contacts']:,}", *cells, residual])
-    return [["discs", "step", "contacts", *errors, "reference's residual, m/s"], *rows]
-
-
 def noticed() -> list[list]:
     """What was done to find what the tests overlook."""
     fuzz = stored("fuzz")["targets"]
@@ -320,7 +308,6 @@ def appendix() -> str:
         *((kind, errata(kind)) for kind in page.ERRATA),
         *((stored(stem)["title"], measured.printed(stem)) for stem in LONG if (REFERENCE / f"{stem}.json").exists()),
         ("Engines, falling piles", engine("falling")),
-        ("Siconos's bench-disks", disks()),
     ]
     return APPENDIX + "".join(f"\n## {title}\n\n{markdown(rows)}" for title, rows in parts)
 
@@ -340,7 +327,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (learned, engine, runs, many, outside, disks, noticed, presets, rivals, kinds, missed, figures)
+_MADE = (learned, engine, runs, many, outside, noticed, presets, rivals, kinds, missed, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),

@@ -4,9 +4,8 @@ NAME   what is timed
 engine ours beside Box2D 2.3, pymunk and Box2D v3 on the same piles: the cost of a sweep, of a step, and the overhead
 step   whole steps of ours by PGS and by colours, on one thread and on two; memory; many small piles
 outside  FILE …: fc2d files, or piles of our own, to Siconos's error, by our solvers, Siconos and pinocchio
-disks  steps of Siconos's bench-disks: ours whole, and Siconos's solver alone
 
-Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 where times are of the processor (outside, disks). The result
+Nothing else should run meanwhile; OPENBLAS_NUM_THREADS=1 for `outside`, which times the processor. The result
 is data/reference's benchmark_NAME.json. pinocchio 4 and Debian's Siconos need different NumPys: run where one is, then
 --add where the other is, with --only and one of ours in both.
 """
@@ -29,9 +28,8 @@ from deep_contact import peers
 from deep_contact.compiled import team
 from deep_contact.io.fc2d import read_problem
 from deep_contact.io.files import write_json
-from deep_contact.physics.lcp import check_problem, contact_problem, natural_residual, siconos_error
-from deep_contact.physics.ready import ready
-from deep_contact.physics.solvers import NNCG, PGS, PSOR, BatchedPGS
+from deep_contact.physics.lcp import check_problem, contact_problem, siconos_error
+from deep_contact.physics.solvers import PGS, BatchedPGS
 from deep_contact.reporting import results
 from deep_contact.state import State
 from deep_contact.studies import piles, rivals, timing
@@ -255,7 +253,7 @@ def outside(args) -> dict:
         problems[f"settling pile of {count}"] = check_problem(contact_problem(state))
     seconds, errors, slow = {}, {}, set()
     for title, problem in sorted(problems.items(), key=lambda item: item[1].friction.size):
-        runs = {name: partial(solve, problem, None) for name, solve in solvers.items() if name not in slow}
+        runs = {name: partial(solve, problem) for name, solve in solvers.items() if name not in slow}
         first = {name: timing.timed(run, time.process_time) for name, run in runs.items()}
         slow |= {name for name, (took, _) in first.items() if took > MOST}
         rest = {name: run for name, run in runs.items() if name not in slow}
@@ -269,56 +267,10 @@ def outside(args) -> dict:
     return added(args, table) if args.add else table
 
 
-def disks(args) -> dict:
-    """Steps of ours, and Siconos's NSGS to the tolerance of its own benchmark, at states along a run."""
-    solvers = {f"ours, {k} sweeps": PSOR(omega=1.5, friction_omega=1.5, sweeps=k, tolerance=None) for k in (40, 800)}
-    rival, sides = rivals.methods(1e-2).get("Siconos NSGS"), {}
-    for side in args.sizes:
-        state, sides[str(side)] = dc.bench_disks(side), []
-        for _ in range(1 if args.quick else 4):
-            state = dc.simulate(state, steps=500, solver=solvers["ours, 40 sweeps"]).state
-            sides[str(side)].append(disks_at(ready(state), solvers, rival, args.repeats))
-            say(f"{side}², step {state.step}", sides[str(side)][-1]["seconds"])
-    return {"sides": sides}
-
-
-def disks_at(state: State, solvers: dict, rival, repeats: int) -> dict:
-    """Seconds and errors at one state, velocities against the exact solution, or the best that was found."""
-    steps, problem = 10, check_problem(contact_problem(state))
-    near = dc.solve_contacts(state, solver=NNCG(sweeps=20_000, tolerance=1e-12))
-    exact = dc.solve_exactly(state, near.normal_impulses, near.tangent_impulses).solution
-    reference = min((impulses(one) for one in (near, exact)), key=lambda impulse: natural_residual(problem, impulse))
-    solved = {name: impulses(dc.solve_contacts(state, solver=solver)) for name, solver in solvers.items()}
-    calls = {name: partial(dc.simulate, state, steps=steps, solver=solver) for name, solver in solvers.items()}
-    if rival is not None:
-        start = np.column_stack([state.contacts.normal_start, state.contacts.tangent_start]).ravel()
-        calls["Siconos"] = partial(rival, problem, start)
-        solved["Siconos"] = rival(problem, start)
-    seconds = timing.interleaved(calls, repeats=repeats, clock=time.process_time)
-
-    def energy(impulse):  # (v − v*)² M / 2, up to a factor, since v − v* = M⁻¹ Jᵀ (λ − λ*)
-        return max(0.0, impulse @ (problem.A @ impulse))
-
-    scale = energy(reference)
-    return {
-        "step": state.step,
-        "contacts": state.contacts.count,
-        "seconds": {name: took / (steps if name in solvers else 1) for name, took in seconds.items()},
-        "velocity_error": {name: float(np.sqrt(energy(one - reference) / scale)) for name, one in solved.items()},
-        "reference_residual": natural_residual(problem, reference),
-    }
-
-
-def impulses(solution) -> np.ndarray:
-    """λ_n, λ_t of every contact, (2 m,), as `contact_problem` numbers them."""
-    return np.column_stack([solution.normal_impulses, solution.tangent_impulses]).ravel()
-
-
 BENCHMARKS = {
     "engine": (engine, [100, 1000, 10_000], 5),
     "step": (step, [100, 1000, 3000, 10_000, 100_000, 1_000_000], 10),
     "outside": (outside, [100, 300], 5),
-    "disks": (disks, [32], 5),
 }
 """Name -> function, sizes and repeats; of the sizes a quick run has the first two."""
 
@@ -337,7 +289,7 @@ def main(arguments=None) -> None:
     parser.add_argument("name", choices=BENCHMARKS, help="what is timed")
     parser.add_argument("files", nargs="*", type=Path, help="of outside: fc2d files")
     parser.add_argument("--out", type=Path, help="the file (build/results/benchmark_NAME.json)")
-    parser.add_argument("--sizes", type=int, nargs="*", help="numbers of circles; of disks: discs along a side")
+    parser.add_argument("--sizes", type=int, nargs="*", help="numbers of circles")
     parser.add_argument("--repeats", type=int, help="timed runs")
     parser.add_argument("--seed", type=int, default=0, help="of the piles")
     parser.add_argument("--tolerance", type=float, default=1e-5, help="Siconos's error that is asked for")

@@ -55,7 +55,7 @@ def _read(file: Path, root: Path, is_script: bool) -> tuple[dict[Path, str], set
 
 @cache
 def golden(root: Path = shipped.ROOT) -> tuple[str, ...]:
-    """Digests of the golden runs (tests/tools/golden.py): today's, and those of before that today's only add to."""
+    """Digests of the golden runs (tests/tools/golden.py): today's, and those of before whose runs kept their bits."""
     file = root / "data" / "reference" / "golden.json"
     if not file.is_file():
         return ()

@@ -11,7 +11,6 @@ from numbers import Integral
 
 import numpy as np
 
-from deep_contact import constants
 from deep_contact.constants import WALL_SKIN
 from deep_contact.state import State, World
 from deep_contact.state.checks import make_bodies
@@ -114,28 +113,6 @@ def column(n_bodies: int = 10, *, radius: float = 1.0, width: float = 30.0, dens
     centres = np.stack([np.full(n, width / 2), WALL_SKIN * radius + radius * (1 + 2 * np.arange(n))], axis=1)
     bodies = make_bodies(centres, radius=radius, density=density)
     return State(name=f"column_{n}", world=World(box=(0, 0, width, 2 * radius * (n + 1)), **world), bodies=bodies)
-
-
-def bench_disks(side: int = 32) -> State:
-    """Siconos's bench-disks: side² discs slide down a ramp, over a longer slope, and come to rest on a level floor.
-
-    r = 1 m, 1 kg, μ = 0.5, e = 0, Δt = 0.005 s; its gravity is 9.81 m/s² times `side`, so that 2,000 steps show the
-    same fall at every size. Speeds grow with `side` as well, so a step's largest translation does here, to `side`
-    metres. Five segments stand in a box that nothing reaches. (siconos/siconos, bench-disks.)
-    """
-    n = integer("side", side, least=1)
-    unit = 2.0 * n
-    floor = [(-unit, 5 * unit), (0.0, 4 * unit), (9 * unit, 0.0), (11 * unit, 0.0)]
-    line = [(-unit, 7 * unit), *floor, (11 * unit, 7 * unit)]
-    column, row = np.divmod(np.arange(n * n), n)
-    bodies = make_bodies(np.column_stack([2 * column + 1 - unit, 2 * row + 1 + 5 * unit]), mass=1.0)
-    gravity = tuple(n * g for g in constants.GRAVITY)
-    world = World(
-        box=(-2 * unit, -unit, 12 * unit, 8 * unit), gravity=gravity, friction=0.5, segments=list(zip(line, line[1:]))
-    )
-    scene = State(name=f"bench_disks_{n}", world=world, bodies=bodies, dt=0.005)
-    scales = scene.scales._replace(max_translation=max(2.0, float(n)))
-    return scene.replace(world=replace(world, scales=scales))
 
 
 def hopper(

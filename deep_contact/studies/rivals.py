@@ -1,4 +1,4 @@
-"""Solvers of contact problems as functions (problem, start) -> impulses (2 m,): ours, Siconos's and pinocchio's.
+"""Solvers of contact problems as functions problem -> impulses (2 m,): ours, Siconos's and pinocchio's.
 
 What they return is judged by `lcp.siconos_error`, whatever they say of themselves. Siconos comes with Debian
 (python3-siconos), pinocchio with the extra `rivals`.
@@ -37,7 +37,7 @@ def methods(tolerance: float) -> dict[str, Callable]:
 def ours(kind, tolerance: float) -> Callable:
     """One of our methods. Its form of the problem is made in every run."""
     solver = kind(sweeps=MOST_SWEEPS, tolerance=None)
-    return lambda problem, start: solve_problem(problem, solver, start, error=tolerance)[0]
+    return lambda problem: solve_problem(problem, solver, error=tolerance)[0]
 
 
 def siconos(name: str, tolerance: float) -> Callable:
@@ -49,7 +49,7 @@ def siconos(name: str, tolerance: float) -> Callable:
 
     built: dict[int, tuple] = {}
 
-    def solve(problem: ContactProblem, start):
+    def solve(problem: ContactProblem) -> np.ndarray:
         m = problem.friction.size
         if id(problem) not in built:
             W, q = padded(problem)
@@ -60,7 +60,6 @@ def siconos(name: str, tolerance: float) -> Callable:
         options = numerics.SolverOptions(getattr(numerics, f"SICONOS_FRICTION_3D_{name}"))
         options.iparam[0], options.dparam[0] = MOST_SWEEPS, tolerance
         reaction, velocity = np.zeros(3 * m), np.zeros(3 * m)
-        reaction.reshape(m, 3)[:, :2] = 0.0 if start is None else start.reshape(m, 2)
         numerics.fc3d_driver(built[id(problem)][0], reaction, velocity, options)
         return reaction.reshape(m, 3)[:, :2].ravel().copy()
 
@@ -79,20 +78,16 @@ def pinocchio(tolerance: float) -> Callable:
         raise ImportError(f"pinocchio: expected version 4 or later, got {pin.__version__}")
     built: dict[int, tuple] = {}
 
-    def run(form: tuple, start, own: float) -> np.ndarray:
+    def run(form: tuple, own: float) -> np.ndarray:
         W, q, models, datas, m = form
         settings, result = pin.ADMMSolverSettings(), pin.ADMMSolverResult()
         settings.max_iterations, settings.lanczos_size = MOST_SWEEPS, 20  # its default never ends on large problems
         settings.absolute_feasibility_tol = settings.absolute_complementarity_tol = own
         settings.relative_feasibility_tol = settings.relative_complementarity_tol = 0.0
-        if start is not None:
-            guess = np.zeros((m, 3))
-            guess[:, [2, 0]] = start.reshape(m, 2)
-            result.setConstraintImpulseGuess(guess.ravel())
         pin.ADMMConstraintSolver(q.size).solve(pin.DelassusOperatorSparse(W), q, models, datas, settings, result)
         return np.array(result.retrieveConstraintImpulses()).reshape(m, 3)[:, [2, 0]].ravel()
 
-    def solve(problem: ContactProblem, start) -> np.ndarray:
+    def solve(problem: ContactProblem) -> np.ndarray:
         if id(problem) not in built:
             m = problem.friction.size
             W, q = padded(problem)
@@ -105,10 +100,10 @@ def pinocchio(tolerance: float) -> Callable:
                 datas.append(models[len(models) - 1].createData())
             form = sparse.csc_matrix(W.tocsr()[order][:, order]), q[order], models, datas, m
             for own in 10.0 ** -np.arange(1, 11):
-                if siconos_error(problem, run(form, start, own)) <= tolerance:
+                if siconos_error(problem, run(form, own)) <= tolerance:
                     break
             built[id(problem)] = form, own, problem
-        return run(built[id(problem)][0], start, built[id(problem)][1])
+        return run(*built[id(problem)][:2])
 
     return solve
 

@@ -74,11 +74,6 @@ def test_who_is_slow_is_left_out_of_larger_problems(run, falling_states, tmp_pat
     assert large["ours, PGS"] is None
 
 
-def test_disks_are_scored(run):
-    (row,) = run("disks", "--sizes", 4, "--repeats", 1, "--quick")["sides"]["4"]
-    assert row["velocity_error"]["ours, 800 sweeps"] <= row["velocity_error"]["ours, 40 sweeps"] < 1
-
-
 def test_costs_are_those_of_the_model():
     """t = overhead + cost k m: exact however the contacts differ between the blocks of 10 and of 100 sweeps."""
     contacts = np.array([700, 710, 740, 760])  # of all 4 steps of a block
@@ -104,6 +99,4 @@ def test_rivals_solve_to_the_error_that_is_asked_for(name, falling_states):
     pytest.importorskip(name, minversion="4" if name == "pinocchio" else None)
     problem = check_problem(contact_problem(falling_states[9]))
     solve = rivals.pinocchio(1e-6) if name == "pinocchio" else rivals.siconos("NSGS", 1e-6)
-    impulse = solve(problem, None)
-    assert siconos_error(problem, impulse) <= 1e-6
-    assert siconos_error(problem, solve(problem, impulse)) <= 1e-6
+    assert siconos_error(problem, solve(problem)) <= 1e-6
