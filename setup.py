@@ -15,6 +15,7 @@ SHIPPED = (
     "scripts/figure_*.py",
     "scripts/table_*.py",
     "scripts/all_figures.py",
+    "scripts/generate_data.py",
     "scripts/predict.py",
     "scripts/train.py",
     "data/sample/*",

@@ -25,6 +25,7 @@ COMMANDS = {
     "figure": "draw a figure by its number in the thesis; without a number, list them",
     "table": "make a table by its number in the thesis; without a number, list them",
     "predict": "predict the impulses of state files",
+    "generate-data": "make the simulations that networks learn from; --quick: four short ones, in seconds",
     "train": "train a network; --quick: a small one on its own data, in two minutes",
 }
 
@@ -46,8 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser, commands = _parsers()
     name, following = (arguments or [""])[0], arguments[1:]
     try:
-        if name in ("predict", "train"):
-            script = shipped.ROOT / "scripts" / f"{name}.py"
+        if name in ("predict", "generate-data", "train"):
+            script = shipped.ROOT / "scripts" / f"{name.replace('-', '_')}.py"
         elif name in ("figure", "table") and following and not following[0].startswith("-"):
             script = _script(name, following.pop(0))
         else:

@@ -8,7 +8,7 @@
 
 <out>/history.png, the learning curve, is drawn after every epoch. Started again with the same flags, a run goes on
 where it was stopped, within an epoch too. At the end <out>/model.h5 is a model file with its card. `deep-contact train`
-is the same.
+and `deep-contact generate-data` are the same, without the repository too.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import typing
 from dataclasses import fields
 from pathlib import Path
 
+from deep_contact.cnn.registry import network_file
 from deep_contact.cnn.training.config import CONFIGS, TrainingConfig, config_of
 
 QUICK_DATA = {"simulations": 12, "steps": 250, "bodies": (40, 60), "seed": 1}
@@ -43,7 +44,7 @@ def arguments() -> argparse.ArgumentParser:
     add("--quick", action="store_true", default=False, help="a small network and its data, made in <out>/data")
     add("--data", default=None, help="folder of the simulations (data/generated)")
     add("--out", default=None, help="folder of the run; by default runs/<architecture> or runs/quick_<architecture>")
-    add("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model file")
+    add("--from", default=None, metavar="PATH", dest="from_model", help="go on from this model, by its file or name")
     add("--threads", type=int, default=1, help="of TensorFlow")
     add("--held-out", type=int, default=300, metavar="N", help="test states for the card")
     add = parser.add_argument_group("settings (defaults by architecture)").add_argument
@@ -98,6 +99,8 @@ def make_states(folder: Path, *, simulations: int, steps: int, bodies: tuple[int
 def run(data, out, quick, **changes) -> None:
     """Train, and print the errors on the test states."""
     options = {name: changes.pop(name) for name in ("threads", "held_out", "from_model")}
+    if options["from_model"] is not None:
+        options["from_model"] = network_file(options["from_model"])
     config = configuration(changes, options["from_model"], quick)
     out = Path(out or f"runs/{'quick_' if quick else ''}{config.architecture.replace(' ', '_')}")
     from deep_contact.cnn.dataset import Store

@@ -39,7 +39,8 @@ class Store:
         self.simulations = tuple(sorted(int(match[1]) for match in matches if match))
         """Numbers of the simulations, rising."""
         if not self.simulations:
-            raise DataFileError(f"{self.folder}: expected files sim_0000.h5, …; got none: scripts/generate_data.py")
+            hint = "`deep-contact generate-data` makes them"
+            raise DataFileError(f"{self.folder}: expected files sim_0000.h5, …, got none; {hint}")
         self._cache: OrderedDict[int, StoredSimulation] = OrderedDict()
         self._infos = {}
 

@@ -30,7 +30,7 @@ def network_file(model=None) -> Path:
         return path_of(name)
     raise FileNotFoundError(
         f"model file: expected a file or one of {', '.join(known)}, got {text}, which does not exist; "
-        "`python scripts/train.py` makes one"
+        "`deep-contact train` makes one"
     )
 
 

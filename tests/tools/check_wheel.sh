@@ -89,6 +89,8 @@ CHECKS
 deep-contact --version
 deep-contact simulate later.xml --steps 20 --warm-start cnn --out run.h5
 deep-contact predict --no-pictures "$(deep-contact sample rest_362)"
+deep-contact generate-data --quick --jobs 1
+deep-contact train --from model --data data/generated/quick --epochs 1 --states-per-epoch 32 --out trained
 deep-contact view --bodies 10 --steps 8 --every 4 --out view.gif
 deep-contact figure 5.3 --quick > figure.txt
 deep-contact table 5.1 --quick > table.txt
@@ -97,7 +99,7 @@ programs=("$source"/docs/gallery/predict_impulses.py)
 for program in "${programs[@]}"; do
     mkdir "${program##*/}" && (cd "${program##*/}" && python "$program" > printed.txt)
 done
-for file in later.xml run.h5 predictions/rest_362.csv view.gif figures/figure_5_3.png figures/table_5_1.md; do
+for file in later.xml run.h5 predictions/rest_362.csv view.gif trained/model.h5 figures/figure_5_3.png figures/table_5_1.md; do
     [ -s "$file" ] || { echo "$file: expected a file, got none"; exit 1; }
 done
 
