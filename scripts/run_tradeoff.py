@@ -13,10 +13,9 @@ compute errors; then one process measures times. `--install` makes these the num
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections.abc import Iterator, Mapping
-from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -197,7 +196,10 @@ QUICK = FULL | {
     "peers": {"100": PEERS[::3], "300": []},
     "processes": 1,
 }
-LISTS = ("settings", "dense", "more", "ladders", "peers")
+ON_PLAIN_PILES = {"ladders": "ladder_seeds", "peers": "peer_seeds"}
+"""Lists of settings of plain piles alone -> their numbers of seeds."""
+
+LISTS = ("settings", "dense", "more", *ON_PLAIN_PILES)
 """Options that the results file leaves out: its rows have them."""
 
 FUNCTIONS = {"observed": runs.observed, "timed": runs.timed}
@@ -210,11 +212,10 @@ def wanted(options: dict) -> dict[tuple[str, int, str], tuple[dict, int]]:
     for n, kinds in options["seeds"].items():
         for kind, count in kinds.items():
             ours = options["dense" if kind in runs.DENSE_KINDS else "settings"][n]
-            ours = [*ours, *options["more"].get(kind, {}).get(n, []), runs.REFERENCE]
-            cases = [(setting, count) for setting in ours]
+            lists = [([*ours, *options["more"].get(kind, {}).get(n, []), runs.REFERENCE], count)]
             if kind == "plain":
-                cases += [(setting, options["ladder_seeds"][n]) for setting in options["ladders"][n]]
-                cases += [(setting, options["peer_seeds"][n]) for setting in options["peers"][n]]
+                lists += [(options[name][n], options[seeds][n]) for name, seeds in ON_PLAIN_PILES.items()]
+            cases = [(setting, count) for listed, count in lists for setting in listed]
             cases_by_name |= {(kind, int(n), trade.name_of(case[0])): case for case in reversed(cases)}
     return cases_by_name
 
@@ -225,10 +226,9 @@ def plan(options: dict, seed: int, known: Mapping) -> tuple[list, dict]:
     known: rows by (kind, n_bodies, name). Those of fewer seeds are observed again, and the reference beside them.
     """
     cases = wanted(options)
-    kept = {key: known[key] for key, (_, count) in cases.items() if key in known and key[2] != LIMIT
-            and known[key]["errors"] and known[key]["seeds"] >= count}  # fmt: skip
-    renewed = {key[:2] for key in cases.keys() - kept.keys() if key[2] != LIMIT}
-    kept |= {key: row for key, row in known.items() if key[2] == LIMIT and key in cases and key[:2] not in renewed}
+    kept = {key: known[key] for key, (_, count) in cases.items() if key in known and known[key]["seeds"] >= count}
+    renewed = {key[:2] for key in cases.keys() - kept.keys()}
+    kept = {key: row for key, row in kept.items() if key[2] != LIMIT or key[:2] not in renewed}
     seen = [
         ("observed", {"kind": kind, "n_bodies": n, "seed": one, "setting": setting, "seconds": options["seconds"]})
         for (kind, n, name), (setting, count) in cases.items()
@@ -249,7 +249,7 @@ def known_rows(file: Mapping, options: dict, seed: int) -> dict:
 
 
 def study(
-    options: dict, *, seed: int, jobs: int | Executor, work: Path, errors_only: bool, before: Mapping | None = None
+    options: dict, before: Mapping | None = None, *, seed: int, jobs: int, work: Path, errors_only: bool
 ) -> dict | None:
     """The data of the results file. before: one whose errors are taken over; times are measured anew."""
     seen, rows = plan(options, seed, known_rows(before, options, seed) if before else {})
@@ -261,22 +261,22 @@ def study(
         key = part["kind"], part["n_bodies"], trade.name_of(part["setting"])
         ensembles.setdefault(key, (part["setting"], []))[1].append(run_errors.observation(stored))
     for (kind, n, name), (setting, ensemble) in ensembles.items():
-        true = ensembles[kind, n, LIMIT][1]
-        row = {"kind": kind, "n_bodies": n, **trade.row_of(setting, TIME_STEP, ensemble, true[: len(ensemble)])}
-        rows[kind, n, name] = row | ({"errors": None} if name == LIMIT else {})
+        row = trade.row_of(setting, TIME_STEP, ensemble, ensembles[kind, n, LIMIT][1][: len(ensemble)])
+        rows[kind, n, name] = {"kind": kind, "n_bodies": n} | row | ({"errors": None} if name == LIMIT else {})
+    # Of plain piles the smallest steps are there for Figure 6.2 alone.
+    timed = [key for key, row in rows.items()
+             if row["errors"] and (key[0] != "plain" or row["setting"]["dt"] >= TIME_STEP / 8)]  # fmt: skip
     took: dict = {key: [] for key in rows}
     for process in range(options["processes"]):  # of plain piles in several, each on a scene of its own
-        keys = [key for key in rows if rows[key]["errors"] and (process == 0 or key[0] == "plain")]
-        # Of plain piles the smallest steps are there for Figure 6.2 alone.
-        keys = [key for key in keys if key[0] != "plain" or rows[key]["setting"]["dt"] >= TIME_STEP / 8]
+        keys = [key for key in timed if process == 0 or key[0] == "plain"]
         of = {"seed": seed + process, "seconds": options["seconds"]}
         parts = [("timed", of | {"kind": key[0], "n_bodies": key[1], "setting": rows[key]["setting"]}) for key in keys]
         with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as alone:
             one = alone if options["processes"] > 1 else 1
             for key, us in zip(keys, done(parts, FUNCTIONS, work=work, jobs=one, text="times")):
                 took[key].append(us)
-    timed = [rows[key] | {"us": float(np.median(us)) if us else None, "times": us} for key, us in took.items()]
-    return {"errors": run_errors.ERRORS, "rows": timed, "presets": runs.presets(timed)}
+    priced = [rows[key] | {"us": float(np.median(us)) if us else None, "times": us} for key, us in took.items()]
+    return {"errors": run_errors.ERRORS, "rows": priced, "presets": runs.presets(priced)}
 
 
 def table(data: dict, cpu: str) -> dict:
@@ -291,8 +291,7 @@ def table(data: dict, cpu: str) -> dict:
         entry["us"].setdefault(n, {})[row["kind"]] = round(row["us"], 2)
         errors = {key: runs.rounded(value[0]) for key, value in row["errors"].items() if value}
         entry["errors"].setdefault(n, {})[row["kind"]] = errors
-    sizes = sorted({row["n_bodies"] for row in data["rows"]})
-    return {"cpu": cpu, "sizes": sizes, "settings": list(settings.values())}
+    return {"cpu": cpu, "sizes": runs.sizes_of(data["rows"]), "settings": list(settings.values())}
 
 
 def claims(data: dict) -> Iterator[results.Claim]:
@@ -309,7 +308,7 @@ def claims(data: dict) -> Iterator[results.Claim]:
             yield results.Claim(text, None, ahead, ratios)
 
 
-def main(arguments=None) -> int:
+def main(arguments=None) -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     add = parser.add_argument
     add("--quick", action="store_true", help="a smaller study that ends within five minutes")
@@ -320,31 +319,26 @@ def main(arguments=None) -> int:
     add("--install", action="store_true", help="make these the numbers of the presets")
     add("--errors", action="store_true", help="only what needs no quiet machine; a later run adds times")
     add("--add", action="store_true", help="take the errors over that the results file has, and measure times anew")
-    chosen = parser.parse_args(arguments)
-    start = time.perf_counter()
-    options = QUICK if chosen.quick else FULL
-    out = chosen.out or Path("runs/run_tradeoff_quick.json" if chosen.quick else "data/reference/run_tradeoff.json")
-    before = results.read_results(out) if chosen.add else None
-    about = {"seed": chosen.seed, "work": chosen.work, "errors_only": chosen.errors, "before": before}
-    data = study(options, jobs=chosen.jobs, **about)
+    args = parser.parse_args(arguments)
+    start, options = time.perf_counter(), QUICK if args.quick else FULL
+    out = args.out or Path("runs/run_tradeoff_quick.json" if args.quick else "data/reference/run_tradeoff.json")
+    before = results.read_results(out) if args.add else None
+    data = study(options, before, seed=args.seed, jobs=args.jobs, work=args.work, errors_only=args.errors)
     if data is None:
-        return 0
-    wall_s = time.perf_counter() - start
-    kept = {key: value for key, value in options.items() if key not in LISTS} | {"quick": chosen.quick}
+        return
+    made = results.provenance(seed=args.seed, wall_s=time.perf_counter() - start)
+    kept = {key: value for key, value in options.items() if key not in LISTS} | {"quick": args.quick}
     if before:
         kept["errors_from"] = [*before["options"].get("errors_from", []), before["provenance"]["commit"]]
-    made = results.provenance(seed=chosen.seed, wall_s=wall_s)
-    about = {"id": "6.1", "title": "Speed for accuracy in runs: errors and times of settings and engines"}
-    about |= {"options": kept, "provenance": made}
-    judged = list(claims(data))
-    results.write_results(out, about | {"claims": judged, "data": data}, digits=4)
-    for claim in judged:
+    stored = {"id": "6.1", "title": "Speed for accuracy in runs: errors and times of settings and engines"}
+    stored |= {"options": kept, "provenance": made, "claims": list(claims(data)), "data": data}
+    results.write_results(out, stored, digits=4)
+    for claim in stored["claims"]:
         print(f"{'holds' if claim.holds else 'does not hold'}: {claim.text}: {claim.measured}")
-    if chosen.install:
+    if args.install:
         results.write_json(TABLE, table(data, made["cpu"]))
-    print(f"{len(data['rows'])} rows in {out.name}, {wall_s:.0f} s")
-    return 0
+    print(f"{len(data['rows'])} rows in {out.name}, {made['wall_s']:.0f} s")
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()
