@@ -153,22 +153,22 @@ def recommend(scene: State, *, accuracy: Accuracy | None = None, budget_ms: floa
     candidates = _candidates(*_case(scene)[0])
     if budget_ms is None:
         name = one_of("accuracy", accuracy or "fast", PRESETS)
-        best = _cheapest(candidates, name)
+        best = cheapest(candidates, PRESETS[name])
     else:
         limit = 1e3 * number("budget_ms", budget_ms, above=0)
         affordable = [one for one in candidates if one["us"] <= limit]
         if not affordable:
             least = min(one["us"] for one in candidates)
             raise ValueError(f"budget_ms: expected at least {least / 1e3:.3g}, the cheapest setting, got {budget_ms}")
-        best = min(affordable, key=lambda one: (excess(one["errors"], "reference"), one["us"]))
-        name = ["preview", *(preset for preset in PRESETS if excess(best["errors"], preset) <= 1)][-1]
-    names = ["", *PRESETS, ""]
+        best = min(affordable, key=lambda one: (excess(one["errors"], PRESETS["reference"]), one["us"]))
+        name = ["preview", *(preset for preset, most in PRESETS.items() if excess(best["errors"], most) <= 1)][-1]
+    names, tolerances = ["", *PRESETS, ""], PRESETS[name]
     at = names.index(name)
     cheaper, better = (_neighbour(other, best, candidates) for other in (names[at - 1], names[at + 1]))
     return Recommendation(
         accuracy=name, solver=best["solver"], warm_start=best["start"], us=best["us"], dt=scene.dt,
-        n_bodies=scene.bodies.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=PRESETS[name],
-        reached=excess(best["errors"], name) <= 1, outside=tuple(outside(scene)), cheaper=cheaper, better=better,
+        n_bodies=scene.bodies.count, cpu=installed()["cpu"], errors=best["errors"], tolerances=tolerances,
+        reached=excess(best["errors"], tolerances) <= 1, outside=tuple(outside(scene)), cheaper=cheaper, better=better,
     )  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def _neighbour(accuracy: str, best: dict, candidates: list[dict]) -> str:
     """What a preset would be, and its cost over that of the best; "" without a preset."""
     if not accuracy:
         return ""
-    other = _cheapest(candidates, accuracy)
+    other = cheapest(candidates, PRESETS[accuracy])
     if other["solver"] == best["solver"]:
         return f"{accuracy} is the same here"
     return f"{accuracy}, {describe(other['solver'])}, {other['us'] / best['us']:.2g} times the time"
@@ -208,7 +208,7 @@ def decide(scene: State, accuracy: str | MeasuredAccuracy | None, *, sleep: bool
     if stiff and stiff.solver.tolerance is not None:
         price = f"up to {best['us'] / 1e3:.3g} ms a step of {scene.dt:g} s"
         sentences.append(f"{stiff.why}: solved to a tolerance, which takes {price}")
-    if accuracy is not None and excess(best["errors"], name) > 1:
+    if accuracy is not None and excess(best["errors"], PRESETS[name]) > 1:
         sentences.append(
             f"no setting of the study keeps its tolerances for {n:,} circles; the nearest is taken "
             f"(print(dc.recommend(scene, accuracy={name!r})) says more); {_way_out(best['us'])}"
@@ -225,7 +225,8 @@ def _way_out(us: float) -> str:
 @functools.lru_cache(256)
 def _chosen(accuracy: str, sleep: bool, *case) -> dict:
     """The setting of the installed study (`_candidates`) for a preset."""
-    return _cheapest([one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep], accuracy)
+    candidates = [one for one in _candidates(*case) if not sleep or entry_of(one["solver"]).can_sleep]
+    return cheapest(candidates, PRESETS[accuracy])
 
 
 @functools.cache
@@ -258,24 +259,24 @@ def parts_for(scene: State, dt: float) -> int:
     return 2 ** math.ceil(math.log2(min(ratio / _NEARLY, MOST_SUBSTEPS)) - 1e-9) if ratio > _NEARLY else 1
 
 
-def keeping(candidates: list[dict], accuracy: str, *, margin: bool = True) -> list[dict]:
-    """Those that keep a preset: where there are any, and with `margin`, those that keep it by `MARGIN`."""
+def keeping(candidates: list[dict], tolerances: Mapping[str, float], *, margin: bool = True) -> list[dict]:
+    """Those whose "errors" keep tolerances: where there are any, and with `margin`, those by `MARGIN`."""
     shares = (MARGIN, 1.0) if margin else (1.0,)
-    kept = ([one for one in candidates if excess(one["errors"], accuracy) <= most] for most in shares)
+    kept = ([one for one in candidates if excess(one["errors"], tolerances) <= most] for most in shares)
     return next(filter(None, kept), [])
 
 
-def excess(errors: Mapping[str, float | None], accuracy: str) -> float:
-    """The largest of the errors that a preset has a tolerance of, in units of that."""
-    known = ((errors.get(name), most) for name, most in PRESETS[accuracy].items())
+def excess(errors: Mapping[str, float | None], tolerances: Mapping[str, float]) -> float:
+    """The largest of the errors that there is a tolerance of, in units of that."""
+    known = ((errors.get(name), most) for name, most in tolerances.items())
     return max((value / most for value, most in known if value is not None), default=0.0)
 
 
-def _cheapest(candidates: list[dict], accuracy: str) -> dict:
-    """The cheapest that keeps the preset; otherwise the one that comes nearest."""
-    if kept := keeping(candidates, accuracy):
+def cheapest(candidates: list[dict], tolerances: Mapping[str, float]) -> dict:
+    """The one of the least "us" that keeps tolerances; otherwise the one that comes nearest."""
+    if kept := keeping(candidates, tolerances):
         return min(kept, key=lambda one: one["us"])
-    return min(candidates, key=lambda one: (excess(one["errors"], accuracy), one["us"]))
+    return min(candidates, key=lambda one: (excess(one["errors"], tolerances), one["us"]))
 
 
 def _case(scene: State) -> tuple[tuple, Stiffness | None]:
@@ -314,7 +315,7 @@ def _candidates(n: int, kinds: Sequence[str], substeps: Sequence, stiff) -> list
         candidates.append({"solver": solver, "start": start, "us": us, "errors": errors, "dt": setting["dt"]})
     if stiff is None:
         return candidates
-    best = min(candidates, key=lambda one: excess(one["errors"], "reference"))
+    best = min(candidates, key=lambda one: excess(one["errors"], PRESETS["reference"]))
     each = min(one["us"] / (one["solver"].sweeps * getattr(one["solver"], "substeps", 1)) for one in candidates)
     us = each * stiff.sweeps * stiff.substeps
     return [{"solver": stiff, "start": "builtin", "us": us, "errors": best["errors"], "dt": TIME_STEP}]
@@ -404,19 +405,15 @@ def outside(scene: State) -> list[str]:
     fastest = FASTEST * math.sqrt(math.hypot(*world.gravity) * radius.mean())
     radii, densities = radius.max() / radius.min(), mass.max() / mass.min()
     missing, stiff = ", ".join(sorted(set(kinds_of(scene)) - _kinds_near(count))), stiffness(scene)
-    dearest = (
-        "solved to a tolerance in substeps; the cost is that of all sweeps, of which a scene at rest needs few, and "
-    )
-    dearest += "the errors are those of the study's best setting"
+    price = "the cost is that of all sweeps, of which a scene at rest needs few, and the errors are those of the"
     sentences = {
         f"{count:,} circles; it has {min(sizes):,} to {max(sizes):,}": not min(sizes) / 3 <= count <= 3 * max(sizes),
         f"{count:,} circles of the kind {missing}; it has none of about this size": missing,
         f"radii that differ {radii:.3g} times; it has up to 3": radii > 3.001,
-        f"densities that differ {densities:.3g} times; it has up to 100": densities
-        > 1.001 * DENSITIES["densities"][-1],
+        f"densities that differ {densities:.3g} times; it has up to 100": densities > 100.1,
         f"friction {world.friction:g}; it has 0 and 0.5": world.friction > 0.5,
         f"restitution {world.restitution:g}; it has 0, 0.3 and 0.8": world.restitution > 0.8,
-        f"{stiff and stiff.why}: {dearest}": stiff,
+        f"{stiff and stiff.why}: solved to a tolerance in substeps; {price} study's best setting": stiff,
         **dict.fromkeys(_too_long(scene, max(setting["dt"] for setting in installed()["settings"])), True),
         f"a speed of {speed:.3g} m/s; it has up to {fastest:.3g}": 0 < fastest < speed,
     }

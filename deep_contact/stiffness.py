@@ -50,7 +50,7 @@ class Stiffness(NamedTuple):
 def stiffness(scene: State, substeps: int = 1) -> Stiffness | None:
     """What makes a scene too stiff for a few sweeps, and the solver for it; None where nothing does.
 
-    substeps: that the scene needs for its Δt (`_substeps`); a solver to a tolerance takes at least `SUBSTEPS`.
+    substeps: that the scene needs for its Δt (`presets.parts_for`); a solver to a tolerance takes at least `SUBSTEPS`.
     """
     bodies = scene.bodies
     if bodies.count < 2:

@@ -22,6 +22,7 @@ from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
+from timeit import repeat, timeit
 
 import numpy as np
 
@@ -213,17 +214,11 @@ def timed(start: State, setting: Mapping, seconds: float) -> float:
         while len(took) < 5 and sum(took) < LONG_ENOUGH:
             run = Run(start, setting, threads)
             run.advance(WARM)
-            took.append(_seconds(partial(run.advance, steps), time.perf_counter if threads > 1 else time.thread_time))
+            clock = time.perf_counter if threads > 1 else time.thread_time
+            took.append(timeit(partial(run.advance, steps), timer=clock, number=1))
         return min(took)
 
     return min(map(least, numbers))
-
-
-def _seconds(call: Callable[[], object], clock: Callable[[], float] = time.perf_counter) -> float:
-    """Time of a call, s."""
-    begun = clock()
-    call()
-    return clock() - begun
 
 
 def row_of(setting: Mapping, step: float, ensemble: Sequence[Observation], reference: Sequence[Observation]) -> dict:
@@ -306,15 +301,15 @@ class Trade:
         limits = tolerances or PRESETS[one_of("accuracy", accuracy or "fast", PRESETS)]
         limits = {name: most for name, most in limits.items() if name in known}
 
-        def excess(row, at):
-            of = ((row["errors"][name], most) for name, most in limits.items())
-            return max((error[at] / most if error else math.inf for error, most in of), default=0.0)
+        def at(end):
+            of = [{name: row["errors"][name] or (math.inf,) * 3 for name in limits} for row in mine]
+            return [row | {"errors": {name: three[end] for name, three in one.items()}} for row, one in zip(mine, of)]
 
-        for at, share in ((2, 1.0), (0, presets.MARGIN), (0, 1.0)):
-            if kept := [row for row in mine if excess(row, at) <= share]:
-                return min(kept, key=lambda row: row["us"])
-        warnings.warn("trade: no setting keeps it; the nearest is taken", presets.PresetWarning, stacklevel=3)
-        return min(mine, key=lambda row: excess(row, 0))
+        kept = presets.keeping(at(2), limits, margin=False) or presets.keeping(at(0), limits)
+        if not kept:
+            warnings.warn("trade: no setting keeps it; the nearest is taken", presets.PresetWarning, stacklevel=3)
+        best = min(kept, key=lambda row: row["us"]) if kept else presets.cheapest(at(0), limits)
+        return next(row for row in mine if row["name"] == best["name"])
 
     def enough(self, name: str, difference: float) -> int:
         """Seeds with which chance makes half of a difference at most."""
@@ -344,7 +339,7 @@ class Trade:
         for row in sorted(self.rows, key=lambda row: row["us"] or math.inf):
             by = ", ".join(preset for preset, name in self.by_preset.items() if name == row["name"])
             errors = {name: error and error[0] for name, error in row["errors"].items()}
-            kept = [preset for preset in PRESETS if presets.excess(errors, preset) <= 1]
+            kept = [preset for preset, tolerances in PRESETS.items() if presets.excess(errors, tolerances) <= 1]
             cells = [f"{errors[name] * _percent(name):.3g}" if row["errors"].get(name) else "–" for name in names]
             cost = f"{1e-3 * row['us']:.3g}" if row["us"] else "–"
             lines.append([row["name"] + (f" ({by})" if by else ""), cost, *cells, kept[-1] if kept else "–"])
@@ -393,10 +388,7 @@ def load_trade(path) -> Trade:
     """A `Trade` that was saved. Raises ValueError where the file is none."""
     try:
         stored = json.loads(Path(path).read_text(encoding="utf-8"))
-        stored["observed"] = {
-            (name, i): (us, observation(seen | {"quantities": own[0]} if own else seen))
-            for name, i, us, seen, *own in stored["observed"]  # quantities were stored beside the observation once
-        }
+        stored["observed"] = {(name, i): (us, observation(seen)) for name, i, us, seen in stored["observed"]}
         return Trade(**stored)
     except (KeyError, TypeError, AttributeError, ValueError) as error:
         raise ValueError(f"{Path(path).name}: expected a file of Trade.save, got {error!r}") from None
@@ -612,9 +604,9 @@ def _costs(trade: Trade, scene: State, frames: int, interval: float) -> tuple[di
     looking = judging = 0.0
     with contextlib.suppress(ValueError):  # of neither gravity nor motion
         states = (moments or [ready(scene)]) * REST
-        looking = _seconds(lambda: observe(states)) / len(states)
+        looking = timeit(lambda: observe(states), number=1) / len(states)
         ensemble = [observe(states)] * len(trade.digests)
-        judging = 400 * min(_seconds(lambda: errors(ensemble, ensemble)) for _ in range(10))  # of 400 resamplings
+        judging = 400 * min(repeat(lambda: errors(ensemble, ensemble), number=1, repeat=10))  # of 400 resamplings
 
     def cost(setting):
         took = []
@@ -622,7 +614,7 @@ def _costs(trade: Trade, scene: State, frames: int, interval: float) -> tuple[di
             with contextlib.suppress(FloatingPointError):
                 run, each = Run(moment, setting), round(interval / setting["dt"])
                 run.advance(each)
-                took.append(min(_seconds(partial(run.advance, each)) for _ in range(2)))
+                took.append(min(repeat(partial(run.advance, each), number=1, repeat=2)))
         return frames * (sum(took) / max(1, len(moments)) + looking)
 
     settings = trade.settings | {REFERENCE: trade.reference, HALF: reference_of(scene, 2)}

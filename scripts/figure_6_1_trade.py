@@ -16,8 +16,7 @@ def compute(options, seed, jobs, progress):
     """The study's rows on plain piles, and its presets."""
     study = runs.read_study(options["results"])
     rows = [
-        {key: row[key] for key in ("n_bodies", "name", "us", "errors")}
-        | {"group": row["setting"].get("engine") or row["setting"]["method"]}
+        {key: row[key] for key in ("n_bodies", "name", "us", "errors")} | {"group": trade.group_of(row["setting"])}
         for row in study["plain"]
         if row["us"] is not None
     ]

@@ -138,14 +138,13 @@ def presets(rows: Sequence[Mapping]) -> list[dict]:
 
     def cheapest(n, engine, preset, kind="plain", at=0):
         candidates = [
-            {key: row[key] for key in ("name", "us", "times", "seeds")}
-            | {"errors": {name: rounded(error[at]) for name, error in row["errors"].items() if error}}
+            row | {"errors": {name: rounded(error[at]) for name, error in row["errors"].items() if error}}
             for row in known
             if (row["n_bodies"], row["kind"], row["setting"].get("engine")) == (n, kind, engine)
         ]
-        kept = keeping(candidates, preset, margin=engine is None and at == 0)
+        kept = keeping(candidates, PRESETS[preset], margin=engine is None and at == 0)
         best = min(kept, key=lambda one: one["us"], default=None)
-        return best and {key: value for key, value in best.items() if key != "errors"}
+        return best and {key: best[key] for key in ("name", "us", "times", "seeds")}
 
     def ratios(n, preset, ours, theirs):
         mine = cheapest(n, None, preset, at=ours)
