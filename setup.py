@@ -21,7 +21,7 @@ SHIPPED = (
     "data/sample/*",
     "data/reference/run_tradeoff.json",  # Figures 6.1, 6.2 and 6.11 draw it
 )
-"""5 MB. The thesis's network (25 MB) and those that were trained for comparison stay in the repository."""
+"""5 MB. The thesis's network (25 MB) stays in the repository."""
 
 
 class BuildWithShippedFiles(build_py):

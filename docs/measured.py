@@ -53,7 +53,7 @@ def _read(stem: str) -> dict:
 
 @cache
 def printed(stem: str) -> list[list]:
-    """The table that a figure's script prints, of figure_6_9, say, head first."""
+    """The table that a figure's script prints, of figure_6_3, say, head first."""
     path = next((ROOT / "scripts").glob(f"{stem}_[a-z]*.py"), None)
     if path is None:
         raise ValueError(f"table: expected a script's figure_C_N, got {stem!r}")
@@ -203,13 +203,6 @@ def break_even() -> dict:
 def price(n_bodies: int) -> dict:
     """Of the network `model.h5`: ms, and sweeps of PGS in that time."""
     return break_even()["far field"][f"{n_bodies} circles"]
-
-
-def sizes() -> tuple:
-    """Weights and price in sweeps of Figure 6.4's smallest and largest networks, and the ratio of their errors."""
-    rows = [row for row in printed("figure_6_4")[1:] if row[1]]
-    errors = [float(str(row[5]).split(" ")[0]) for row in rows]
-    return rows[0][1], rows[0][3], rows[-1][1], rows[-1][3], errors[-1] / errors[0]
 
 
 def without_past() -> tuple:
@@ -403,11 +396,6 @@ SENTENCES: dict[str, list[tuple[str, Numbers]]] = {
             "(size, error, settling or resting, radii) {} are below 0.7 with an interval below 0.85: {} of {} at 10,000 "
             "circles, {} of {} at 3,000 and {} of {} at 1,000, where it costs the time of {:.0f} sweeps more",
             without_past,
-        ),
-        (
-            "tried has {:,} weights. For 100 circles it takes the time of {:.0f} sweeps. One of {:,} weights takes "
-            "{:.0f} and leaves {:.2f} of its error",
-            sizes,
         ),
     ],
     "thesis.md": [

@@ -47,35 +47,6 @@ def rows_of(stem: str, having: str | None = None) -> list[list]:
     return [head, *(row for row in rows if having is None or any(having in str(cell).split(", ") for cell in row))]
 
 
-def learned() -> list[list]:
-    """What was tried as a learned start, what it leaves and what it costs."""
-    model = next(row for row in measured.printed("figure_6_8") if row[:2] == ["far field / best classical", "all"])
-    other = [row for row in measured.printed("figure_6_9")[2:]]
-    worst = [max((str(row[i]) for row in other), key=lambda text: float(text.split(" ")[0])) for i in (1, 2, 3)]
-    found, prices = measured.break_even(), [measured.price(n)["in sweeps"] for n in (100, 1000)]
-    networks = [row for row in measured.printed("figure_6_4")[1:] if row[1]]
-
-    def error(row, first):
-        return " / ".join(str(text).split(" ")[0] for text in row[first : first + 3])
-
-    head = ["tried", "error over the best classical setting's after 3 / 10 / 30 sweeps, price left out"]
-    rows = [
-        [*head, "price, in sweeps", "sooner at an error", "figure"],
-        [
-            "`model.h5` on given states",
-            error(model, 3),
-            f"{min(prices):.0f} to {max(prices):.0f}",
-            f"{found['wins']} of {found['cases']} cases",
-            "6.8, 6.10",
-        ],
-        [f"`model.h5` on {len(other)} other kinds of scenes, the worst", error(worst, 0), "as above", "–", "6.9"],
-    ]
-    for row in (networks[0], networks[-1]):
-        text = f"a network of {row[1]:,} weights, over Builtin's error"
-        rows.append([text, error(row, 4), f"{row[3]:.0f}", "–", "6.4"])
-    return rows
-
-
 def engine(kind: str = "settled") -> list[list]:
     """Ours beside the peers on piles of a kind; in brackets the multiple of ours."""
     rows = [["pile", "engine", "contacts", "ns a contact and sweep", "overhead, µs a step", "step of 10 sweeps, µs"]]
@@ -312,7 +283,7 @@ def appendix() -> str:
     return APPENDIX + "".join(f"\n## {title}\n\n{markdown(rows)}" for title, rows in parts)
 
 
-LONG = [f"figure_{name}" for name in ("3_8", "5_10", "6_1", "6_2", "6_3", "6_4", "6_6", "6_7", "6_9", "6_10", "6_11")]
+LONG = [f"figure_{name}" for name in ("3_8", "5_10", "6_1", "6_2", "6_3", "6_6", "6_7", "6_10", "6_11")]
 LONG += ["figure_6_14", "table_6_4", "table_6_5"]
 """Scripts whose whole table is in the appendix."""
 
@@ -327,7 +298,7 @@ In the list of elements *right* says that an element was derived or measured her
 there is nothing to check.
 """
 
-_MADE = (learned, engine, runs, many, outside, noticed, presets, rivals, kinds, missed, figures)
+_MADE = (engine, runs, many, outside, noticed, presets, rivals, kinds, missed, figures)
 
 TABLES = {table.__name__: table for table in _MADE} | {
     "claims": lambda: claims(of_thesis=True, holding=False),

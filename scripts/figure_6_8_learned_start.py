@@ -10,7 +10,7 @@ from deep_contact.studies.learned_starts import CLASSICAL, FEW, LEARNED, OFF
 def compute(options, seed, jobs, progress):
     """Every start with every solver on the same states of held-out scenes."""
     starts = study.starts_with(options["model"])
-    (scenes,) = study.errors_on_scenes(starts, options, seed + 10_000, jobs, progress, several=list(starts))
+    scenes = study.errors_on_scenes(starts, options, seed + 10_000, jobs, progress, several=list(starts))
     return {"after": options["after"], "scenes": scenes}
 
 

@@ -31,16 +31,15 @@ def main(arguments=None) -> None:
     from deep_contact.studies.chapter_5 import THESIS_VISITS
 
     models, registry = {}, {}
-    for path in sorted(MODELS.rglob("*.h5"), key=lambda path: (path.parent != MODELS, path.name)):
-        stored, file = read_metadata(path), path.relative_to(MODELS)
-        registry[file.with_suffix("").as_posix()] = {
-            "file": file.as_posix(),
+    for path in sorted(MODELS.glob("*.h5")):
+        stored = read_metadata(path)
+        registry[path.stem] = {
+            "file": path.name,
             "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
             "command": stored["card"]["command"],
             "data": stored["card"]["data_hash"],
         }
-        if path.parent == MODELS:
-            models[path.name] = about(path, stored)
+        models[path.name] = about(path, stored)
     options = {"trim_blocks": True, "keep_trailing_newline": True, "undefined": jinja2.StrictUndefined}
     template = jinja2.Environment(**options).from_string((MODELS / "README.md.j2").read_text(encoding="utf-8"))
     write_bytes(MODELS / "README.md", template.render(models=models, thesis_visits=THESIS_VISITS).encode())

@@ -35,7 +35,7 @@ def network_file(model=None) -> Path:
 
 
 def path_of(name: str) -> Path:
-    """The file of a registered network, "model" or "comparison/width_8", with its contents checked.
+    """The file of a registered network, "model" or "no_past", with its contents checked.
 
     Raises FileNotFoundError naming the network and the folders where none has it, ModelFileError where the file is not
     the registered one.

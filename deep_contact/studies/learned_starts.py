@@ -1,4 +1,4 @@
-"""Learned starts against classical ones: Figures 6.4 and 6.8 to 6.10.
+"""Learned starts against classical ones: Figures 6.8 and 6.10.
 
 A setting is a start and the solver that follows it: "builtin, NNCG", or "builtin", which PGS follows. A learned start
 with its best solver is compared with the best classical setting, chosen after the fact. Errors are velocity errors
@@ -18,7 +18,7 @@ import numpy as np
 from deep_contact.physics import metrics
 from deep_contact.physics.contact_solver import projected
 from deep_contact.physics.engine import solve, step_problem
-from deep_contact.physics.scenes import circles_in_box, lattice_in_box
+from deep_contact.physics.scenes import circles_in_box
 from deep_contact.physics.solvers import NNCG, PGS, PSOR, NesterovPGS
 from deep_contact.reporting.figures import parallel_map, seeds
 from deep_contact.simulation import solve_contacts
@@ -80,7 +80,7 @@ def errors_of(state: State, impulses: Mapping, settings: Iterable[str], sweeps: 
     return errors
 
 
-# ---- states of held-out scenes: Figures 6.4, 6.8, 6.9 ----
+# ---- states of held-out scenes: Figure 6.8 ----
 
 FEW = (3, 10, 30)
 """Numbers of sweeps that the claims are about."""
@@ -88,35 +88,28 @@ FEW = (3, 10, 30)
 OFF = 0.05
 """Velocity error of Builtin's start above which a better start can matter."""
 
-TRAINED = {"circles": [70, 110], "radius": [1.0, 1.0], "friction": 0.3, "dt": 0.01, "columns": None}
-"""The scenes of the training data."""
-
 
 def errors_on_scenes(
-    starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable, *, several: Sequence[str] = (), kinds=({},)
-) -> list[list[dict]]:
-    """Errors of settings on the same states of scenes of each kind.
+    starts: Mapping, options: Mapping, seed: int, jobs, progress: Callable, *, several: Sequence[str] = ()
+) -> list[dict]:
+    """Errors of settings on the same states of the thesis's scenes, with μ = 0.3; the training data have 0.5.
 
-    starts: name -> description (`starts.start_of`), among them "builtin". options: number of "scenes", "steps",
-    "every" or the number of "states" of a scene, and the numbers of sweeps "after" which errors are measured. several:
-    starts that all of `FOLLOWING` follow; PGS follows the others. kinds: what each changes of `TRAINED`.
-    Returns for each kind, scene by scene, {"step": (states,), "errors": {setting: (states, len(after))}}.
+    starts: name -> description (`starts.start_of`), among them "builtin". options: number of "scenes", "steps" of a
+    scene, of which one in "every" is measured, and the numbers of sweeps "after" which errors are measured. several:
+    starts that all of `FOLLOWING` follow; PGS follows the others.
+    Returns scene by scene {"step": (states,), "errors": {setting: (states, len(after))}}.
     """
-    common, count = {**options, "starts": starts}, options["scenes"]
-    common["settings"] = [*starts, *settings_with(several, FOLLOWING[1:])]
-    scenes = [({**TRAINED, **kind}, s) for i, kind in enumerate(kinds) for s in seeds(seed + i, count)]
-    tasks = [common | {"kind": kind, "seed": s} for kind, s in scenes]
-    by_scene = parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
-    return [by_scene[i : i + count] for i in range(0, len(by_scene), count)]
+    common = {**options, "starts": starts, "settings": [*starts, *settings_with(several, FOLLOWING[1:])]}
+    tasks = [common | {"seed": s} for s in seeds(seed, options["scenes"])]
+    return parallel_map(_errors_on_scene, tasks, jobs=jobs, progress=progress, text="scenes")
 
 
 def _errors_on_scene(task: Mapping) -> dict:
     starts = {name: start_of(description) for name, description in task["starts"].items()}
-    steps = round(task["steps"] * TRAINED["dt"] / task["kind"]["dt"])  # as much time in every kind
-    count = task.get("states") or task["steps"] // task["every"]
-    scene = scene_of_kind(task["kind"], task["seed"])
+    rng = np.random.default_rng(task["seed"])
+    scene = circles_in_box(int(rng.integers(70, 110, endpoint=True)), friction=0.3, seed=rng)
     solved: dict = {"step": [], "errors": {name: [] for name in task["settings"]}}
-    for state in solved_states(scene, steps=steps, every=max(1, steps // count), solver=PGS(sweeps=5000)):
+    for state in solved_states(scene, steps=task["steps"], every=task["every"], solver=PGS(sweeps=5000)):
         solution = solve(state, REFERENCE, state.contacts.normal_impulse, state.contacts.tangent_impulse)
         impulses = {name: start(state, PGS()) for name, start in starts.items()}
         errors = errors_of(state, impulses, task["settings"], task["after"], [solution])
@@ -125,18 +118,6 @@ def _errors_on_scene(task: Mapping) -> dict:
             for name, values in errors.items():
                 solved["errors"][name].append(values)
     return solved
-
-
-def scene_of_kind(kind: Mapping, seed: int) -> State:
-    """A scene with the fields of `TRAINED`: a loose lattice where the thesis's box would be too small."""
-    rng = np.random.default_rng(seed)
-    count = int(rng.integers(*kind["circles"], endpoint=True))
-    look = {"radius": kind["radius"], "friction": kind["friction"], "seed": rng}
-    if count > 120 or kind["radius"][1] > 1.0 or kind["columns"]:
-        scene = lattice_in_box(count, columns=kind["columns"], gap=0.3, **look)
-    else:
-        scene = circles_in_box(count, **look)
-    return scene.replace(dt=kind["dt"])
 
 
 def mean_errors(scenes: Sequence[Mapping], setting: str, where: str = "all") -> np.ndarray:

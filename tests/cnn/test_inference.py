@@ -206,18 +206,18 @@ def test_what_was_changed_or_is_not_stock_is_refused_before_keras_sees_it(file, 
 def test_every_shipped_file_is_registered_under_its_hash():
     models = registry.ROOT / "models"
     assert sorted(map(registry.path_of, registry.registered())) == sorted(models.rglob("*.h5"))
-    assert load_model("comparison/width_8").path.samefile(load_model("models/comparison/width_8.h5").path)
+    assert load_model("no_past").path.samefile(load_model("models/no_past.h5").path)
 
 
 def test_models_are_found_in_the_folder_that_is_named_and_in_the_current_one(tmp_path, monkeypatch):
-    (tmp_path / "models" / "comparison").mkdir(parents=True)
-    copy = shutil.copy(registry.path_of("comparison/width_4"), tmp_path / "models" / "comparison")
+    (tmp_path / "models").mkdir()
+    copy = shutil.copy(registry.path_of("no_past"), tmp_path / "models")
     monkeypatch.setenv("DEEP_CONTACT_MODELS", str(tmp_path / "models"))
-    assert str(registry.path_of("comparison/width_4")) == copy
+    assert str(registry.path_of("no_past")) == copy
     assert registry.path_of("model") == registry.ROOT / "models" / "model.h5"
-    shutil.copy(registry.path_of("comparison/width_8"), copy)
-    with pytest.raises(ModelFileError, match=r"width_4\.h5: sha256: expected"):
-        load_model("comparison/width_4")
+    shutil.copy(registry.path_of("model"), copy)
+    with pytest.raises(ModelFileError, match=r"no_past\.h5: sha256: expected"):
+        load_model("no_past")
     monkeypatch.delenv("DEEP_CONTACT_MODELS")
     for name in ("model.h5", "registry.json"):
         shutil.copy(registry.ROOT / "models" / name, tmp_path / "models")
@@ -231,9 +231,9 @@ def test_a_model_that_is_missing_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "ROOT", tmp_path)
     monkeypatch.setattr(registry, "registered", lambda: known)
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(FileNotFoundError, match="comparison/width_8: expected"):
-        load_model("comparison/width_8")
-    with pytest.raises(FileNotFoundError, match=r"or one of .*comparison/width_8.*got magic\.h5"):
+    with pytest.raises(FileNotFoundError, match="no_past: expected"):
+        load_model("no_past")
+    with pytest.raises(FileNotFoundError, match=r"or one of .*no_past.*got magic\.h5"):
         load_model("magic.h5")
 
 

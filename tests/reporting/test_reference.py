@@ -180,7 +180,6 @@ FEW_SCENES = "the starts compared differ by less than one scene from another"
 UNDECIDED = {
     "5.9": FEW_SCENES,
     "5.10": "times, of a smaller pile",
-    "6.4": FEW_SCENES,
     "6.7": "fewer steps, after which solutions have parted less",
     "6.8": FEW_SCENES,
     "6.15": "piles of 30 circles have no contacts too many without friction",
