@@ -23,21 +23,18 @@ from deep_contact.physics.engine import contacts_of
 from deep_contact.state import Bodies, State, World
 from deep_contact.state.checks import check_bodies, check_state
 
-SPECULATIVE_DISTANCE = 4 * constants.LINEAR_SLOP
-"""Gap below which Box2D v3 makes a contact (`B2_SPECULATIVE_DISTANCE`), m: absolute, as all of its lengths."""
-
 
 class _Peer:
     """What the adapters share. A subclass builds its world and lists its bodies in `_bodies`, in our order.
 
-    name: of the engine. package: of its Python module and distribution. counts_next_step: whether `contact_count` is
-    that of the next step rather than of the last one. takes_threads: whether it is made with an option `threads`.
+    name: of the engine. package: of its Python module and distribution. takes_threads: whether it is made with an
+    option `threads`. reach: gap below which it makes a contact, m.
     """
 
     name: str
     package: str
-    counts_next_step = False
     takes_threads = False
+    reach = 0.0
     _fields: tuple[str, ...]
     """The engine's names of position, velocity, angle, angular velocity and mass of a body."""
 
@@ -65,6 +62,13 @@ class _Peer:
         columns = [[getattr(body, name) for body in self._bodies] for name in self._fields]
         position, velocity = (np.array([tuple(xy) for xy in column]).reshape(-1, 2) for column in columns[:2])
         return check_bodies(Bodies(position, velocity, *map(np.array, columns[2:]), self._state.bodies.radius))
+
+    def contact_count(self) -> int:
+        """Contacts at the positions now: gaps of at most `reach`. They are what the engine reports, where it does."""
+        state, bodies, near = self._state, self.bodies(), 0.5 * self.reach
+        scales = state.scales._replace(wall_skin=state.scales.wall_skin + near)
+        grown = bodies._replace(radius=bodies.radius + near)
+        return contacts_of(state.replace(bodies=grown, world=replace(state.world, scales=scales))).count
 
 
 class Box2D23(_Peer):
@@ -99,10 +103,6 @@ class Box2D23(_Peer):
     def step(self, dt: float, sweeps: int, position_sweeps: int) -> None:
         """One step: `sweeps` velocity iterations, at most `position_sweeps` position iterations."""
         self.world.Step(dt, sweeps, position_sweeps)
-
-    def contact_count(self) -> int:
-        """Touching contacts in the last step."""
-        return sum(contact.touching for contact in self.world.contacts_gen)
 
 
 class Pymunk(_Peer):
@@ -151,13 +151,6 @@ class Pymunk(_Peer):
         self.space.iterations = sweeps
         self.space.step(dt)
 
-    def contact_count(self) -> int:
-        """Arbiters of the last step. (Circles touch anything in one point at most.)"""
-        static, at_walls = self.space.static_body, []
-        for body in self._bodies:
-            body.each_arbiter(lambda arbiter: at_walls.append(any(one is static for one in arbiter.bodies)))
-        return (len(at_walls) + sum(at_walls)) // 2  # a pair of circles is seen from either, a wall from the circle
-
 
 class Box2D3(_Peer):
     """Box2D v3 through `pyb2d3`, on so many threads.
@@ -166,12 +159,12 @@ class Box2D3(_Peer):
     all contacts twice: once with soft position bias ("solve") and once without ("relax"), with an
     integration of positions in between. `sweeps` is the number of substeps here, so its "sweep" is such a
     pair; contacts are looked for once a step. `position_sweeps` is ignored. Walls are capsules of the skin's radius,
-    because v3's segments have none. It makes contacts ahead of touch, from `SPECULATIVE_DISTANCE` on. hertz: stiffness
+    because v3's segments have none. It makes contacts ahead of touch (`B2_SPECULATIVE_DISTANCE`). hertz: stiffness
     of its soft contacts, Hz, of which it takes a quarter of the rate of substeps at most.
     """
 
     name, package = "Box2D v3", "pyb2d3"
-    counts_next_step = takes_threads = True
+    takes_threads, reach = True, 4 * constants.LINEAR_SLOP
 
     def __init__(self, state: State, *, threads: int = 1, hertz: float = 30.0):
         super().__init__(state)
@@ -204,13 +197,6 @@ class Box2D3(_Peer):
         mass = np.array([body.mass for body in self._bodies])
         motion = batch.get_linear_velocities(), angle, batch.get_angular_velocities()
         return check_bodies(Bodies(batch.get_positions(), *motion, mass, self._state.bodies.radius))
-
-    def contact_count(self) -> int:
-        """Contacts that the next step will solve: gaps of at most the speculative distance. pyb2d3 shows none."""
-        state, bodies, near = self._state, self.bodies(), 0.5 * SPECULATIVE_DISTANCE
-        scales = state.scales._replace(wall_skin=state.scales.wall_skin + near)
-        grown = bodies._replace(radius=bodies.radius + near)
-        return contacts_of(state.replace(bodies=grown, world=replace(state.world, scales=scales))).count
 
 
 ENGINES = {adapter.name: adapter for adapter in (Box2D23, Pymunk, Box2D3)}
