@@ -7,7 +7,7 @@
     python scripts/train.py --from models/model.h5 --epochs 5 --out runs/further    # go on from a model, its settings
 
 <out>/history.png, the learning curve, is drawn after every epoch. Started again with the same flags, a run goes on
-where it was stopped, within an epoch too. At the end <out>/model.h5 is a model file with its card. `deep-contact train`
+after the last epoch that is done. At the end <out>/model.h5 is a model file with its card. `deep-contact train`
 and `deep-contact generate-data` are the same, without the repository too.
 """
 
@@ -133,7 +133,7 @@ def main(argv=None) -> int:
     try:
         run(**parsed)
     except KeyboardInterrupt:
-        print("\ntrain: stopped; the same command goes on from the last 20 seconds", file=sys.stderr)
+        print("\ntrain: stopped; the same command goes on after the last whole epoch", file=sys.stderr)
         return 130
     except (ModuleNotFoundError, OSError, ValueError, ArithmeticError, RuntimeError) as error:
         print(f"train: {error}", file=sys.stderr)

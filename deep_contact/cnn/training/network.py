@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import itertools
 import json
 import math
 import sys
@@ -22,19 +21,12 @@ from deep_contact.io.files import replacing
 from deep_contact.io.provenance import package_versions, processor
 from deep_contact.validation import expect
 
-SAVE_EVERY = 20.0
-"""Seconds from one last.npz to the next within an epoch."""
-
-BEGINNING = {"batches": 0, "states": 0, "loss": 0.0}
-"""The position before the first state of an epoch."""
-
 
 class NetworkRun:
     """A network in training. Subclasses have `batches`, `step` and `validate`.
 
     states, validation: those to learn from and to judge by, (k, 2), as `Store.states`. box: the world's box of a
-    network of one size, or None. history: a dict an epoch that is done, by column. position: where the run is in the
-    next one: its batches and states that are done, and the sum of their losses.
+    network of one size, or None. history: a dict an epoch that is done, by column.
     """
 
     box = None
@@ -52,7 +44,7 @@ class NetworkRun:
         kinds = {"model": self.model.variables, "optimizer": self.optimizer.variables}
         self.variables = {f"{kind}_{i:04d}": v for kind, of_kind in kinds.items() for i, v in enumerate(of_kind)}
         """All that a step changes: weights, statistics, the random states of dropout, the optimizer's."""
-        self.history, self.position = [], dict(BEGINNING)
+        self.history = []
 
     def batches_per_epoch(self) -> int:
         """Number of full batches of an epoch. Raises ValueError where there are fewer states than one batch has."""
@@ -76,15 +68,15 @@ class NetworkRun:
                     expected = f"{before.get(name)!r}, with which the run in {out} was started"
                     same = before.get(name) == settings.get(name)
                     expect(same, f"{name}: expected {expected}, got {settings.get(name)!r}")
-                self.history, self.position = stored["history"], stored["position"]
+                self.history = stored["history"]
                 for name, variable in self.variables.items():
                     variable.assign(file[name])
 
     def fit(self, callbacks: list, *, verbose: int) -> None:
-        """Train from `position` on, until all epochs are done or a callback ends it, and write the folder.
+        """Train until all epochs are done or a callback ends it, and write the folder after each.
 
-        Not `keras.Model.fit`, which takes no gradient that comes from elsewhere and goes on from no point in an epoch.
-        Keras's `BackupAndRestore` loses the optimizer's state and the random states of dropout.
+        Not `keras.Model.fit`, which takes no gradient that comes from elsewhere. Keras's `BackupAndRestore` loses the
+        optimizer's state and the random states of dropout.
         """
         options = {"epochs": self.config.epochs, "steps": None, "verbose": verbose}
         called = keras.callbacks.CallbackList(callbacks, add_progbar=bool(verbose), model=self.model, **options)
@@ -92,16 +84,13 @@ class NetworkRun:
         called.on_train_begin()
         for epoch in range(len(self.history), self.config.epochs):
             called.on_epoch_begin(epoch)
-            at, start, saved = self.position, perf_counter(), perf_counter()
-            for k, batch in itertools.islice(enumerate(self.batches(epoch)), at["batches"], None):
+            states, total, start = 0, 0.0, perf_counter()
+            for k, batch in enumerate(self.batches(epoch)):
                 called.on_train_batch_begin(k)
                 loss, count = self.step(batch)
-                at.update(batches=k + 1, states=at["states"] + count, loss=at["loss"] + loss)
-                if perf_counter() - saved >= SAVE_EVERY and math.isfinite(at["loss"]):
-                    self.save()
-                    saved = perf_counter()
-                called.on_train_batch_end(k, {"loss": at["loss"] / at["states"]})
-            mean = at["loss"] / at["states"]
+                states, total = states + count, total + loss
+                called.on_train_batch_end(k, {"loss": total / states})
+            mean = total / states
             if not math.isfinite(mean):
                 raise FloatingPointError(f"loss: expected a finite number, got {mean} in epoch {epoch}; lower the rate")
             measured = {"loss": mean} | self.validate()
@@ -116,8 +105,7 @@ class NetworkRun:
         rate = float(f"{float(self.optimizer.learning_rate):.7g}")
         best = min((line["validation_loss"] for line in self.history), default=math.inf)
         self.history.append({"epoch": epoch, "rate": rate} | measured | {"seconds": round(seconds, 2)})
-        self.position = dict(BEGINNING)
-        # The best one first: killed between the two, the last part is repeated with the same result.
+        # The best one first: killed between the two, the epoch is repeated with the same result.
         if measured["validation_loss"] < best:
             save_model(self.out / "best.h5", self.model, self.spec, self.card(), box=self.box)
         self.save()
@@ -129,7 +117,7 @@ class NetworkRun:
     def save(self) -> None:
         """Write last.npz."""
         arrays = {name: keras.ops.convert_to_numpy(variable) for name, variable in self.variables.items()}
-        state = {"settings": self.about["config"], "history": self.history, "position": self.position}
+        state = {"settings": self.about["config"], "history": self.history}
         with replacing(self.out / "last.npz") as temporary, open(temporary, "wb") as file:
             np.savez(file, state=np.frombuffer(json.dumps(state).encode(), np.uint8), **arrays)
 

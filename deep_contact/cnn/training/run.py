@@ -4,16 +4,16 @@ A run is a folder:
 
 | file        | holds                                                                                             |
 |-------------|---------------------------------------------------------------------------------------------------|
-| last.npz    | every 20 s and after an epoch: weights, optimizer, random state, position, history and settings   |
+| last.npz    | after an epoch: weights, optimizer, random state, history and settings                            |
 | best.h5     | the model file of the epoch with the lowest validation loss so far                                |
-| history.csv | a line an epoch: number from 0, rate, mean loss, seconds since the start or the interruption;     |
+| history.csv | a line an epoch: number from 0, rate, mean loss, seconds;                                         |
 |             | validation_loss, for the far-field network over that of Builtin's start;                          |
 |             | validation_velocity_error, its mean before any sweep, and _k after k of `TrainingConfig.sweeps`   |
 | model.h5    | at the end: the best one with its card                                                            |
 
 Each file is replaced as a whole, and what follows depends only on last.npz, the settings and the data. So a run that is
-killed at any moment and started again gives the history of an undisturbed run, to the last bit on the same machine. At
-most 20 seconds and a batch are lost.
+killed at any moment and started again gives the history of an undisturbed run, to the last bit on the same machine. The
+epoch in which it was killed begins anew.
 """
 
 from __future__ import annotations
