@@ -140,17 +140,7 @@ LARGE_PEERS = [
     *settings({1: (6, 8), 2: (2, 4), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
     *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
 ]
-"""For 3,000 circles: those of `PEERS` that were the cheapest to keep a preset at 1,000, or nearly, and neighbours."""
-
-LARGEST_PEERS = [
-    *settings({1: (6, 10, 20), 2: (4, 6, 10), 4: (2, 4)}, **PYMUNK, slop=0.25),
-    *settings({1: (6, 10), 2: (4, 10), 4: (2, 4)}, **PYMUNK),
-    *settings({2: (4,), 4: (4,)}, **BOX2D, position_sweeps=3),
-    *settings({1: (6,), 2: (4,)}, **BOX2D_V3, hertz=60.0),
-    *settings({1: (6, 8), 2: (4,), 4: (2, 4)}, **BOX2D_V3, hertz=120.0),
-    *settings({2: (8,), 4: (4,)}, **BOX2D_V3, hertz=240.0),
-]
-"""For 10,000: the same again."""
+"""From 3,000 circles on: those of `PEERS` that kept a preset at 1,000 most cheaply, or nearly, and neighbours."""
 
 MORE = {
     "no friction": {"100": settings({4: (3,), 8: (2,)}, **PGS), "1000": settings({4: (3,), 8: (2, 3)}, **PGS)}
@@ -182,7 +172,7 @@ FULL = {
     "dense": {"100": DENSE_SMALL, "1000": DENSE_SMALL, "3000": DENSE, "10000": DENSE_LARGE},
     "more": MORE,
     "ladders": {"100": LADDER, "1000": LADDER, "3000": LARGE_LADDER, "10000": LARGE_LADDER},
-    "peers": {"100": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGEST_PEERS},
+    "peers": {"100": PEERS, "1000": PEERS, "3000": LARGE_PEERS, "10000": LARGE_PEERS},
     "processes": 3,
 }
 QUICK = FULL | {
